@@ -1,0 +1,63 @@
+"""rtcal: calibrate the absorption coefficients of a room-acoustic model, by convex optimisation.
+
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> result = rt.calibrate(room, measured)
+    >>> print(abs(result.gap_after).max() < 1e-9)
+    True
+
+Everything is imported when it is first used: ``import rtcal`` costs little more than NumPy.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rtcal import datasets
+    from rtcal.acoustics.air import Air
+    from rtcal.acoustics.equations import Eyring, Sabine
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Material, Room, Surface
+    from rtcal.calibration import closed_form, terms
+    from rtcal.calibration.presets import calibrate
+    from rtcal.calibration.problem import Calibration
+
+__version__ = "0.1.0"
+
+# name -> (module, attribute or None for the module itself); at most 20, the rest in the modules.
+_EXPORTS: dict[str, tuple[str, str | None]] = {
+    "Air": ("rtcal.acoustics.air", "Air"),
+    "Calibration": ("rtcal.calibration.problem", "Calibration"),
+    "Eyring": ("rtcal.acoustics.equations", "Eyring"),
+    "Material": ("rtcal.acoustics.room", "Material"),
+    "Measurement": ("rtcal.acoustics.measurement", "Measurement"),
+    "Room": ("rtcal.acoustics.room", "Room"),
+    "Sabine": ("rtcal.acoustics.equations", "Sabine"),
+    "Surface": ("rtcal.acoustics.room", "Surface"),
+    "calibrate": ("rtcal.calibration.presets", "calibrate"),
+    "closed_form": ("rtcal.calibration.closed_form", None),
+    "datasets": ("rtcal.datasets", None),
+    "terms": ("rtcal.calibration.terms", None),
+}
+
+__all__ = [
+    "Air", "Calibration", "Eyring", "Material", "Measurement", "Room", "Sabine", "Surface",
+    "calibrate", "closed_form", "datasets", "terms",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _EXPORTS:
+        raise AttributeError(f"module 'rtcal' has no attribute '{name}'")
+    module, attribute = _EXPORTS[name]
+    value = importlib.import_module(module)
+    if attribute is not None:
+        value = getattr(value, attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

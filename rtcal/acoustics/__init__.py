@@ -1,0 +1,1 @@
+"""Physics: pure functions and frozen values, no optimisation."""

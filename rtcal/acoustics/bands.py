@@ -1,0 +1,135 @@
+"""Frequency bands: nominal octave and third-octave centres (IEC 61260-1), labels and matching."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+OCTAVES: tuple[float, ...] = (31.5, 63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000)
+"""Nominal octave centre frequencies in Hz."""
+
+THIRD_OCTAVES: tuple[float, ...] = (
+    20, 25, 31.5, 40, 50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800,
+    1000, 1250, 1600, 2000, 2500, 3150, 4000, 5000, 6300, 8000, 10000, 12500, 16000, 20000,
+)  # fmt: skip
+"""Nominal third-octave centre frequencies in Hz."""
+
+# Exact base-ten centres differ from the nominal ones by at most 1 % (1584.9 Hz is called 1600 Hz),
+# and neighbouring thirds by 26 %, so this tells them apart with room to spare.
+_TOLERANCE = 0.015
+
+
+def nominal(frequency: float) -> float:
+    """Return the nominal third-octave centre within 1.5 % of ``frequency`` (Hz), else itself.
+
+    >>> nominal(1584.893), nominal(440.0)
+    (1600.0, 440.0)
+    """
+    nearest = min(THIRD_OCTAVES, key=lambda centre: abs(frequency / centre - 1))
+    return float(nearest) if abs(frequency / nearest - 1) <= _TOLERANCE else float(frequency)
+
+
+def octaves(lowest: float = 125, highest: float = 4000) -> tuple[float, ...]:
+    """Return the nominal octave centres from ``lowest`` to ``highest`` (Hz).
+
+    >>> octaves(250, 1000)
+    (250, 500, 1000)
+    """
+    return tuple(f for f in OCTAVES if lowest <= f <= highest)
+
+
+def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ...]:
+    """Return the nominal third-octave centres from ``lowest`` to ``highest`` (Hz).
+
+    >>> third_octaves(400, 630)
+    (400, 500, 630)
+    """
+    return tuple(f for f in THIRD_OCTAVES if lowest <= f <= highest)
+
+
+def label(frequency: float) -> str:
+    """Return the band's name as it stands in tables and messages.
+
+    >>> label(31.5), label(1000.0)
+    ('31.5 Hz', '1000 Hz')
+    """
+    return f"{frequency:g} Hz"
+
+
+def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") -> Array:
+    """Return centre frequencies as an array (n_bands,) in Hz, checked and made nominal.
+
+    Raises
+    ------
+    DataError
+        If there is none, or one is not a finite positive number, or they do not increase.
+    """
+    try:
+        f = np.array([nominal(float(v)) if float(v) > 0 else float(v) for v in frequencies])
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{place}: {error}; a band is a number in Hz") from error
+    if f.ndim != 1 or f.size == 0:
+        raise DataError(f"{place} is empty; at least one band is needed")
+    for value in f:
+        if not (np.isfinite(value) and value > 0):
+            raise DataError(f"{place} has {value:g} Hz; a centre frequency is finite and above 0 Hz")
+    for below, above in zip(f, f[1:], strict=False):
+        if above <= below:
+            raise DataError(
+                f"{place} has {label(above)} after {label(below)}; bands must increase, each once"
+            )
+    return f
+
+
+def index(frequencies: Array, frequency: float) -> int | None:
+    """Return where ``frequency`` (Hz) stands in ``frequencies`` (within 1.5 %), or None.
+
+    >>> index(np.array([500.0, 1000.0]), 1000), index(np.array([500.0]), 125)
+    (1, None)
+    """
+    near = np.flatnonzero(np.abs(frequencies / frequency - 1) <= _TOLERANCE)
+    return int(near[0]) if near.size else None
+
+
+def bandwidth_factor(frequencies: Array) -> float:
+    """Return bandwidth / centre frequency: .71 for octaves, .23 for third-octaves.
+
+    Neighbouring bands less than half an octave apart are taken for third-octaves; a single band
+    for an octave, the wider and more common one.
+    """
+    if len(frequencies) < 2:
+        return 0.71
+    return 0.23 if float(np.min(frequencies[1:] / frequencies[:-1])) < np.sqrt(2) else 0.71
+
+
+def octave_means(values: Array, frequencies: Array) -> tuple[Array, Array]:
+    """Return octave values, the mean of their three thirds, and the octaves' centres.
+
+    Parameters
+    ----------
+    values : array (..., n_thirds)
+        Absorption coefficients in third-octaves, bands last.
+    frequencies : array (n_thirds,)
+        Nominal third-octave centres in Hz.
+
+    Returns
+    -------
+    (array (..., n_octaves), array (n_octaves,))
+        Only octaves all three of whose thirds are there.
+    """
+    thirds = {nominal(float(f)): i for i, f in enumerate(frequencies)}
+    kept, columns = [], []
+    for centre in OCTAVES:
+        place = THIRD_OCTAVES.index(centre)
+        wanted = THIRD_OCTAVES[place - 1 : place + 2]
+        if all(f in thirds for f in wanted):
+            kept.append(float(centre))
+            columns.append([thirds[f] for f in wanted])
+    means = [np.mean(np.asarray(values)[..., c], axis=-1) for c in columns]
+    if not means:
+        raise DataError("octave_means: no octave has all three of its third-octave bands")
+    return np.stack(means, axis=-1), np.array(kept)

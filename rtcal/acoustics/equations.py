@@ -1,0 +1,203 @@
+"""Reverberation equations and their inversion to the linear target S'alpha = b.
+
+Every equation here is T = (24 ln 10 / c) V / (S a + 4 m V), with the absorption exponent a a
+function of the mean absorption coefficient S'alpha / S alone. Inverted for a measured T, that is
+one linear equality in alpha (Bellows & Katz 2025, Eqs. 1 to 6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError, InfeasibleError
+from rtcal.types import Array
+
+PAPER_SPEED_OF_SOUND = 24 * np.log(10) / 0.164
+"""336.97 m/s: gives the paper's rounded constant 0.164 s/m; only to reproduce its numbers."""
+
+# From here on 1 - exp(-a) rounds to 1: the mean coefficient no longer tells T.
+_LARGEST_EXPONENT = 36.0
+
+
+@runtime_checkable
+class Equation(Protocol):
+    """Anything that predicts the reverberation time of a room."""
+
+    name: ClassVar[str]
+
+    def reverberation_time(self, room: Room) -> Array:
+        """Return T in s, (n_bands,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class LinearEquation:
+    """An equation in which T depends on alpha only through S'alpha.
+
+    Parameters
+    ----------
+    speed_of_sound : float, optional
+        c in m/s; the room's air tells it if it is not given.
+    """
+
+    speed_of_sound: float | None = None
+
+    name: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        c = self.speed_of_sound
+        if c is not None and not (np.isfinite(c) and c > 0):
+            raise DataError(f"speed_of_sound = {c:g} m/s is not finite and above 0")
+
+    def exponent(self, mean_alpha: Array) -> Array:
+        """Return the absorption exponent a of the mean coefficient S'alpha / S."""
+        raise NotImplementedError(f"{type(self).__name__} must define exponent")
+
+    def mean_alpha(self, exponent: Array) -> Array:
+        """Return the mean coefficient that has this exponent: the inverse of `exponent`.
+
+        NaN where no mean coefficient has it.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define mean_alpha")
+
+    def slope(self, mean_alpha: Array) -> Array:
+        """Return d exponent / d mean_alpha."""
+        raise NotImplementedError(f"{type(self).__name__} must define slope")
+
+    def reverberation_time(self, room: Room) -> Array:
+        """Return T in s, (n_bands,); infinite where nothing absorbs (Eqs. 1 to 3)."""
+        return self.time(room, room.absorption_area)
+
+    def time(self, room: Room, absorption_area: Array) -> Array:
+        """Return T in s for the surfaces' absorption area S'alpha in m², both (..., n_bands)."""
+        exponent = self.exponent(absorption_area / room.total_area)
+        total = room.total_area * exponent + 4 * room.air_attenuation * room.volume
+        with np.errstate(divide="ignore"):
+            return np.asarray(self._constant(room) * room.volume / total)
+
+    def target(self, room: Room, t: Array) -> Array:
+        """Return b in m², (..., n_bands), for T in s, without a check of what can be reached.
+
+        b is below 0 where T is longer than the air alone allows, and NaN where T is NaN or where
+        no mean absorption coefficient has the exponent that T asks for.
+        """
+        total = self._constant(room) * room.volume / np.asarray(t, dtype=float)
+        exponent = (total - 4 * room.air_attenuation * room.volume) / room.total_area
+        return np.asarray(room.total_area * self.mean_alpha(exponent))
+
+    def target_sensitivity(self, room: Room, t: Array) -> Array:
+        """Return db/dT in m²/s, (n_bands,): negative, since a longer T needs less absorption."""
+        t = np.asarray(t, dtype=float)
+        total_slope = -self._constant(room) * room.volume / t**2
+        return np.asarray(total_slope / self.slope(self.target(room, t) / room.total_area))
+
+    def air_share(self, room: Room, absorption_area: Array) -> Array:
+        """Return the air's share 4mV / (S a + 4mV) of the whole absorption, (n_bands,)."""
+        air = 4 * room.air_attenuation * room.volume
+        total = room.total_area * self.exponent(absorption_area / room.total_area) + air
+        return np.asarray(np.divide(air, total, out=np.zeros_like(air), where=total > 0))
+
+    def absorption_area(self, room: Room, t: Array) -> Array:
+        """Return the absorption area b that the surfaces need for T (Eqs. 5 and 6).
+
+        Parameters
+        ----------
+        room : Room
+        t : array (n_bands,)
+            Measured T in s; NaN where missing.
+
+        Returns
+        -------
+        array (n_bands,)
+            b in m², from 0 to the total area; NaN where T is.
+
+        Raises
+        ------
+        DataError
+            If T has another shape, is infinite, or is not above 0.
+        InfeasibleError
+            If no coefficients from 0 to 1 give T; the message says which T would do.
+        """
+        t = np.array(t, dtype=float)
+        if t.shape != (room.n_bands,):
+            raise DataError(f"T has shape {t.shape}; the room's bands ask for ({room.n_bands},)")
+        for frequency, value in zip(room.centre_frequencies, t, strict=True):
+            if np.isinf(value) or value <= 0:
+                raise DataError(
+                    f"T[{bands.label(frequency)}] = {value:g} s is not finite and above 0"
+                )
+        b = self.target(room, t)
+        longest = self.time(room, np.zeros(room.n_bands))
+        shortest = self.time(room, np.full(room.n_bands, room.total_area))
+        for i in range(room.n_bands):
+            if np.isnan(t[i]) or 0 <= b[i] <= room.total_area:
+                continue
+            why = "longer than the air alone allows" if t[i] > longest[i] else "too short"
+            raise InfeasibleError(
+                f"T[{bands.label(room.centre_frequencies[i])}] = {t[i]:.4g} s is {why} in "
+                f"{self.name}'s equation: T from {shortest[i]:.4g} to {longest[i]:.4g} s would do"
+            )
+        return b
+
+    def _constant(self, room: Room) -> float:
+        """24 ln 10 / c in s/m."""
+        return float(24 * np.log(10) / (self.speed_of_sound or room.speed_of_sound))
+
+
+@dataclass(frozen=True)
+class Sabine(LinearEquation):
+    """Sabine's equation: a = mean alpha (Sabine 1922; Bellows & Katz 2025, Eqs. 2 and 5).
+
+    >>> room = Room(name="box", volume=60, materials=["floor", "rest"], areas=[20, 74],
+    ...             alpha=[[0.2], [0.4]], sigma=[[0.1], [0.1]], centre_frequencies=[1000])
+    >>> print(Sabine(speed_of_sound=PAPER_SPEED_OF_SOUND).reverberation_time(room).round(2))
+    [0.29]
+    """
+
+    name: ClassVar[str] = "Sabine"
+
+    def exponent(self, mean_alpha: Array) -> Array:
+        """Return the mean coefficient itself."""
+        return np.asarray(mean_alpha)
+
+    def mean_alpha(self, exponent: Array) -> Array:
+        """Return the exponent itself."""
+        return np.asarray(exponent)
+
+    def slope(self, mean_alpha: Array) -> Array:
+        """Return 1."""
+        return np.ones_like(mean_alpha)
+
+
+@dataclass(frozen=True)
+class Eyring(LinearEquation):
+    """Eyring's equation: a = -ln(1 - mean alpha) (Eyring 1930; Bellows & Katz 2025, Eqs. 3, 6).
+
+    >>> room = Room(name="box", volume=120, materials=["all"], areas=[158], alpha=[[0.2]],
+    ...             sigma=[[0.1]], centre_frequencies=[1000])
+    >>> print(Eyring(speed_of_sound=343).reverberation_time(room).round(4))
+    [0.5484]
+    """
+
+    name: ClassVar[str] = "Eyring"
+
+    def exponent(self, mean_alpha: Array) -> Array:
+        """Return -ln(1 - mean alpha), infinite at 1."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(-np.log1p(-np.minimum(mean_alpha, 1.0)))
+
+    def mean_alpha(self, exponent: Array) -> Array:
+        """Return 1 - exp(-exponent); NaN above 36, where it would round to 1 and lose T."""
+        with np.errstate(over="ignore"):
+            mean = -np.expm1(-np.asarray(exponent, dtype=float))
+        return np.asarray(np.where(np.asarray(exponent) > _LARGEST_EXPONENT, np.nan, mean))
+
+    def slope(self, mean_alpha: Array) -> Array:
+        """Return 1 / (1 - mean alpha)."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1 / (1 - np.minimum(mean_alpha, 1.0)))

@@ -1,0 +1,244 @@
+"""Measured or simulated room-acoustic parameters by source, receiver and band."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+UNITS: dict[str, str] = {
+    "t20": "s", "t30": "s", "edt": "s", "c50": "dB", "c80": "dB", "d50": "", "ts": "s", "g": "dB",
+}  # fmt: skip
+"""Unit of each parameter (ISO 3382-1); D50 is a fraction."""
+
+DECAY_TIMES = ("t20", "t30", "edt")
+SUMMARY = "*"
+"""Name of the source and of the receiver in a row that sums several pairs up."""
+
+# ISO 3382-2:2008, Eqs. 4 and 5: sigma(T) = a T sqrt((1 + b/n) / (N B T)).
+_ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
+_DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecayTime:
+    """The reverberation time to match: mean over pairs, which parameter, how uncertain.
+
+    ``mean`` and ``uncertainty`` in s, (n_bands,), NaN where missing or unknown; ``parameter`` per
+    band is ``"t20"``, ``"t30"`` or ``""``.
+    """
+
+    mean: Array
+    uncertainty: Array
+    parameter: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measurement:
+    """Room-acoustic parameters by source-receiver pair and band.
+
+    Parameters
+    ----------
+    centre_frequencies : array (n_bands,)
+        Hz, increasing.
+    values : mapping of str to array (n_pairs, n_bands)
+        By parameter (keys of `UNITS`), in its unit; NaN is missing, and normal.
+    pairs : sequence of (source, receiver)
+        Names, (n_pairs,). The single pair ``("*", "*")`` is a summary: means over several pairs.
+    standard_deviation : mapping of str to array (n_bands,)
+        Of a summary: the spread over its pairs (not the uncertainty of the mean).
+    uncertainty : mapping of str to array (n_pairs, n_bands)
+        Stated standard uncertainty of each value, where the measurer knows it.
+    n_sources, n_receivers : int, optional
+        Of a summary: how many it was taken over.
+
+    Raises
+    ------
+    DataError
+        For a wrong shape, an unknown parameter, an infinite value or a decay time not above 0.
+
+    Examples
+    --------
+    >>> m = Measurement.from_values([500, 1000], t20=[1.9, 2.0])
+    >>> m.decay_time().mean.tolist()
+    [1.9, 2.0]
+    """
+
+    centre_frequencies: Array
+    values: Mapping[str, Array]
+    pairs: Sequence[tuple[str, str]] = ((SUMMARY, SUMMARY),)
+    standard_deviation: Mapping[str, Array] = field(default_factory=dict)
+    uncertainty: Mapping[str, Array] = field(default_factory=dict)
+    n_sources: int | None = None
+    n_receivers: int | None = None
+
+    def __post_init__(self) -> None:
+        put = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
+        put("centre_frequencies", bands.as_bands(self.centre_frequencies))
+        put("pairs", tuple((str(s), str(r)) for s, r in self.pairs))
+        if not self.values:
+            raise DataError("measurement: no values; at least one parameter is needed")
+        n, k = len(self.pairs), len(self.centre_frequencies)
+        for name, shape in (
+            ("values", (n, k)), ("uncertainty", (n, k)), ("standard_deviation", (k,)),
+        ):  # fmt: skip
+            checked = {p: self._checked(name, p, v, shape) for p, v in getattr(self, name).items()}
+            put(name, checked)
+        if self.standard_deviation and not self.is_summary:
+            raise DataError(
+                "measurement: a standard deviation over pairs belongs to a summary row "
+                f'(source and receiver "{SUMMARY}"), not beside single pairs'
+            )
+
+    def _checked(self, name: str, parameter: str, value: Any, shape: tuple[int, ...]) -> Array:
+        if parameter not in UNITS:
+            raise DataError(f'parameter "{parameter}" is unknown; known are {", ".join(UNITS)}')
+        array = np.array(value, dtype=float)
+        if array.shape != shape:
+            raise DataError(f"measurement {name}[{parameter}] has shape {array.shape}, not {shape}")
+        infinite, low = np.isinf(array), np.zeros(array.shape, dtype=bool)
+        rule = "finite"
+        if name != "values":
+            low, rule = array < 0, "finite and 0 or more"
+        elif parameter in DECAY_TIMES:
+            low, rule = array <= 0, "finite and above 0 s"
+        if (bad := infinite | low).any():
+            where = tuple(int(i) for i in np.argwhere(bad)[0])
+            band = bands.label(self.centre_frequencies[where[-1]])
+            raise DataError(
+                f"measurement {name}[{parameter}, {band}] = {array[where]:g} is not {rule}"
+            )
+        array.setflags(write=False)
+        return array
+
+    @property
+    def is_summary(self) -> bool:
+        """Whether the values are means over several pairs."""
+        return self.pairs == ((SUMMARY, SUMMARY),)
+
+    @property
+    def fingerprint(self) -> str:
+        """A short name of exactly these data."""
+        digest = hashlib.sha256(np.asarray(self.centre_frequencies).tobytes())
+        for parameter in sorted(self.values):
+            digest.update(parameter.encode())
+            digest.update(repr(self.pairs).encode())
+            digest.update(np.ascontiguousarray(self.values[parameter]).tobytes())
+        return digest.hexdigest()[:16]
+
+    @classmethod
+    def from_values(
+        cls, centre_frequencies: Sequence[float] | Array, **parameters: Sequence[float] | Array
+    ) -> Measurement:
+        """Return a measurement of one value a band: ``from_values([500, 1000], t20=[1.9, 2.0])``."""
+        return cls(
+            centre_frequencies=np.asarray(centre_frequencies, dtype=float),
+            values={p: np.array(v, dtype=float)[np.newaxis] for p, v in parameters.items()},
+        )
+
+    def mean(self, parameter: str) -> Array:
+        """Return the arithmetic mean over the pairs that have a value, (n_bands,), NaN if none has.
+
+        Arithmetic, over the same pairs in model and measurement: the mean of a ratio is not the
+        ratio of means.
+        """
+        if parameter not in self.values:
+            return np.full(len(self.centre_frequencies), np.nan)
+        values = self.values[parameter]
+        count = np.sum(np.isfinite(values), axis=0)
+        total = np.nansum(values, axis=0)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+    def mean_uncertainty(self, parameter: str) -> Array:
+        """Return the standard uncertainty u of `mean`, (n_bands,), NaN where nothing is known.
+
+        A stated uncertainty is taken as it is. Else, for T20 and T30,
+        u² = max(s² / n_eff, ISO 3382-2's variance): s the standard deviation over pairs, n_eff the
+        larger of the numbers of sources and receivers, since pairs that share a source are not
+        independent; ISO 3382-2:2008, Eqs. 4 and 5, with N the number of pairs and n = 10 decays.
+        """
+        mean = self.mean(parameter)
+        if parameter not in self.values:
+            return mean
+        values = self.values[parameter]
+        present = np.isfinite(values)
+        count = np.sum(present, axis=0)
+        safe = np.maximum(count, 1)
+        if parameter in self.uncertainty:
+            stated = np.where(present, self.uncertainty[parameter], 0.0)
+            known = np.sqrt(np.sum(stated**2, axis=0)) / safe
+            if np.isfinite(known[count > 0]).all():
+                return np.where(count > 0, known, np.nan)
+        spread, n_effective, positions = self._spread(parameter)
+        variance = np.where(n_effective > 1, spread**2 / np.maximum(n_effective, 1), np.nan)
+        if parameter in _ISO_3382_2:
+            a, b = _ISO_3382_2[parameter]
+            bandwidth = bands.bandwidth_factor(self.centre_frequencies) * self.centre_frequencies
+            iso = a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth)
+            variance = np.fmax(variance, iso)
+        return np.where(count > 0, np.sqrt(variance), np.nan)
+
+    def _spread(self, parameter: str) -> tuple[Array, Array, Array]:
+        """Standard deviation over pairs, effective number and number of pairs, each (n_bands,)."""
+        values = self.values[parameter]
+        k = values.shape[1]
+        if self.is_summary:
+            spread = self.standard_deviation.get(parameter, np.full(k, np.nan))
+            sources, receivers = self.n_sources or 1, self.n_receivers or 1
+            return (
+                np.asarray(spread),
+                np.full(k, float(max(sources, receivers))),
+                np.full(k, float(sources * receivers)),
+            )
+        present = np.isfinite(values)
+        effective = np.array([self._effective(present[:, band]) for band in range(k)])
+        count = np.sum(present, axis=0)
+        deviation = np.where(present, values - self.mean(parameter), 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = np.where(
+                count > 1, np.sqrt(np.sum(deviation**2, axis=0) / (count - 1)), np.nan
+            )
+        return spread, effective, count.astype(float)
+
+    def _effective(self, present: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
+        used = [pair for pair, here in zip(self.pairs, present, strict=True) if here]
+        return float(max(len({s for s, _ in used}), len({r for _, r in used}), 0))
+
+    def decay_time(self) -> DecayTime:
+        """Return the reverberation time to match: per band T20, else T30, never EDT.
+
+        EDT follows the early sound and the source's directivity, which absorption coefficients
+        must not be bent to.
+        """
+        k = len(self.centre_frequencies)
+        mean, uncertainty = np.full(k, np.nan), np.full(k, np.nan)
+        parameter = np.full(k, "", dtype="<U3")
+        for name in ("t30", "t20"):  # the later one wins where both are there
+            value = self.mean(name)
+            here = np.isfinite(value)
+            mean[here] = value[here]
+            uncertainty[here] = self.mean_uncertainty(name)[here]
+            parameter[here] = name
+        return DecayTime(
+            mean=mean, uncertainty=uncertainty, parameter=tuple(str(p) for p in parameter)
+        )
+
+    @classmethod
+    def from_file(cls, path: str) -> Measurement:
+        """Read a measurement from CSV; see `rtcal.acoustics.files` for the format."""
+        from rtcal.acoustics import files
+
+        return files.read_measurement(path)
+
+    def save(self, path: str) -> None:
+        """Write the measurement to CSV, whole or not at all."""
+        from rtcal.acoustics import files
+
+        files.write_measurement(self, path)

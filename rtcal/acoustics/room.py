@@ -1,0 +1,358 @@
+"""Materials, surfaces and the room: what is known of a room before it is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.air import Air
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material and what is known of it.
+
+    Parameters
+    ----------
+    name : str
+    alpha : sequence (n_bands,)
+        Random-incidence absorption coefficients, 0 to 1.
+    sigma : sequence (n_bands,)
+        Standard deviation of each coefficient, 0 or more; 0 is known exactly.
+    alpha_min : float or sequence (n_bands,)
+        The least coefficient that calibration may give it.
+    scattering : sequence (n_bands,), optional
+        Random-incidence scattering coefficients, 0 to 1 (simulators read them; equations do not).
+    source : str
+        Where the coefficients come from.
+    """
+
+    name: str
+    alpha: Sequence[float]
+    sigma: Sequence[float]
+    alpha_min: float | Sequence[float] = 0.0
+    scattering: Sequence[float] | None = None
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One surface of a room: its material, its area in m² and the axis it stands across.
+
+    ``axis`` is ``"x"``, ``"y"`` or ``"z"``: the direction of its normal. Only equations that treat
+    the axes apart (Fitzroy, Arau-Puchades) need it.
+    """
+
+    name: str
+    material: str
+    area: float
+    axis: str | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.area) and self.area > 0):
+            raise DataError(f'surface["{self.name}"].area = {self.area:g} m² is not above 0')
+        if self.axis is not None and self.axis not in AXES:
+            raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
+
+
+@dataclass(frozen=True)
+class CalibrationRecord:
+    """What a calibrated room says of its calibration.
+
+    ``measured`` is the fingerprint of the data that the coefficients were calibrated to:
+    calibrating again on the same data would count them twice and is refused.
+    """
+
+    method: str
+    equation: str
+    measured: str
+    solver: str = ""
+    version: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Room:
+    """A room: volume, materials with their areas, absorption coefficients and their uncertainty.
+
+    One row is one unknown of the calibration. A material that covers several surfaces is one row
+    with the sum of their areas: `Room.from_surfaces` sums them and keeps them.
+
+    Parameters
+    ----------
+    name : str
+    volume : float
+        m³, above 0.
+    materials : sequence of str (n_materials,)
+        Names, each once.
+    areas : array (n_materials,)
+        m², above 0.
+    alpha : array (n_materials, n_bands)
+        Absorption coefficients as believed now, 0 to 1: the prior before a calibration, the
+        calibrated ones after.
+    sigma : array (n_materials, n_bands)
+        Their standard deviations, 0 or more; 0 keeps a coefficient where it is.
+    centre_frequencies : array (n_bands,)
+        Hz, increasing; within 1.5 % of a nominal third-octave centre they are made nominal.
+    air : Air, optional
+        Without it the air absorbs nothing, which is wrong above about 1 kHz.
+    alpha_min : array (n_materials, n_bands), optional
+        The least coefficient that calibration may give; 0 if not stated.
+    scattering : array (n_materials, n_bands), optional
+        Scattering coefficients, 0 to 1, for simulators.
+    surfaces : sequence of Surface
+        The surfaces that the areas are the sums of, where they are known.
+    dimensions : (x, y, z), optional
+        Of a shoebox, in m, for simulators.
+    sources : mapping of str to str
+        By material, where its coefficients come from.
+    calibration : CalibrationRecord, optional
+        Set in the room that a calibration returns.
+
+    Raises
+    ------
+    DataError
+        If a shape or a value breaks a rule; the message names place, value and rule.
+
+    Examples
+    --------
+    >>> room = Room(name="box", volume=60, materials=["floor", "rest"], areas=[20, 74],
+    ...             alpha=[[0.4], [0.6]], sigma=[[0.1], [0.1]], centre_frequencies=[1000])
+    >>> print(room.absorption_area)
+    [52.4]
+    """
+
+    name: str
+    volume: float
+    materials: Sequence[str]
+    areas: Array
+    alpha: Array
+    sigma: Array
+    centre_frequencies: Array
+    air: Air | None = None
+    alpha_min: Array | None = None
+    scattering: Array | None = None
+    surfaces: Sequence[Surface] = ()
+    dimensions: tuple[float, float, float] | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    calibration: CalibrationRecord | None = None
+
+    def __post_init__(self) -> None:
+        put = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
+        if isinstance(self.materials, str):
+            raise DataError(f'materials = "{self.materials}" is one text, not a sequence of names')
+        put("materials", tuple(str(m) for m in self.materials))
+        put("surfaces", tuple(self.surfaces))
+        put("sources", dict(self.sources))
+        put("centre_frequencies", _frozen(bands.as_bands(self.centre_frequencies)))
+        put("volume", _number("volume", self.volume, " m³"))
+        n, k = self.n_materials, self.n_bands
+        if n == 0:
+            raise DataError("materials is empty; a room has at least one material")
+        if repeated := sorted({m for m in self.materials if self.materials.count(m) > 1}):
+            raise DataError(
+                f'materials has "{repeated[0]}" twice; a material is one row '
+                "(Room.from_surfaces sums its surfaces)"
+            )
+        put("areas", self._checked_areas(n))
+        for name in ("alpha", "sigma", "scattering", "alpha_min"):
+            value = getattr(self, name)
+            if value is not None:
+                put(name, self._checked(name, value, (n, k)))
+        if self.dimensions is not None:
+            sides = tuple(_number("dimensions", side, " m") for side in self.dimensions)
+            if len(sides) != 3:
+                raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
+            put("dimensions", sides)
+        for surface in self.surfaces:
+            if surface.material not in self.materials:
+                raise DataError(
+                    f'surface["{surface.name}"].material = "{surface.material}" is no material of '
+                    f"the room; it has {', '.join(self.materials)}"
+                )
+
+    def _checked_areas(self, n: int) -> Array:
+        areas = _array("areas", self.areas)
+        if areas.shape != (n,):
+            raise DataError(f"areas has shape {areas.shape}; with {n} materials it must be ({n},)")
+        for material, area in zip(self.materials, areas, strict=True):
+            if not (np.isfinite(area) and area > 0):
+                raise DataError(f'areas["{material}"] = {area:g} m² is not a finite area above 0')
+        return _frozen(areas)
+
+    def _checked(self, name: str, value: object, shape: tuple[int, int]) -> Array:
+        array = _array(name, value)
+        if array.shape != shape:
+            raise DataError(
+                f"{name} has shape {array.shape}; it must be (n_materials, n_bands) = {shape}"
+            )
+        bad = ~np.isfinite(array) | (array < 0)
+        rule = "a finite value of 0 or more"
+        if name != "sigma":
+            bad |= array > 1
+            rule = "in [0, 1]"
+        if bad.any():
+            i, k = (int(v) for v in np.argwhere(bad)[0])
+            raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} is not {rule}")
+        return _frozen(array)
+
+    @property
+    def n_materials(self) -> int:
+        """How many materials, that is rows of ``alpha``."""
+        return len(self.materials)
+
+    @property
+    def n_bands(self) -> int:
+        """How many bands, that is columns of ``alpha``."""
+        return len(self.centre_frequencies)
+
+    @property
+    def total_area(self) -> float:
+        """S, the sum of the areas in m²."""
+        return float(np.sum(self.areas))
+
+    @property
+    def absorption_area(self) -> Array:
+        """S'alpha, the surfaces' equivalent absorption area in m², (n_bands,)."""
+        return np.asarray(self.areas @ self.alpha)
+
+    @property
+    def air_attenuation(self) -> Array:
+        """m in 1/m at the nominal centre frequencies, (n_bands,); 0 where no air is stated."""
+        if self.air is None:
+            return np.zeros(self.n_bands)
+        return self.air.attenuation(self.centre_frequencies)
+
+    @property
+    def speed_of_sound(self) -> float:
+        """c in m/s, of the stated air or else of air at 20 °C."""
+        return (self.air or Air()).speed_of_sound
+
+    def place(self, name: str, material: int, band: int) -> str:
+        """Return how messages name one value: ``alpha["carpet", 500 Hz]``."""
+        frequency = bands.label(self.centre_frequencies[band])
+        return f'{name}["{self.materials[material]}", {frequency}]'
+
+    def material_index(self, name: str) -> int:
+        """Return the row of the material ``name``; DataError if the room has none of that name."""
+        if name not in self.materials:
+            raise DataError(
+                f'"{name}" is no material of room "{self.name}"; it has {", ".join(self.materials)}'
+            )
+        return self.materials.index(name)
+
+    def replace(self, **changes: Any) -> Room:
+        """Return the room with some fields changed, checked like a new one."""
+        return replace(self, **changes)
+
+    @classmethod
+    def from_surfaces(
+        cls,
+        *,
+        name: str,
+        volume: float,
+        surfaces: Iterable[Surface],
+        materials: Iterable[Material],
+        centre_frequencies: Sequence[float] | Array,
+        air: Air | None = None,
+        dimensions: tuple[float, float, float] | None = None,
+        calibration: CalibrationRecord | None = None,
+    ) -> Room:
+        """Return the room whose area per material is the sum over its surfaces.
+
+        Drawing one wall as two polygons changes nothing: the unknown is the material's
+        coefficient. Materials without a surface are left out. Raises DataError as `Room` does, and
+        for a surface of a material that is not given.
+        """
+        surfaces = tuple(surfaces)
+        known = {m.name: m for m in materials}
+        for surface in surfaces:
+            if surface.material not in known:
+                raise DataError(
+                    f'surface["{surface.name}"].material = "{surface.material}" is not among the '
+                    f"materials: {', '.join(known)}"
+                )
+        used = [m for m in known.values() if any(s.material == m.name for s in surfaces)]
+        k = len(tuple(centre_frequencies))
+        scattering = [m.scattering for m in used]
+        if any(s is not None for s in scattering):
+            missing = next((m.name for m in used if m.scattering is None), None)
+            if missing is not None:
+                raise DataError(
+                    f'scattering["{missing}"] is missing; state it for every material or for none'
+                )
+        floors = [np.broadcast_to(np.asarray(m.alpha_min, dtype=float), (k,)) for m in used]
+        return cls(
+            name=name,
+            volume=volume,
+            materials=[m.name for m in used],
+            areas=_array("areas", [
+                np.sum([s.area for s in surfaces if s.material == m.name]) for m in used
+            ]),
+            alpha=_rows("alpha", [(m.name, m.alpha) for m in used], k),
+            sigma=_rows("sigma", [(m.name, m.sigma) for m in used], k),
+            centre_frequencies=np.asarray(centre_frequencies, dtype=float),
+            air=air,
+            alpha_min=np.array(floors) if any(f.any() for f in floors) else None,
+            scattering=(
+                _rows("scattering", [(m.name, m.scattering or ()) for m in used], k)
+                if any(s is not None for s in scattering)
+                else None
+            ),
+            surfaces=surfaces,
+            dimensions=dimensions,
+            sources={m.name: m.source for m in used if m.source},
+            calibration=calibration,
+        )  # fmt: skip
+
+    @classmethod
+    def from_file(cls, path: str) -> Room:
+        """Read a room from TOML; see `rtcal.acoustics.files` for the format."""
+        from rtcal.acoustics import files
+
+        return files.read_room(path)
+
+    def save(self, path: str) -> None:
+        """Write the room to TOML, whole or not at all."""
+        from rtcal.acoustics import files
+
+        files.write_room(self, path)
+
+
+def _frozen(array: Array) -> Array:
+    array = array.copy()
+    array.setflags(write=False)
+    return array
+
+
+def _number(name: str, value: object, unit: str) -> float:
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} = {value!r} is not a number") from error
+    if not (np.isfinite(number) and number > 0):
+        raise DataError(f"{name} = {number:g}{unit} is not finite and above 0")
+    return number
+
+
+def _array(name: str, value: object) -> Array:
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} is not an array of numbers: {error}") from error
+
+
+def _rows(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) -> Array:
+    for material, row in rows:
+        if len(row) != n_bands:
+            raise DataError(
+                f'{name}["{material}"] has {len(row)} values; the room has {n_bands} bands'
+            )
+    return _array(name, [list(row) for _, row in rows])

@@ -1,0 +1,1 @@
+"""The calibration problem: one convex QP, composed, built once, solved, certified."""

@@ -1,0 +1,32 @@
+"""What can go wrong, by what the user can do about it.
+
+``DataError``: mend the input.  ``ModelError``: mend the model.  ``InfeasibleError``: no absorption
+coefficients within the bounds give what was asked.  ``SolverError``: the solver failed on a sound
+problem; another solver or other settings may help.  ``MissingDependencyError``: install an extra.
+"""
+
+from __future__ import annotations
+
+
+class RtcalError(Exception):
+    """Base of every error that rtcal raises on purpose."""
+
+
+class DataError(RtcalError, ValueError):
+    """The input breaks a rule; the message names the place, the value and the rule."""
+
+
+class ModelError(RtcalError):
+    """The model cannot be calibrated as it was put together."""
+
+
+class InfeasibleError(RtcalError):
+    """No absorption coefficients within the bounds give the measured reverberation time."""
+
+
+class SolverError(RtcalError):
+    """The solver did not find an answer that passes the certificate."""
+
+
+class MissingDependencyError(RtcalError, ImportError):
+    """An optional library is not installed; the message says which extra brings it."""
