@@ -49,6 +49,11 @@ class LinearEquation:
 
     name: ClassVar[str] = ""
 
+    @property
+    def largest_mean_alpha(self) -> float:
+        """The mean coefficient up to which T falls; the inverse knows only this branch."""
+        return 1.0
+
     def __post_init__(self) -> None:
         c = self.speed_of_sound
         if c is not None and not (np.isfinite(c) and c > 0):

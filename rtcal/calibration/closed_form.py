@@ -1,0 +1,105 @@
+"""The paper's closed forms: least squares, maximum likelihood and scaling. No bounds, no solver.
+
+They are the warm start of the QP and, in the tests, its oracle; they share no code with it. Each
+answer meets S'alpha = b exactly and may leave [0, 1].
+
+Shapes: one band ``(n_materials,)`` with a scalar target, or ``(n_materials, n_bands)`` with
+``(n_bands,)``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+
+def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
+    """Return the coefficients nearest to ``mu`` with S'alpha = b (Bellows & Katz 2025, Eqs. 9, 10).
+
+    alpha = mu - C S,  C = (S'mu - b) / S'S.
+
+    Examples
+    --------
+    >>> print(least_squares([0.4, 0.6], [20, 74], 33.6).round(2))
+    [0.34 0.36]
+    """
+    return maximum_likelihood(mu, np.ones_like(np.asarray(mu, dtype=float)), areas, target)
+
+
+def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
+    """Return the likeliest coefficients with S'alpha = b (Bellows & Katz 2025, Eqs. 22 to 25).
+
+    alpha = mu - D S sigma²,  D = (S'mu - b) / sum S² sigma².
+
+    Parameters
+    ----------
+    mu, sigma : array (n_materials,) or (n_materials, n_bands)
+        Prior means and standard deviations; sigma = 0 leaves a coefficient alone.
+    areas : array (n_materials,)
+        m².
+    target : float or array (n_bands,)
+        b in m².
+
+    Raises
+    ------
+    DataError
+        If shapes do not fit, or all sigma of a band are 0: then nothing can move.
+
+    Examples
+    --------
+    >>> print(maximum_likelihood([0.6, 0.5], [0.05, 0.1], [47, 47], 37.6).round(2))
+    [0.54 0.26]
+    """
+    mu, areas, target = _checked(mu, areas, target)
+    sigma = np.asarray(sigma, dtype=float)
+    if sigma.shape != mu.shape:
+        raise DataError(f"sigma has shape {sigma.shape}; mu has {mu.shape}")
+    weight = _along(areas, mu) * sigma**2
+    room_to_move = areas @ weight
+    if np.any(room_to_move == 0):
+        raise DataError("all sigma of a band are 0; no coefficient there can move")
+    return np.asarray(mu - multiplier(mu, sigma, areas, target) * weight)
+
+
+def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
+    """Return D = (S'mu - b) / sum S² sigma² in 1/m², a scalar or (n_bands,) (Eqs. 23 to 25)."""
+    mu, areas, target = _checked(mu, areas, target)
+    spread = areas**2 @ np.asarray(sigma, dtype=float) ** 2
+    return np.asarray((areas @ mu - target) / spread)
+
+
+def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
+    """Return all coefficients scaled alike, alpha = mu b / S'mu (Bellows & Katz 2025, Eqs. 36, 37).
+
+    Raises
+    ------
+    DataError
+        If shapes do not fit, or S'mu = 0: nothing times any factor gives b.
+
+    Examples
+    --------
+    >>> print(scaling([0.2, 0.4], [20, 20], 6.0).round(2))
+    [0.1 0.2]
+    """
+    mu, areas, target = _checked(mu, areas, target)
+    absorption_area = areas @ mu
+    if np.any(absorption_area == 0):
+        raise DataError("S'mu = 0: scaling cannot reach any target from there")
+    return np.asarray(mu * (target / absorption_area))
+
+
+def _checked(mu: Array, areas: Array, target: Array | float) -> tuple[Array, Array, Array]:
+    mu, areas = np.asarray(mu, dtype=float), np.asarray(areas, dtype=float)
+    target = np.asarray(target, dtype=float)
+    if mu.ndim not in (1, 2) or areas.shape != mu.shape[:1] or target.shape != mu.shape[1:]:
+        raise DataError(
+            f"mu {mu.shape}, areas {areas.shape} and target {target.shape} do not fit: "
+            "(n_materials,) and a scalar target, or (n_materials, n_bands) and (n_bands,)"
+        )
+    return mu, areas, target
+
+
+def _along(areas: Array, mu: Array) -> Array:
+    return areas if mu.ndim == 1 else areas[:, np.newaxis]

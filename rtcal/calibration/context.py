@@ -1,0 +1,117 @@
+"""What a term is handed to express itself in cvxpy, and the derived parameters that keep it DPP.
+
+In the whitened unknowns x (alpha = centre + scale x) most products that a term wants, such as
+area times sigma, would be products of two parameters, which cvxpy cannot compile once. So a term
+never multiplies parameters: it says how to compute its coefficients of alpha from an `Instance`, and
+the context computes the coefficients of x and the constant outside cvxpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from rtcal.calibration.instance import Instance, Integers
+from rtcal.types import Array
+
+Coefficients = Callable[[Instance], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Affine:
+    """Rows that are affine in alpha: the cvxpy expression (n_rows,) and how to refresh it."""
+
+    expression: Any
+    rows: Integers
+    columns: Integers
+    n_rows: int
+    compute: Coefficients
+    coefficients: Any
+    constant: Any
+
+    def update(self, instance: Instance, centre: Array, scale: Array) -> None:
+        """Set the derived parameters for ``instance``; centre and scale are flattened."""
+        values, constant = self.compute(instance)
+        self.coefficients.value = values * scale[self.columns]
+        self.constant.value = constant + np.bincount(
+            self.rows, weights=values * centre[self.columns], minlength=self.n_rows
+        )
+
+
+class Context:
+    """The unknowns of a problem under construction, and its derived parameters."""
+
+    def __init__(self, n_configurations: int, n_materials: int, n_bands: int) -> None:
+        self.n_configurations = n_configurations
+        self.n_materials = n_materials
+        self.n_bands = n_bands
+        self.x = cp.Variable(n_materials * n_bands, name="x")
+        self._affine: list[Affine] = []
+        self._parameters: list[tuple[Any, Callable[[Instance], Array]]] = []
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are: materials times bands."""
+        return self.n_materials * self.n_bands
+
+    def affine(
+        self, rows: Integers, columns: Integers, n_rows: int, compute: Coefficients
+    ) -> Affine:
+        """Return rows that are affine in the flattened alpha.
+
+        Parameters
+        ----------
+        rows, columns : array (n_entries,)
+            Where the coefficients stand; fixed when the problem is built.
+        n_rows : int
+        compute : function of an Instance
+            Returns the coefficients of alpha (n_entries,) and the constants (n_rows,).
+        """
+        coefficients = cp.Parameter(len(columns))
+        constant = cp.Parameter(n_rows)
+        picked = self.x
+        if not np.array_equal(columns, np.arange(self.size)):
+            entries = np.arange(len(columns))
+            ones = np.ones(len(columns))
+            picked = sp.csr_array((ones, (entries, columns)), (len(columns), self.size)) @ self.x
+        terms = cp.multiply(coefficients, picked)
+        if not np.array_equal(rows, np.arange(n_rows)):
+            entries = np.arange(len(rows))
+            terms = sp.csr_array((np.ones(len(rows)), (rows, entries)), (n_rows, len(rows))) @ terms
+        made = Affine(
+            terms + constant, np.asarray(rows), np.asarray(columns), n_rows, compute,
+            coefficients, constant,
+        )  # fmt: skip
+        self._affine.append(made)
+        return made
+
+    def parameter(
+        self, shape: int | tuple[int, ...], compute: Callable[[Instance], Array], **attributes: bool
+    ) -> Any:
+        """Return a cvxpy parameter that ``compute`` fills from each instance."""
+        parameter = cp.Parameter(shape, **attributes)
+        self._parameters.append((parameter, compute))
+        return parameter
+
+    def match_pattern(self) -> tuple[Integers, Integers, int]:
+        """Return rows, columns and number of rows of S'alpha, one row a configuration and band."""
+        c, n, k = self.n_configurations, self.n_materials, self.n_bands
+        configuration, material, band = np.meshgrid(
+            np.arange(c), np.arange(n), np.arange(k), indexing="ij"
+        )
+        rows = (configuration * k + band).ravel()
+        columns = (material * k + band).ravel()
+        return rows, columns, c * k
+
+    def update(self, instance: Instance) -> None:
+        """Set every derived parameter for ``instance``."""
+        centre, scale = instance.centre.ravel(), instance.scale.ravel()
+        for affine in self._affine:
+            affine.update(instance, centre, scale)
+        for parameter, compute in self._parameters:
+            parameter.value = compute(instance)

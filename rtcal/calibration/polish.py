@@ -1,0 +1,194 @@
+"""Polishing: from a solver's answer to the exact optimum on its active set.
+
+An interior-point answer is right to 1e-5 at worst; which coefficients stand at a bound it tells
+reliably. Given that active set the optimum is one linear system. Solving it, adding violated bounds
+and dropping those whose multiplier has the wrong sign, until neither is left, gives the optimum to
+rounding (for a piecewise quadratic objective the same loop is Newton's method).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from rtcal.calibration.instance import Flags
+from rtcal.calibration.twin import Multipliers, Twin
+from rtcal.types import Array
+
+_ROUNDS = 60
+_ROUNDING = 1e-13
+
+
+@dataclass(frozen=True)
+class Polished:
+    """A polished answer, flattened: alpha, its multipliers, and -1, 0, 1 for lower, free, upper."""
+
+    alpha: Array
+    multipliers: Multipliers
+    active: NDArray[np.int8]
+
+
+def polish(
+    twin: Twin, alpha: Array, multipliers: Multipliers, forced_lower: Flags, forced_upper: Flags
+) -> Polished | None:
+    """Return the optimum near a solver's answer, or None if the active set does not settle.
+
+    Parameters
+    ----------
+    twin : Twin
+    alpha : array (size,)
+        The solver's answer, flattened.
+    multipliers : Multipliers
+        The solver's multipliers.
+    forced_lower, forced_upper : array (size,) of bool
+        Coefficients that a target at the end of its reach forces to a bound.
+    """
+    lower, upper, sigma = twin.lower, twin.upper, twin.sigma
+    # At an optimum either a slack or its multiplier is 0; in whitened units the larger one tells.
+    reciprocal = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=twin.movable)
+    at_lower = twin.movable & (multipliers.lower * sigma > (alpha - lower) * reciprocal)
+    at_upper = twin.movable & (multipliers.upper * sigma > (upper - alpha) * reciprocal)
+    at_lower = (at_lower & ~forced_upper) | forced_lower
+    at_upper = (at_upper & ~at_lower) | forced_upper
+    fixed_row = twin.row_lower == twin.row_upper
+    side = np.where(fixed_row, 1, np.sign(_active_rows(twin, alpha, multipliers.rows)))
+    alpha = np.where(twin.movable, alpha, twin.instance.centre.ravel())
+    for _ in range(_ROUNDS):
+        alpha = np.where(at_lower, lower, np.where(at_upper, upper, alpha))
+        free = twin.movable & ~at_lower & ~at_upper
+        limit = np.where(side < 0, twin.row_lower, twin.row_upper)
+        solved = _solve(twin, alpha, free, side != 0, limit)
+        if solved is None:
+            return None
+        trial, rows = solved
+        below, above = free & (trial < lower), free & (trial > upper)
+        at_rows = np.asarray(twin.matrix @ trial)
+        slack = _ROUNDING * np.maximum(twin.row_norm, 1e-300)
+        row_below = (side == 0) & (at_rows < twin.row_lower - slack)
+        row_above = (side == 0) & (at_rows > twin.row_upper + slack)
+        if below.any() or above.any() or row_below.any() or row_above.any():
+            at_lower, at_upper = at_lower | below, at_upper | above
+            side = np.where(row_below, -1, np.where(row_above, 1, side))
+            alpha = np.clip(trial, lower, upper)
+            continue
+        rows = _undetermined(twin, trial, rows, free, at_lower, at_upper)
+        balance = twin.stationarity(trial, rows) * sigma
+        tolerance = _ROUNDING * (1 + np.max(np.abs(twin.gradient(trial) * sigma), initial=0.0))
+        free_lower = at_lower & (balance < -tolerance)
+        free_upper = at_upper & (balance > tolerance)
+        free_row = ~fixed_row & (side * rows < 0)
+        alpha = trial
+        if free_lower.any() or free_upper.any() or free_row.any():
+            at_lower, at_upper = at_lower & ~free_lower, at_upper & ~free_upper
+            side = np.where(free_row, 0, side)
+            continue
+        if np.max(np.abs(balance[free]), initial=0.0) > 1e3 * tolerance:
+            continue  # a piecewise quadratic objective changed its piece
+        force = twin.stationarity(trial, rows)
+        found = Multipliers(
+            rows,
+            np.where(at_lower, np.maximum(force, 0.0), 0.0),
+            np.where(at_upper, np.maximum(-force, 0.0), 0.0),
+        )
+        return Polished(trial, found, (at_upper.astype(np.int8) - at_lower.astype(np.int8)))
+    return None
+
+
+def _active_rows(twin: Twin, alpha: Array, rows: Array) -> Array:
+    """Multiplier of an inequality row where it outweighs the slack, else 0."""
+    values = np.asarray(twin.matrix @ alpha)
+    distance = np.where(rows > 0, twin.row_upper - values, values - twin.row_lower)
+    k = np.sqrt(np.asarray(twin.matrix**2 @ twin.sigma**2))
+    scaled = np.divide(distance, k, out=np.full_like(distance, np.inf), where=k > 0)
+    return np.where(np.abs(rows) * k > scaled, rows, 0.0)
+
+
+def _solve(
+    twin: Twin, alpha: Array, free: Flags, active: Flags, limit: Array
+) -> tuple[Array, Array] | None:
+    """One Newton step on the free coefficients with the active rows as equalities."""
+    rows = np.zeros(len(active))
+    scale = twin.sigma[free]
+    matrix = twin.matrix[:, free] * scale
+    norm = np.sqrt(np.asarray((matrix**2).sum(axis=1)).ravel())
+    used = active & (norm > 0)
+    matrix = sp.csr_array(sp.diags_array(1 / norm[used]) @ matrix[used])
+    miss = (limit[used] - np.asarray(twin.matrix @ alpha)[used]) / norm[used]
+    force = twin.gradient(alpha)[free] * scale
+    curvature = twin.curvature(alpha)
+    if sp.issparse(curvature):
+        step, pull = _coupled(curvature[free][:, free] * scale, scale, matrix, force, miss)
+    else:
+        step, pull = _separable(curvature[free] * scale**2, matrix, force, miss)
+    if not (np.isfinite(step).all() and np.isfinite(pull).all()):
+        return None
+    trial = alpha.copy()
+    trial[free] += scale * step
+    rows[used] = pull / norm[used]
+    return trial, rows
+
+
+def _separable(diagonal: Array, matrix: Any, force: Array, miss: Array) -> tuple[Array, Array]:
+    """Diagonal curvature: eliminate the step, solve for the multipliers."""
+    weighted = sp.csr_array(matrix / diagonal)
+    schur = (weighted @ matrix.T).toarray()
+    right = -(miss + weighted @ force)
+    off_diagonal = schur - np.diag(np.diag(schur))
+    if not off_diagonal.any():
+        pull = right / np.diag(schur)
+    else:  # several rows may be dependent: the least-norm multipliers
+        pull = np.linalg.lstsq(schur, right, rcond=1e-12)[0]
+    return -(force + matrix.T @ pull) / diagonal, pull
+
+
+def _coupled(
+    curvature: Any, scale: Array, matrix: Any, force: Array, miss: Array
+) -> tuple[Array, Array]:
+    """Any curvature: the sparse KKT system, regularised and refined."""
+    from scipy.sparse.linalg import splu
+
+    n, m = matrix.shape[1], matrix.shape[0]
+    curvature = sp.csr_array(sp.diags_array(scale) @ curvature)
+    exact = sp.csc_array(sp.block_array([[curvature, matrix.T], [matrix, None]]))
+    shift = 1e-11 * np.concatenate([np.ones(n), -np.ones(m)])
+    right = np.concatenate([-force, miss])
+    try:
+        factor = splu(sp.csc_array(exact + sp.diags_array(shift)))
+    except RuntimeError:  # exactly singular
+        return np.full(n, np.nan), np.full(m, np.nan)
+    solution = factor.solve(right)
+    for _ in range(4):
+        solution = solution + factor.solve(right - exact @ solution)
+    return solution[:n], solution[n:]
+
+
+def _undetermined(
+    twin: Twin, alpha: Array, rows: Array, free: Flags, at_lower: Flags, at_upper: Flags
+) -> Array:
+    """Give rows without a free coefficient their multiplier.
+
+    There the multiplier is an interval: every coefficient at its lower bound asks for at least
+    -gradient / coefficient, every one at its upper bound for at most that. Its end nearest 0 is
+    taken.
+    """
+    held = np.asarray(abs(twin.matrix) @ (at_lower | at_upper).astype(float)) > 0
+    moving = np.asarray(abs(twin.matrix) @ free.astype(float)) > 0
+    if not (held & ~moving).any():
+        return rows
+    gradient = twin.gradient(alpha)
+    rows = rows.copy()
+    for row in np.flatnonzero(held & ~moving & (rows == 0)):
+        start, end = twin.matrix.indptr[row : row + 2]
+        columns, values = twin.matrix.indices[start:end], twin.matrix.data[start:end]
+        sign = at_lower[columns].astype(float) - at_upper[columns].astype(float)
+        used = (sign != 0) & (values != 0)
+        ends = -gradient[columns[used]] / values[used]
+        at_least = ends[sign[used] * values[used] > 0].max(initial=-np.inf)
+        at_most = ends[sign[used] * values[used] < 0].min(initial=np.inf)
+        if at_least <= at_most:
+            rows[row] = np.clip(0.0, at_least, at_most)
+    return rows

@@ -1,0 +1,93 @@
+"""The methods behind ``method=``, and `calibrate`, the main path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
+
+from rtcal.acoustics.equations import Equation
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
+from rtcal.calibration.problem import Calibration
+from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.terms import ExactMatch, PriorDeviation
+from rtcal.errors import ModelError
+from rtcal.types import Array
+
+METHODS: dict[str, Callable[[], Calibration]] = {
+    "mle": lambda: Calibration(PriorDeviation(), [ExactMatch()]),
+    "lse": lambda: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
+}
+"""By name: ``mle``, the likeliest coefficients that give the measured T (Bellows & Katz 2025,
+Eq. 19); ``lse``, the nearest ones whatever their sigma (Eq. 7)."""
+
+
+def preset(method: str) -> Calibration:
+    """Return the calibration behind a name; ModelError if there is none of that name."""
+    if method not in METHODS:
+        raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')
+    return METHODS[method]()
+
+
+def calibrate(
+    room: Room,
+    measured: Measurement | Sequence[float] | Array,
+    method: str = "mle",
+    equation: Equation | None = None,
+    solver: str = "clarabel",
+    unreachable: Literal["raise", "nearest"] = "raise",
+    warm_start: Literal["none", "closed_form"] = "none",
+    settings: Mapping[str, Any] | None = None,
+) -> CalibrationResult:
+    """Calibrate a room's absorption coefficients to its measured reverberation time.
+
+    minimise sum ((alpha - mu) / sigma)²  subject to  S'alpha = b,  alpha_min <= alpha <= 1,
+    in every band, with b the absorption area that the equation asks for (Bellows & Katz 2025).
+
+    Parameters
+    ----------
+    room : Room
+        Its alpha and sigma are the prior.
+    measured : Measurement, or T in s, (n_bands,)
+        Per band T20, else T30; NaN where missing: that band keeps its prior.
+    method : {"mle", "lse"}
+    equation : Equation, optional
+        `rtcal.Eyring` with the room's air if not given.
+    solver : str
+        ``"clarabel"``, ``"osqp"``, another solver of cvxpy's, or ``"qpsolvers:NAME"``.
+    unreachable : {"raise", "nearest"}
+        Where no coefficients within the bounds give T: raise, or take the nearest that do and
+        list the band in the result.
+    warm_start : {"none", "closed_form"}
+        Start OSQP from the paper's closed form. Clarabel has no warm start.
+    settings : mapping, optional
+        The solver's own settings.
+
+    Returns
+    -------
+    CalibrationResult
+
+    Raises
+    ------
+    DataError, ModelError, InfeasibleError, SolverError
+        As `CalibrationProblem.solve`.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> result = rt.calibrate(room, measured)
+    >>> print(result.gap_before.round(1))
+    [15.6 -2.8 -4.7 -2.8 -2.6 -5.6]
+    >>> bool(abs(result.gap_after).max() < 1e-9)
+    True
+    """
+    problem = preset(method).build(room, equation)
+    return problem.solve(
+        measured,
+        solver=solver,
+        unreachable=unreachable,
+        warm_start=warm_start,
+        settings=settings,
+        method=method,
+    )

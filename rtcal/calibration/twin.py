@@ -1,0 +1,114 @@
+"""The NumPy twin of a whole problem: what the polish and the certificate read instead of cvxpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from rtcal.calibration.instance import Flags, Instance
+from rtcal.calibration.terms import Objective, RowConstraint
+from rtcal.types import Array
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Lagrange multipliers in alpha's units: of the rows, and of the two sides of the box.
+
+    Sign: gradient + rows' ``rows`` - ``lower`` + ``upper`` = 0 with ``lower``, ``upper`` >= 0, all
+    over the flattened alpha.
+    """
+
+    rows: Array
+    lower: Array
+    upper: Array
+
+
+@dataclass(frozen=True)
+class Twin:
+    """Objective, rows and box over the flattened alpha, from the terms' own NumPy descriptions."""
+
+    instance: Instance
+    objective: Objective
+    row_constraints: tuple[RowConstraint, ...]
+
+    @cached_property
+    def lower(self) -> Array:
+        """The box's lower side, flattened."""
+        return self.instance.lower.ravel()
+
+    @cached_property
+    def upper(self) -> Array:
+        """The box's upper side, flattened."""
+        return self.instance.upper.ravel()
+
+    @cached_property
+    def sigma(self) -> Array:
+        """The prior's standard deviations, flattened."""
+        return self.instance.sigma.ravel()
+
+    @cached_property
+    def movable(self) -> Flags:
+        """Coefficients that the calibration may move, flattened: sigma > 0."""
+        return np.asarray(self.sigma > 0)
+
+    @cached_property
+    def matrix(self) -> Any:
+        """All rows, sparse, (n_rows, size)."""
+        parts = [rows.matrix for rows in self._rows]
+        if not parts:
+            return sp.csr_array((0, self.sigma.size))
+        return parts[0] if len(parts) == 1 else sp.csr_array(sp.vstack(parts))
+
+    @cached_property
+    def row_lower(self) -> Array:
+        """The rows' lower limits."""
+        return np.concatenate([rows.lower for rows in self._rows]) if self._rows else np.zeros(0)
+
+    @cached_property
+    def row_upper(self) -> Array:
+        """The rows' upper limits."""
+        return np.concatenate([rows.upper for rows in self._rows]) if self._rows else np.zeros(0)
+
+    @cached_property
+    def _rows(self) -> list[Any]:
+        return [constraint.rows(self.instance) for constraint in self.row_constraints]
+
+    @cached_property
+    def row_norm(self) -> Array:
+        """The sum of each row's absolute coefficients: for a matched band the total area."""
+        return np.asarray(abs(self.matrix).sum(axis=1)).ravel()
+
+    def gradient(self, alpha: Array) -> Array:
+        """Return the objective's gradient at the flattened alpha, flattened."""
+        full = alpha.reshape(self.instance.mu.shape)
+        total = np.zeros_like(full)
+        for term, weight in zip(self.objective.terms, self.instance.weights, strict=True):
+            total = total + weight * term.gradient(full, self.instance)
+        return total.ravel()
+
+    def value(self, alpha: Array) -> float:
+        """Return the objective at the flattened alpha."""
+        full = alpha.reshape(self.instance.mu.shape)
+        pairs = zip(self.objective.terms, self.instance.weights, strict=True)
+        return float(sum(weight * term.value(full, self.instance) for term, weight in pairs))
+
+    def curvature(self, alpha: Array) -> Any:
+        """Return the objective's second derivative: a diagonal (size,), or a sparse matrix."""
+        full = alpha.reshape(self.instance.mu.shape)
+        diagonal = np.zeros(self.sigma.size)
+        matrix = None
+        for term, weight in zip(self.objective.terms, self.instance.weights, strict=True):
+            part = term.curvature(full, self.instance)
+            if sp.issparse(part):
+                matrix = weight * part if matrix is None else matrix + weight * part
+            else:
+                diagonal = diagonal + weight * part
+        return diagonal if matrix is None else sp.csr_array(matrix + sp.diags_array(diagonal))
+
+    def stationarity(self, alpha: Array, rows: Array) -> Array:
+        """Return gradient + rows' multipliers at the flattened alpha: what the box must balance."""
+        return np.asarray(self.gradient(alpha) + self.matrix.T @ rows)
