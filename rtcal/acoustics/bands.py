@@ -76,7 +76,9 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
         raise DataError(f"{place} is empty; at least one band is needed")
     for value in f:
         if not (np.isfinite(value) and value > 0):
-            raise DataError(f"{place} has {value:g} Hz; a centre frequency is finite and above 0 Hz")
+            raise DataError(
+                f"{place} has {value:g} Hz; a centre frequency is finite and above 0 Hz"
+            )
     for below, above in zip(f, f[1:], strict=False):
         if above <= below:
             raise DataError(

@@ -135,7 +135,7 @@ def _room(content: Mapping[str, Any]) -> Room:
         )
         for i, entry in enumerate(_entries(content, "surface"))
     ]
-    materials = []
+    materials: list[Material] = []
     for i, entry in enumerate(_entries(content, "material")):
         material = _material(entry, f"[[material]] {i + 1}", len(frequencies), prior)
         if material.name in (m.name for m in materials):
@@ -196,7 +196,9 @@ def _known(table: Mapping[str, Any], kind: str, place: str) -> None:
     for key in table:
         if key not in _ROOM_KEYS[kind]:
             allowed = ", ".join(sorted(_ROOM_KEYS[kind]))
-            raise DataError(f'{place} has the key "{key}", which means nothing; known are {allowed}')
+            raise DataError(
+                f'{place} has the key "{key}", which means nothing; known are {allowed}'
+            )
 
 
 def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any] | None:
@@ -380,7 +382,9 @@ def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) 
         where = pairs.index((source, receiver)), frequencies.index(band)
         values[parameter][where] = numbers["value"]
         if np.isfinite(numbers.get("uncertainty", np.nan)):
-            uncertainty.setdefault(parameter, np.full(shape, np.nan))[where] = numbers["uncertainty"]
+            uncertainty.setdefault(parameter, np.full(shape, np.nan))[where] = numbers[
+                "uncertainty"
+            ]
         if np.isfinite(numbers.get("standard_deviation", np.nan)):
             spread = deviation.setdefault(parameter, np.full(shape[1], np.nan))
             spread[where[1]] = numbers["standard_deviation"]

@@ -80,7 +80,9 @@ class Measurement:
     n_receivers: int | None = None
 
     def __post_init__(self) -> None:
-        put = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
         put("centre_frequencies", bands.as_bands(self.centre_frequencies))
         put("pairs", tuple((str(s), str(r)) for s, r in self.pairs))
         if not self.values:

@@ -145,7 +145,9 @@ class Room:
     calibration: CalibrationRecord | None = None
 
     def __post_init__(self) -> None:
-        put = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
         if isinstance(self.materials, str):
             raise DataError(f'materials = "{self.materials}" is one text, not a sequence of names')
         put("materials", tuple(str(m) for m in self.materials))
@@ -225,14 +227,14 @@ class Room:
 
     @property
     def air_attenuation(self) -> Array:
-        """m in 1/m at the nominal centre frequencies, (n_bands,); 0 where no air is stated."""
+        """M in 1/m at the nominal centre frequencies, (n_bands,); 0 where no air is stated."""
         if self.air is None:
             return np.zeros(self.n_bands)
         return self.air.attenuation(self.centre_frequencies)
 
     @property
     def speed_of_sound(self) -> float:
-        """c in m/s, of the stated air or else of air at 20 °C."""
+        """C in m/s, of the stated air or else of air at 20 °C."""
         return (self.air or Air()).speed_of_sound
 
     def place(self, name: str, material: int, band: int) -> str:

@@ -64,7 +64,7 @@ def certify(twin: Twin, alpha: Array, multipliers: Multipliers, convexity: float
     miss = np.maximum(np.maximum(twin.row_lower - values, values - twin.row_upper), 0.0)
     outside = np.maximum(np.maximum(twin.lower - flat, flat - twin.upper), 0.0).reshape(shape)
     relative = np.divide(miss, twin.row_norm, out=miss.copy(), where=twin.row_norm > 0)
-    bands = _bands_of_rows(twin, n_bands)
+    bands = twin.row_band
     primal = outside.max(axis=0)
     np.maximum.at(primal, bands, relative)
 
@@ -85,7 +85,7 @@ def certify(twin: Twin, alpha: Array, multipliers: Multipliers, convexity: float
         np.maximum(slack_lower, 0.0), np.maximum(slack_upper, 0.0),
     ).reshape(shape).sum(axis=0)  # fmt: skip
     free = (twin.movable & (flat > twin.lower) & (flat < twin.upper)).astype(float)
-    reach = np.sqrt(np.asarray(matrix**2 @ (sigma * free) ** 2))
+    reach = np.sqrt(np.asarray(twin.squares @ (sigma * free) ** 2))
     off = np.divide(miss, reach, out=np.zeros_like(miss), where=reach > 0)
     steepness = float(np.linalg.norm(gradient * sigma))
     extra = np.abs(multipliers.rows) * miss + steepness * off + row_gap
@@ -116,15 +116,6 @@ def _row_gap(twin: Twin, rows: Array, values: Array) -> Array:
     slack = np.where(rows > 0, twin.row_upper - values, values - twin.row_lower)
     equality = (twin.row_lower == twin.row_upper) | (rows == 0)
     return np.where(equality, 0.0, np.abs(rows) * np.maximum(np.where(equality, 0.0, slack), 0.0))
-
-
-def _bands_of_rows(twin: Twin, n_bands: int) -> Array:
-    """The band that each row is reported with: that of its first coefficient."""
-    matrix = twin.matrix
-    if matrix.shape[0] == 0:
-        return np.zeros(0, dtype=int)
-    first = matrix.indices[np.minimum(matrix.indptr[:-1], max(len(matrix.indices) - 1, 0))]
-    return np.asarray(first % n_bands)
 
 
 def _separate(twin: Twin) -> bool:

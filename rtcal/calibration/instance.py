@@ -62,7 +62,7 @@ class Instance:
 
     @cached_property
     def scale(self) -> Array:
-        """d alpha / d x, (n_materials, n_bands)."""
+        """D alpha / d x, (n_materials, n_bands)."""
         return np.where(self.pinned, 0.0, self.sigma)
 
     def pin(self, where: Flags, values: Array) -> Instance:

@@ -102,7 +102,7 @@ def _active_rows(twin: Twin, alpha: Array, rows: Array) -> Array:
     """Multiplier of an inequality row where it outweighs the slack, else 0."""
     values = np.asarray(twin.matrix @ alpha)
     distance = np.where(rows > 0, twin.row_upper - values, values - twin.row_lower)
-    k = np.sqrt(np.asarray(twin.matrix**2 @ twin.sigma**2))
+    k = np.sqrt(np.asarray(twin.squares @ twin.sigma**2))
     scaled = np.divide(distance, k, out=np.full_like(distance, np.inf), where=k > 0)
     return np.where(np.abs(rows) * k > scaled, rows, 0.0)
 
@@ -113,10 +113,9 @@ def _solve(
     """One Newton step on the free coefficients with the active rows as equalities."""
     rows = np.zeros(len(active))
     scale = twin.sigma[free]
-    matrix = twin.matrix[:, free] * scale
-    norm = np.sqrt(np.asarray((matrix**2).sum(axis=1)).ravel())
+    norm = np.sqrt(np.asarray(twin.squares[:, free] @ scale**2))
     used = active & (norm > 0)
-    matrix = sp.csr_array(sp.diags_array(1 / norm[used]) @ matrix[used])
+    matrix = twin.matrix[used][:, free] * scale / norm[used][:, np.newaxis]
     miss = (limit[used] - np.asarray(twin.matrix @ alpha)[used]) / norm[used]
     force = twin.gradient(alpha)[free] * scale
     curvature = twin.curvature(alpha)
@@ -134,11 +133,12 @@ def _solve(
 
 def _separable(diagonal: Array, matrix: Any, force: Array, miss: Array) -> tuple[Array, Array]:
     """Diagonal curvature: eliminate the step, solve for the multipliers."""
-    weighted = sp.csr_array(matrix / diagonal)
-    schur = (weighted @ matrix.T).toarray()
+    weighted = matrix / diagonal
+    schur = weighted @ matrix.T
+    schur = schur.toarray() if sp.issparse(schur) else schur
     right = -(miss + weighted @ force)
-    off_diagonal = schur - np.diag(np.diag(schur))
-    if not off_diagonal.any():
+    diagonal_only = np.count_nonzero(schur) == np.count_nonzero(np.diag(schur))
+    if diagonal_only:
         pull = right / np.diag(schur)
     else:  # several rows may be dependent: the least-norm multipliers
         pull = np.linalg.lstsq(schur, right, rcond=1e-12)[0]
@@ -153,6 +153,7 @@ def _coupled(
 
     n, m = matrix.shape[1], matrix.shape[0]
     curvature = sp.csr_array(sp.diags_array(scale) @ curvature)
+    matrix = sp.csr_array(matrix)
     exact = sp.csc_array(sp.block_array([[curvature, matrix.T], [matrix, None]]))
     shift = 1e-11 * np.concatenate([np.ones(n), -np.ones(m)])
     right = np.concatenate([-force, miss])
@@ -175,20 +176,20 @@ def _undetermined(
     -gradient / coefficient, every one at its upper bound for at most that. Its end nearest 0 is
     taken.
     """
-    held = np.asarray(abs(twin.matrix) @ (at_lower | at_upper).astype(float)) > 0
-    moving = np.asarray(abs(twin.matrix) @ free.astype(float)) > 0
+    held = np.asarray(twin.squares @ (at_lower | at_upper).astype(float)) > 0
+    moving = np.asarray(twin.squares @ free.astype(float)) > 0
     if not (held & ~moving).any():
         return rows
     gradient = twin.gradient(alpha)
+    sign = at_lower.astype(float) - at_upper.astype(float)
     rows = rows.copy()
     for row in np.flatnonzero(held & ~moving & (rows == 0)):
-        start, end = twin.matrix.indptr[row : row + 2]
-        columns, values = twin.matrix.indices[start:end], twin.matrix.data[start:end]
-        sign = at_lower[columns].astype(float) - at_upper[columns].astype(float)
-        used = (sign != 0) & (values != 0)
-        ends = -gradient[columns[used]] / values[used]
-        at_least = ends[sign[used] * values[used] > 0].max(initial=-np.inf)
-        at_most = ends[sign[used] * values[used] < 0].min(initial=np.inf)
+        line = twin.matrix[[row]]
+        values = (line.toarray() if sp.issparse(line) else line).ravel()
+        pull = sign * values
+        ends = np.divide(-gradient, values, out=np.zeros_like(values), where=pull != 0)
+        at_least = ends[pull > 0].max(initial=-np.inf)
+        at_most = ends[pull < 0].min(initial=np.inf)
         if at_least <= at_most:
             rows[row] = np.clip(0.0, at_least, at_most)
     return rows

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import cvxpy as cp
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
@@ -66,7 +67,9 @@ class Calibration:
                 "answer is not unique"
             )
         if objective.weights[objective.terms.index(priors[0])] == 0:
-            raise ModelError("the prior deviation has weight 0; without it the answer is not unique")
+            raise ModelError(
+                "the prior deviation has weight 0; without it the answer is not unique"
+            )
         for constraint in self.constraints:
             if not isinstance(constraint, (RowConstraint, BoundConstraint)):
                 raise ModelError(f"{constraint!r} is no constraint of rtcal.terms")
@@ -205,14 +208,15 @@ class CalibrationProblem:
         asked = replace(instance, target=settled.target)
         twin = Twin(asked, self._objective, self._rows)
         raw = RawAnswer(
+            twin=twin,
             alpha=raw_alpha,
-            certificate=certify(twin, raw_alpha, multipliers, 1.0),
+            multipliers=multipliers,
             status=answer.status,
             iterations=answer.iterations,
             seconds=answer.seconds,
         )
         alpha, multipliers, certificate, active, polished = _polished(
-            twin, raw, multipliers, at_lower.ravel(), at_upper.ravel()
+            twin, raw, at_lower.ravel(), at_upper.ravel()
         )
         if not certificate.worst <= _ACCEPTED:
             raise SolverError(
@@ -242,7 +246,9 @@ class CalibrationProblem:
         if room is None:
             return self.room
         if room.materials != self.room.materials:
-            raise DataError(f"room has materials {room.materials}; built with {self.room.materials}")
+            raise DataError(
+                f"room has materials {room.materials}; built with {self.room.materials}"
+            )
         if not np.array_equal(room.centre_frequencies, self.room.centre_frequencies):
             raise DataError("room has other bands than the one that the problem was built with")
         return room
@@ -329,17 +335,17 @@ class CalibrationProblem:
 
 
 def _polished(
-    twin: Twin, raw: RawAnswer, multipliers: Multipliers, at_lower: Flags, at_upper: Flags
-) -> tuple[Array, Multipliers, Certificate, Array, bool]:
+    twin: Twin, raw: RawAnswer, at_lower: Flags, at_upper: Flags
+) -> tuple[Array, Multipliers, Certificate, NDArray[np.int8], bool]:
     """The polished answer where it is better than the raw one, else the raw one."""
     shape = raw.alpha.shape
-    found = polish(twin, raw.alpha.ravel(), multipliers, at_lower, at_upper)
+    found = polish(twin, raw.alpha.ravel(), raw.multipliers, at_lower, at_upper)
     if found is not None:
         alpha = found.alpha.reshape(shape)
         certificate = certify(twin, alpha, found.multipliers, 1.0)
-        if certificate.worst <= max(raw.certificate.worst, _ACCEPTED):
+        if certificate.worst <= _ACCEPTED or certificate.worst <= raw.certificate.worst:
             return alpha, found.multipliers, certificate, found.active.reshape(shape), True
     near = 1e-9
     active = (raw.alpha >= twin.instance.upper - near).astype(np.int8)
     active -= (raw.alpha <= twin.instance.lower + near).astype(np.int8)
-    return raw.alpha, multipliers, raw.certificate, active, False
+    return raw.alpha, raw.multipliers, raw.certificate, active, False

@@ -8,29 +8,37 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import rtcal
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import CalibrationRecord, Room
-from rtcal.calibration.certificate import Certificate
+from rtcal.calibration.certificate import Certificate, certify
 from rtcal.calibration.feasibility import Unreachable
 from rtcal.calibration.measured import Measured
+from rtcal.calibration.twin import Multipliers, Twin
 from rtcal.types import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RawAnswer:
     """The solver's own answer, before polishing, so that a solver can be judged.
 
     ``alpha`` (n_materials, n_bands); ``seconds`` is the solver's own time.
     """
 
+    twin: Twin
     alpha: Array
-    certificate: Certificate
+    multipliers: Multipliers
     status: str
     iterations: int
     seconds: float
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The raw answer's own certificate."""
+        return certify(self.twin, self.alpha, self.multipliers, 1.0)
 
 
 @dataclass(frozen=True)
@@ -90,7 +98,7 @@ class CalibrationResult:
     target_uncertainty: Array
     gain_sigma: Array
     multipliers: Array
-    active: Array
+    active: NDArray[np.int8]
     certificate: Certificate
     raw: RawAnswer
     polished: bool
@@ -133,7 +141,7 @@ class CalibrationResult:
 
     @property
     def shift(self) -> Array:
-        """alpha - mu, (n_materials, n_bands)."""
+        """Alpha - mu, (n_materials, n_bands)."""
         return self.alpha - self.prior.alpha
 
     @property
@@ -144,7 +152,7 @@ class CalibrationResult:
 
     @cached_property
     def plausibility(self) -> Plausibility:
-        """z per band and Q over bands, with the prior's own sigma whatever the method."""
+        """Z per band and Q over bands, with the prior's own sigma whatever the method."""
         room = self.prior
         known = np.nan_to_num(self.target_uncertainty)
         spread = np.sqrt(room.areas**2 @ room.sigma**2 + known**2)
@@ -175,11 +183,11 @@ class CalibrationResult:
         gain = np.divide(gain, total, out=np.zeros_like(gain), where=used)
         spread = np.sum(areas**2 * prior, axis=0) + np.nan_to_num(self.target_uncertainty) ** 2
         variance = prior - 2 * gain * areas * prior + gain**2 * spread
-        return np.sqrt(np.maximum(variance, 0.0))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     @cached_property
     def room(self) -> Room:
-        """The room with its calibrated coefficients, the posterior's sigma, and the record of it."""
+        """The room with calibrated coefficients, the posterior's sigma, and the record of it."""
         record = CalibrationRecord(
             method=self.method,
             equation=self.equation.name,

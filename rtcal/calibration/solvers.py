@@ -1,13 +1,14 @@
 """One table of solvers, and how each is called on the compiled problem.
 
 ``"clarabel"`` and every other solver of cvxpy's are called through cvxpy. ``"osqp"`` is called on
-cvxpy's compiled matrices by its own interface, because only so can it be started from a given point:
-cvxpy ignores ``variable.value``, and Clarabel has no warm start at all. ``"qpsolvers:NAME"`` calls any
-solver of qpsolvers' on the same matrices.
+cvxpy's compiled matrices by its own interface, because only so can it be started from a given
+point: cvxpy ignores ``variable.value``, and Clarabel has no warm start at all.
+``"qpsolvers:NAME"`` calls any solver of qpsolvers' on the same matrices.
 """
 
 from __future__ import annotations
 
+import functools
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -130,8 +131,14 @@ def run(
     return _cvxpy(compiled, name.upper(), chosen)
 
 
+@functools.cache
+def _installed() -> dict[str, str]:
+    """Cvxpy's installed solvers by capital name; asking costs milliseconds."""
+    return {str(s).upper(): str(s) for s in cp.installed_solvers()}
+
+
 def _cvxpy(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answer:
-    known = {str(s).upper(): s for s in cp.installed_solvers()}
+    known = _installed()
     if name not in known:
         have = ", ".join(sorted(s.lower() for s in known))
         raise MissingDependencyError(
@@ -195,7 +202,12 @@ def _qpsolvers(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answe
     if name in qpsolvers.dense_solvers and name not in qpsolvers.sparse_solvers:
         as_given = lambda m: m.toarray()  # noqa: E731
     problem = qpsolvers.Problem(
-        as_given(data["P"]), data["q"], as_given(data["F"]), data["G"], as_given(data["A"]), data["b"]
+        as_given(data["P"]),
+        data["q"],
+        as_given(data["F"]),
+        data["G"],
+        as_given(data["A"]),
+        data["b"],
     )
     began = time.perf_counter()
     try:
@@ -214,10 +226,14 @@ def _qpsolvers(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answe
 
 
 def _unpack(
-    compiled: Compiled, chain: Any, inverse: Any, x: Array, y: Array, iterations: int, seconds: float
+    compiled: Compiled,
+    chain: Any,
+    inverse: Any,
+    x: Array,
+    y: Array,
+    iterations: int,
+    seconds: float,
 ) -> None:
     """Let cvxpy put values and duals where they belong; the true status is kept apart."""
-    info = SimpleNamespace(
-        status_val=_OSQP_SOLVED, obj_val=0.0, iter=iterations, run_time=seconds
-    )
+    info = SimpleNamespace(status_val=_OSQP_SOLVED, obj_val=0.0, iter=iterations, run_time=seconds)
     compiled.problem.unpack_results(SimpleNamespace(x=x, y=y, info=info), chain, inverse)

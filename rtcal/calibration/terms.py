@@ -5,7 +5,8 @@ independent descriptions of itself: an expression for cvxpy, and a plain-NumPy t
 gradient and curvature of an objective term; rows of a constraint). The certificate is computed from
 the twins, so a wrong expression cannot certify itself; the tests compare the two.
 
-In a twin ``alpha`` has shape (n_materials, n_bands); rows and curvatures are over its flattened form.
+In a twin ``alpha`` has shape (n_materials, n_bands); rows and curvatures are over its flattened
+form.
 """
 
 from __future__ import annotations
@@ -81,10 +82,12 @@ class _Sums:
     """Lets a term be added and scaled."""
 
     def __add__(self, other: Any) -> Objective:
-        return as_objective(self) + other  # type: ignore[arg-type]
+        mine: Any = self
+        return as_objective(mine).__add__(other)
 
     def __rmul__(self, factor: float) -> Objective:
-        return factor * as_objective(self)  # type: ignore[arg-type]
+        mine: Any = self
+        return as_objective(mine) * factor
 
     __mul__ = __rmul__
 
@@ -160,7 +163,7 @@ class RowConstraint(Protocol):
         ...
 
     def rows(self, instance: Instance) -> Rows:
-        """Return the rows' NumPy twin; a row that does not apply is all zero, free on both sides."""
+        """Return the rows' NumPy twin; one that does not apply is all zero and without limits."""
         ...
 
 
@@ -177,8 +180,8 @@ class BoundConstraint(Protocol):
 class ExactMatch:
     """S'alpha = b in every band that has a measured T (Bellows & Katz 2025, Eq. 4).
 
-    When to use it: as the paper does, or when the uncertainty of T is not known. It forces the noise
-    of T into alpha; `SoftMatch` does not.
+    When to use it: as the paper does, or when the uncertainty of T is not known. It forces the
+    noise of T into alpha; `SoftMatch` does not.
     """
 
     def constraints(self, context: Context) -> list[tuple[Any, int]]:

@@ -13,6 +13,9 @@ from rtcal.calibration.instance import Flags, Instance
 from rtcal.calibration.terms import Objective, RowConstraint
 from rtcal.types import Array
 
+_DENSE = 500_000
+"""Up to this many coefficients, rows are kept as an array."""
+
 
 @dataclass(frozen=True)
 class Multipliers:
@@ -57,11 +60,27 @@ class Twin:
 
     @cached_property
     def matrix(self) -> Any:
-        """All rows, sparse, (n_rows, size)."""
+        """All rows, (n_rows, size): an array, or sparse where that would be large."""
         parts = [rows.matrix for rows in self._rows]
         if not parts:
-            return sp.csr_array((0, self.sigma.size))
-        return parts[0] if len(parts) == 1 else sp.csr_array(sp.vstack(parts))
+            return np.zeros((0, self.sigma.size))
+        matrix = parts[0] if len(parts) == 1 else sp.csr_array(sp.vstack(parts))
+        # Calls of scipy.sparse cost more than all the arithmetic of a usual room.
+        return matrix.toarray() if matrix.shape[0] * matrix.shape[1] <= _DENSE else matrix
+
+    @cached_property
+    def squares(self) -> Any:
+        """The squared coefficients of `matrix`."""
+        return self.matrix**2
+
+    @cached_property
+    def row_band(self) -> Any:
+        """The band that each row is reported with, (n_rows,): that of its first coefficient."""
+        n_bands = self.instance.mu.shape[1]
+        if not sp.issparse(self.matrix):
+            return np.argmax(self.matrix != 0, axis=1) % n_bands
+        first = np.minimum(self.matrix.indptr[:-1], self.matrix.nnz - 1)
+        return self.matrix.indices[first] % n_bands
 
     @cached_property
     def row_lower(self) -> Array:

@@ -1,0 +1,77 @@
+"""The pictures. The one module that imports matplotlib."""
+
+from __future__ import annotations
+
+import io
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtcal.acoustics.files import write_bytes
+from rtcal.acoustics.quality import JND
+from rtcal.errors import DataError, MissingDependencyError
+
+if TYPE_CHECKING:
+    from rtcal.calibration.result import CalibrationResult
+
+# Told apart in grey and by colour-blind eyes (Okabe & Ito 2008), and by their markers.
+_MEASURED, _BEFORE, _AFTER = "#000000", "#D55E00", "#0072B2"
+
+
+def new_figure(width: float = 7.0, height: float = 4.2) -> tuple[Any, Any]:
+    """Return a figure of that size in inches and its axes, drawn without a screen.
+
+    Raises MissingDependencyError without matplotlib.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingDependencyError(
+            "figures need matplotlib: pip install 'rtcal[report]'"
+        ) from error
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots()
+
+
+def reverberation_time(result: CalibrationResult) -> Any:
+    """Return the figure of T(f): measured with its band of one JND, before and after."""
+    figure, axes = new_figure()
+    room, measured = result.prior, result.measured
+    f = room.centre_frequencies
+    here = np.isfinite(measured)
+    jnd = JND["t20"] * measured[here]
+    axes.fill_between(
+        f[here], measured[here] - jnd, measured[here] + jnd, color="0.85", label="measured ± 1 JND"
+    )
+    uncertainty = np.nan_to_num(result.measured_uncertainty)
+    axes.errorbar(
+        f[here], measured[here], yerr=uncertainty[here], color=_MEASURED, marker="o", capsize=3,
+        linestyle="none", label="measured, ± standard uncertainty",
+    )  # fmt: skip
+    axes.plot(
+        f, result.reverberation_time_before, color=_BEFORE, marker="s", linestyle="--",
+        label="before calibration",
+    )  # fmt: skip
+    axes.plot(
+        f, result.reverberation_time_after, color=_AFTER, marker="x", label="after calibration"
+    )
+    axes.set_xscale("log")
+    axes.set_xticks(f, [f"{v:g}" for v in f], rotation=45 if len(f) > 10 else 0)
+    axes.minorticks_off()
+    axes.set_xlabel("Octave or third-octave band centre frequency / Hz")
+    axes.set_ylabel("Reverberation time T / s")
+    axes.set_ylim(bottom=0)
+    axes.set_title(f"{room.name}: {result.method}, {result.equation.name}")
+    axes.legend()
+    return figure
+
+
+def save(figure: Any, path: str | os.PathLike[str]) -> None:
+    """Write a figure as PNG, SVG or PDF by the path's ending, whole or not at all."""
+    kind = os.path.splitext(os.fspath(path))[1].lstrip(".").lower()
+    if kind not in ("png", "svg", "pdf"):
+        raise DataError(f'{path}: a figure ends with .png, .svg or .pdf, not ".{kind}"')
+    stream = io.BytesIO()
+    figure.savefig(stream, format=kind, dpi=150)
+    write_bytes(path, stream.getvalue())
