@@ -1,0 +1,1 @@
+"""Simulators: what turns absorption coefficients into a decay. They never import calibration."""

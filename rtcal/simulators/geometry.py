@@ -1,0 +1,355 @@
+"""Rooms bounded by plane walls: closed polyhedra, convex or not, with a material per face.
+
+Tracers read this type, and readers of meshes (OBJ) write it. Objects that stand free in the room
+are further closed surfaces of the same polyhedron.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics.room import AXES, Surface
+from rtcal.errors import DataError
+from rtcal.simulators import triangles as _triangles
+from rtcal.types import Array
+
+SHOEBOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")
+"""A shoebox' faces, in order: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
+
+WELD = 1e-4
+"""Vertices nearer than this (m) are one: mesh files round their coordinates."""
+
+PLANARITY = 2e-3
+"""How far (m) a vertex may lie off its face's plane: two roundings to a millimetre."""
+
+Edge = tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Polyhedron:
+    """A room bounded by plane faces.
+
+    Faces may be wound either way: they are turned so that every normal points out of the room's
+    air. The largest closed surface is the room; every other one is an object in it, and its volume
+    is taken off. Faces are simple polygons; a wall with a hole is drawn as two. An edge may run
+    along several shorter ones. That faces do not cut through each other is not checked.
+
+    Parameters
+    ----------
+    vertices : array (n_vertices, 3)
+        x, y, z in m.
+    faces : sequence of sequences of int
+        Each face's vertices in order, counted from 0, (n_faces,).
+    materials : sequence of str (n_faces,)
+        Name of each face's material.
+    names : sequence of str (n_faces,), optional
+        Name of each face; "face 1", "face 2", ... if not given.
+
+    Attributes
+    ----------
+    face_areas : array (n_faces,)
+        m².
+    normals : array (n_faces, 3)
+        Unit normals, out of the room's air.
+    triangles : array (n_triangles, 3, 3)
+        Corners in m, wound as the faces are.
+    triangle_faces : int array (n_triangles,)
+        The face that each triangle is a part of.
+    volume : float
+        m³, by the divergence theorem: the sum over faces of p·A / 3, p a vertex, A the vector area.
+
+    Raises
+    ------
+    DataError
+        If the walls do not close (the edge is named), a face is not plane or has no area, an index
+        names no vertex, or a shape does not fit.
+
+    Examples
+    --------
+    >>> box = Polyhedron.shoebox((5, 7, 3), "plaster")
+    >>> round(box.volume, 9), box.areas
+    (105.0, {'plaster': 142.0})
+    """
+
+    vertices: Array
+    faces: Sequence[Sequence[int]]
+    materials: Sequence[str]
+    names: Sequence[str] = ()
+    face_areas: Array = field(init=False)
+    normals: Array = field(init=False)
+    triangles: Array = field(init=False)
+    triangle_faces: NDArray[np.int64] = field(init=False)
+    volume: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+        vertices, index = _welded(_points("vertices", self.vertices))
+        put("vertices", vertices)
+        put("materials", tuple(str(m) for m in self.materials))
+        put("names", tuple(str(n) for n in self.names) or tuple(
+            f"face {i + 1}" for i in range(len(self.faces))
+        ))  # fmt: skip
+        for name in ("materials", "names"):
+            if len(getattr(self, name)) != len(self.faces):
+                raise DataError(
+                    f"{name} has {len(getattr(self, name))} values; there are "
+                    f"{len(self.faces)} faces"
+                )
+        faces = [self._face(i, index) for i in range(len(self.faces))]
+        faces = _turned_outward(vertices, faces, self.names)
+        put("faces", tuple(faces))
+        areas = np.array([_triangles.vector_area(vertices[list(face)]) for face in faces])
+        put("face_areas", np.linalg.norm(areas, axis=1))
+        put("normals", areas / self.face_areas[:, np.newaxis])
+        corners, owners = [], []
+        for i, face in enumerate(faces):
+            for triangle in _triangles.triangulate(vertices[list(face)]):
+                corners.append(vertices[[face[k] for k in triangle]])
+                owners.append(i)
+        put("triangles", np.array(corners))
+        put("triangle_faces", np.array(owners, dtype=np.int64))
+        put("volume", _volume(vertices, faces, areas))
+
+    def _face(self, i: int, index: NDArray[np.int64]) -> tuple[int, ...]:
+        """Face i in welded vertices, without repetitions; checked to be a plane polygon."""
+        name, given = self.names[i], list(self.faces[i])
+        for v in given:
+            if not 0 <= v < len(index):
+                raise DataError(
+                    f'face "{name}" names vertex {v}; there are vertices 0 to {len(index) - 1}'
+                )
+        welded = [int(index[v]) for v in given]
+        face = tuple(v for k, v in enumerate(welded) if v != welded[k - 1])
+        if len(face) < 3:
+            raise DataError(f'face "{name}" has {len(face)} distinct vertices; it needs at least 3')
+        corners = self.vertices[list(face)]
+        area = _triangles.vector_area(corners)
+        size = float(np.linalg.norm(area))
+        if size <= WELD**2:
+            raise DataError(f'face "{name}" has no area: its vertices lie on one line')
+        off = np.abs((corners - corners.mean(axis=0)) @ (area / size))
+        if off.max() > PLANARITY:
+            raise DataError(
+                f'face "{name}" is not plane: the vertex {_place(corners[int(off.argmax())])} lies '
+                f"{off.max():.3g} m off its plane, at most {PLANARITY:g} m is let pass"
+            )
+        return face
+
+    @classmethod
+    def shoebox(cls, dimensions: Sequence[float], materials: str | Mapping[str, str]) -> Polyhedron:
+        """Return the box from the origin to ``dimensions`` (x, y, z) in m.
+
+        ``materials`` is one name for all walls, or a name for each of `SHOEBOX_WALLS`.
+        """
+        sides = np.asarray(dimensions, dtype=float)
+        if sides.shape != (3,) or not (np.isfinite(sides) & (sides > 0)).all():
+            raise DataError(f"dimensions = {dimensions!r} is not three finite lengths above 0 m")
+        if isinstance(materials, str):
+            materials = dict.fromkeys(SHOEBOX_WALLS, materials)
+        if missing := [wall for wall in SHOEBOX_WALLS if wall not in materials]:
+            raise DataError(f'materials of the shoebox: "{missing[0]}" is missing')
+        # Vertex 4 i + 2 j + k stands at (i x, j y, k z).
+        corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * sides
+        faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+        return cls(
+            vertices=corners,
+            faces=faces,
+            materials=[materials[wall] for wall in SHOEBOX_WALLS],
+            names=SHOEBOX_WALLS,
+        )
+
+    @classmethod
+    def from_polygons(cls, polygons: Iterable[tuple[str, str, Sequence[Any]]]) -> Polyhedron:
+        """Return the polyhedron of faces given as (name, material, points (n, 3) in m)."""
+        polygons = list(polygons)
+        points = [_points(f'face "{name}"', corners) for name, _, corners in polygons]
+        starts = np.cumsum([0, *(len(p) for p in points)])
+        return cls(
+            vertices=np.concatenate(points) if points else np.zeros((0, 3)),
+            faces=[range(a, b) for a, b in pairwise(starts)],
+            materials=[material for _, material, _ in polygons],
+            names=[name for name, _, _ in polygons],
+        )
+
+    @property
+    def areas(self) -> dict[str, float]:
+        """Area of each material in m², in the order of first appearance."""
+        total: dict[str, float] = {}
+        for material, area in zip(self.materials, self.face_areas, strict=True):
+            total[material] = total.get(material, 0.0) + float(area)
+        return total
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """The faces as a `Room`'s surfaces, with the axis of those that stand across one."""
+        axes = [
+            AXES[int(np.argmax(np.abs(n)))] if np.abs(n).max() > 1 - 1e-6 else None
+            for n in self.normals
+        ]
+        return tuple(
+            Surface(name, material, float(area), axis)
+            for name, material, area, axis in zip(
+                self.names, self.materials, self.face_areas, axes, strict=True
+            )
+        )
+
+    @property
+    def mean_free_path(self) -> float:
+        """4 V / S in m: the mean free path in a diffuse field (Kuttruff 2009, Eq. 5.4)."""
+        return float(4 * self.volume / np.sum(self.face_areas))
+
+    def contains(self, points: Any) -> NDArray[np.bool_]:
+        """Return whether each point, (n_points, 3) in m, lies in the room's air, (n_points,)."""
+        return np.asarray(
+            _triangles.winding_number(_points("points", points), self.triangles) > 0.5
+        )
+
+    def wall_distance(self, points: Any) -> Array:
+        """Return each point's distance in m from the nearest wall, (n_points,)."""
+        return _triangles.distance(_points("points", points), self.triangles)
+
+    def require_inside(self, kind: str, points: Mapping[str, Any]) -> Array:
+        """Return named points as an array (n_points, 3).
+
+        Raises DataError for a point outside the room or on a wall (nearer than `WELD`); ``kind``,
+        "source" or "receiver", is how the message calls it.
+        """
+        if not points:
+            raise DataError(f"there is no {kind}; at least one is needed")
+        for name, point in points.items():
+            where = _points(f'{kind} "{name}"', [point])
+            if not (self.contains(where)[0] and self.wall_distance(where)[0] > WELD):
+                raise DataError(f'{kind} "{name}" = {_place(where[0])} is outside the room')
+        return np.array([np.asarray(p, dtype=float) for p in points.values()])
+
+
+def _points(place: str, values: Any) -> Array:
+    try:
+        points = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{place}: {error}; a point is three numbers in m") from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise DataError(f"{place} has shape {points.shape}; points have shape (n, 3)")
+    if not np.isfinite(points).all():
+        bad = points[~np.isfinite(points).all(axis=1)][0]
+        raise DataError(f"{place}: {_place(bad)} is not finite")
+    return points
+
+
+def _place(point: Array) -> str:
+    return "(" + ", ".join(f"{x:.6g}" for x in point) + ") m"
+
+
+def _welded(vertices: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return vertices of which no two are nearer than `WELD`, and where each old one went."""
+    index = np.zeros(len(vertices), dtype=np.int64)
+    kept = np.zeros_like(vertices)
+    n = 0
+    for i, vertex in enumerate(vertices):
+        near = np.flatnonzero((np.abs(kept[:n] - vertex) < WELD).all(axis=1))
+        if near.size:
+            index[i] = near[0]
+        else:
+            kept[n], index[i], n = vertex, n, n + 1
+    return kept[:n].copy(), index
+
+
+def _volume(vertices: Array, faces: Sequence[Sequence[int]], areas: Array) -> float:
+    # From a corner of the room, so that a model far from the origin loses no digits.
+    first = np.array([vertices[face[0]] for face in faces]) - vertices[faces[0][0]]
+    return float(np.sum(first * areas) / 3)
+
+
+def _pieces(vertices: Array, face: Sequence[int]) -> list[Edge]:
+    """Edges of a face, cut at every vertex that lies on them."""
+    pieces: list[Edge] = []
+    for k, end in enumerate(face):
+        start = face[k - 1]
+        along = vertices[end] - vertices[start]
+        length = float(np.linalg.norm(along))
+        where = (vertices - vertices[start]) @ along / length
+        beside = np.linalg.norm(
+            vertices - vertices[start] - where[:, np.newaxis] * along / length, axis=1
+        )
+        between = np.flatnonzero((beside < WELD) & (where > WELD) & (where < length - WELD))
+        chain = [start, *between[np.argsort(where[between])], end]
+        pieces += [(int(a), int(b)) for a, b in pairwise(chain)]
+    return pieces
+
+
+def _turned_outward(
+    vertices: Array, faces: list[tuple[int, ...]], names: Sequence[str]
+) -> list[tuple[int, ...]]:
+    """Return the faces with normals out of the room's air; DataError where they do not close."""
+    if not faces:
+        raise DataError("there is no face; a room has at least 4")
+    owners: dict[Edge, list[tuple[int, bool]]] = {}
+    for i, face in enumerate(faces):
+        for a, b in _pieces(vertices, face):
+            owners.setdefault((min(a, b), max(a, b)), []).append((i, a < b))
+    neighbours: list[list[tuple[int, bool]]] = [[] for _ in faces]
+    for (a, b), sides in owners.items():
+        if len(sides) % 2:  # an object's edge may lie on a wall's edge: four faces meet in it
+            raise DataError(
+                f"the walls do not close: the edge from {_place(vertices[a])} to "
+                f'{_place(vertices[b])} of "{names[sides[0][0]]}" belongs to {len(sides)} '
+                f"face{'s' if len(sides) > 1 else ''}; in a closed room two faces meet in each edge"
+            )
+        if len(sides) == 2:
+            (i, forward_i), (j, forward_j) = sides
+            neighbours[i].append((j, forward_i == forward_j))
+            neighbours[j].append((i, forward_i == forward_j))
+    turned, shells = _shells(neighbours, names)
+    faces = [face[::-1] if turn else face for face, turn in zip(faces, turned, strict=True)]
+    areas = np.array([_triangles.vector_area(vertices[list(face)]) for face in faces])
+    volumes = []
+    for shell in shells:
+        if np.linalg.norm(areas[shell].sum(axis=0)) > 1e-3 * np.abs(areas[shell]).sum():
+            raise DataError(
+                f'the walls do not close: "{names[shell[0]]}" and the faces joined to it bound no '
+                "volume"
+            )
+        volumes.append(_volume(vertices, [faces[i] for i in shell], areas[shell]))
+    room = int(np.argmax(np.abs(volumes)))
+    for k, (shell, volume) in enumerate(zip(shells, volumes, strict=True)):
+        if (volume > 0) != (k == room):
+            for i in shell:
+                faces[i] = faces[i][::-1]
+    return faces
+
+
+def _shells(
+    neighbours: list[list[tuple[int, bool]]], names: Sequence[str]
+) -> tuple[list[bool], list[list[int]]]:
+    """Return which faces to turn so that neighbours agree, and the faces of each closed surface."""
+    turned: list[bool | None] = [None] * len(neighbours)
+    shells: list[list[int]] = []
+    for first in range(len(neighbours)):
+        if turned[first] is not None:
+            continue
+        turned[first] = False
+        shell = [first]
+        for i in shell:  # grows while it is walked through
+            for j, same_way in neighbours[i]:
+                # Neighbours that run along their edge the same way are wound against each other.
+                wanted = bool(turned[i]) != same_way
+                if turned[j] is None:
+                    turned[j] = wanted
+                    shell.append(j)
+                elif turned[j] != wanted:
+                    raise DataError(
+                        f'the walls do not close: "{names[i]}" and "{names[j]}" have no inside '
+                        "that both agree on"
+                    )
+        shells.append(shell)
+    return [bool(t) for t in turned], shells

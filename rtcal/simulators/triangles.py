@@ -1,0 +1,113 @@
+"""Plane polygons and triangles: the arithmetic under `rtcal.simulators.geometry`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rtcal.types import Array
+
+
+def vector_area(polygon: Array) -> Array:
+    """Return the polygon's area in m² times its unit normal, (3,).
+
+    ½ sum of p_i x p_(i+1) (Newell): right for any plane polygon, convex or not; the normal points
+    to where the vertices run counter-clockwise.
+
+    >>> print(vector_area(np.array([[0.0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]])))
+    [0. 0. 6.]
+    """
+    local = polygon - polygon[0]  # near the origin, where the products lose no digits
+    return np.asarray(0.5 * np.sum(np.cross(local, np.roll(local, -1, axis=0)), axis=0))
+
+
+def triangulate(polygon: Array) -> list[tuple[int, int, int]]:
+    """Return triangles of vertex indices that cover a simple plane polygon, wound as it is.
+
+    Ear clipping: cut off a convex corner with no other vertex in it, until nothing is left.
+    """
+    normal = vector_area(polygon)
+    keep = np.delete(np.arange(3), np.argmax(np.abs(normal)))
+    flat = polygon[:, keep]
+    if vector_area(np.pad(flat, ((0, 0), (0, 1))))[2] < 0:
+        flat = flat[:, ::-1]
+    tiny = 1e-9 * float(np.abs(normal).max())  # three points on a line
+    left = list(range(len(polygon)))
+    triangles: list[tuple[int, int, int]] = []
+    while len(left) > 3:
+        corner = _ear(flat, left, tiny)
+        a, b, c = left[corner - 1], left[corner], left[(corner + 1) % len(left)]
+        if abs(_turn(flat[a], flat[b], flat[c])) > tiny:
+            triangles.append((a, b, c))
+        left.pop(corner)
+    if abs(_turn(*(flat[i] for i in left))) > tiny:
+        triangles.append((left[0], left[1], left[2]))
+    return triangles
+
+
+def _turn(a: Array, b: Array, c: Array) -> float:
+    """Twice the signed area of the triangle: above 0 where it turns left."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _ear(flat: Array, left: Sequence[int], tiny: float) -> int:
+    """Position in ``left`` of a corner to cut; a straight one where there is no proper ear."""
+    straight = 0
+    for position, corner in enumerate(left):
+        before, after = left[position - 1], left[(position + 1) % len(left)]
+        a, b, c = flat[before], flat[corner], flat[after]
+        turn = _turn(a, b, c)
+        if abs(turn) <= tiny:
+            straight = position
+        if turn <= tiny:
+            continue
+        others = [flat[i] for i in left if i not in (before, corner, after)]
+        if not any(
+            _turn(a, b, p) >= -tiny and _turn(b, c, p) >= -tiny and _turn(c, a, p) >= -tiny
+            for p in others
+        ):
+            return position
+    return straight
+
+
+def winding_number(points: Array, triangles: Array) -> Array:
+    """Return how often the closed surface winds round each point, (n_points,): 1 inside, 0 outside.
+
+    The triangles' solid angles as seen from the point, over 4 pi (Van Oosterom & Strackee 1983,
+    IEEE Trans. Biomed. Eng. 30(2), Eq. 8). ``points`` (n_points, 3), ``triangles``
+    (n_triangles, 3, 3).
+    """
+    corners = triangles[np.newaxis] - points[:, np.newaxis, np.newaxis, :]
+    a, b, c = corners[:, :, 0], corners[:, :, 1], corners[:, :, 2]
+    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    volume = np.sum(a * np.cross(b, c), axis=-1)
+    rest = (
+        la * lb * lc
+        + np.sum(a * b, axis=-1) * lc
+        + np.sum(b * c, axis=-1) * la
+        + np.sum(c * a, axis=-1) * lb
+    )
+    return np.asarray(np.sum(np.arctan2(volume, rest), axis=-1) / (2 * np.pi))
+
+
+def distance(points: Array, triangles: Array) -> Array:
+    """Return each point's distance in m from the nearest triangle, (n_points,).
+
+    The foot of the perpendicular where it lies in the triangle, else the nearest of the edges.
+    """
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    normal = np.cross(b - a, c - a)
+    normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    p = points[:, np.newaxis, :]
+    height = np.sum((p - a) * normal, axis=-1)
+    foot = p - height[..., np.newaxis] * normal
+    inside = np.ones(height.shape, dtype=bool)
+    nearest = np.full(height.shape, np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge = end - start
+        inside &= np.sum(np.cross(edge, foot - start) * normal, axis=-1) >= 0
+        share = np.sum((p - start) * edge, axis=-1) / np.sum(edge * edge, axis=-1)
+        on_edge = start + np.clip(share, 0, 1)[..., np.newaxis] * edge
+        nearest = np.minimum(nearest, np.linalg.norm(p - on_edge, axis=-1))
+    return np.asarray(np.min(np.where(inside, np.abs(height), nearest), axis=-1))
