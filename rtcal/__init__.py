@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtcal import datasets
+    from rtcal import datasets, errors
     from rtcal.acoustics.air import Air
     from rtcal.acoustics.equations import Eyring, Sabine
     from rtcal.acoustics.measurement import Measurement
@@ -39,12 +39,13 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "calibrate": ("rtcal.calibration.presets", "calibrate"),
     "closed_form": ("rtcal.calibration.closed_form", None),
     "datasets": ("rtcal.datasets", None),
+    "errors": ("rtcal.errors", None),
     "terms": ("rtcal.calibration.terms", None),
 }
 
 __all__ = [
     "Air", "Calibration", "Eyring", "Material", "Measurement", "Room", "Sabine", "Surface",
-    "calibrate", "closed_form", "datasets", "terms",
+    "calibrate", "closed_form", "datasets", "errors", "terms",
 ]  # fmt: skip
 
 

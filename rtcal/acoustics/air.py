@@ -44,7 +44,7 @@ class Air:
     >>> round(air.speed_of_sound, 1)
     343.2
     >>> print(np.round(1000 * air.attenuation([1000, 4000]), 2))
-    [1.08 6.84]
+    [1.07 6.83]
     """
 
     temperature: float = 20.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 
 import numpy as np
@@ -79,7 +80,7 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
             raise DataError(
                 f"{place} has {value:g} Hz; a centre frequency is finite and above 0 Hz"
             )
-    for below, above in zip(f, f[1:], strict=False):
+    for below, above in itertools.pairwise(f):
         if above <= below:
             raise DataError(
                 f"{place} has {label(above)} after {label(below)}; bands must increase, each once"

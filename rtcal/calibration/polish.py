@@ -137,10 +137,10 @@ def _separable(diagonal: Array, matrix: Any, force: Array, miss: Array) -> tuple
     schur = weighted @ matrix.T
     schur = schur.toarray() if sp.issparse(schur) else schur
     right = -(miss + weighted @ force)
-    diagonal_only = np.count_nonzero(schur) == np.count_nonzero(np.diag(schur))
-    if diagonal_only:
+    if np.count_nonzero(schur) == np.count_nonzero(np.diag(schur)):
         pull = right / np.diag(schur)
-    else:  # several rows may be dependent: the least-norm multipliers
+    else:
+        # Several rows may be dependent: the least-norm multipliers.
         pull = np.linalg.lstsq(schur, right, rcond=1e-12)[0]
     return -(force + matrix.T @ pull) / diagonal, pull
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.calibration import closed_form, feasibility, solvers
+from rtcal.calibration import feasibility, solvers
 from rtcal.calibration.certificate import Certificate, certify
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Flags, Instance
@@ -30,6 +30,7 @@ from rtcal.calibration.terms import (
     as_objective,
 )
 from rtcal.calibration.twin import Multipliers, Twin
+from rtcal.calibration.warm_start import from_closed_form
 from rtcal.errors import DataError, ModelError, SolverError
 from rtcal.types import Array
 
@@ -200,7 +201,13 @@ class CalibrationProblem:
                 instance, (room,), data.reverberation_time[np.newaxis], self.equation, unreachable
             )
         self._context.update(settled)
-        start = self._start(settled) if warm_start == "closed_form" else None
+        start = None
+        if warm_start == "closed_form":
+            if not (self._exact and len(self._rows) == 1 and len(self._objective.terms) == 1):
+                raise ModelError(
+                    "the closed form starts only a prior deviation with an exact match"
+                )
+            start = from_closed_form(settled)
         answer = solvers.run(self._compiled, solver, settings, start)
         raw_alpha = settled.centre + settled.scale * answer.x.reshape(instance.mu.shape)
         multipliers = self._multipliers(settled, answer)
@@ -298,18 +305,6 @@ class CalibrationProblem:
             pinned=sigma == 0,
             centre=room.alpha,
         )
-
-    def _start(self, instance: Instance) -> tuple[Array, list[Array]]:
-        """The closed form, primal and dual, in the whitened unknowns."""
-        if not (self._exact and len(self._rows) == 1 and len(self._objective.terms) == 1):
-            raise ModelError("the closed form starts only a prior deviation with an exact match")
-        areas, scale = instance.areas[0], instance.scale
-        movable = instance.matched[0] & ((areas @ scale) > 0)
-        target = np.where(movable, instance.target[0], areas @ instance.centre)
-        safe = np.where(movable, scale, 1.0)  # a band that cannot move: any finite number will do
-        pull = closed_form.multiplier(instance.centre, safe, areas, target) * movable
-        size = np.sqrt(areas**2 @ scale**2)
-        return (-pull * areas[:, np.newaxis] * scale).ravel(), [pull * size]
 
     def _multipliers(self, instance: Instance, answer: solvers.Answer) -> Multipliers:
         """The solver's duals in alpha's units."""

@@ -1,0 +1,41 @@
+"""The warm start of OSQP: the paper's closed form, primal and dual, in the whitened unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtcal.calibration import closed_form
+from rtcal.calibration.instance import Instance
+from rtcal.types import Array
+
+_ROUNDS = 8
+
+
+def from_closed_form(instance: Instance) -> tuple[Array, list[Array]]:
+    """Return x (size,) and the duals of the exact match and of the two sides of the box.
+
+    Where the closed form leaves the box, the violators are held at their bound and it is taken
+    again (Bellows & Katz 2025, Sect. 3.3). That is a start, not the optimum: none is let go.
+    """
+    areas, alpha, scale = instance.areas[0], instance.centre, instance.scale
+    held = scale == 0
+    pull = np.zeros(alpha.shape[1])
+    for _ in range(_ROUNDS):
+        free = np.where(held, 0.0, scale)
+        moves = instance.matched[0] & ((areas @ free) > 0)
+        target = np.where(moves, instance.target[0], areas @ alpha)
+        # A band that cannot move: any finite spread will do, its pull is 0.
+        spread = np.where(moves, free, 1.0)
+        pull = np.where(moves, closed_form.multiplier(
+            np.where(held, alpha, instance.centre), spread, areas, target), pull
+        )  # fmt: skip
+        trial = np.where(held, alpha, instance.centre - pull * areas[:, np.newaxis] * free**2)
+        alpha = np.clip(trial, instance.lower, instance.upper)
+        if np.array_equal(alpha, trial):
+            break
+        held = held | (alpha != trial)
+    x = np.divide(alpha - instance.centre, scale, out=np.zeros_like(alpha), where=scale > 0)
+    force = np.divide(x, scale, out=np.zeros_like(x), where=scale > 0)
+    force = np.where(held & (scale > 0), force + pull * areas[:, np.newaxis], 0.0)
+    size = np.sqrt(areas**2 @ scale**2)
+    return x.ravel(), [pull * size, np.maximum(force, 0).ravel(), np.maximum(-force, 0).ravel()]

@@ -1,0 +1,52 @@
+"""Shared by all tests: one derandomised Hypothesis profile, and where the extra data lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+import rtcal as rt
+
+settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=60)
+settings.load_profile("rtcal")
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture
+def shared_data() -> Path:
+    """The folder with data that are not part of the package."""
+    if not SHARED.is_dir():
+        pytest.skip(f"needs the shared data folder {SHARED.name}/ beside the checkout")
+    return SHARED
+
+
+@pytest.fixture
+def cr2() -> tuple[rt.Room, rt.Measurement]:
+    """The shipped real room and its measurement."""
+    return rt.datasets.bras_cr2()
+
+
+def random_room(
+    rng: np.random.Generator, n: int = 6, k: int = 8, air: rt.Air | None = None
+) -> rt.Room:
+    """A room whose coefficients stay well inside the box under a usual calibration."""
+    return rt.Room(
+        name="random",
+        volume=200.0,
+        materials=[f"m{i}" for i in range(n)],
+        areas=rng.uniform(5, 60, n),
+        alpha=rng.uniform(0.2, 0.6, (n, k)),
+        sigma=rng.uniform(0.02, 0.1, (n, k)),
+        centre_frequencies=np.array([63, 125, 250, 500, 1000, 2000, 4000, 8000][:k]),
+        air=air,
+    )
+
+
+def true_times(rng: np.random.Generator, room: rt.Room, equation: rt.Eyring) -> np.ndarray:
+    """T of a room drawn from the prior: what a calibration is given."""
+    drawn = room.alpha + room.sigma * rng.standard_normal(room.alpha.shape)
+    return equation.time(room, room.areas @ np.clip(drawn, 0.01, 0.99))

@@ -1,0 +1,90 @@
+"""Two real rooms in third-octaves: a golden test of the equations, and calibration end to end."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def bras(folder: Path, name: str, which: str) -> tuple[rt.Room, np.ndarray]:
+    """The room with its ``initial`` or ``fitted`` coefficients, and its measured T20."""
+    bras_folder = folder / "bras"
+    room = next(r for r in read(bras_folder / "rooms.csv") if r["room"] == name)
+    measured = next(
+        r for r in read(bras_folder / "measured_third_octave.csv")
+        if r["room"] == name and r["parameter"] == "T20"
+    )  # fmt: skip
+    bands = [c for c in measured if c.isdigit()]
+    areas = {
+        r["material"]: float(r["area_m2"])
+        for r in read(bras_folder / "surfaces.csv")
+        if r["room"] == name
+    }
+    alpha = {
+        r["material"]: [float(r[b]) for b in bands]
+        for r in read(bras_folder / "absorption_third_octave.csv")
+        if r["room"] == name and r["set"] == which
+    }
+    values = np.array([alpha[m] for m in areas])
+    made = rt.Room(
+        name=name,
+        volume=float(room["volume_m3"]),
+        materials=list(areas),
+        areas=np.array(list(areas.values())),
+        alpha=values,
+        sigma=np.maximum(0.3 * values, 0.01),
+        centre_frequencies=np.array([float(b) for b in bands]),
+        air=rt.Air(float(room["temperature_C"]), float(room["rel_humidity_pct"])),
+    )
+    return made, np.array([float(measured[b]) for b in bands])
+
+
+@pytest.mark.parametrize("name", ["CR2", "CR3"])
+def test_fitted_coefficients_give_the_measured_t20(shared_data: Path, name: str) -> None:
+    """Within .7 % in every band. They came from such a fit: this checks code, not physics."""
+    room, t20 = bras(shared_data, name, "fitted")
+    assert room.n_bands == 24
+    np.testing.assert_allclose(rt.Eyring().reverberation_time(room), t20, rtol=0.007)
+
+
+@pytest.mark.parametrize(("name", "error"), [("CR2", 0.34), ("CR3", 0.28)])
+def test_initial_coefficients_miss_by_a_third(shared_data: Path, name: str, error: float) -> None:
+    room, t20 = bras(shared_data, name, "initial")
+    off = np.mean(np.abs(rt.Eyring().reverberation_time(room) / t20 - 1))
+    assert off == pytest.approx(error, abs=0.005)
+
+
+@pytest.mark.parametrize("name", ["CR2", "CR3"])
+def test_calibration_meets_every_reachable_band(shared_data: Path, name: str) -> None:
+    room, t20 = bras(shared_data, name, "initial")
+    result = rt.calibrate(room, t20, unreachable="nearest")
+    named = {u.frequency for u in result.unreachable}
+    met = np.array([f not in named for f in room.centre_frequencies])
+    assert met.sum() >= 20
+    np.testing.assert_allclose(result.reverberation_time_after[met], t20[met], rtol=1e-9)
+    for u in result.unreachable:
+        assert not u.lowest <= u.target <= u.highest
+        assert abs(u.reverberation_time / u.longest - 1) > 0
+
+
+def test_a_band_beyond_reach_is_named_and_the_others_are_met(shared_data: Path) -> None:
+    """At 63 times the measured T no coefficients of 0 or more would do."""
+    room, t20 = bras(shared_data, "CR2", "initial")
+    t20[-1] *= 63
+    with pytest.raises(rt.errors.InfeasibleError, match=r"T\[16000 Hz\] = 23.27 s is beyond reach"):
+        rt.calibrate(room, t20)
+    result = rt.calibrate(room, t20, unreachable="nearest")
+    assert [u.frequency for u in result.unreachable] == [16000]
+    np.testing.assert_allclose(result.reverberation_time_after[:-1], t20[:-1], rtol=1e-9)
+    np.testing.assert_array_equal(result.alpha[:, -1], 0)
+    assert result.reverberation_time_after[-1] == pytest.approx(result.unreachable[0].longest)

@@ -1,0 +1,313 @@
+"""The QP: its laws, its bounds, its warm start, and what it refuses."""
+
+from __future__ import annotations
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import rtcal as rt
+from rtcal.calibration.presets import preset
+from tests.conftest import random_room, true_times
+
+EYRING = rt.Eyring()
+seeds = st.integers(0, 10_000)
+
+
+@given(seeds, st.sampled_from([1, 2, 6, 23]))
+def test_both_methods_equal_their_closed_form_where_no_bound_is_active(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    room = random_room(rng, n, 3, rt.Air())
+    t = true_times(rng, room, EYRING)
+    for method, sigma in (("mle", room.sigma), ("lse", np.ones_like(room.sigma))):
+        result = rt.calibrate(room, t, method=method)
+        oracle = rt.closed_form.maximum_likelihood(room.alpha, sigma, room.areas, result.target)
+        if np.all((oracle > 0) & (oracle < 1)):
+            assert not result.active.any()
+            np.testing.assert_allclose(result.alpha, oracle, rtol=0, atol=1e-10)
+            multiplier = rt.closed_form.multiplier(room.alpha, sigma, room.areas, result.target)
+            np.testing.assert_allclose(result.multipliers, multiplier, rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(result.reverberation_time_after, t, rtol=1e-9)
+
+
+@given(seeds)
+def test_lse_is_mle_with_equal_sigma(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    room = random_room(rng, 6, 3)
+    room = room.replace(sigma=np.full_like(room.sigma, 0.07))
+    t = true_times(rng, room, EYRING)
+    first, second = (rt.calibrate(room, t, method=m) for m in ("lse", "mle"))
+    np.testing.assert_allclose(first.alpha, second.alpha, rtol=0, atol=1e-10)
+
+
+@given(seeds)
+def test_order_of_materials_and_unit_of_area_change_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    room = random_room(rng, 6, 3)
+    t = true_times(rng, room, EYRING)
+    plain = rt.calibrate(room, t).alpha
+    order = rng.permutation(6)
+    permuted = room.replace(
+        materials=[room.materials[i] for i in order],
+        areas=room.areas[order],
+        alpha=room.alpha[order],
+        sigma=room.sigma[order],
+    )
+    np.testing.assert_allclose(rt.calibrate(permuted, t).alpha, plain[order], rtol=0, atol=1e-12)
+    # In feet, areas, volume and the speed of sound all change; T does not.
+    feet = 3.280839895
+    scaled = room.replace(areas=room.areas * feet**2, volume=room.volume * feet**3)
+    in_feet = rt.Eyring(speed_of_sound=room.speed_of_sound * feet)
+    found = rt.calibrate(scaled, t, equation=in_feet).alpha
+    np.testing.assert_allclose(found, plain, rtol=0, atol=1e-12)
+
+
+def test_drawing_a_wall_as_several_polygons_changes_nothing() -> None:
+    materials = [
+        rt.Material("plaster", [0.05, 0.06], [0.02, 0.02]),
+        rt.Material("carpet", [0.2, 0.4], [0.1, 0.1]),
+    ]
+
+    def room(*walls: float) -> rt.Room:
+        surfaces = [rt.Surface(f"wall {i}", "plaster", a) for i, a in enumerate(walls)]
+        return rt.Room.from_surfaces(
+            name="r", volume=100, centre_frequencies=[500, 1000], materials=materials,
+            surfaces=[*surfaces, rt.Surface("floor", "carpet", 33.0)],
+        )  # fmt: skip
+
+    t = [0.9, 0.8]
+    whole, parts = rt.calibrate(room(96.0), t), rt.calibrate(room(50.0, 40.0, 6.0), t)
+    np.testing.assert_allclose(parts.alpha, whole.alpha, rtol=0, atol=1e-14)
+    assert [s.area for s in parts.room.surfaces] == [50.0, 40.0, 6.0, 33.0]
+
+
+@given(seeds)
+def test_no_random_feasible_point_beats_the_optimum(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    room = random_room(rng, 6, 1)
+    b_end = room.areas.sum() * rng.uniform(0.02, 0.98)
+    t = EYRING.time(room, np.array([b_end]))
+    result = rt.calibrate(room, t)
+    best = np.sum(result.shift_in_sigmas**2)
+    for _ in range(30):
+        other = rng.uniform(0, 1, room.alpha.shape)
+        reached = room.areas @ other[:, 0]
+        end = np.ones(6) if reached < b_end else np.zeros(6)
+        share = (b_end - reached) / (room.areas @ end - reached)
+        other[:, 0] += share * (end - other[:, 0])  # on the segment to an end: S'alpha = b
+        assert room.areas @ other[:, 0] == pytest.approx(b_end)
+        assert np.sum(((other - room.alpha) / room.sigma) ** 2) >= best * (1 - 1e-9)
+
+
+def test_sigma_zero_leaves_a_coefficient_alone() -> None:
+    rng = np.random.default_rng(1)
+    room = random_room(rng, 6, 3)
+    sigma = room.sigma.copy()
+    sigma[2] = 0
+    sigma[4, 1] = 0
+    room = room.replace(sigma=sigma)
+    result = rt.calibrate(room, true_times(rng, room, EYRING))
+    np.testing.assert_array_equal(result.alpha[sigma == 0], room.alpha[sigma == 0])
+    assert np.all(np.abs(result.shift[sigma > 0]) > 1e-6)
+
+
+def test_missing_band_keeps_its_prior_and_says_so() -> None:
+    rng = np.random.default_rng(2)
+    room = random_room(rng, 6, 4)
+    t = true_times(rng, room, EYRING)
+    whole = rt.calibrate(room, t)
+    t[1] = np.nan
+    result = rt.calibrate(room, t)
+    np.testing.assert_array_equal(result.alpha[:, 1], room.alpha[:, 1])
+    np.testing.assert_allclose(result.alpha[:, [0, 2, 3]], whole.alpha[:, [0, 2, 3]], atol=1e-12)
+    assert np.isnan(result.multipliers[1])
+    assert result.plausibility.degrees_of_freedom == 3
+    assert "not calibrated, no T measured: 125 Hz" in str(result)
+    assert result.to_dict()["gap_after_jnd"][1] is None
+
+
+@pytest.mark.parametrize("solver", ["clarabel", "osqp", "highs", "qpsolvers:daqp"])
+def test_active_bounds_meet_the_optimality_conditions(solver: str) -> None:
+    """Hard walls and a T too long for their prior: several stand at 0 in the answer."""
+    if solver == "qpsolvers:daqp":
+        pytest.importorskip("daqp")
+    room = rt.Room(
+        name="hard",
+        volume=300,
+        materials=["stone", "wood", "cloth"],
+        areas=[200, 60, 20],
+        alpha=[[0.02, 0.02], [0.08, 0.1], [0.3, 0.5]],
+        sigma=[[0.02, 0.02], [0.02, 0.02], [0.1, 0.1]],
+        centre_frequencies=[500, 1000],
+    )
+    t = EYRING.time(room, np.array([5.0, 6.0]))
+    result = rt.calibrate(room, t, solver=solver)
+    assert (result.active[0] == -1).all()
+    np.testing.assert_array_equal(result.alpha[0], 0)
+    gradient = result.shift / room.sigma**2 + result.multipliers * room.areas[:, np.newaxis]
+    free = result.active == 0
+    assert np.max(np.abs((gradient * room.sigma)[free])) < 1e-11
+    assert np.all(gradient[~free] > 0)
+    assert result.certificate.worst < 1e-11
+    assert np.all(result.certificate.alpha_error_bound < 1e-6)
+    assert result.plausibility.p_value is None
+
+
+@pytest.mark.parametrize("end", ["low", "high"])
+def test_a_target_at_an_end_is_that_end(end: str) -> None:
+    rng = np.random.default_rng(3)
+    sabine = rt.Sabine()
+    room = random_room(rng, 6, 2, rt.Air())
+    if end == "low":
+        wanted, value, sign = np.zeros(2), 0.0, -1
+    else:
+        wanted, value, sign = np.full(2, room.areas.sum()), 1.0, 1
+    result = rt.calibrate(room, sabine.time(room, wanted), equation=sabine)
+    np.testing.assert_array_equal(result.alpha, value)
+    assert (result.active == sign).all()
+    assert result.certificate.worst < 1e-11
+    # The multiplier is an interval; the end nearest 0 leaves one coefficient in balance.
+    force = result.shift / room.sigma**2 + result.multipliers * room.areas[:, np.newaxis]
+    np.testing.assert_allclose(np.min(np.abs(force), axis=0), 0, atol=1e-9)
+    assert np.all(force * sign <= 1e-9)
+
+
+def test_alpha_min_is_a_floor() -> None:
+    room = rt.Room(
+        name="church",
+        volume=5000,
+        materials=["stone", "rest"],
+        areas=[2000, 300],
+        alpha=[[0.03], [0.2]],
+        sigma=[[0.02], [0.05]],
+        alpha_min=[[0.02], [0.0]],
+        centre_frequencies=[1000],
+    )
+    t = EYRING.time(room, np.array([60.0]))
+    result = rt.calibrate(room, t)
+    assert result.alpha[0, 0] == 0.02
+    assert result.active[0, 0] == -1
+    assert result.reverberation_time_after[0] == pytest.approx(t[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [6, 23])
+def test_warm_start_reaches_osqp(n: int) -> None:
+    """The closed form is the answer where no bound is active, so OSQP has nothing to do."""
+    settings = {"check_termination": 1}
+    inactive, cold, warm = [], [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        room = random_room(rng, n, 8)
+        problem = preset("mle").build(room)
+        t = true_times(rng, room, EYRING)
+        result = problem.solve(t, solver="osqp", warm_start="closed_form", settings=settings)
+        if not result.active.any():
+            inactive.append(result.raw.iterations)
+        # A T that pushes some materials to 0.
+        t = EYRING.time(room, 0.12 * room.absorption_area)
+        runs = [
+            problem.solve(t, solver="osqp", warm_start=how, settings=settings)
+            for how in ("none", "closed_form")
+        ]
+        assert runs[0].active.any()
+        np.testing.assert_allclose(runs[0].alpha, runs[1].alpha, rtol=0, atol=1e-9)
+        cold.append(runs[0].raw.iterations)
+        warm.append(runs[1].raw.iterations)
+    assert len(inactive) >= 15
+    assert max(inactive) <= 2
+    assert np.median(warm) < np.median(cold)
+
+
+def test_clarabel_takes_no_warm_start(cr2) -> None:
+    with pytest.raises(rt.errors.ModelError, match="takes no warm start"):
+        rt.calibrate(*cr2, warm_start="closed_form")
+
+
+def test_other_numbers_solve_without_compiling_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    room = random_room(rng, 6, 3)
+    problem = preset("mle").build(room)
+    problem.solve(true_times(rng, room, EYRING))
+    compiled = []
+    original = cp.reductions.solvers.solving_chain.SolvingChain.apply
+    from cvxpy.reductions.dcp2cone.cone_matrix_stuffing import ConeMatrixStuffing
+
+    stuff = ConeMatrixStuffing.apply
+    monkeypatch.setattr(
+        ConeMatrixStuffing, "apply", lambda self, p: compiled.append(1) or stuff(self, p)
+    )
+    for _ in range(3):
+        other = random_room(rng, 6, 3, rt.Air(10, 80))
+        t = true_times(rng, other, EYRING)
+        found = problem.solve(t, room=other)
+        np.testing.assert_allclose(found.alpha, rt.calibrate(other, t).alpha, rtol=0, atol=1e-10)
+        compiled.clear()
+        problem.solve(t, room=other)
+        assert not compiled
+    assert original is not None
+
+
+def test_a_composition_that_is_not_dpp_is_refused(cr2) -> None:
+    class ProductOfParameters(rt.terms.PriorDeviation):
+        def expression(self, context, weight):
+            first, second = (context.parameter(context.size, lambda i: i.mu) for _ in range(2))
+            return cp.sum_squares(cp.multiply(cp.multiply(first, second), context.x))
+
+    calibration = rt.Calibration(ProductOfParameters(), [rt.terms.ExactMatch()])
+    with pytest.raises(rt.errors.ModelError, match="not DPP"):
+        calibration.build(cr2[0])
+
+
+def test_raw_and_polished_answers_are_both_kept(cr2) -> None:
+    loose = {"tol_feas": 1e-3, "tol_gap_abs": 1e-3, "tol_gap_rel": 1e-3}
+    result = rt.calibrate(*cr2, settings=loose)
+    assert result.polished
+    assert result.certificate.worst < 1e-12 < result.raw.certificate.worst
+    assert 1e-9 < np.max(np.abs(result.raw.alpha - result.alpha)) < 1e-1
+    within = result.raw.certificate.alpha_error_bound >= np.abs(result.raw.alpha - result.alpha)
+    assert within.all()
+
+
+def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) -> None:
+    import rtcal.calibration.problem as problem
+
+    monkeypatch.setattr(problem, "polish", lambda *_: None)
+    with pytest.raises(rt.errors.SolverError, match="does not pass: primal residual"):
+        rt.calibrate(*cr2, solver="osqp", settings={"max_iter": 3, "polishing": False})
+
+
+def test_certificate_catches_a_wrong_answer(cr2) -> None:
+    from rtcal.calibration.certificate import certify
+    from rtcal.calibration.twin import Multipliers
+
+    result = rt.calibrate(*cr2)
+    raw = result.raw
+    zero = np.zeros(result.alpha.size)
+    right = Multipliers(np.nan_to_num(result.multipliers), zero, zero)
+    assert certify(raw.twin, result.alpha, right, 1.0).worst < 1e-12
+    off = result.alpha.copy()
+    off[0, 2] += 1e-4
+    assert certify(raw.twin, off, right, 1.0).primal_residual[2] > 1e-6
+    wrong = Multipliers(right.rows * 1.001, zero, zero)
+    assert certify(raw.twin, result.alpha, wrong, 1.0).worst > 1e-6
+    for bad in (wrong, Multipliers(-right.rows, zero, zero)):
+        bound = certify(raw.twin, result.alpha, bad, 1.0).alpha_error_bound
+        assert bound.max() > 1e-4
+
+
+def test_posterior_sigma_is_the_linear_gaussian_one(cr2) -> None:
+    """Against 40,000 draws of the truth and of the noise of T."""
+    room, measured = cr2
+    result = rt.calibrate(room, measured)
+    rng = np.random.default_rng(0)
+    k = 3
+    sigma, areas = room.sigma[:, k], room.areas
+    truth = rng.normal(0, sigma, (40_000, 5))
+    b = truth @ areas + rng.normal(0, result.target_uncertainty[k], 40_000)
+    estimate = b[:, np.newaxis] * (areas * sigma**2) / (areas**2 @ sigma**2)
+    np.testing.assert_allclose(
+        result.posterior_sigma[:, k], np.std(estimate - truth, axis=0), rtol=0.02
+    )
+    assert np.all(result.posterior_sigma[:, k] < sigma)
