@@ -86,9 +86,12 @@ def certify(twin: Twin, alpha: Array, multipliers: Multipliers, convexity: float
     ).reshape(shape).sum(axis=0)  # fmt: skip
     free = (twin.movable & (flat > twin.lower) & (flat < twin.upper)).astype(float)
     reach = np.sqrt(np.asarray(twin.squares @ (sigma * free) ** 2))
-    off = np.divide(miss, reach, out=np.zeros_like(miss), where=reach > 0)
+    # S'alpha itself is known to rounding only.
+    entries = np.asarray((abs(matrix) > 0).sum(axis=1)).ravel()
+    rounding = (entries + 1) * np.finfo(float).eps * np.asarray(abs(matrix) @ np.abs(flat))
+    off = np.divide(miss + rounding, reach, out=np.zeros_like(miss), where=reach > 0)
     steepness = float(np.linalg.norm(gradient * sigma))
-    extra = np.abs(multipliers.rows) * miss + steepness * off + row_gap
+    extra = np.abs(multipliers.rows) * (miss + rounding) + steepness * off + row_gap
     distance = np.zeros(n_bands)
     np.add.at(repaired, bands, extra)
     np.add.at(distance, bands, off)

@@ -75,6 +75,11 @@ def polish(
             side = np.where(row_below, -1, np.where(row_above, 1, side))
             alpha = np.clip(trial, lower, upper)
             continue
+        release = _starved(twin, trial, limit, side != 0, slack, free, at_lower, at_upper)
+        if release.any():
+            at_lower, at_upper = at_lower & ~release, at_upper & ~release
+            alpha = trial
+            continue
         rows = _undetermined(twin, trial, rows, free, at_lower, at_upper)
         balance = twin.stationarity(trial, rows) * sigma
         tolerance = _ROUNDING * (1 + np.max(np.abs(twin.gradient(trial) * sigma), initial=0.0))
@@ -167,6 +172,45 @@ def _coupled(
     return solution[:n], solution[n:]
 
 
+def _starved(
+    twin: Twin,
+    alpha: Array,
+    limit: Array,
+    active: Flags,
+    slack: Array,
+    free: Flags,
+    at_lower: Flags,
+    at_upper: Flags,
+) -> Flags:
+    """Coefficients to let go, one for each active row that is missed and has none free.
+
+    Near an end of its reach a row's last free coefficient is easily taken for one at its bound. The
+    one to let go is the first to move as the row's multiplier leaves its interval.
+    """
+    release = np.zeros(len(alpha), dtype=bool)
+    miss = limit - np.asarray(twin.matrix @ alpha)
+    moving = np.asarray(twin.squares @ free.astype(float)) > 0
+    starved = np.flatnonzero(active & ~moving & (np.abs(miss) > slack))
+    if not len(starved):
+        return release
+    gradient = twin.gradient(alpha)
+    for row in starved:
+        values = _line(twin, row)
+        wanted = np.sign(miss[row]) * np.sign(values)  # the direction that mends the row
+        able = ((wanted > 0) & at_lower) | ((wanted < 0) & at_upper)
+        cost = np.full(len(alpha), np.inf)
+        cost[able] = (gradient * wanted)[able] / np.abs(values[able])
+        if able.any():
+            release[np.argmin(cost)] = True
+    return release
+
+
+def _line(twin: Twin, row: int) -> Array:
+    """One row's coefficients, (size,)."""
+    line = twin.matrix[[row]]
+    return np.asarray(line.toarray() if sp.issparse(line) else line).ravel()
+
+
 def _undetermined(
     twin: Twin, alpha: Array, rows: Array, free: Flags, at_lower: Flags, at_upper: Flags
 ) -> Array:
@@ -184,8 +228,7 @@ def _undetermined(
     sign = at_lower.astype(float) - at_upper.astype(float)
     rows = rows.copy()
     for row in np.flatnonzero(held & ~moving & (rows == 0)):
-        line = twin.matrix[[row]]
-        values = (line.toarray() if sp.issparse(line) else line).ravel()
+        values = _line(twin, row)
         pull = sign * values
         ends = np.divide(-gradient, values, out=np.zeros_like(values), where=pull != 0)
         at_least = ends[pull > 0].max(initial=-np.inf)

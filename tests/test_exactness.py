@@ -1,0 +1,119 @@
+"""Every answer against exact rational arithmetic, over all the kinds that have tripped a solver."""
+
+from __future__ import annotations
+
+import functools
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.calibration.presets import preset
+from rtcal.errors import InfeasibleError, SolverError
+from tests import rational
+from tests.problems import Problem, problems
+
+COUNT = 2000
+OFFSET = 1e4
+
+
+@dataclass(frozen=True)
+class Shifted(LinearEquation):
+    """T = b + an offset: lets any b, also one below 0, be asked for by a T above 0."""
+
+    name = "Shifted"
+
+    def time(self, room, absorption_area):
+        return np.asarray(absorption_area) + OFFSET
+
+    def target(self, room, t):
+        return np.asarray(t) - OFFSET
+
+    def target_sensitivity(self, room, t):
+        return np.ones_like(t)
+
+
+def as_room(p: Problem) -> rt.Room:
+    n = len(p.mu)
+    return rt.Room(
+        name=p.kind, volume=1, materials=[f"m{i}" for i in range(n)], areas=p.areas,
+        alpha=p.mu[:, np.newaxis], sigma=p.sigma[:, np.newaxis], centre_frequencies=[1000],
+    )  # fmt: skip
+
+
+@functools.cache
+def compiled(n: int):
+    return preset("mle").build(as_room(Problem("", *np.ones((3, n)), 0.5)), Shifted())
+
+
+@functools.cache
+def cases() -> list[tuple[Problem, float, object]]:
+    """The problems, b as the equation gives it, and the exact answer."""
+    found = []
+    for p in problems(COUNT):
+        t = p.target + OFFSET
+        b = t - OFFSET
+        found.append((p, t, rational.solve(list(p.mu), list(p.sigma), list(p.areas), b)))
+    return found
+
+
+def is_end(p: Problem, t: float) -> bool:
+    """b within 16 n eps sum |S bound| of an end is that end (see the definitions)."""
+    n, b = len(p.mu), t - OFFSET
+    tolerance = 16 * n * np.finfo(float).eps * (p.areas @ np.where(p.sigma == 0, p.mu, 1.0))
+    return bool(min(abs(b - end) for end in p.ends) <= tolerance)
+
+
+def error(alpha: np.ndarray, exact: list) -> float:
+    return max(abs(float(e) - a) for e, a in zip(exact, alpha[:, 0], strict=True))
+
+
+def test_the_problems_are_of_all_kinds() -> None:
+    kinds = Counter(p.kind for p, _, _ in cases())
+    assert min(kinds.values()) >= COUNT // 8
+    infeasible = sum(isinstance(e, str) for _, _, e in cases())
+    assert COUNT // 8 < infeasible < COUNT // 4
+    left = [sum(0 < a < 1 for a in e) for p, _, e in cases() if p.kind == "one left free"]
+    assert max(left) == 1
+
+
+def test_clarabel_polished_is_exact_and_every_infeasible_problem_is_refused() -> None:
+    worst = 0.0
+    for p, t, exact in cases():
+        problem = compiled(len(p.mu))
+        room = as_room(p)
+        if isinstance(exact, str) and not is_end(p, t):
+            with pytest.raises(InfeasibleError, match="beyond reach"):
+                problem.solve([t], room=room)
+            continue
+        result = problem.solve([t], room=room)
+        if isinstance(exact, str):
+            exact = [0.0 if exact == "below" else 1.0] * len(p.mu)
+            exact = [m if s == 0 else e for e, m, s in zip(exact, p.mu, p.sigma, strict=True)]
+        off = error(result.alpha, exact)
+        worst = max(worst, off)
+        assert off <= 1e-8, (p, off)
+        if not is_end(p, t):  # there the answer is the end, which b only rounds to
+            bound = result.certificate.alpha_error_bound[:, 0]
+            off_by = np.abs([float(e) for e in exact] - result.alpha[:, 0])
+            assert np.all(off_by <= bound + 2e-16), p
+    assert 0 < worst
+
+
+def test_osqp_is_right_or_says_that_it_failed() -> None:
+    refused = well_inside = 0
+    for p, t, exact in cases():
+        if isinstance(exact, str):
+            continue
+        well_inside += p.well_inside
+        try:
+            result = compiled(len(p.mu)).solve([t], room=as_room(p), solver="osqp")
+        except SolverError:
+            refused += p.well_inside
+            continue
+        assert error(result.alpha, exact) <= 1e-6, p
+    assert well_inside > COUNT // 3
+    assert refused <= 0.01 * well_inside
