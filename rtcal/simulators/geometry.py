@@ -169,7 +169,7 @@ class Polyhedron:
         )
 
     @classmethod
-    def from_polygons(cls, polygons: Iterable[tuple[str, str, Sequence[Any]]]) -> Polyhedron:
+    def from_polygons(cls, polygons: Iterable[tuple[str, str, Any]]) -> Polyhedron:
         """Return the polyhedron of faces given as (name, material, points (n, 3) in m)."""
         polygons = list(polygons)
         points = [_points(f'face "{name}"', corners) for name, _, corners in polygons]

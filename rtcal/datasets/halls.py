@@ -1,0 +1,335 @@
+"""Invented halls for case studies and benchmarks: stand-ins, none of them a model of a real room.
+
+`lecture_hall` has what is published of the paper's lecture hall (Bellows & Katz 2025, Sect. 4.1:
+23 surfaces, 334 m³, largest to smallest area 66.6; no plan and no areas): the same hall serves the
+stochastic study, which needs the areas (``lecture_hall().geometry.face_areas``), and the simulators.
+`hard_hall` is in the spirit of the Palais des Papes (hard parallel walls), `theatre` of the Athenee
+(thirty materials, very uneven absorption); `corridor` is long and thin, where the meaning of
+"scattering" decides the decay.
+
+Absorption coefficients are rounded textbook values, scattering coefficients guesses of one number
+a material; sigma is the paper's three tiers .01, .05 and .1 (Sect. 4.3.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.bands import octaves
+from rtcal.acoustics.room import Material, Room
+from rtcal.datasets import boxes
+from rtcal.simulators.geometry import Polyhedron
+
+Point = tuple[float, float, float]
+BANDS = octaves(125, 8000)
+_LOW, _MIDDLE, _HIGH = 0.01, 0.05, 0.1  # sigma
+
+
+@dataclass(frozen=True, eq=False)
+class Hall:
+    """A hall to simulate: geometry, room, and named sources and receivers (x, y, z in m).
+
+    ``held_out`` are receivers that a calibration does not see.
+    """
+
+    geometry: Polyhedron
+    room: Room
+    sources: Mapping[str, Point]
+    receivers: Mapping[str, Point]
+    held_out: Mapping[str, Point]
+
+
+def _hall(
+    name: str,
+    geometry: Polyhedron,
+    table: Mapping[str, tuple[tuple[float, ...], float, float]],
+    sources: Mapping[str, Point],
+    receivers: Mapping[str, Point],
+    held_out: Mapping[str, Point],
+    dimensions: Point | None = None,
+) -> Hall:
+    """Put a hall together; ``table`` is material: (alpha in `BANDS`, sigma, scattering)."""
+    room = Room.from_surfaces(
+        name=name,
+        volume=geometry.volume,
+        surfaces=geometry.surfaces,
+        materials=[
+            Material(m, alpha, [sigma] * len(BANDS), scattering=[scattering] * len(BANDS))
+            for m, (alpha, sigma, scattering) in table.items()
+        ],
+        centre_frequencies=BANDS,
+        air=Air(20, 50),
+        dimensions=dimensions,
+    )
+    return Hall(geometry, room, sources, receivers, held_out)
+
+
+_LECTURE_HALL = {
+    "linoleum": ((0.02, 0.02, 0.03, 0.03, 0.04, 0.04, 0.05), _LOW, 0.05),
+    "desks and chairs": ((0.10, 0.12, 0.18, 0.22, 0.24, 0.25, 0.25), _HIGH, 0.60),
+    "gypsum board": ((0.18, 0.10, 0.06, 0.05, 0.05, 0.06, 0.07), _LOW, 0.05),
+    "perforated ceiling": ((0.25, 0.50, 0.65, 0.55, 0.45, 0.40, 0.35), _HIGH, 0.10),
+    "wood panelling": ((0.25, 0.18, 0.12, 0.09, 0.08, 0.08, 0.08), _MIDDLE, 0.10),
+    "painted plaster": ((0.02, 0.02, 0.03, 0.03, 0.04, 0.05, 0.05), _LOW, 0.05),
+    "blackboard": ((0.10, 0.08, 0.06, 0.05, 0.05, 0.05, 0.05), _MIDDLE, 0.05),
+    "glass": ((0.25, 0.15, 0.08, 0.05, 0.04, 0.03, 0.03), _MIDDLE, 0.05),
+    "metal door": ((0.15, 0.10, 0.08, 0.06, 0.05, 0.05, 0.05), _MIDDLE, 0.10),
+}
+
+
+def lecture_hall() -> Hall:
+    """Return a lecture hall of 23 surfaces, 334 m³, largest to smallest area 66.6.
+
+    A raked hall, 11 m deep, 8.9 m wide: the width is what gives the volume, the width of the
+    projection window what gives the ratio of areas.
+    """
+    depth, stage, rise, rake_end, front, height = 11.0, 2.8, 1.05, 9.8, 3.6, 3.9
+    section = depth * height - stage * (height - front) / 2
+    section -= (rake_end - stage) * rise / 2 + (depth - rake_end) * rise
+    width = 334 / section
+    window_height = 0.75
+    window = float(np.hypot(rake_end - stage, rise)) * width / 66.6 / window_height
+    left, right = (width - 4.8) / 2, (width + 4.8) / 2  # the blackboard's
+    west, east = (width - window) / 2, (width + window) / 2  # the projection window's
+
+    def across(y0: float, z0: float, y1: float, z1: float) -> list[Point]:
+        return [(0, y0, z0), (width, y0, z0), (width, y1, z1), (0, y1, z1)]
+
+    def front_wall(x0: float, x1: float, z0: float, z1: float) -> list[Point]:
+        return [(x0, 0, z0), (x1, 0, z0), (x1, 0, z1), (x0, 0, z1)]
+
+    def side(x: float, *outline: tuple[float, float]) -> list[Point]:
+        return [(x, y, z) for y, z in outline]
+
+    below = [(stage, 0.0), (rake_end, rise), (depth, rise), (depth, 1.6)]
+    above = [(depth, height), (stage, height), (0.0, front)]
+    top = height - window_height
+    geometry = Polyhedron.from_polygons([
+        ("stage floor", "linoleum", across(0, 0, stage, 0)),
+        ("seating", "desks and chairs", across(stage, 0, rake_end, rise)),
+        ("rear aisle", "linoleum", across(rake_end, rise, depth, rise)),
+        ("reflector", "gypsum board", across(0, front, stage, height)),
+        ("main ceiling", "perforated ceiling", across(stage, height, rake_end, height)),
+        ("rear ceiling", "gypsum board", across(rake_end, height, depth, height)),
+        ("rear wall, lower", "wood panelling", across(depth, rise, depth, 2.25)),
+        ("rear wall, upper", "painted plaster", [
+            (0, depth, 2.25), (width, depth, 2.25), (width, depth, height), (east, depth, height),
+            (east, depth, top), (west, depth, top), (west, depth, height), (0, depth, height),
+        ]),
+        ("projection window", "glass", [
+            (west, depth, top), (east, depth, top), (east, depth, height), (west, depth, height),
+        ]),
+        ("front wall, left", "painted plaster", front_wall(0, left, 0, front)),
+        ("front wall, right", "painted plaster", front_wall(right, width, 0, front)),
+        ("front wall, lower", "wood panelling", front_wall(left, right, 0, 0.8)),
+        ("blackboard", "blackboard", front_wall(left, right, 0.8, 2.2)),
+        ("front wall, upper", "painted plaster", front_wall(left, right, 2.2, front)),
+        ("wainscot", "wood panelling", side(0, (0, 0), *below, (0, 1.6))),
+        ("left wall, front", "painted plaster", side(0, (0, 1.6), (1.4, 1.6), (1.4, 3), (0, 3))),
+        ("windows", "glass", side(0, (1.4, 1.6), (9.8, 1.6), (9.8, 3), (1.4, 3))),
+        ("left wall, rear", "painted plaster",
+         side(0, (9.8, 1.6), (depth, 1.6), (depth, 3), (9.8, 3))),
+        ("left wall, upper", "painted plaster", side(0, (0, 3), (depth, 3), *above)),
+        ("door", "metal door", side(width, (0.6, 0), (1.6, 0), (1.6, 2.1), (0.6, 2.1))),
+        ("panelling", "wood panelling", side(width, (1.9, 0), *below, (1.9, 1.6))),
+        ("notice board", "wood panelling", side(width, (4, 1.6), (9, 1.6), (9, 2.8), (4, 2.8))),
+        ("right wall", "painted plaster", side(
+            width, (0, 0), (0.6, 0), (0.6, 2.1), (1.6, 2.1), (1.6, 0), (1.9, 0), (1.9, 1.6),
+            (4, 1.6), (4, 2.8), (9, 2.8), (9, 1.6), (depth, 1.6), *above,
+        )),
+    ])  # fmt: skip
+    return _hall(
+        "lecture hall (invented)", geometry, _LECTURE_HALL,
+        sources={"S1": (4.4, 1.6, 1.5), "S2": (2.2, 1.1, 1.5)},
+        receivers={
+            "R1": (3.0, 4.2, 1.5), "R2": (6.1, 6.0, 1.7), "R3": (2.3, 7.9, 2.0),
+            "R4": (6.7, 9.0, 2.1),
+        },
+        held_out={"R5": (5.2, 4.9, 1.6), "R6": (1.9, 5.8, 1.7), "R7": (4.8, 8.6, 2.1)},
+    )  # fmt: skip
+
+
+_HARD_HALL = {
+    "limestone": ((0.04, 0.04, 0.05, 0.05, 0.06, 0.07, 0.08), _LOW, 0.05),
+    "stone floor": ((0.01, 0.01, 0.02, 0.02, 0.02, 0.03, 0.04), _LOW, 0.03),
+    "stone vault": ((0.03, 0.03, 0.04, 0.04, 0.05, 0.06, 0.07), _MIDDLE, 0.15),
+    "wooden platform": ((0.30, 0.22, 0.15, 0.10, 0.08, 0.08, 0.08), _MIDDLE, 0.10),
+    "chairs": ((0.10, 0.14, 0.22, 0.30, 0.32, 0.32, 0.30), _HIGH, 0.50),
+    "leaded glass": ((0.20, 0.12, 0.08, 0.06, 0.05, 0.04, 0.04), _MIDDLE, 0.10),
+    "oak door": ((0.14, 0.12, 0.10, 0.08, 0.08, 0.08, 0.08), _MIDDLE, 0.10),
+}
+
+
+def hard_hall() -> Hall:
+    """Return a hard hall with parallel walls, 40 x 14 x 10 m, a platform and chairs on its floor.
+
+    What absorbs lies on the floor, and smooth parallel walls keep sound above it: the decay is
+    longer than Sabine's.
+    """
+    x, y, z = (0.0, 40.0), (0.0, 14.0), (0.0, 10.0)
+    geometry = boxes.polyhedron(
+        air=[(x, y, z)],
+        solid=[((0, 8), (2, 12), (0, 0.8))],
+        paint=[
+            ("wall", "limestone", (x, y, z)),
+            ("floor", "stone floor", (x, y, (0, 0))),
+            ("vault", "stone vault", (x, y, (10, 10))),
+            ("platform", "wooden platform", ((0, 8), (2, 12), (0, 0.8))),
+            ("audience", "chairs", ((11, 27), (2.5, 11.5), (0, 0))),
+            *(
+                (f"window {i + 1}", "leaded glass", ((a, a + 2), (14, 14), (4, 8)))
+                for i, a in enumerate((5.0, 13.0, 21.0, 29.0))
+            ),
+            ("door", "oak door", ((34, 37), (0, 0), (0, 4))),
+        ],
+    )
+    return _hall(
+        "hard hall (invented)", geometry, _HARD_HALL,
+        sources={"S1": (4.0, 7.0, 2.3), "S2": (6.0, 4.5, 2.3)},
+        receivers={
+            "R1": (12.5, 5.2, 1.2), "R2": (17.0, 9.1, 1.2), "R3": (22.0, 4.1, 1.2),
+            "R4": (26.0, 8.2, 1.2), "R5": (32.0, 6.3, 1.2),
+        },
+        held_out={"R6": (14.5, 8.4, 1.2), "R7": (20.0, 6.1, 1.2), "R8": (29.0, 9.6, 1.2)},
+    )  # fmt: skip
+
+
+# Thirty materials, from bare plaster to the stage's drapes and the fly loft.
+_THEATRE = {
+    "stalls seats": ((0.35, 0.48, 0.60, 0.68, 0.70, 0.68, 0.65), _HIGH, 0.60),
+    "aisle carpet": ((0.05, 0.10, 0.20, 0.30, 0.35, 0.40, 0.45), _MIDDLE, 0.10),
+    "orchestra floor": ((0.15, 0.12, 0.10, 0.08, 0.07, 0.07, 0.07), _MIDDLE, 0.10),
+    "auditorium ceiling": ((0.14, 0.10, 0.06, 0.05, 0.04, 0.04, 0.04), _MIDDLE, 0.15),
+    "dome": ((0.10, 0.08, 0.06, 0.06, 0.06, 0.07, 0.08), _MIDDLE, 0.30),
+    "auditorium wall": ((0.12, 0.10, 0.08, 0.08, 0.09, 0.10, 0.10), _MIDDLE, 0.20),
+    "rear wall, stalls": ((0.10, 0.12, 0.15, 0.18, 0.20, 0.22, 0.22), _MIDDLE, 0.20),
+    "rear wall, first tier": ((0.12, 0.14, 0.16, 0.20, 0.22, 0.24, 0.24), _MIDDLE, 0.20),
+    "rear wall, second tier": ((0.12, 0.12, 0.12, 0.14, 0.15, 0.16, 0.16), _MIDDLE, 0.20),
+    "entrance doors": ((0.14, 0.10, 0.08, 0.08, 0.08, 0.08, 0.08), _MIDDLE, 0.10),
+    "first tier seats": ((0.30, 0.42, 0.55, 0.62, 0.65, 0.62, 0.60), _HIGH, 0.60),
+    "first tier boxes": ((0.20, 0.28, 0.38, 0.45, 0.48, 0.48, 0.46), _HIGH, 0.50),
+    "first tier parapet": ((0.15, 0.12, 0.10, 0.10, 0.10, 0.10, 0.10), _MIDDLE, 0.40),
+    "first tier soffit": ((0.15, 0.10, 0.07, 0.06, 0.05, 0.05, 0.05), _MIDDLE, 0.15),
+    "box partitions": ((0.18, 0.16, 0.14, 0.14, 0.16, 0.18, 0.18), _MIDDLE, 0.20),
+    "second tier seats": ((0.22, 0.30, 0.40, 0.46, 0.48, 0.46, 0.44), _HIGH, 0.60),
+    "second tier boxes": ((0.15, 0.20, 0.28, 0.34, 0.36, 0.36, 0.35), _HIGH, 0.50),
+    "second tier parapet": ((0.15, 0.12, 0.10, 0.09, 0.08, 0.08, 0.08), _MIDDLE, 0.40),
+    "second tier soffit": ((0.15, 0.10, 0.07, 0.06, 0.05, 0.05, 0.05), _MIDDLE, 0.15),
+    "proscenium": ((0.08, 0.06, 0.05, 0.05, 0.05, 0.06, 0.06), _LOW, 0.25),
+    "proscenium reveal": ((0.10, 0.08, 0.06, 0.06, 0.06, 0.06, 0.06), _MIDDLE, 0.20),
+    "forestage": ((0.18, 0.14, 0.10, 0.08, 0.07, 0.07, 0.07), _MIDDLE, 0.10),
+    "stage floor": ((0.25, 0.18, 0.12, 0.09, 0.08, 0.08, 0.08), _MIDDLE, 0.10),
+    "set": ((0.20, 0.15, 0.12, 0.10, 0.10, 0.12, 0.12), _HIGH, 0.40),
+    "backcloth": ((0.10, 0.25, 0.45, 0.60, 0.65, 0.65, 0.65), _HIGH, 0.30),
+    "drapes": ((0.15, 0.35, 0.60, 0.75, 0.75, 0.72, 0.70), _HIGH, 0.40),
+    "wing walls": ((0.05, 0.06, 0.08, 0.10, 0.12, 0.14, 0.15), _MIDDLE, 0.30),
+    "fly tower walls": ((0.10, 0.14, 0.20, 0.26, 0.30, 0.32, 0.32), _HIGH, 0.40),
+    "grid": ((0.30, 0.40, 0.50, 0.60, 0.65, 0.70, 0.70), _HIGH, 0.60),
+    "fire curtain": ((0.06, 0.06, 0.06, 0.07, 0.08, 0.09, 0.09), _MIDDLE, 0.10),
+}
+
+
+def theatre() -> Hall:
+    """Return a theatre with two tiers, boxes, a fly tower and thirty materials.
+
+    Drapes and seats absorb most of what reaches them, ceiling and parapets almost nothing, and the
+    stage is joined to the auditorium by the proscenium opening alone.
+    """
+    hall, house = ((-7.0, 7.0), (0.0, 15.0), (0.0, 11.0)), ((-8.0, 8.0), (-9.5, -0.5), (0.9, 15.0))
+    solid: list[boxes.Box] = []
+    paint: list[tuple[str, str, boxes.Box]] = [
+        ("auditorium wall", "auditorium wall", hall),
+        ("auditorium ceiling", "auditorium ceiling", ((-7, 7), (0, 15), (11, 11))),
+        ("dome", "dome", ((-3, 3), (4, 11), (11, 11))),
+        ("aisle", "aisle carpet", ((-7, 7), (0, 15), (0, 0))),
+        ("orchestra", "orchestra floor", ((-5, 5), (0, 2), (0, 0))),
+        ("stalls", "stalls seats", ((-4, 4), (2.5, 13), (0, 0))),
+        ("rear wall, stalls", "rear wall, stalls", ((-7, 7), (15, 15), (0, 3))),
+        ("doors", "entrance doors", ((-1.5, 1.5), (15, 15), (0, 2.4))),
+        ("proscenium wall", "proscenium", ((-7, 7), (0, 0), (0, 11))),
+        ("forestage front", "forestage", ((-4.5, 4.5), (0, 0), (0, 0.9))),
+        ("fly tower", "fly tower walls", house),
+        ("wing", "wing walls", ((-8, 8), (-9.5, -0.5), (0.9, 7))),
+        ("stage wall, front", "fire curtain", ((-8, 8), (-0.5, -0.5), (0.9, 15))),
+        ("backcloth", "backcloth", ((-5, 5), (-9.5, -9.5), (0.9, 9))),
+        ("drapes", "drapes", ((-8, -8), (-8, -1), (0.9, 8))),
+        ("drapes", "drapes", ((8, 8), (-8, -1), (0.9, 8))),
+        ("grid", "grid", ((-8, 8), (-9.5, -0.5), (15, 15))),
+        ("stage floor", "stage floor", ((-8, 8), (-9.5, -0.5), (0.9, 0.9))),
+        ("proscenium reveal", "proscenium reveal", ((-4.5, 4.5), (-0.5, 0), (0.9, 7.9))),
+    ]
+    for tier, floor, label in ((3.0, 3.3, "first"), (6.2, 6.5, "second")):
+        top = floor + 0.8
+        slabs = [
+            ((-7.0, 7.0), (11.5, 15.0)),
+            ((-7.0, -5.2), (4.0, 11.5)),
+            ((5.2, 7.0), (4.0, 11.5)),
+        ]
+        rails = [
+            ((-5.2, 5.2), (11.5, 11.7)),
+            ((-5.4, -5.2), (4.0, 11.7)),
+            ((5.2, 5.4), (4.0, 11.7)),
+        ]
+        solid += [(a, b, (tier, floor)) for a, b in slabs]
+        solid += [(a, b, (tier, top)) for a, b in rails]
+        paint += [
+            (f"{label} tier parapet", f"{label} tier parapet", ((-5.4, 5.4), (4, 11.7), (tier, top))),
+            (f"{label} tier soffit", f"{label} tier soffit", ((-7, 7), (4, 15), (tier, tier))),
+            (f"{label} tier front", f"{label} tier parapet", ((-7, 7), (4, 4), (tier, floor))),
+            (f"rear wall, {label} tier", f"rear wall, {label} tier",
+             ((-7, 7), (15, 15), (floor, floor + 2.9))),
+            (f"{label} tier seats", f"{label} tier seats", ((-7, 7), (11.5, 15), (floor, floor))),
+            (f"{label} tier boxes", f"{label} tier boxes", ((-7, -5.2), (4, 11.5), (floor, floor))),
+            (f"{label} tier boxes", f"{label} tier boxes", ((5.2, 7), (4, 11.5), (floor, floor))),
+        ]  # fmt: skip
+        for y in (6.5, 9.0):  # thin walls between the boxes
+            for a in ((-7.0, -5.4), (5.4, 7.0)):
+                solid.append((a, (y, y + 0.1), (floor, floor + 1.8)))
+                paint.append(
+                    ("partition", "box partitions", (a, (y, y + 0.1), (floor, floor + 1.8)))
+                )
+    solid.append(((-2.0, 2.0), (-7.0, -6.7), (0.9, 4.0)))
+    paint.append(("set", "set", ((-2, 2), (-7, -6.7), (0.9, 4))))
+    geometry = boxes.polyhedron(
+        air=[hall, ((-4.5, 4.5), (-0.5, 0.0), (0.9, 7.9)), house], solid=solid, paint=paint
+    )
+    return _hall(
+        "theatre (invented)", geometry, _THEATRE,
+        sources={"S1": (0.4, -2.2, 2.4), "S2": (-1.8, -4.0, 2.4)},
+        receivers={
+            "R1": (1.2, 4.1, 1.2), "R2": (-2.3, 7.6, 1.2), "R3": (2.9, 10.4, 1.2),
+            "R4": (-1.1, 13.1, 4.5), "R5": (1.6, 13.4, 7.7),
+        },
+        held_out={"R6": (-1.4, 5.2, 1.2), "R7": (1.9, 8.7, 1.2), "R8": (2.4, 12.6, 4.5)},
+    )  # fmt: skip
+
+
+_CORRIDOR = {
+    "vinyl floor": ((0.02, 0.02, 0.03, 0.03, 0.03, 0.03, 0.04), _LOW, 0.10),
+    "ceiling tiles": ((0.20, 0.30, 0.40, 0.45, 0.45, 0.45, 0.40), _HIGH, 0.10),
+    "plaster": ((0.03, 0.03, 0.04, 0.05, 0.05, 0.06, 0.06), _MIDDLE, 0.10),
+    "end wall": ((0.10, 0.08, 0.06, 0.05, 0.05, 0.05, 0.05), _MIDDLE, 0.10),
+}
+
+
+def corridor() -> Hall:
+    """Return a corridor of 40 x 2.4 x 3 m with absorbing ceiling tiles."""
+    dimensions = (40.0, 2.4, 3.0)
+    geometry = Polyhedron.shoebox(dimensions, {
+        "west": "end wall", "east": "end wall", "south": "plaster", "north": "plaster",
+        "floor": "vinyl floor", "ceiling": "ceiling tiles",
+    })  # fmt: skip
+    return _hall(
+        "corridor (invented)", geometry, _CORRIDOR,
+        sources={"S1": (4.0, 1.0, 1.5)},
+        receivers={
+            "R1": (8.0, 1.4, 1.3), "R2": (14.0, 1.1, 1.3), "R3": (22.0, 1.3, 1.3),
+            "R4": (33.0, 1.2, 1.3),
+        },
+        held_out={"R5": (11.0, 1.3, 1.3), "R6": (27.0, 1.1, 1.3)},
+        dimensions=dimensions,
+    )  # fmt: skip
