@@ -27,6 +27,17 @@ _ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
 _DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
 
 
+def fingerprint(
+    centre_frequencies: Array, pairs: Sequence[tuple[str, str]], values: Mapping[str, Array]
+) -> str:
+    """Return a short name of exactly these data."""
+    digest = hashlib.sha256(np.ascontiguousarray(centre_frequencies).tobytes())
+    for parameter in sorted(values):
+        digest.update(f"{parameter}{pairs!r}".encode())
+        digest.update(np.ascontiguousarray(values[parameter]).tobytes())
+    return digest.hexdigest()[:16]
+
+
 @dataclass(frozen=True, kw_only=True)
 class DecayTime:
     """The reverberation time to match: mean over pairs, which parameter, how uncertain.
@@ -128,12 +139,7 @@ class Measurement:
     @property
     def fingerprint(self) -> str:
         """A short name of exactly these data."""
-        digest = hashlib.sha256(np.asarray(self.centre_frequencies).tobytes())
-        for parameter in sorted(self.values):
-            digest.update(parameter.encode())
-            digest.update(repr(self.pairs).encode())
-            digest.update(np.ascontiguousarray(self.values[parameter]).tobytes())
-        return digest.hexdigest()[:16]
+        return fingerprint(self.centre_frequencies, self.pairs, self.values)
 
     @classmethod
     def from_values(

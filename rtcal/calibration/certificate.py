@@ -12,6 +12,8 @@ import numpy as np
 from rtcal.calibration.twin import Multipliers, Twin
 from rtcal.types import Array
 
+_EPS = np.finfo(float).eps
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -87,8 +89,7 @@ def certify(twin: Twin, alpha: Array, multipliers: Multipliers, convexity: float
     free = (twin.movable & (flat > twin.lower) & (flat < twin.upper)).astype(float)
     reach = np.sqrt(np.asarray(twin.squares @ (sigma * free) ** 2))
     # S'alpha itself is known to rounding only.
-    entries = np.asarray((abs(matrix) > 0).sum(axis=1)).ravel()
-    rounding = (entries + 1) * np.finfo(float).eps * np.asarray(abs(matrix) @ np.abs(flat))
+    rounding = (twin.entries + 1) * _EPS * np.asarray(twin.absolute @ np.abs(flat))
     off = np.divide(miss + rounding, reach, out=np.zeros_like(miss), where=reach > 0)
     steepness = float(np.linalg.norm(gradient * sigma))
     extra = np.abs(multipliers.rows) * (miss + rounding) + steepness * off + row_gap

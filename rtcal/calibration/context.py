@@ -37,9 +37,10 @@ class Affine:
     def update(self, instance: Instance, centre: Array, scale: Array) -> None:
         """Set the derived parameters for ``instance``; centre and scale are flattened."""
         values, constant = self.compute(instance)
-        self.coefficients.value = values * scale[self.columns]
-        self.constant.value = constant + np.bincount(
-            self.rows, weights=values * centre[self.columns], minlength=self.n_rows
+        # save_value: the setter's checks of shape and kind cost more than the numbers.
+        self.coefficients.save_value(values * scale[self.columns])
+        self.constant.save_value(
+            constant + np.bincount(self.rows, values * centre[self.columns], minlength=self.n_rows)
         )
 
 
@@ -114,4 +115,4 @@ class Context:
         for affine in self._affine:
             affine.update(instance, centre, scale)
         for parameter, compute in self._parameters:
-            parameter.value = compute(instance)
+            parameter.save_value(compute(instance))

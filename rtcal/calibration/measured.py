@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.measurement import SUMMARY, Measurement, fingerprint
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.types import Array
@@ -61,18 +61,18 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         raise DataError(f"measured is not a list of T in s: {error}") from error
     if times.shape != (room.n_bands,):
         raise DataError(f"measured T has shape {times.shape}; the room asks for ({room.n_bands},)")
-    for frequency, value in zip(room.centre_frequencies, times, strict=True):
-        if np.isinf(value) or value <= 0:
-            raise DataError(f"T[{bands.label(frequency)}] = {value:g} s is not finite and above 0")
+    if (bad := np.isinf(times) | (times <= 0)).any():
+        k = int(np.argmax(bad))
+        band = bands.label(room.centre_frequencies[k])
+        raise DataError(f"T[{band}] = {times[k]:g} s is not finite and above 0")
     if not np.isfinite(times).any():
         raise DataError("measured T is missing in every band; there is nothing to calibrate to")
-    as_measurement = Measurement.from_values(room.centre_frequencies, t20=times)
     return Measured(
         times,
         np.full(times.shape, np.nan),
         tuple("t20" if here else "" for here in np.isfinite(times)),
         (),
-        as_measurement.fingerprint,
+        fingerprint(room.centre_frequencies, ((SUMMARY, SUMMARY),), {"t20": times[np.newaxis]}),
     )
 
 

@@ -64,7 +64,7 @@ def polish(
         solved = _solve(twin, alpha, free, side != 0, limit)
         if solved is None:
             return None
-        trial, rows = solved
+        trial, rows, moving = solved
         below, above = free & (trial < lower), free & (trial > upper)
         at_rows = np.asarray(twin.matrix @ trial)
         slack = _ROUNDING * np.maximum(twin.row_norm, 1e-300)
@@ -75,12 +75,14 @@ def polish(
             side = np.where(row_below, -1, np.where(row_above, 1, side))
             alpha = np.clip(trial, lower, upper)
             continue
-        release = _starved(twin, trial, limit, side != 0, slack, free, at_lower, at_upper)
-        if release.any():
-            at_lower, at_upper = at_lower & ~release, at_upper & ~release
-            alpha = trial
-            continue
-        rows = _undetermined(twin, trial, rows, free, at_lower, at_upper)
+        starved = (side != 0) & ~moving & (twin.row_norm > 0)
+        if starved.any():
+            release = _released(twin, trial, limit, starved, slack, at_lower, at_upper)
+            if release.any():
+                at_lower, at_upper = at_lower & ~release, at_upper & ~release
+                alpha = trial
+                continue
+            rows = _undetermined(twin, trial, rows, starved, at_lower, at_upper)
         balance = twin.stationarity(trial, rows) * sigma
         tolerance = _ROUNDING * (1 + np.max(np.abs(twin.gradient(trial) * sigma), initial=0.0))
         free_lower = at_lower & (balance < -tolerance)
@@ -105,6 +107,8 @@ def polish(
 
 def _active_rows(twin: Twin, alpha: Array, rows: Array) -> Array:
     """Multiplier of an inequality row where it outweighs the slack, else 0."""
+    if np.array_equal(twin.row_lower, twin.row_upper):
+        return np.zeros(len(rows))
     values = np.asarray(twin.matrix @ alpha)
     distance = np.where(rows > 0, twin.row_upper - values, values - twin.row_lower)
     k = np.sqrt(np.asarray(twin.squares @ twin.sigma**2))
@@ -114,8 +118,11 @@ def _active_rows(twin: Twin, alpha: Array, rows: Array) -> Array:
 
 def _solve(
     twin: Twin, alpha: Array, free: Flags, active: Flags, limit: Array
-) -> tuple[Array, Array] | None:
-    """One Newton step on the free coefficients with the active rows as equalities."""
+) -> tuple[Array, Array, Flags] | None:
+    """One Newton step on the free coefficients with the active rows as equalities.
+
+    Returns alpha, the rows' multipliers, and which rows have a free coefficient.
+    """
     rows = np.zeros(len(active))
     scale = twin.sigma[free]
     norm = np.sqrt(np.asarray(twin.squares[:, free] @ scale**2))
@@ -133,7 +140,7 @@ def _solve(
     trial = alpha.copy()
     trial[free] += scale * step
     rows[used] = pull / norm[used]
-    return trial, rows
+    return trial, rows, norm > 0
 
 
 def _separable(diagonal: Array, matrix: Any, force: Array, miss: Array) -> tuple[Array, Array]:
@@ -172,13 +179,12 @@ def _coupled(
     return solution[:n], solution[n:]
 
 
-def _starved(
+def _released(
     twin: Twin,
     alpha: Array,
     limit: Array,
-    active: Flags,
+    starved: Flags,
     slack: Array,
-    free: Flags,
     at_lower: Flags,
     at_upper: Flags,
 ) -> Flags:
@@ -189,13 +195,9 @@ def _starved(
     """
     release = np.zeros(len(alpha), dtype=bool)
     miss = limit - np.asarray(twin.matrix @ alpha)
-    moving = np.asarray(twin.squares @ free.astype(float)) > 0
-    starved = np.flatnonzero(active & ~moving & (np.abs(miss) > slack))
-    if not len(starved):
-        return release
     gradient = twin.gradient(alpha)
-    for row in starved:
-        values = _line(twin, row)
+    for row in np.flatnonzero(starved & (np.abs(miss) > slack)):
+        values = _line(twin, int(row))
         wanted = np.sign(miss[row]) * np.sign(values)  # the direction that mends the row
         able = ((wanted > 0) & at_lower) | ((wanted < 0) & at_upper)
         cost = np.full(len(alpha), np.inf)
@@ -212,7 +214,7 @@ def _line(twin: Twin, row: int) -> Array:
 
 
 def _undetermined(
-    twin: Twin, alpha: Array, rows: Array, free: Flags, at_lower: Flags, at_upper: Flags
+    twin: Twin, alpha: Array, rows: Array, starved: Flags, at_lower: Flags, at_upper: Flags
 ) -> Array:
     """Give rows without a free coefficient their multiplier.
 
@@ -220,15 +222,11 @@ def _undetermined(
     -gradient / coefficient, every one at its upper bound for at most that. Its end nearest 0 is
     taken.
     """
-    held = np.asarray(twin.squares @ (at_lower | at_upper).astype(float)) > 0
-    moving = np.asarray(twin.squares @ free.astype(float)) > 0
-    if not (held & ~moving).any():
-        return rows
     gradient = twin.gradient(alpha)
     sign = at_lower.astype(float) - at_upper.astype(float)
     rows = rows.copy()
-    for row in np.flatnonzero(held & ~moving & (rows == 0)):
-        values = _line(twin, row)
+    for row in np.flatnonzero(starved):
+        values = _line(twin, int(row))
         pull = sign * values
         ends = np.divide(-gradient, values, out=np.zeros_like(values), where=pull != 0)
         at_least = ends[pull > 0].max(initial=-np.inf)

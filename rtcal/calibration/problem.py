@@ -15,6 +15,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration import feasibility, solvers
 from rtcal.calibration.certificate import Certificate, certify
+from rtcal.calibration.compiled import Compiled
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Flags, Instance
 from rtcal.calibration.measured import Measured, refuse_twice, times_in_room
@@ -118,7 +119,7 @@ class CalibrationProblem:
         self._context = Context(1, room.n_materials, room.n_bands)
         self._compiled, self._signs = self._compile()
 
-    def _compile(self) -> tuple[solvers.Compiled, tuple[tuple[int, ...], ...]]:
+    def _compile(self) -> tuple[Compiled, tuple[tuple[int, ...], ...]]:
         context = self._context
         size = context.size
         expressions = [t.expression(context, i) for i, t in enumerate(self._objective.terms)]
@@ -140,7 +141,7 @@ class CalibrationProblem:
                 "term multiplies parameters, or divides by one; let it use the context's derived "
                 "parameters"
             )
-        compiled = solvers.Compiled(problem, context.x, tuple(row_constraints), lower, upper)
+        compiled = Compiled(problem, context.x, tuple(row_constraints), lower, upper)
         return compiled, tuple(signs)
 
     def solve(

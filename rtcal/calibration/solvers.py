@@ -1,29 +1,27 @@
 """One table of solvers, and how each is called on the compiled problem.
 
-``"clarabel"`` and every other solver of cvxpy's are called through cvxpy. ``"osqp"`` is called on
-cvxpy's compiled matrices by its own interface, because only so can it be started from a given
-point: cvxpy ignores ``variable.value``, and Clarabel has no warm start at all.
-``"qpsolvers:NAME"`` calls any solver of qpsolvers' on the same matrices.
+``"clarabel"`` and ``"osqp"`` are called on cvxpy's compiled matrices by their own interfaces: that
+halves cvxpy's share of a re-solve, and only so can OSQP be started from a given point (cvxpy ignores
+``variable.value``; Clarabel has no warm start at all). ``"qpsolvers:NAME"`` calls any solver of
+qpsolvers' on the same matrices. Any other name is a solver of cvxpy's, called through cvxpy.
 """
 
 from __future__ import annotations
 
 import functools
+import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
+from rtcal.calibration.compiled import Compiled
 from rtcal.errors import MissingDependencyError, ModelError, SolverError
 from rtcal.types import Array
-
-# SOLVED, for cvxpy's reading of an OSQP answer.
-_OSQP_SOLVED = 1
 
 SETTINGS: dict[str, dict[str, Any]] = {
     # At the default 1e-8, single answers are off by 2e-4 although "solved".
@@ -70,29 +68,20 @@ class Answer:
     seconds: float
 
 
-@dataclass(frozen=True)
-class Compiled:
-    """A cvxpy problem that is built, with its unknown and its constraints in order."""
-
-    problem: Any
-    x: Any
-    rows: tuple[Any, ...]
-    lower: Any
-    upper: Any
-
-    def answer(self, status: str, iterations: int, seconds: float) -> Answer:
-        """Collect the values that cvxpy has put into its variables and constraints."""
-        if self.x.value is None or not np.isfinite(self.x.value).all():
-            raise SolverError(f"the solver returned no values; its status is {status}")
-        return Answer(
-            x=np.array(self.x.value, dtype=float),
-            row_duals=[_dual(c) for c in self.rows],
-            lower_dual=np.maximum(_dual(self.lower), 0.0),
-            upper_dual=np.maximum(_dual(self.upper), 0.0),
-            status=status,
-            iterations=iterations,
-            seconds=seconds,
-        )
+def _collect(compiled: Compiled, status: str, iterations: int, seconds: float) -> Answer:
+    """The values that cvxpy has put into its variables and constraints."""
+    x = compiled.x.value
+    if x is None or not np.isfinite(x).all():
+        raise SolverError(f"the solver returned no values; its status is {status}")
+    return Answer(
+        x=np.array(x, dtype=float),
+        row_duals=[_dual(c) for c in compiled.rows],
+        lower_dual=np.maximum(_dual(compiled.lower), 0.0),
+        upper_dual=np.maximum(_dual(compiled.upper), 0.0),
+        status=status,
+        iterations=iterations,
+        seconds=seconds,
+    )
 
 
 def _dual(constraint: Any) -> Array:
@@ -131,6 +120,8 @@ def run(
     chosen = {**SETTINGS.get(name.upper(), {}), **(settings or {})}
     if start is not None and name != "osqp":
         raise ModelError(f'solver "{solver}" takes no warm start; only "osqp" does')
+    if name == "clarabel":
+        return _clarabel(compiled, chosen)
     if name == "osqp":
         return _osqp(compiled, chosen, start)
     if name.startswith("qpsolvers:"):
@@ -162,9 +153,28 @@ def _cvxpy(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answer:
         except cp.SolverError as error:
             raise SolverError(f'solver "{name.lower()}" failed: {error}') from error
     stats = problem.solver_stats
-    return compiled.answer(
-        str(problem.status), int(stats.num_iters or 0), float(stats.solve_time or np.nan)
+    return _collect(
+        compiled, str(problem.status), int(stats.num_iters or 0), float(stats.solve_time or np.nan)
     )
+
+
+def _clarabel(compiled: Compiled, settings: dict[str, Any]) -> Answer:
+    import clarabel
+
+    qp = compiled.matrices()
+    chosen = clarabel.DefaultSettings()
+    chosen.verbose = False
+    for key, value in settings.items():
+        if not hasattr(chosen, key):
+            raise ModelError(f'solver "clarabel" has no setting "{key}"')
+        setattr(chosen, key, value)
+    cones = [clarabel.ZeroConeT(qp.n_equal), clarabel.NonnegativeConeT(len(qp.b) - qp.n_equal)]
+    quadratic = sp.triu(qp.P, format="csc")
+    result = clarabel.DefaultSolver(quadratic, qp.q, qp.A, qp.b, cones, chosen).solve()
+    return _own(
+        compiled, "clarabel", np.array(result.x), np.array(result.z), str(result.status),
+        int(result.iterations), float(result.solve_time),
+    )  # fmt: skip
 
 
 def _osqp(
@@ -172,75 +182,59 @@ def _osqp(
 ) -> Answer:
     import osqp
 
-    data, chain, inverse = compiled.problem.get_problem_data(cp.OSQP)
-    matrix = sp.csc_matrix(sp.vstack([data["A"], data["F"]]))
-    low = np.concatenate([data["b"], np.full(data["n_ineq"], -np.inf)])
-    high = np.concatenate([data["b"], data["G"]])
+    qp = compiled.matrices()
+    low = qp.b.copy()
+    low[qp.n_equal :] = -np.inf
     solver = osqp.OSQP()
-    quadratic = sp.csc_matrix(sp.triu(data["P"]))
-    solver.setup(quadratic, data["q"], matrix, low, high, verbose=False, **settings)
+    solver.setup(sp.triu(qp.P, format="csc"), qp.q, qp.A, low, qp.b, verbose=False, **settings)
     if start is not None:
         x, duals = start
-        column = data["param_prob"].var_id_to_col[compiled.x.id]
-        if len(x) != data["n_var"] or column != 0:
+        if len(x) != compiled.size or compiled.column != 0:
             raise ModelError("a warm start fits only a problem without helper variables")
-        y = np.zeros(matrix.shape[0])
-        given = np.concatenate(duals) if duals else np.zeros(0)
-        y[: len(given)] = given
-        solver.warm_start(x=x, y=y)
+        solver.warm_start(x=x, y=np.concatenate(duals))
     result = solver.solve(raise_error=False)
-    status = str(result.info.status)
-    if result.x is None or not np.isfinite(result.x).all():
-        raise SolverError(f'solver "osqp" returned no values; its status is {status}')
-    _unpack(compiled, chain, inverse, result.x, result.y, result.info.iter, result.info.run_time)
-    return compiled.answer(status, int(result.info.iter), float(result.info.run_time))
+    return _own(
+        compiled, "osqp", result.x, result.y, str(result.info.status), int(result.info.iter),
+        float(result.info.run_time),
+    )  # fmt: skip
 
 
 def _qpsolvers(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answer:
-    import time
-
     import qpsolvers
 
     if name not in qpsolvers.available_solvers:
         have = ", ".join(sorted(qpsolvers.available_solvers))
         raise MissingDependencyError(f'qpsolvers has no solver "{name}" here; it has {have}')
-    data, chain, inverse = compiled.problem.get_problem_data(cp.OSQP)
-    as_given = sp.csc_matrix
-    if name in qpsolvers.dense_solvers and name not in qpsolvers.sparse_solvers:
-        as_given = lambda m: m.toarray()  # noqa: E731
+    qp = compiled.matrices()
+    rows = sp.csr_matrix(qp.A)
+    matrices = [qp.P, sp.csc_matrix(rows[qp.n_equal :]), sp.csc_matrix(rows[: qp.n_equal])]
+    if name not in qpsolvers.sparse_solvers:
+        matrices = [m.toarray() for m in matrices]
+    quadratic, unequal, equal = matrices
     problem = qpsolvers.Problem(
-        as_given(data["P"]),
-        data["q"],
-        as_given(data["F"]),
-        data["G"],
-        as_given(data["A"]),
-        data["b"],
+        quadratic, qp.q, unequal, qp.b[qp.n_equal :], equal, qp.b[: qp.n_equal]
     )
     began = time.perf_counter()
     try:
-        solution = qpsolvers.solve_problem(problem, solver=name, **settings)
+        found = qpsolvers.solve_problem(problem, solver=name, **settings)
     except Exception as error:  # backends raise errors of many kinds; all mean that it failed
         raise SolverError(f'solver "qpsolvers:{name}" failed: {error}') from error
     seconds = time.perf_counter() - began
-    if solution.x is None:
-        raise SolverError(f'solver "qpsolvers:{name}" returned no values')
-    duals = [
-        np.zeros(size) if dual is None else dual
-        for dual, size in ((solution.y, data["n_eq"]), (solution.z, data["n_ineq"]))
-    ]
-    _unpack(compiled, chain, inverse, solution.x, np.concatenate(duals), 0, seconds)
-    return compiled.answer("solved" if solution.found else "not found", 0, seconds)
+    y = np.zeros(len(qp.b))
+    if found.y is not None:
+        y[: qp.n_equal] = found.y
+    if found.z is not None:
+        y[qp.n_equal :] = found.z
+    status = "solved" if found.found else "not found"
+    return _own(compiled, f"qpsolvers:{name}", found.x, y, status, 0, seconds)
 
 
-def _unpack(
-    compiled: Compiled,
-    chain: Any,
-    inverse: Any,
-    x: Array,
-    y: Array,
-    iterations: int,
+def _own(
+    compiled: Compiled, name: str, x: Array | None, y: Array, status: str, iterations: int,
     seconds: float,
-) -> None:
-    """Let cvxpy put values and duals where they belong; the true status is kept apart."""
-    info = SimpleNamespace(status_val=_OSQP_SOLVED, obj_val=0.0, iter=iterations, run_time=seconds)
-    compiled.problem.unpack_results(SimpleNamespace(x=x, y=y, info=info), chain, inverse)
+) -> Answer:  # fmt: skip
+    """Read the answer of a solver that was called on the compiled matrices."""
+    if x is None or not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise SolverError(f'solver "{name}" returned no values; its status is {status}')
+    compiled.unpack(x, y, iterations, seconds)
+    return _collect(compiled, status, iterations, seconds)

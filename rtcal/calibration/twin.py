@@ -99,7 +99,17 @@ class Twin:
     @cached_property
     def row_norm(self) -> Array:
         """The sum of each row's absolute coefficients: for a matched band the total area."""
-        return np.asarray(abs(self.matrix).sum(axis=1)).ravel()
+        return np.asarray(self.absolute.sum(axis=1)).ravel()
+
+    @cached_property
+    def absolute(self) -> Any:
+        """The absolute coefficients of `matrix`."""
+        return abs(self.matrix)
+
+    @cached_property
+    def entries(self) -> Any:
+        """How many coefficients each row has, (n_rows,)."""
+        return np.asarray((self.absolute > 0).sum(axis=1)).ravel()
 
     def gradient(self, alpha: Array) -> Array:
         """Return the objective's gradient at the flattened alpha, flattened."""

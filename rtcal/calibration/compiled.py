@@ -1,0 +1,106 @@
+"""cvxpy's compiled problem, and how it is filled with numbers.
+
+cvxpy compiles a DPP problem once into maps that are affine in its parameters. Applying those maps
+here, in three products, costs a tenth of asking cvxpy for the matrices again; the interfaces of
+Clarabel, OSQP and qpsolvers then share one form:
+
+    minimise ½ x'Px + q'x  subject to  A x = b (the first n_equal rows)  and  A x <= b (the others).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from rtcal.types import Array
+
+# SOLVED, for cvxpy's reading of an OSQP answer.
+_OSQP_SOLVED = 1
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """The matrices of one QP, ``P`` in full; its first ``n_equal`` rows are equalities."""
+
+    P: Any
+    q: Array
+    A: Any
+    b: Array
+    n_equal: int
+
+
+class Compiled:
+    """A cvxpy problem that is built, with its unknown and its constraints in order."""
+
+    def __init__(self, problem: Any, x: Any, rows: tuple[Any, ...], lower: Any, upper: Any) -> None:
+        self.problem = problem
+        self.x = x
+        self.rows = rows
+        self.lower = lower
+        self.upper = upper
+        self._program: Any = None
+
+    def _compile(self) -> None:
+        # Parameters must hold something of the right size before cvxpy compiles.
+        data, self._chain, self._inverse = self.problem.get_problem_data(cp.OSQP)
+        program = data["param_prob"]
+        program.reduced_A.cache()
+        program.reduced_P.cache()
+        self._program = program
+        self._size = int(data["n_var"])
+        self._n_equal = int(data["n_eq"])
+        self._places = [
+            (parameter, program.param_id_to_col[parameter.id]) for parameter in program.parameters
+        ]
+        indices, indptr, shape = program.reduced_A.problem_data_index
+        self._last = int(indptr[self._size])  # where the constants begin, after the last column
+        self._index = (indices[: self._last], indptr[: self._size + 1])
+        self._constants = indices[self._last :]
+        self._n_rows = int(shape[0])
+        # cvxpy's rows are A x + b in a cone; as A x <= b the inequalities change sign.
+        sign = np.where(np.arange(self._n_rows) < self._n_equal, 1.0, -1.0)
+        self._sign = sign
+        self._entry_sign = sign[self._index[0]]
+
+    @property
+    def size(self) -> int:
+        """How many variables the compiled problem has, helper variables included."""
+        return self._size
+
+    @property
+    def column(self) -> int:
+        """Where the unknown begins among the compiled variables."""
+        return int(self._program.var_id_to_col[self.x.id])
+
+    def matrices(self) -> Matrices:
+        """Return the matrices for the numbers that the parameters now hold."""
+        if self._program is None:
+            self._compile()
+        program = self._program
+        theta = np.empty(program.total_param_size + 1)
+        theta[-1] = 1.0  # the constant part of the maps
+        for parameter, column in self._places:
+            theta[column : column + parameter.size] = np.ravel(parameter.value, order="F")
+        values = program.reduced_A.reduced_mat @ theta
+        offset = np.zeros(self._n_rows)
+        offset[self._constants] = values[self._last :]
+        matrix = sp.csc_matrix(
+            (values[: self._last] * self._entry_sign, *self._index), (self._n_rows, self._size)
+        )
+        indices, indptr, shape = program.reduced_P.problem_data_index
+        quadratic = sp.csc_matrix((program.reduced_P.reduced_mat @ theta, indices, indptr), shape)
+        linear = np.asarray(program.q @ theta).ravel()[: self._size]
+        return Matrices(quadratic, linear, matrix, -self._sign * offset, self._n_equal)
+
+    def unpack(self, x: Array, y: Array, iterations: int, seconds: float) -> None:
+        """Let cvxpy put values and duals where they belong; the true status is kept apart."""
+        info = SimpleNamespace(
+            status_val=_OSQP_SOLVED, obj_val=0.0, iter=iterations, run_time=seconds
+        )
+        answer = SimpleNamespace(x=x, y=y, info=info)
+        self.problem.unpack_results(answer, self._chain, self._inverse)
