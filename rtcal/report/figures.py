@@ -54,8 +54,9 @@ def reverberation_time(result: CalibrationResult) -> Any:
         label="before calibration",
     )  # fmt: skip
     axes.plot(
-        f, result.reverberation_time_after, color=_AFTER, marker="x", label="after calibration"
-    )
+        f, result.reverberation_time_after, color=_AFTER, marker="o", markersize=10,
+        markerfacecolor="none", label="after calibration",
+    )  # fmt: skip
     axes.set_xscale("log")
     axes.set_xticks(f, [f"{v:g}" for v in f], rotation=45 if len(f) > 10 else 0)
     axes.minorticks_off()

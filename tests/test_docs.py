@@ -1,0 +1,69 @@
+"""What the documents show runs: README and docs blocks, and every tutorial."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import rtcal as rt
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("tutorials/*.ipynb"))
+
+pytestmark = pytest.mark.skipif(not PAGES[0].exists(), reason="needs the source tree")
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_python_blocks_run_and_print_what_they_say(page: Path, capsys) -> None:
+    """The blocks of a page run one after the other; a comment after print shows what it prints."""
+    names: dict[str, object] = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, str(page), "exec"), names)
+        printed = capsys.readouterr().out
+        for line in block.splitlines():
+            if said := re.match(r"print\(.*\)\s+# (?:in JND: )?((?:\[|\d|True|False).*)$", line):
+                assert said.group(1) in printed, f"{page.name}: {line}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
+        if not target.startswith("http"):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda p: p.stem)
+def test_tutorials_run(notebook: Path) -> None:
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    names: dict[str, object] = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), notebook.name, "exec"), names)
+    assert "result" in names
+
+
+def test_the_files_page_shows_files_that_are_read(tmp_path: Path) -> None:
+    page = ROOT / "docs" / "files.md"
+    (tmp_path / "room.toml").write_text(blocks(page, "toml")[0], encoding="utf-8")
+    (tmp_path / "t.csv").write_text(blocks(page, "csv")[0], encoding="utf-8")
+    room = rt.Room.from_file(tmp_path / "room.toml")
+    assert room.areas.tolist() == [34.93, 49.3]
+    result = rt.calibrate(room, rt.Measurement.from_file(tmp_path / "t.csv"))
+    assert abs(result.gap_after).max() < 1e-9
+
+
+def test_version_and_citation_agree() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert project["project"]["name"] == "rtcal"
+    assert f"version: {rt.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert "10.1051/aacus/2025011" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"## {rt.__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
