@@ -5,10 +5,13 @@ No solver's word is taken. Whoever holds the certificate can check the answer wi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from rtcal.calibration.layout import Layout
 from rtcal.calibration.twin import Multipliers, Twin
 from rtcal.types import Array
 
@@ -28,9 +31,8 @@ class Certificate:
     duality_gap : array
         sum z_lower (alpha - lower) + z_upper (upper - alpha).
     alpha_error_bound : array (n_materials, n_bands)
-        No coefficient is farther than this from the optimum: sigma sqrt(2 gap), by strong
-        convexity, with whatever the multipliers leave unbalanced counted into the gap. NaN where
-        the objective holds no prior deviation.
+        No coefficient is farther than this from the optimum: sigma sqrt(2 gap / m), by strong
+        convexity, with whatever the multipliers leave unbalanced counted into the gap.
     """
 
     primal_residual: Array
@@ -46,69 +48,88 @@ class Certificate:
         )))  # fmt: skip
 
 
-def certify(twin: Twin, alpha: Array, multipliers: Multipliers, convexity: float) -> Certificate:
+def certify(twin: Twin, u: Array, multipliers: Multipliers) -> Certificate:
     """Return the certificate of an answer.
 
     Parameters
     ----------
     twin : Twin
-    alpha : array (n_materials, n_bands)
+    u : array (size,)
+        The unknowns.
     multipliers : Multipliers
-    convexity : float
-        The objective's modulus of strong convexity in (alpha - mu) / sigma: 1 for the prior
-        deviation, 0 without it.
     """
-    shape = alpha.shape
-    n_bands = shape[1]
-    flat = alpha.ravel()
+    instance = twin.instance
+    layout = instance.layout
+    u = u.ravel()
     matrix, sigma = twin.matrix, twin.sigma
-    values = np.asarray(matrix @ flat)
+    values = np.asarray(matrix @ u)
     miss = np.maximum(np.maximum(twin.row_lower - values, values - twin.row_upper), 0.0)
-    outside = np.maximum(np.maximum(twin.lower - flat, flat - twin.upper), 0.0).reshape(shape)
+    outside = np.maximum(np.maximum(twin.lower - u, u - twin.upper), 0.0)
     relative = np.divide(miss, twin.row_norm, out=miss.copy(), where=twin.row_norm > 0)
     bands = twin.row_band
-    primal = outside.max(axis=0)
+    primal = _by_band(outside, layout, np.max)
     np.maximum.at(primal, bands, relative)
 
-    gradient, pull = twin.gradient(flat), np.asarray(matrix.T @ multipliers.rows)
+    gradient, pull = twin.gradient(u), np.asarray(matrix.T @ multipliers.rows)
     force = gradient + pull
-    dual = np.abs(sigma * (force - multipliers.lower + multipliers.upper)).reshape(shape)
-    slack_lower, slack_upper = flat - twin.lower, twin.upper - flat
-    gap = _gap(multipliers.lower, multipliers.upper, slack_lower, slack_upper).reshape(shape)
+    dual = _by_band(
+        np.abs(sigma * (force - multipliers.lower + multipliers.upper)), layout, np.max
+    )
+    slack_lower, slack_upper = u - twin.lower, _finite(twin.upper - u)
+    gap = _gap(multipliers.lower, multipliers.upper, slack_lower, slack_upper)
     row_gap = _row_gap(twin, multipliers.rows, values)
-    total_gap = gap.sum(axis=0)
+    total_gap = _by_band(gap, layout, np.sum)
     np.add.at(total_gap, bands, row_gap)
 
     # For the bound every imbalance is given to the box, whatever the multipliers said: then the
-    # Lagrangian is stationary at alpha, and 1/2 convexity |dx|² is at most the gap.
+    # Lagrangian is stationary at u, and 1/2 sum m (du / sigma)² is at most the gap. An unknown
+    # without an upper side takes its imbalance by completing its own square instead.
     force = np.where(twin.movable, force, 0.0)
-    repaired = _gap(
+    m = twin.convexity
+    open_above = np.isinf(twin.upper) & (force < 0)
+    own = np.divide((force * sigma) ** 2, m, out=np.zeros_like(m), where=open_above)
+    force = np.where(open_above, 0.0, force)
+    repaired = _by_band(own + _gap(
         np.maximum(force, 0.0), np.maximum(-force, 0.0),
         np.maximum(slack_lower, 0.0), np.maximum(slack_upper, 0.0),
-    ).reshape(shape).sum(axis=0)  # fmt: skip
-    free = (twin.movable & (flat > twin.lower) & (flat < twin.upper)).astype(float)
+    ), layout, np.sum)  # fmt: skip
+    free = (twin.movable & (u > twin.lower) & (u < twin.upper)).astype(float)
     reach = np.sqrt(np.asarray(twin.squares @ (sigma * free) ** 2))
     # S'alpha itself is known to rounding only.
-    rounding = (twin.entries + 1) * _EPS * np.asarray(twin.absolute @ np.abs(flat))
+    rounding = (twin.entries + 1) * _EPS * np.asarray(twin.absolute @ np.abs(u))
     off = np.divide(miss + rounding, reach, out=np.zeros_like(miss), where=reach > 0)
     steepness = float(np.linalg.norm(gradient * sigma))
     extra = np.abs(multipliers.rows) * (miss + rounding) + steepness * off + row_gap
-    distance = np.zeros(n_bands)
+    distance = np.zeros(layout.n_bands)
     np.add.at(repaired, bands, extra)
     np.add.at(distance, bands, off)
-    if not _separate(twin):  # bands are coupled: their gaps count together
-        repaired = np.full(n_bands, repaired.sum())
-        distance = np.full(n_bands, distance.sum())
-    if convexity > 0:
-        bound = twin.instance.sigma * (np.sqrt(2 * np.maximum(repaired, 0) / convexity) + distance)
-    else:
-        bound = np.full(shape, np.nan)
+    if not twin.separate(u):  # bands are coupled: their gaps count together
+        repaired = np.full(layout.n_bands, repaired.sum())
+        distance = np.full(layout.n_bands, distance.sum())
+    strength = instance.alpha(m)
+    spread = np.divide(
+        2 * np.maximum(repaired, 0), strength, out=np.full_like(strength, np.nan),
+        where=strength > 0,
+    )  # fmt: skip
+    bound = instance.alpha(sigma) * (np.sqrt(spread) + distance)
     return Certificate(
         primal_residual=primal,
-        dual_residual=dual.max(axis=0),
+        dual_residual=dual,
         duality_gap=np.abs(total_gap),
-        alpha_error_bound=bound,
+        alpha_error_bound=layout.expand(bound.ravel()),
     )
+
+
+def _by_band(values: Array, layout: Layout, reduce: Callable[..., Any]) -> Array:
+    """Reduce over the rows of alpha; a further unknown counts in every band."""
+    alpha = values[: layout.n_alpha].reshape(layout.n_rows, layout.n_bands)
+    further = np.repeat(values[layout.n_alpha :, np.newaxis], layout.n_bands, axis=1)
+    return np.asarray(reduce(np.concatenate([alpha, further]), axis=0), dtype=float)
+
+
+def _finite(slack: Array) -> Array:
+    """Slack of the box; of a side that is not there, 0."""
+    return np.where(np.isfinite(slack), slack, 0.0)
 
 
 def _gap(lower: Array, upper: Array, slack_lower: Array, slack_upper: Array) -> Array:
@@ -120,12 +141,3 @@ def _row_gap(twin: Twin, rows: Array, values: Array) -> Array:
     slack = np.where(rows > 0, twin.row_upper - values, values - twin.row_lower)
     equality = (twin.row_lower == twin.row_upper) | (rows == 0)
     return np.where(equality, 0.0, np.abs(rows) * np.maximum(np.where(equality, 0.0, slack), 0.0))
-
-
-def _separate(twin: Twin) -> bool:
-    """Whether no term and no row couples two bands."""
-    from rtcal.calibration.terms import ExactMatch, PriorDeviation
-
-    return all(isinstance(t, PriorDeviation) for t in twin.objective.terms) and all(
-        isinstance(r, ExactMatch) for r in twin.row_constraints
-    )

@@ -1,6 +1,6 @@
 """What a term is handed to express itself in cvxpy, and the derived parameters that keep it DPP.
 
-In the whitened unknowns x (alpha = centre + scale x) most products that a term wants, such as
+In the whitened unknowns x (u = centre + scale x) most products that a term wants, such as
 area times sigma, would be products of two parameters, which cvxpy cannot compile once. So a term
 never multiplies parameters: it says how to compute its coefficients of alpha from an `Instance`, and
 the context computes the coefficients of x and the constant outside cvxpy.
@@ -16,7 +16,8 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal.calibration.instance import Instance, Integers
+from rtcal.calibration.instance import Instance
+from rtcal.calibration.layout import Integers, Layout
 from rtcal.types import Array
 
 Coefficients = Callable[[Instance], tuple[Array, Array]]
@@ -24,7 +25,7 @@ Coefficients = Callable[[Instance], tuple[Array, Array]]
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """Rows that are affine in alpha: the cvxpy expression (n_rows,) and how to refresh it."""
+    """Rows that are affine in the unknowns: the cvxpy expression (n_rows,) and how to refresh it."""
 
     expression: Any
     rows: Integers
@@ -34,36 +35,37 @@ class Affine:
     coefficients: Any
     constant: Any
 
-    def update(self, instance: Instance, centre: Array, scale: Array) -> None:
-        """Set the derived parameters for ``instance``; centre and scale are flattened."""
+    def update(self, instance: Instance) -> None:
+        """Set the derived parameters for ``instance``."""
         values, constant = self.compute(instance)
         # save_value: the setter's checks of shape and kind cost more than the numbers.
-        self.coefficients.save_value(values * scale[self.columns])
-        self.constant.save_value(
-            constant + np.bincount(self.rows, values * centre[self.columns], minlength=self.n_rows)
-        )
+        self.coefficients.save_value(values * instance.scale[self.columns])
+        moved = values * instance.centre[self.columns]
+        self.constant.save_value(constant + np.bincount(self.rows, moved, minlength=self.n_rows))
 
 
 class Context:
     """The unknowns of a problem under construction, and its derived parameters."""
 
-    def __init__(self, n_configurations: int, n_materials: int, n_bands: int) -> None:
-        self.n_configurations = n_configurations
-        self.n_materials = n_materials
-        self.n_bands = n_bands
-        self.x = cp.Variable(n_materials * n_bands, name="x")
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self.x = cp.Variable(layout.size, name="x")
         self._affine: list[Affine] = []
         self._parameters: list[tuple[Any, Callable[[Instance], Array]]] = []
 
     @property
     def size(self) -> int:
-        """How many unknowns there are: materials times bands."""
-        return self.n_materials * self.n_bands
+        """How many unknowns there are."""
+        return self.layout.size
+
+    def variable(self, size: int) -> Any:
+        """Return helper unknowns of a term's expression, such as the parts of a split."""
+        return cp.Variable(size)
 
     def affine(
         self, rows: Integers, columns: Integers, n_rows: int, compute: Coefficients
     ) -> Affine:
-        """Return rows that are affine in the flattened alpha.
+        """Return rows that are affine in the unknowns.
 
         Parameters
         ----------
@@ -71,7 +73,7 @@ class Context:
             Where the coefficients stand; fixed when the problem is built.
         n_rows : int
         compute : function of an Instance
-            Returns the coefficients of alpha (n_entries,) and the constants (n_rows,).
+            Returns the coefficients of the unknowns (n_entries,) and the constants (n_rows,).
         """
         coefficients = cp.Parameter(len(columns))
         constant = cp.Parameter(n_rows)
@@ -100,19 +102,30 @@ class Context:
         return parameter
 
     def match_pattern(self) -> tuple[Integers, Integers, int]:
-        """Return rows, columns and number of rows of S'alpha, one row a configuration and band."""
-        c, n, k = self.n_configurations, self.n_materials, self.n_bands
-        configuration, material, band = np.meshgrid(
+        """Return rows, columns and number of rows of S'alpha, one row a configuration and band.
+
+        The coefficients come in the order (configuration, row of alpha, band), then
+        (configuration, further unknown, band).
+        """
+        layout = self.layout
+        c, n, k, p = layout.n_configurations, layout.n_rows, layout.n_bands, len(layout.further)
+        configuration, unknown, band = np.meshgrid(
             np.arange(c), np.arange(n), np.arange(k), indexing="ij"
         )
-        rows = (configuration * k + band).ravel()
-        columns = (material * k + band).ravel()
-        return rows, columns, c * k
+        rows, columns = configuration * k + band, unknown * k + band
+        configuration, unknown, band = np.meshgrid(
+            np.arange(c), np.arange(p), np.arange(k), indexing="ij"
+        )
+        more_rows, more_columns = configuration * k + band, layout.n_alpha + unknown
+        return (
+            np.concatenate([rows.ravel(), more_rows.ravel()]),
+            np.concatenate([columns.ravel(), more_columns.ravel()]),
+            c * k,
+        )
 
     def update(self, instance: Instance) -> None:
         """Set every derived parameter for ``instance``."""
-        centre, scale = instance.centre.ravel(), instance.scale.ravel()
         for affine in self._affine:
-            affine.update(instance, centre, scale)
+            affine.update(instance)
         for parameter, compute in self._parameters:
             parameter.save_value(compute(instance))

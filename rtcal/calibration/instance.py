@@ -2,58 +2,67 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.calibration.layout import Integers, Layout
 from rtcal.types import Array
 
+__all__ = ["Flags", "Instance", "Integers"]
+
 Flags = NDArray[np.bool_]
-Integers = NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Instance:
     """One set of numbers for a problem of a fixed shape.
 
-    The unknowns, flattened material by material with the bands last, are whitened:
-    alpha = centre + scale x. By default centre = mu and scale = sigma; a coefficient that is pinned
-    has scale 0 and its value as centre, which needs no special case in the solver.
+    The unknowns are whitened: u = centre + scale x, u being alpha, flattened row by row with the
+    bands last, and then the further unknowns. By default centre = mu and scale = sigma; an unknown
+    that is pinned has scale 0 and its value as centre, which needs no special case in the solver.
 
     Attributes
     ----------
-    mu, sigma : array (n_materials, n_bands)
+    layout : Layout
+    mu, sigma : array (size,)
         The prior.
-    lower, upper : array (n_materials, n_bands)
+    lower, upper : array (size,)
         The box.
-    areas : array (n_configurations, n_materials)
+    areas : array (n_configurations, n_rows)
         m²; 0 where a configuration lacks a material.
+    gains : array (n_configurations, n_bands, n_further)
+        m² of absorption that one unit of each further unknown adds.
+    time : array (n_configurations, n_bands)
+        Measured T in s, NaN where missing.
     target, target_uncertainty : array (n_configurations, n_bands)
         b and its standard uncertainty in m², NaN where missing.
+    target_of : function
+        b in m² for any T in s, both (n_configurations, n_bands).
     weights : tuple of float
         One for each objective term.
-    pinned : array (n_materials, n_bands) of bool
-        Coefficients held at ``centre`` for this solve.
-    centre : array (n_materials, n_bands)
+    pinned : array (size,) of bool
+        Unknowns held at ``centre`` for this solve.
+    centre : array (size,)
     """
 
+    layout: Layout
     mu: Array
     sigma: Array
     lower: Array
     upper: Array
     areas: Array
+    gains: Array
+    time: Array
     target: Array
     target_uncertainty: Array
+    target_of: Callable[[Array], Array]
     weights: tuple[float, ...]
     pinned: Flags
     centre: Array
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """(n_configurations, n_materials, n_bands)."""
-        return (self.areas.shape[0], *self.mu.shape)
 
     @cached_property
     def matched(self) -> Flags:
@@ -62,11 +71,24 @@ class Instance:
 
     @cached_property
     def scale(self) -> Array:
-        """D alpha / d x, (n_materials, n_bands)."""
+        """D u / d x, (size,)."""
         return np.where(self.pinned, 0.0, self.sigma)
 
+    def alpha(self, u: Array) -> Array:
+        """Return the absorption coefficients among the unknowns, (n_rows, n_bands)."""
+        return u[: self.layout.n_alpha].reshape(self.layout.n_rows, self.layout.n_bands)
+
+    def further(self, u: Array) -> Array:
+        """Return the further unknowns, (n_further,)."""
+        return u[self.layout.n_alpha :]
+
+    def absorption_area(self, u: Array) -> Array:
+        """Return S'alpha and what effects add, in m², (n_configurations, n_bands)."""
+        area = self.areas @ self.alpha(u)
+        return np.asarray(area + self.gains @ self.further(u)) if self.gains.size else area
+
     def pin(self, where: Flags, values: Array) -> Instance:
-        """Return the instance with the coefficients at ``where`` held at ``values``."""
+        """Return the instance with the unknowns at ``where`` held at ``values``."""
         return replace(
             self,
             pinned=self.pinned | where,

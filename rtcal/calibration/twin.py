@@ -22,7 +22,7 @@ class Multipliers:
     """Lagrange multipliers in alpha's units: of the rows, and of the two sides of the box.
 
     Sign: gradient + rows' ``rows`` - ``lower`` + ``upper`` = 0 with ``lower``, ``upper`` >= 0, all
-    over the flattened alpha.
+    over the unknowns.
     """
 
     rows: Array
@@ -32,30 +32,30 @@ class Multipliers:
 
 @dataclass(frozen=True)
 class Twin:
-    """Objective, rows and box over the flattened alpha, from the terms' own NumPy descriptions."""
+    """Objective, rows and box over the unknowns, from the terms' own NumPy descriptions."""
 
     instance: Instance
     objective: Objective
     row_constraints: tuple[RowConstraint, ...]
 
-    @cached_property
+    @property
     def lower(self) -> Array:
-        """The box's lower side, flattened."""
-        return self.instance.lower.ravel()
+        """The box's lower side."""
+        return self.instance.lower
 
-    @cached_property
+    @property
     def upper(self) -> Array:
-        """The box's upper side, flattened."""
-        return self.instance.upper.ravel()
+        """The box's upper side."""
+        return self.instance.upper
 
-    @cached_property
+    @property
     def sigma(self) -> Array:
-        """The prior's standard deviations, flattened."""
-        return self.instance.sigma.ravel()
+        """The unknowns' scale: the prior's standard deviations, 0 where nothing may move."""
+        return self.instance.scale
 
     @cached_property
     def movable(self) -> Flags:
-        """Coefficients that the calibration may move, flattened: sigma > 0."""
+        """Unknowns that the calibration may move."""
         return np.asarray(self.sigma > 0)
 
     @cached_property
@@ -76,11 +76,32 @@ class Twin:
     @cached_property
     def row_band(self) -> Any:
         """The band that each row is reported with, (n_rows,): that of its first coefficient."""
-        n_bands = self.instance.mu.shape[1]
+        n_bands = self.instance.layout.n_bands
         if not sp.issparse(self.matrix):
             return np.argmax(self.matrix != 0, axis=1) % n_bands
-        first = np.minimum(self.matrix.indptr[:-1], self.matrix.nnz - 1)
+        first = np.minimum(self.matrix.indptr[:-1], max(self.matrix.nnz - 1, 0))
         return self.matrix.indices[first] % n_bands
+
+    @cached_property
+    def convexity(self) -> Array:
+        """Lower limits m of the curvature, (size,): it is at least diag(m / sigma²)."""
+        pairs = zip(self.objective.terms, self.instance.weights, strict=True)
+        return np.asarray(sum(w * t.convexity(self.instance) for t, w in pairs))
+
+    def separate(self, u: Array) -> bool:
+        """Whether neither a row nor the objective couples two bands."""
+        layout = self.instance.layout
+        if layout.further:
+            return False
+        k = layout.n_bands
+        rows, columns = self.matrix.nonzero()
+        if (columns % k != self.row_band[rows]).any():
+            return False
+        curvature = self.curvature(u)
+        if not sp.issparse(curvature):
+            return True
+        entries = curvature.tocoo()
+        return bool((entries.row % k == entries.col % k).all())
 
     @cached_property
     def row_lower(self) -> Array:
@@ -111,33 +132,31 @@ class Twin:
         """How many coefficients each row has, (n_rows,)."""
         return np.asarray((self.absolute > 0).sum(axis=1)).ravel()
 
-    def gradient(self, alpha: Array) -> Array:
-        """Return the objective's gradient at the flattened alpha, flattened."""
-        full = alpha.reshape(self.instance.mu.shape)
-        total = np.zeros_like(full)
+    def gradient(self, u: Array) -> Array:
+        """Return the objective's gradient at the unknowns."""
+        total = np.zeros_like(u)
         for term, weight in zip(self.objective.terms, self.instance.weights, strict=True):
-            total = total + weight * term.gradient(full, self.instance)
-        return total.ravel()
+            if weight > 0:
+                total = total + weight * term.gradient(u, self.instance)
+        return total
 
-    def value(self, alpha: Array) -> float:
-        """Return the objective at the flattened alpha."""
-        full = alpha.reshape(self.instance.mu.shape)
+    def value(self, u: Array) -> float:
+        """Return the objective at the unknowns."""
         pairs = zip(self.objective.terms, self.instance.weights, strict=True)
-        return float(sum(weight * term.value(full, self.instance) for term, weight in pairs))
+        return float(sum(weight * term.value(u, self.instance) for term, weight in pairs))
 
-    def curvature(self, alpha: Array) -> Any:
+    def curvature(self, u: Array) -> Any:
         """Return the objective's second derivative: a diagonal (size,), or a sparse matrix."""
-        full = alpha.reshape(self.instance.mu.shape)
         diagonal = np.zeros(self.sigma.size)
         matrix = None
         for term, weight in zip(self.objective.terms, self.instance.weights, strict=True):
-            part = term.curvature(full, self.instance)
+            part = term.curvature(u, self.instance)
             if sp.issparse(part):
                 matrix = weight * part if matrix is None else matrix + weight * part
             else:
                 diagonal = diagonal + weight * part
         return diagonal if matrix is None else sp.csr_array(matrix + sp.diags_array(diagonal))
 
-    def stationarity(self, alpha: Array, rows: Array) -> Array:
-        """Return gradient + rows' multipliers at the flattened alpha: what the box must balance."""
-        return np.asarray(self.gradient(alpha) + self.matrix.T @ rows)
+    def stationarity(self, u: Array, rows: Array) -> Array:
+        """Return gradient + rows' multipliers at the unknowns: what the box must balance."""
+        return np.asarray(self.gradient(u) + self.matrix.T @ rows)

@@ -1,0 +1,102 @@
+"""What the unknowns of a compiled problem are, and where each one stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+Integers = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The unknowns: one flat vector, alpha row by row with the bands last, then further ones.
+
+    Attributes
+    ----------
+    materials : tuple of str
+        All materials.
+    rows : tuple of int
+        For each material its row of unknowns; materials that share a coefficient have one row.
+    centre_frequencies : tuple of float
+        Hz.
+    n_configurations : int
+    further : tuple of str
+        Names of the unknowns beside alpha (sizes of effects).
+    """
+
+    materials: tuple[str, ...]
+    rows: tuple[int, ...]
+    centre_frequencies: tuple[float, ...]
+    n_configurations: int = 1
+    further: tuple[str, ...] = ()
+
+    @property
+    def n_rows(self) -> int:
+        """How many rows of alpha are unknown."""
+        return max(self.rows) + 1
+
+    @property
+    def n_bands(self) -> int:
+        """How many bands."""
+        return len(self.centre_frequencies)
+
+    @property
+    def n_alpha(self) -> int:
+        """How many unknowns are absorption coefficients."""
+        return self.n_rows * self.n_bands
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are."""
+        return self.n_alpha + len(self.further)
+
+    @cached_property
+    def first(self) -> Integers:
+        """For each row the first material that has it, (n_rows,)."""
+        return np.array([self.rows.index(row) for row in range(self.n_rows)])
+
+    def index(self, material: str | None = None, band: float | None = None) -> Integers:
+        """Return where the coefficients of a material (all if None) in a band (all if None) stand.
+
+        Raises DataError for a material or a band that is not there.
+        """
+        rows, columns = np.arange(self.n_rows), np.arange(self.n_bands)
+        if material is not None:
+            if material not in self.materials:
+                raise DataError(
+                    f'"{material}" is no material of the room; it has {", ".join(self.materials)}'
+                )
+            rows = np.array([self.rows[self.materials.index(material)]])
+        if band is not None:
+            place = bands.index(np.array(self.centre_frequencies), band)
+            if place is None:
+                has = ", ".join(bands.label(f) for f in self.centre_frequencies)
+                raise DataError(f"band {bands.label(band)} is no band of the room; it has {has}")
+            columns = np.array([place])
+        return np.asarray((rows[:, np.newaxis] * self.n_bands + columns).ravel())
+
+    def place(self, unknown: int) -> str:
+        """Return how messages name an unknown: ``alpha["carpet", 500 Hz]``."""
+        if unknown >= self.n_alpha:
+            return f'size of "{self.further[unknown - self.n_alpha]}"'
+        row, band = divmod(int(unknown), self.n_bands)
+        names = " = ".join(m for m, r in zip(self.materials, self.rows, strict=True) if r == row)
+        return f'alpha["{names}", {bands.label(self.centre_frequencies[band])}]'
+
+    def band_label(self, row: int) -> str:
+        """Return the name of a matched row: its band, and its configuration if there are several."""
+        configuration, band = divmod(int(row), self.n_bands)
+        label = bands.label(self.centre_frequencies[band])
+        return label if self.n_configurations == 1 else f"{label}, configuration {configuration + 1}"
+
+    def expand(self, values: Array) -> Array:
+        """Return flat values of the unknowns as (n_materials, n_bands)."""
+        return np.asarray(values[: self.n_alpha].reshape(self.n_rows, -1)[list(self.rows)])

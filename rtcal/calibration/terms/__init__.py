@@ -1,0 +1,39 @@
+"""What a calibration is composed of: objective terms and constraints.
+
+Objective terms add with ``+`` and scale with ``*``; constraints stand in a list. Each gives two
+independent descriptions of itself: an expression for cvxpy, and a plain-NumPy twin (value, gradient
+and curvature of an objective term; rows of a constraint). The certificate is computed from the
+twins, so a wrong expression cannot certify itself; the tests compare the two.
+
+In expression and twin the unknowns u are one flat vector: alpha row by row with the bands last,
+then further unknowns (`rtcal.calibration.layout.Layout`).
+"""
+
+from rtcal.calibration.terms.base import (
+    BoundConstraint,
+    FurtherUnknown,
+    Matching,
+    Objective,
+    ObjectiveTerm,
+    RowConstraint,
+    Rows,
+    SharedMaterials,
+    as_objective,
+)
+from rtcal.calibration.terms.limits import (
+    AtMost,
+    BandSmoothness,
+    Bounds,
+    Fixed,
+    GroupAbsorption,
+    Shared,
+)
+from rtcal.calibration.terms.match import AddedAbsorption, ExactMatch, MatchWithin, SoftMatch
+from rtcal.calibration.terms.prior import HuberDeviation, PriorDeviation
+
+__all__ = [
+    "AddedAbsorption", "AtMost", "BandSmoothness", "BoundConstraint", "Bounds", "ExactMatch",
+    "Fixed", "FurtherUnknown", "GroupAbsorption", "HuberDeviation", "Matching", "MatchWithin",
+    "Objective", "ObjectiveTerm", "PriorDeviation", "RowConstraint", "Rows", "Shared",
+    "SharedMaterials", "SoftMatch", "as_objective",
+]  # fmt: skip

@@ -1,0 +1,224 @@
+"""What a term is: the protocols, and how terms add and scale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import cvxpy as cp
+import numpy as np
+
+from rtcal.acoustics.room import Room
+from rtcal.calibration.context import Context
+from rtcal.calibration.instance import Instance
+from rtcal.calibration.layout import Integers, Layout
+from rtcal.errors import ModelError
+from rtcal.types import Array
+
+
+@runtime_checkable
+class ObjectiveTerm(Protocol):
+    """A convex function of the unknowns: quadratic, or piecewise quadratic."""
+
+    is_prior: ClassVar[bool]
+    """Whether it is the prior that makes alpha unique; a calibration has exactly one."""
+
+    def expression(self, context: Context, weight: int) -> Any:
+        """Return the cvxpy expression, its weight (number ``weight`` of the instance) folded in.
+
+        A prior's weight is 1: the whole objective is scaled so.
+        """
+        ...
+
+    def value(self, u: Array, instance: Instance) -> float:
+        """Return the unweighted value at the unknowns u."""
+        ...
+
+    def gradient(self, u: Array, instance: Instance) -> Array:
+        """Return the unweighted gradient, (size,)."""
+        ...
+
+    def curvature(self, u: Array, instance: Instance) -> Any:
+        """Return the unweighted second derivative: its diagonal (size,), or a sparse matrix."""
+        ...
+
+    def convexity(self, instance: Instance) -> Array:
+        """Return m, (size,), with curvature >= diag(m / sigma²) everywhere; 0 where unsure."""
+        ...
+
+    def __add__(self, other: Any) -> Objective: ...
+
+    def __rmul__(self, factor: float) -> Objective: ...
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A weighted sum of objective terms."""
+
+    terms: tuple[ObjectiveTerm, ...]
+    weights: tuple[float, ...]
+
+    def __add__(self, other: Any) -> Objective:
+        other = as_objective(other)
+        return Objective(self.terms + other.terms, self.weights + other.weights)
+
+    def __rmul__(self, factor: float) -> Objective:
+        if not (np.isfinite(factor) and factor >= 0):
+            raise ModelError(f"a weight of {factor:g} is not finite and 0 or more: not convex")
+        return Objective(self.terms, tuple(float(factor) * w for w in self.weights))
+
+    __mul__ = __rmul__
+
+
+def as_objective(term: ObjectiveTerm | Objective) -> Objective:
+    """Return a term, or a sum of them, as an `Objective`; ModelError for anything else."""
+    if isinstance(term, Objective):
+        return term
+    if isinstance(term, ObjectiveTerm):
+        return Objective((term,), (1.0,))
+    raise ModelError(f"{term!r} is not an objective term")
+
+
+class Sums:
+    """Lets a term be added and scaled, and says what most terms are."""
+
+    is_prior: ClassVar[bool] = False
+
+    def convexity(self, instance: Instance) -> Array:
+        """Return zeros: no strong convexity is claimed."""
+        return np.zeros(instance.layout.size)
+
+    def __add__(self, other: Any) -> Objective:
+        mine: Any = self
+        return as_objective(mine).__add__(other)
+
+    def __rmul__(self, factor: float) -> Objective:
+        mine: Any = self
+        return as_objective(mine) * factor
+
+    __mul__ = __rmul__
+
+
+@dataclass(frozen=True)
+class Rows:
+    """lower <= matrix @ u <= upper, in the unknowns' units; an equality where the two are equal."""
+
+    matrix: Any
+    lower: Array
+    upper: Array
+
+
+@runtime_checkable
+class RowConstraint(Protocol):
+    """A constraint that adds rows to the problem."""
+
+    def constraints(self, context: Context) -> list[tuple[Any, int]]:
+        """Return cvxpy constraints, each with the sign of its dual in the rows' multipliers."""
+        ...
+
+    def row_scale(self, instance: Instance) -> Array:
+        """Return by what each row is multiplied in the cvxpy constraint, (n_rows,)."""
+        ...
+
+    def rows(self, instance: Instance) -> Rows:
+        """Return the rows' NumPy twin; one that does not apply is all zero and without limits."""
+        ...
+
+    def label(self, row: int, layout: Layout) -> str:
+        """Return how messages name one row."""
+        ...
+
+
+@runtime_checkable
+class Matching(RowConstraint, Protocol):
+    """A row constraint that holds S'alpha to the measured T: one row a configuration and band."""
+
+    def wanted(self, instance: Instance) -> tuple[Array, Array]:
+        """Return the least and the most S'alpha in m², both (n_configurations, n_bands)."""
+        ...
+
+
+@runtime_checkable
+class BoundConstraint(Protocol):
+    """A constraint that narrows the box; it costs nothing."""
+
+    def box(self, room: Room, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Return the narrowed box, both (n_materials, n_bands)."""
+        ...
+
+
+@runtime_checkable
+class SharedMaterials(Protocol):
+    """A constraint that makes materials one unknown; it costs nothing either."""
+
+    def groups(self, materials: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
+        """Return the groups of materials that share their coefficients."""
+        ...
+
+
+@runtime_checkable
+class FurtherUnknown(Protocol):
+    """A term that brings an unknown of its own beside alpha, with its prior and its gain."""
+
+    name: str
+    mean: float
+    sigma: float
+
+    def gains(self, n_configurations: int, n_bands: int) -> Array:
+        """Return the absorption in m² that one unit adds, (n_configurations, n_bands)."""
+        ...
+
+
+def limited(
+    context: Context, rows: Integers, columns: Integers, n_rows: int, term: LimitedRows
+) -> list[tuple[Any, int]]:
+    """Return the cvxpy constraints of a term whose rows have limits; a side may be missing."""
+    made: list[tuple[Any, int]] = []
+    for side, sign in ((0, -1), (1, 1)):
+        if not term.sides[side]:
+            continue
+
+        def compute(instance: Instance, side: int = side) -> tuple[Array, Array]:
+            scale = term.row_scale(instance)
+            limit = term.limits(instance)[side] * scale
+            # A row that does not apply reads 0 <= 1, which leaves the solver an interior.
+            open_row = np.isfinite(limit) & (scale > 0)
+            free = -1.0 if side else 1.0
+            values = term.coefficients(instance) * np.where(open_row, scale, 0.0)[rows]
+            return values, np.where(open_row, -np.where(open_row, limit, 0.0), free)
+
+        expression = context.affine(rows, columns, n_rows, compute).expression
+        made.append((expression <= 0 if side else expression >= 0, sign))
+    return made
+
+
+class LimitedRows(Protocol):
+    """What `limited` asks of a term."""
+
+    @property
+    def sides(self) -> tuple[bool, bool]:
+        """Whether there is a lower limit, and an upper one."""
+        ...
+
+    def limits(self, instance: Instance) -> tuple[Array, Array]:
+        """Return the lower and the upper limit of every row, (n_rows,) each."""
+        ...
+
+    def coefficients(self, instance: Instance) -> Array:
+        """Return the coefficients of the unknowns, in the order of the pattern."""
+        ...
+
+    def row_scale(self, instance: Instance) -> Array:
+        """Return by what each row is multiplied, (n_rows,)."""
+        ...
+
+
+def reciprocal(values: Array) -> Array:
+    """Return 1 / values, 0 where they are 0."""
+    return np.divide(1.0, values, out=np.zeros_like(values), where=values > 0)
+
+
+def half_squares(expression: Any) -> Any:
+    """Return ½ |expression|²."""
+    return 0.5 * cp.sum_squares(expression)

@@ -1,0 +1,319 @@
+"""Terms that tie alpha to the measured reverberation time, exactly, softly or within a tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from rtcal.calibration.context import Context
+from rtcal.calibration.instance import Instance
+from rtcal.calibration.layout import Layout
+from rtcal.calibration.terms.base import Rows, Sums, half_squares, limited, reciprocal
+from rtcal.errors import DataError, ModelError
+from rtcal.types import Array
+
+_JND = 0.05
+"""Just noticeable difference of T, relative (ISO 3382-1:2009, table A.1)."""
+
+
+@dataclass(frozen=True)
+class ExactMatch:
+    """S'alpha = b in every band that has a measured T (Bellows & Katz 2025, Eq. 4).
+
+    When to use it: as the paper does, or when the uncertainty of T is not known. It forces the
+    noise of T into alpha; `SoftMatch` does not.
+    """
+
+    def constraints(self, context: Context) -> list[tuple[Any, int]]:
+        """One equality a band, scaled by k = |S sigma| so that all bands weigh alike."""
+        rows, columns, n_rows = context.match_pattern()
+
+        def compute(instance: Instance) -> tuple[Array, Array]:
+            scale = self.row_scale(instance)
+            values = match_values(instance) * scale[rows]
+            target = np.where(instance.matched, instance.target, 0.0).ravel()
+            return values, -target * scale
+
+        return [(context.affine(rows, columns, n_rows, compute).expression == 0, 1)]
+
+    def row_scale(self, instance: Instance) -> Array:
+        """Return 1 / |S sigma| over the unknowns that can move; 0 where there is no row."""
+        return _row_scale(instance)
+
+    def rows(self, instance: Instance) -> Rows:
+        """S'alpha = b; bands without T have a row of zeros without limits."""
+        low, high = (np.where(instance.matched, v, e).ravel() for v, e in zip(
+            self.wanted(instance), (-np.inf, np.inf), strict=True
+        ))  # fmt: skip
+        return Rows(match_matrix(instance), low, high)
+
+    def wanted(self, instance: Instance) -> tuple[Array, Array]:
+        """Return b twice."""
+        return instance.target, instance.target
+
+    def label(self, row: int, layout: Layout) -> str:
+        """Return the band that a row matches."""
+        return f"exact match of T at {layout.band_label(row)}"
+
+
+@dataclass(frozen=True)
+class MatchWithin:
+    """|T - T measured| <= tolerance, in just noticeable differences of 5 %.
+
+    When to use it: when nobody would hear a smaller gap, so that coefficients should not move for
+    it. The answer is the nearest to the prior that is within the tolerance. A tolerance of 0 is
+    `ExactMatch`.
+
+    Parameters
+    ----------
+    jnd : float
+        0 or more, below 20 (where T would have to be 0).
+    """
+
+    jnd: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.jnd < 1 / _JND:
+            raise ModelError(f"MatchWithin({self.jnd:g}): the tolerance must be from 0 to below 20")
+
+    @property
+    def sides(self) -> tuple[bool, bool]:
+        """Both."""
+        return True, True
+
+    def constraints(self, context: Context) -> list[tuple[Any, int]]:
+        """Two inequalities a band, or one equality if the tolerance is 0."""
+        if self.jnd == 0:
+            return ExactMatch().constraints(context)
+        rows, columns, n_rows = context.match_pattern()
+        return limited(context, rows, columns, n_rows, self)
+
+    def coefficients(self, instance: Instance) -> Array:
+        """Return S."""
+        return match_values(instance)
+
+    def limits(self, instance: Instance) -> tuple[Array, Array]:
+        """Return the least and the most S'alpha, flattened; without limit where T is missing."""
+        low, high = self.wanted(instance)
+        matched = instance.matched
+        return (
+            np.where(matched, low, -np.inf).ravel(),
+            np.where(matched, high, np.inf).ravel(),
+        )
+
+    def wanted(self, instance: Instance) -> tuple[Array, Array]:
+        """Return b of the longest and of the shortest T in the tolerance.
+
+        A target that was moved to the end of its reach widens the tolerance to that end.
+        """
+        if self.jnd == 0:
+            return instance.target, instance.target
+        tolerance = _JND * self.jnd
+        low = instance.target_of(instance.time * (1 + tolerance))
+        high = instance.target_of(instance.time * (1 - tolerance))
+        return np.fmin(low, instance.target), np.fmax(high, instance.target)
+
+    def row_scale(self, instance: Instance) -> Array:
+        """Return 1 / |S sigma| over the unknowns that can move; 0 where there is no row."""
+        return _row_scale(instance)
+
+    def rows(self, instance: Instance) -> Rows:
+        """Lower <= S'alpha <= upper; bands without T have a row of zeros without limits."""
+        return Rows(match_matrix(instance), *self.limits(instance))
+
+    def label(self, row: int, layout: Layout) -> str:
+        """Return the band that a row matches."""
+        return f"match of T within {self.jnd:g} JND at {layout.band_label(row)}"
+
+
+@dataclass(frozen=True)
+class SoftMatch(Sums):
+    """½ sum ((S'alpha - b) / u_b)²: match T as far as its own uncertainty deserves.
+
+    u_b = |db/dT| u_T.
+
+    When to use it: whenever the uncertainty of T is known, or can be stated; with several
+    configurations always. It keeps the noise of T out of alpha. Weight 1 is the right one: then
+    with `PriorDeviation` the answer is the most probable one.
+
+    Parameters
+    ----------
+    relative : float, optional
+        u_T / T for bands whose measurement states no uncertainty. Without it those are refused.
+    """
+
+    relative: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.relative is not None and not (np.isfinite(self.relative) and self.relative > 0):
+            raise ModelError(f"SoftMatch(relative={self.relative:g}): it must be above 0")
+
+    def uncertainty(self, instance: Instance) -> Array:
+        """Return u_b in m², (n_configurations, n_bands); DataError where it is unknown or 0."""
+        u = instance.target_uncertainty
+        unknown = instance.matched & ~np.isfinite(u)
+        if self.relative is not None and unknown.any():
+            step = 1e-4
+            slope = (
+                instance.target_of(instance.time * (1 + step))
+                - instance.target_of(instance.time * (1 - step))
+            ) / (2 * step)
+            u = np.where(unknown, np.abs(slope) * self.relative, u)
+        bad = instance.matched & ~(u > 0)
+        if bad.any():
+            row = int(np.flatnonzero(bad.ravel())[0])
+            raise DataError(
+                f"u_T[{instance.layout.band_label(row)}] is unknown or 0, and a soft match weighs "
+                "by it: state it in the measurement, or give SoftMatch(relative=...)"
+            )
+        return np.where(instance.matched, u, np.nan)
+
+    def expression(self, context: Context, weight: int) -> Any:
+        """½ |w^½ (S'alpha - b) / u_b|²."""
+        rows, columns, n_rows = context.match_pattern()
+
+        def compute(instance: Instance) -> tuple[Array, Array]:
+            u = self.uncertainty(instance).ravel()
+            steep = np.where(np.isfinite(u), np.sqrt(instance.weights[weight]) / u, 0.0)
+            target = np.where(instance.matched, instance.target, 0.0).ravel()
+            return match_values(instance) * steep[rows], -target * steep
+
+        return half_squares(context.affine(rows, columns, n_rows, compute).expression)
+
+    def value(self, u: Array, instance: Instance) -> float:
+        """Return ½ sum ((S'alpha - b) / u_b)²."""
+        return 0.5 * float(np.nansum(self._miss(u, instance) ** 2))
+
+    def gradient(self, u: Array, instance: Instance) -> Array:
+        """Return S (S'alpha - b) / u_b²."""
+        pull = np.nan_to_num(self._miss(u, instance) / self.uncertainty(instance)).ravel()
+        return np.asarray(match_matrix(instance).T @ pull)
+
+    def curvature(self, u: Array, instance: Instance) -> Any:
+        """Return S S' / u_b²: a sparse matrix that couples the materials of a band."""
+        steep = np.nan_to_num(1 / self.uncertainty(instance).ravel())
+        matrix = sp.diags_array(steep) @ match_matrix(instance)
+        return sp.csr_array(matrix.T @ matrix)
+
+    def _miss(self, u: Array, instance: Instance) -> Array:
+        return (instance.absorption_area(u) - instance.target) / self.uncertainty(instance)
+
+
+@dataclass(frozen=True)
+class AddedAbsorption(Sums):
+    """A further unknown theta >= 0: an effect that adds theta times its gain to S'alpha.
+
+    ½ ((theta - mean) / sigma)² is its prior in the objective.
+
+    When to use it: when something other than the listed surfaces absorbs (an opening, furniture, an
+    audience) and its spectrum is known but not its amount. theta comes out beside alpha.
+
+    Parameters
+    ----------
+    name : str
+    gain : sequence (n_bands,) or (n_configurations, n_bands)
+        m² of absorption that theta = 1 adds in each band.
+    sigma : float
+        Prior standard deviation of theta, above 0.
+    mean : float
+        Prior mean of theta.
+    """
+
+    name: str
+    gain: Sequence[Any]
+    sigma: float
+    mean: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.sigma) and self.sigma > 0 and np.isfinite(self.mean)):
+            raise ModelError(
+                f'AddedAbsorption("{self.name}"): sigma = {self.sigma:g} must be finite and above '
+                f"0, mean = {self.mean:g} finite"
+            )
+        gain = np.asarray(self.gain, dtype=float)
+        if gain.ndim not in (1, 2) or not np.isfinite(gain).all():
+            raise ModelError(f'AddedAbsorption("{self.name}"): gain is not finite numbers by band')
+        frozen: Any = tuple(map(tuple, np.atleast_2d(gain).tolist()))
+        object.__setattr__(self, "gain", frozen)
+
+    def gains(self, n_configurations: int, n_bands: int) -> Array:
+        """Return the gain by configuration and band in m²; ModelError if it does not fit."""
+        gain = np.array(self.gain)
+        if gain.shape[1] != n_bands or gain.shape[0] not in (1, n_configurations):
+            raise ModelError(
+                f'AddedAbsorption("{self.name}"): gain has shape {gain.shape}; there are '
+                f"{n_configurations} configurations and {n_bands} bands"
+            )
+        return np.broadcast_to(gain, (n_configurations, n_bands))
+
+    def expression(self, context: Context, weight: int) -> Any:
+        """½ |w^½ (theta - mean) / sigma|²."""
+        place = np.array([self._place(context.layout)])
+
+        def compute(instance: Instance) -> tuple[Array, Array]:
+            steep = np.array([np.sqrt(instance.weights[weight]) / self.sigma])
+            return steep, -self.mean * steep
+
+        return half_squares(context.affine(np.array([0]), place, 1, compute).expression)
+
+    def value(self, u: Array, instance: Instance) -> float:
+        """Return ½ ((theta - mean) / sigma)²."""
+        return 0.5 * float(((u[self._place(instance.layout)] - self.mean) / self.sigma) ** 2)
+
+    def gradient(self, u: Array, instance: Instance) -> Array:
+        """Return (theta - mean) / sigma² at theta's place."""
+        gradient = np.zeros_like(u)
+        place = self._place(instance.layout)
+        gradient[place] = (u[place] - self.mean) / self.sigma**2
+        return gradient
+
+    def curvature(self, u: Array, instance: Instance) -> Any:
+        """Return 1 / sigma² at theta's place: a diagonal."""
+        return self.convexity(instance) / self.sigma**2
+
+    def convexity(self, instance: Instance) -> Array:
+        """Return 1 at theta's place."""
+        m = np.zeros(instance.layout.size)
+        m[self._place(instance.layout)] = 1.0
+        return m
+
+    def _place(self, layout: Layout) -> int:
+        return layout.n_alpha + layout.further.index(self.name)
+
+
+def match_values(instance: Instance) -> Array:
+    """Coefficients of the unknowns in S'alpha, in the order of `Context.match_pattern`."""
+    layout = instance.layout
+    c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
+    areas = np.broadcast_to(instance.areas[:, :, np.newaxis], (c, n, k))
+    gains = np.swapaxes(instance.gains, 1, 2)
+    matched = instance.matched[:, np.newaxis, :]
+    return np.concatenate(
+        [np.where(matched, areas, 0.0).ravel(), np.where(matched, gains, 0.0).ravel()]
+    )
+
+
+def match_matrix(instance: Instance) -> Any:
+    """Return S' as a sparse matrix, one row a configuration and band, over the unknowns."""
+    layout = instance.layout
+    c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
+    areas = np.broadcast_to(instance.areas[:, np.newaxis, :], (c, k, n))
+    values = np.where(instance.matched[:, :, np.newaxis], areas, 0.0)
+    columns = np.arange(n) * k + np.arange(k)[:, np.newaxis]
+    columns = np.broadcast_to(columns, (c, k, n))
+    starts = np.arange(0, c * k * n + 1, n)
+    matrix = sp.csr_array((values.ravel(), columns.ravel(), starts), shape=(c * k, n * k))
+    if not layout.further:
+        return matrix
+    gains = np.where(instance.matched[:, :, np.newaxis], instance.gains, 0.0)
+    return sp.csr_array(sp.hstack([matrix, sp.csr_array(gains.reshape(c * k, -1))]))
+
+
+def _row_scale(instance: Instance) -> Array:
+    alpha, further = instance.alpha(instance.scale), instance.further(instance.scale)
+    size = np.sqrt(instance.areas**2 @ alpha**2 + instance.gains**2 @ further**2)
+    return np.where(instance.matched, reciprocal(size), 0.0).ravel()

@@ -1,0 +1,316 @@
+"""How far alpha may stray from what was known: the terms of which a calibration needs one."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from rtcal.calibration.context import Context
+from rtcal.calibration.instance import Instance
+from rtcal.calibration.layout import Layout
+from rtcal.calibration.terms.base import Sums, half_squares, reciprocal
+from rtcal.errors import ModelError
+from rtcal.types import Array
+
+
+
+def _positive(what: str, value: float | None) -> None:
+    if value is not None and not (np.isfinite(value) and value > 0):
+        raise ModelError(f"{what}={value:g}): it must be finite and above 0")
+
+
+def _deviation(u: Array, instance: Instance) -> Array:
+    """(u - mu) / sigma of the coefficients, 0 where sigma = 0 and for further unknowns."""
+    x = (u - instance.mu) * reciprocal(instance.sigma)
+    x[instance.layout.n_alpha :] = 0.0
+    return np.asarray(x)
+
+
+@dataclass(frozen=True)
+class PriorDeviation(Sums):
+    """½ x'R⁻¹x, x = (alpha - mu) / sigma: stay near what was known, by how well it was known.
+
+    When to use it: always (or `HuberDeviation`); it makes the answer unique. The paper's
+    maximum-likelihood estimate (Bellows & Katz 2025, Eq. 19) is this term, independent (R = 1),
+    and `ExactMatch`; its least-squares estimate (Eq. 7) is the same with every sigma equal,
+    ``PriorDeviation(sigma=1)``. Give correlations where errors go together: a data sheet that is
+    too low at 500 Hz is likely too low at 1 kHz; two boards of one maker err alike. With an exact
+    match, a separable sigma and one correlation for all materials they change nothing (see
+    docs/modelling.md).
+
+    Parameters
+    ----------
+    sigma : float, optional
+        One standard deviation for every coefficient in place of the room's, above 0.
+    band_correlation : float, matrix (n_bands, n_bands), or a mapping of material to either
+        A number r below 1 is the correlation of two bands an octave apart: r ** octaves. Materials
+        that a mapping lacks are uncorrelated.
+    material_correlation : matrix (n_materials, n_materials) or mapping of pairs to float
+        Between the same bands of two materials: ``{("door", "panel"): 0.7}``.
+
+    Raises
+    ------
+    ModelError
+        When built, for a correlation that is none (not symmetric with unit diagonal, not positive
+        definite).
+    """
+
+    sigma: float | None = None
+    band_correlation: float | Sequence[Sequence[float]] | Mapping[str, Any] = 0.0
+    material_correlation: Sequence[Sequence[float]] | Mapping[tuple[str, str], float] = ()
+
+    is_prior: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _positive("PriorDeviation(sigma", self.sigma)
+        # Kept as tuples: a term is hashable, so that weights can be given by term.
+        given, pairs = self.band_correlation, self.material_correlation
+        frozen: Any = _frozen(given)
+        if isinstance(given, Mapping):
+            frozen = tuple((str(m), _frozen(r)) for m, r in given.items())
+        between: Any = _frozen(pairs)
+        if isinstance(pairs, Mapping):
+            between = tuple((str(a), str(b), float(r)) for (a, b), r in pairs.items())
+        object.__setattr__(self, "band_correlation", frozen)
+        object.__setattr__(self, "material_correlation", between)
+
+    def correlated(self) -> bool:
+        """Whether any correlation was stated."""
+        return bool(self.band_correlation) or bool(self.material_correlation)
+
+    def factors(self, layout: Layout) -> tuple[list[Array], Array]:
+        """Return Cholesky factors of R = B (C x 1) B': B per row of alpha (n_bands, n_bands), C's.
+
+        Raises ModelError as the class says.
+        """
+        names = [layout.materials[i] for i in layout.first]
+        return _factors(self, layout, tuple(names))
+
+    def correlation(self, layout: Layout) -> Array:
+        """Return R over all coefficients, (n_alpha, n_alpha)."""
+        bands, between = self.factors(layout)
+        stacked = np.array(bands)
+        full = np.einsum("ij,iab,jcb->iajc", between @ between.T, stacked, stacked)
+        return np.asarray(full.reshape(layout.n_alpha, layout.n_alpha))
+
+    def expression(self, context: Context, weight: int) -> Any:
+        """½ |W x|² in the whitened unknowns, W'W the inverse of R.
+
+        Its weight is 1: the whole objective is scaled so. A parameter here would cost a slack
+        variable for each unknown.
+        """
+        layout = context.layout
+        n = layout.n_alpha
+        x = context.x[:n] if layout.further else context.x
+        if not self.correlated():
+            return half_squares(x)
+        # A coefficient held off its mean pulls at those that it is correlated with; one that is
+        # known exactly (sigma = 0) says nothing of them, so there x stays free.
+        keep = context.parameter(n, lambda i: 1.0 - _held(i))
+        loose = context.parameter(n, _held)
+        pull = context.parameter(n, lambda i: _held(i) * _deviation(i.centre, i)[:n])
+        return half_squares(self._whitener(layout) @ (cp.multiply(keep, x) + pull)) + half_squares(
+            cp.multiply(loose, x)
+        )
+
+    def value(self, u: Array, instance: Instance) -> float:
+        """Return ½ x'R⁻¹x over the coefficients with sigma > 0."""
+        x = _deviation(u, instance)
+        return 0.5 * float(x @ self._apply(x, instance))
+
+    def gradient(self, u: Array, instance: Instance) -> Array:
+        """Return R⁻¹x / sigma, 0 where sigma = 0."""
+        return self._apply(_deviation(u, instance), instance) * reciprocal(instance.sigma)
+
+    def curvature(self, u: Array, instance: Instance) -> Any:
+        """Return R⁻¹ over sigma sigma': 1 / sigma² on a diagonal without correlations."""
+        inverse = reciprocal(instance.sigma)
+        inverse[instance.layout.n_alpha :] = 0.0
+        if not self.correlated():
+            return inverse**2
+        scale = sp.diags_array(inverse)
+        return sp.csr_array(scale @ self._padded(instance) @ scale)
+
+    def convexity(self, instance: Instance) -> Array:
+        """Return the least eigenvalue of R⁻¹ for every coefficient."""
+        least = 1.0
+        if self.correlated():
+            bands, between = self.factors(instance.layout)
+            largest = np.linalg.norm(between, 2) ** 2
+            least = 1 / float(largest * max(np.linalg.norm(b, 2) ** 2 for b in bands))
+        m = np.full(instance.layout.size, least)
+        m[instance.layout.n_alpha :] = 0.0
+        return m
+
+    def _apply(self, x: Array, instance: Instance) -> Array:
+        return np.asarray(self._padded(instance) @ x) if self.correlated() else x
+
+    def _padded(self, instance: Instance) -> Any:
+        """R⁻¹ over all unknowns, those with sigma = 0 integrated out."""
+        known = instance.sigma[: instance.layout.n_alpha] == 0
+        return _precision(self, instance.layout, known.tobytes())
+
+    def _whitener(self, layout: Layout) -> Any:
+        bands, between = self.factors(layout)
+        within = sp.block_diag([np.linalg.inv(b) for b in bands])
+        across = sp.kron(np.linalg.inv(between), sp.eye_array(layout.n_bands))
+        whitener = sp.csr_array(across @ within)
+        whitener.eliminate_zeros()
+        return whitener
+
+
+def _held(instance: Instance) -> Array:
+    """1 where a coefficient is pinned though its sigma is above 0."""
+    n = instance.layout.n_alpha
+    return np.asarray((instance.pinned[:n] & (instance.sigma[:n] > 0)).astype(float))
+
+
+def _frozen(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return ()
+    array = np.asarray(value, dtype=float)
+    return float(array) if array.ndim == 0 else tuple(map(tuple, array.tolist()))
+
+
+def _named(given: Any) -> bool:
+    """Whether a frozen correlation was given by names."""
+    return isinstance(given, tuple) and bool(given) and isinstance(given[0][0], str)
+
+
+@functools.lru_cache(maxsize=16)
+def _factors(
+    term: PriorDeviation, layout: Layout, names: tuple[str, ...]
+) -> tuple[list[Array], Array]:
+    octaves = np.log2(np.array(layout.centre_frequencies))
+    apart = np.abs(octaves[:, np.newaxis] - octaves)
+    given: Any = term.band_correlation
+    by_material = dict(given) if _named(given) else None
+    for name in by_material or ():
+        layout.index(name)
+    bands = []
+    for name in names:
+        r = given if by_material is None else by_material.get(name, 0.0)
+        if isinstance(r, float):
+            if not 0 <= r < 1:
+                raise ModelError(f"band_correlation {r:g} is not in [0, 1)")
+            table = np.where(apart == 0, 1.0, r**apart) if r else np.eye(layout.n_bands)
+        else:
+            table = np.array(r)
+        bands.append(_cholesky(table, layout.n_bands, f'band_correlation of "{name}"'))
+    between = np.eye(layout.n_rows)
+    pairs: Any = term.material_correlation
+    if _named(pairs):
+        for a, b, r in pairs:
+            i, j = (layout.index(m)[0] // layout.n_bands for m in (a, b))
+            if i == j:
+                raise ModelError(f'material_correlation: "{a}" and "{b}" are one unknown')
+            between[i, j] = between[j, i] = r
+    elif pairs:
+        between = np.array(pairs)
+    return bands, _cholesky(between, layout.n_rows, "material_correlation")
+
+
+def _cholesky(table: Array, n: int, what: str) -> Array:
+    if table.shape != (n, n):
+        raise ModelError(f"{what} has shape {table.shape}; it must be ({n}, {n})")
+    if not np.allclose(table, table.T, rtol=0, atol=1e-12) or not np.allclose(np.diag(table), 1):
+        raise ModelError(f"{what} is not symmetric with ones on its diagonal")
+    try:
+        return np.asarray(np.linalg.cholesky(table))
+    except np.linalg.LinAlgError as error:
+        raise ModelError(f"{what} is not positive definite") from error
+
+
+@functools.lru_cache(maxsize=16)
+def _precision(term: PriorDeviation, layout: Layout, known: bytes) -> Any:
+    whitener = term._whitener(layout)
+    precision = sp.csr_array(whitener.T @ whitener)
+    out = np.frombuffer(known, dtype=bool)
+    if out.any():
+        # Integrating unknowns out of a Gaussian: the Schur complement of their block.
+        keep = np.flatnonzero(~out)
+        gone = np.flatnonzero(out)
+        cross = precision[keep][:, gone]
+        reduced = precision[keep][:, keep] - sp.csr_array(
+            cross @ np.linalg.solve(precision[gone][:, gone].toarray(), cross.T.toarray())
+        )
+        spread = sp.csr_array(
+            (np.ones(len(keep)), (keep, np.arange(len(keep)))), (layout.n_alpha, len(keep))
+        )
+        precision = spread @ sp.csr_array(reduced) @ spread.T
+    padded = sp.csr_array(sp.block_diag([precision, sp.csr_array((layout.size - layout.n_alpha,) * 2)]))
+    return padded
+
+
+@dataclass(frozen=True)
+class HuberDeviation(Sums):
+    """sum of e x²/2 + (1 - e) h(x): like `PriorDeviation` near mu, but straight beyond t sigmas.
+
+    h(x) = x²/2 for |x| <= t, t |x| - t²/2 beyond (Huber 1964, Eq. 2.4).
+
+    When to use it: when some stated sigma may be plain wrong (a material taken for another): one
+    coefficient may then move far at a bounded price, and the others need not follow. Huber's own
+    minimiser is not unique, so a small strictly convex part, e = 0.01 of the square, is mixed in.
+
+    Parameters
+    ----------
+    threshold : float
+        t, in sigmas, above 0; beyond it a coefficient counts as an outlier.
+    convex : float
+        e, above 0 and at most 1.
+    sigma : float, optional
+        One standard deviation for every coefficient in place of the room's.
+    """
+
+    threshold: float = 1.5
+    convex: float = 0.01
+    sigma: float | None = None
+
+    is_prior: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _positive("HuberDeviation(sigma", self.sigma)
+        _positive("HuberDeviation(threshold", self.threshold)
+        if not 0 < self.convex <= 1:
+            raise ModelError(f"HuberDeviation(convex={self.convex:g}): it must be in (0, 1]")
+
+    def expression(self, context: Context, weight: int) -> Any:
+        """½ e |x|² + (1 - e) (½ |x - s|² + t |s|), s the part beyond the threshold."""
+        n = context.layout.n_alpha
+        x = context.x[:n]
+        beyond = context.variable(n)
+        near = half_squares(x - beyond) + self.threshold * cp.norm1(beyond)
+        return self.convex * half_squares(x) + (1 - self.convex) * near
+
+    def value(self, u: Array, instance: Instance) -> float:
+        """Return the sum over the coefficients with sigma > 0."""
+        x = np.abs(_deviation(u, instance))
+        t = self.threshold
+        huber = np.where(x <= t, x**2 / 2, t * x - t**2 / 2)
+        return float(np.sum(self.convex * x**2 / 2 + (1 - self.convex) * huber))
+
+    def gradient(self, u: Array, instance: Instance) -> Array:
+        """Return (e x + (1 - e) clip(x, -t, t)) / sigma."""
+        x = _deviation(u, instance)
+        clipped = np.clip(x, -self.threshold, self.threshold)
+        pull = self.convex * x + (1 - self.convex) * clipped
+        return np.asarray(pull * reciprocal(instance.sigma))
+
+    def curvature(self, u: Array, instance: Instance) -> Any:
+        """Return 1 / sigma² within the threshold, e / sigma² beyond: a diagonal."""
+        x = _deviation(u, instance)
+        inverse = reciprocal(instance.sigma)
+        inverse[instance.layout.n_alpha :] = 0.0
+        return np.where(np.abs(x) <= self.threshold, 1.0, self.convex) * inverse**2
+
+    def convexity(self, instance: Instance) -> Array:
+        """Return e for every coefficient."""
+        m = np.full(instance.layout.size, self.convex)
+        m[instance.layout.n_alpha :] = 0.0
+        return m
