@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,11 +50,28 @@ class Unreachable:
 def reach(instance: Instance) -> tuple[Array, Array]:
     """Return the least and the most S'alpha in m² within the box, each (n_configurations, n_bands).
 
-    Coefficients with sigma = 0 are counted where they are.
+    Unknowns that cannot move are counted where they are; effects add what theirs allow.
     """
-    lower = np.where(instance.scale > 0, instance.lower, instance.centre)
-    upper = np.where(instance.scale > 0, instance.upper, instance.centre)
-    return instance.areas @ lower, instance.areas @ upper
+    lower, upper = _box(instance)
+    least = instance.areas @ instance.alpha(lower)
+    most = instance.areas @ instance.alpha(upper)
+    if instance.gains.size:
+        with np.errstate(invalid="ignore"):  # 0 times an unlimited size
+            ends = instance.gains[..., np.newaxis] * np.stack(
+                [instance.further(lower), instance.further(upper)], axis=-1
+            )
+        ends = np.nan_to_num(ends, nan=0.0, posinf=np.inf, neginf=-np.inf)
+        least, most = least + ends.min(axis=-1).sum(axis=-1), most + ends.max(axis=-1).sum(axis=-1)
+    return least, most
+
+
+def _box(instance: Instance) -> tuple[Array, Array]:
+    """The box, closed around what cannot move."""
+    moves = instance.scale > 0
+    return (
+        np.where(moves, instance.lower, instance.centre),
+        np.where(moves, instance.upper, instance.centre),
+    )
 
 
 def end_tolerance(instance: Instance) -> Array:
@@ -61,15 +79,15 @@ def end_tolerance(instance: Instance) -> Array:
 
     In floats the areas' sum exceeds the rational sum half of the time, so equality would be luck.
     """
-    upper = np.where(instance.scale > 0, instance.upper, instance.centre)
+    upper = instance.alpha(_box(instance)[1])
     n = instance.areas.shape[1]
     return np.asarray(16 * n * np.finfo(float).eps * (instance.areas @ np.abs(upper)))
 
 
 def settle(
     instance: Instance,
-    rooms: tuple[Room, ...],
-    times: Array,
+    rooms: Sequence[Room],
+    wanted: tuple[Array, Array],
     equation: LinearEquation,
     unreachable: str,
 ) -> tuple[Instance, Flags, Flags, tuple[Unreachable, ...]]:
@@ -78,10 +96,10 @@ def settle(
     Parameters
     ----------
     instance : Instance
-    rooms : tuple of Room
+    rooms : sequence of Room
         One a configuration.
-    times : array (n_configurations, n_bands)
-        Measured T in s.
+    wanted : two arrays (n_configurations, n_bands)
+        The least and the most S'alpha in m² that the match allows.
     equation : LinearEquation
     unreachable : {"raise", "nearest"}
 
@@ -89,8 +107,8 @@ def settle(
     -------
     instance : Instance
         Unreachable targets moved to the nearest end, and coefficients at an end pinned there.
-    at_lower, at_upper : array (n_materials, n_bands) of bool
-        Coefficients that an end forces to a bound.
+    at_lower, at_upper : array (size,) of bool
+        Unknowns that an end forces to a bound.
     unreachable : tuple of Unreachable
 
     Raises
@@ -98,12 +116,17 @@ def settle(
     InfeasibleError
         With ``unreachable="raise"``, naming every band that cannot be reached.
     """
+    times = instance.time
     asked = np.isfinite(times)
     low, high = reach(instance)
     tolerance = end_tolerance(instance)
     ceiling = equation.largest_mean_alpha * instance.areas.sum(axis=1)[:, np.newaxis]
     top = np.minimum(high, ceiling)
-    target = instance.target
+    wanted_low, wanted_high = wanted
+    # What a tolerance leaves open is closed here: the target nearest to what can be reached.
+    target = np.where(np.isnan(wanted_low), np.nan, np.clip(
+        0.5 * (low + top), wanted_low, np.where(np.isnan(wanted_high), np.inf, wanted_high)
+    ))  # fmt: skip
     too_low = asked & (target < low - tolerance)
     too_high = asked & (np.isnan(target) | (target > top + tolerance))
     found = []
@@ -117,22 +140,27 @@ def settle(
         raise InfeasibleError("; ".join(str(u) for u in found))
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low
-    target = np.where(at_low, low, np.where(at_high, top, target))
+    settled = np.where(at_low, low, np.where(at_high, top, target))
     at_high &= top >= high - tolerance  # an equation's own ceiling is no end of the box
-    movable = instance.scale > 0
+    at_lower, at_upper = _forced(instance, at_low, at_high)
+    pinned = instance.pin(at_lower | at_upper, np.where(at_lower, instance.lower, instance.upper))
+    moved = too_low | too_high | at_low | at_high
+    target = np.where(moved | np.isnan(instance.target), settled, instance.target)
+    return replace(pinned, target=target), at_lower, at_upper, tuple(found)
+
+
+def _forced(instance: Instance, at_low: Flags, at_high: Flags) -> tuple[Flags, Flags]:
+    """Unknowns at their lower and at their upper side because a match stands at its end."""
+    moves = instance.scale > 0
     present = instance.areas[:, :, np.newaxis] > 0
-    at_lower = movable & np.any(at_low[:, np.newaxis, :] & present, axis=0)
-    at_upper = movable & np.any(at_high[:, np.newaxis, :] & present, axis=0) & ~at_lower
-    values = np.where(at_lower, instance.lower, instance.upper)
-    return (
-        _with_target(instance, target).pin(at_lower | at_upper, values),
-        at_lower,
-        at_upper,
-        tuple(found),
-    )
-
-
-def _with_target(instance: Instance, target: Array) -> Instance:
-    from dataclasses import replace
-
-    return replace(instance, target=target)
+    sides = []
+    for here, other in ((at_low, at_high), (at_high, at_low)):
+        alpha = np.any(here[:, np.newaxis, :] & present, axis=0).ravel()
+        further = np.any(
+            (here[..., np.newaxis] & (instance.gains > 0))
+            | (other[..., np.newaxis] & (instance.gains < 0)),
+            axis=(0, 1),
+        )
+        sides.append(moves & np.concatenate([alpha, further]))
+    at_lower, at_upper = sides
+    return at_lower, at_upper & ~at_lower & np.isfinite(instance.upper)

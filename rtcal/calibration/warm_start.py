@@ -17,7 +17,10 @@ def from_closed_form(instance: Instance) -> tuple[Array, list[Array]]:
     Where the closed form leaves the box, the violators are held at their bound and it is taken
     again (Bellows & Katz 2025, Sect. 3.3). That is a start, not the optimum: none is let go.
     """
-    areas, alpha, scale = instance.areas[0], instance.centre, instance.scale
+    areas = instance.areas[0]
+    centre, scale = instance.alpha(instance.centre), instance.alpha(instance.scale)
+    lower, upper = instance.alpha(instance.lower), instance.alpha(instance.upper)
+    alpha = centre
     held = scale == 0
     pull = np.zeros(alpha.shape[1])
     for _ in range(_ROUNDS):
@@ -27,14 +30,14 @@ def from_closed_form(instance: Instance) -> tuple[Array, list[Array]]:
         # A band that cannot move: any finite spread will do, its pull is 0.
         spread = np.where(moves, free, 1.0)
         pull = np.where(moves, closed_form.multiplier(
-            np.where(held, alpha, instance.centre), spread, areas, target), pull
+            np.where(held, alpha, centre), spread, areas, target), pull
         )  # fmt: skip
-        trial = np.where(held, alpha, instance.centre - pull * areas[:, np.newaxis] * free**2)
-        alpha = np.clip(trial, instance.lower, instance.upper)
+        trial = np.where(held, alpha, centre - pull * areas[:, np.newaxis] * free**2)
+        alpha = np.clip(trial, lower, upper)
         if np.array_equal(alpha, trial):
             break
         held = held | (alpha != trial)
-    x = np.divide(alpha - instance.centre, scale, out=np.zeros_like(alpha), where=scale > 0)
+    x = np.divide(alpha - centre, scale, out=np.zeros_like(alpha), where=scale > 0)
     force = np.divide(x, scale, out=np.zeros_like(x), where=scale > 0)
     force = np.where(held & (scale > 0), force + pull * areas[:, np.newaxis], 0.0)
     size = np.sqrt(areas**2 @ scale**2)

@@ -1,0 +1,202 @@
+"""From rooms, measurements and terms to the numbers of one solve."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.instance import Instance
+from rtcal.calibration.layout import Layout
+from rtcal.calibration.measured import Measured
+from rtcal.calibration.terms import (
+    BoundConstraint,
+    FurtherUnknown,
+    Objective,
+    ObjectiveTerm,
+    SharedMaterials,
+    SoftMatch,
+)
+from rtcal.errors import DataError, ModelError
+from rtcal.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Assembler:
+    """What stays the same between the solves of one compiled problem."""
+
+    layout: Layout
+    equation: LinearEquation
+    objective: Objective
+    boxes: tuple[BoundConstraint, ...]
+    prior: int
+    """Which objective term is the prior."""
+    sigma: float | None
+    """The prior's one standard deviation in place of the rooms'."""
+
+    def weights(self, given: Mapping[ObjectiveTerm, float] | None) -> tuple[float, ...]:
+        """Return the terms' weights, scaled so that the prior's is 1, which changes no answer."""
+        chosen = list(self.objective.weights)
+        for term, weight in (given or {}).items():
+            if term not in self.objective.terms:
+                raise DataError(f"weights has {term!r}, which is no term of the objective")
+            if not (np.isfinite(weight) and weight >= 0):
+                raise DataError(f"weights[{term!r}] = {weight:g} is not finite and 0 or more")
+            chosen[self.objective.terms.index(term)] = float(weight)
+        prior = chosen[self.prior]
+        own = [w for w, t in zip(chosen, self.objective.terms, strict=True)
+               if isinstance(t, FurtherUnknown)]  # fmt: skip
+        if prior == 0 or 0 in own:
+            raise DataError("a prior has weight 0; the answer would not be unique")
+        return tuple(w / prior for w in chosen)
+
+    def instance(
+        self,
+        configurations: Configurations,
+        data: Sequence[Measured],
+        weights: Mapping[ObjectiveTerm, float] | None,
+    ) -> Instance:
+        """Return the numbers; DataError where priors, bounds or data break a rule."""
+        room = configurations.union
+        shape = room.alpha.shape
+        sigma = room.sigma if self.sigma is None else np.full(shape, self.sigma)
+        lower = np.zeros(shape) if room.alpha_min is None else room.alpha_min
+        upper = np.ones(shape)
+        for box in self.boxes:
+            lower, upper = box.box(room, lower, upper)
+        self._check_shared(room)
+        lower, upper = self._tightest(lower, np.maximum), self._tightest(upper, np.minimum)
+        alpha, sigma = room.alpha[self.layout.first], np.asarray(sigma)[self.layout.first]
+        self._check_box(alpha, sigma, lower, upper)
+        further = [t for t in self.objective.terms if isinstance(t, FurtherUnknown)]
+        c, k = len(data), shape[1]
+        gains = np.zeros((c, k, len(further)))
+        for p, term in enumerate(further):
+            gains[:, :, p] = term.gains(c, k)
+
+        def flat(values: Array, more: list[float]) -> Array:
+            return np.concatenate([values.ravel(), more])
+
+        times = np.array([d.reverberation_time for d in data])
+        slopes = np.array([
+            self.equation.target_sensitivity(r, t)
+            for r, t in zip(configurations.rooms, times, strict=True)
+        ])  # fmt: skip
+        held = (sigma == 0) | (lower == upper)
+        instance = Instance(
+            layout=self.layout,
+            mu=flat(alpha, [t.mean for t in further]),
+            sigma=flat(sigma, [t.sigma for t in further]),
+            lower=flat(lower, [0.0] * len(further)),
+            upper=flat(upper, [np.inf] * len(further)),
+            areas=self._summed(configurations.areas),
+            gains=gains,
+            time=times,
+            target=self.target(configurations.rooms, times),
+            target_uncertainty=np.abs(slopes) * np.array([d.uncertainty for d in data]),
+            target_of=lambda t: self.target(configurations.rooms, t),
+            weights=self.weights(weights),
+            pinned=np.concatenate([held.ravel(), np.zeros(len(further), dtype=bool)]),
+            centre=flat(
+                np.where(lower == upper, lower, alpha), [max(t.mean, 0.0) for t in further]
+            ),
+        )
+        for term in self.objective.terms:
+            if isinstance(term, SoftMatch):
+                instance = replace(instance, target_uncertainty=term.uncertainty(instance))
+        return instance
+
+    def target(self, rooms: Sequence[Room], times: Array) -> Array:
+        """Return b in m² for T in s, both (n_configurations, n_bands)."""
+        return np.array([
+            self.equation.target(room, t) for room, t in zip(rooms, times, strict=True)
+        ])  # fmt: skip
+
+    def _tightest(self, values: Array, narrower: np.ufunc) -> Array:
+        out = values[self.layout.first].copy()
+        for material, row in enumerate(self.layout.rows):
+            out[row] = narrower(out[row], values[material])
+        return out
+
+    def _summed(self, areas: Array) -> Array:
+        out = np.zeros((len(areas), self.layout.n_rows))
+        for material, row in enumerate(self.layout.rows):
+            out[:, row] += areas[:, material]
+        return out
+
+    def _check_shared(self, room: Room) -> None:
+        for material, row in enumerate(self.layout.rows):
+            first = int(self.layout.first[row])
+            for what in ("alpha", "sigma"):
+                values = getattr(room, what)
+                if not np.array_equal(values[material], values[first]):
+                    k = int(np.flatnonzero(values[material] != values[first])[0])
+                    raise DataError(
+                        f"{room.place(what, material, k)} = {values[material, k]:g}, but "
+                        f"{room.place(what, first, k)} = {values[first, k]:g}; materials that "
+                        "share their coefficients have one prior"
+                    )
+
+    def _check_box(self, alpha: Array, sigma: Array, lower: Array, upper: Array) -> None:
+        outside = (alpha < lower) | (alpha > upper)
+        for bad, rule in (
+            (lower > upper, "the bounds contradict each other"),
+            (outside & (sigma == 0), "sigma is 0, but alpha is outside its bounds"),
+        ):
+            if bad.any():
+                i, k = (int(v) for v in np.argwhere(bad)[0])
+                raise DataError(
+                    f"{self.layout.place(i * alpha.shape[1] + k)} = {alpha[i, k]:g}, bounds "
+                    f"{lower[i, k]:g} to {upper[i, k]:g}: {rule}"
+                )
+
+
+def layout_of(
+    configurations: Configurations,
+    objective: Objective,
+    shared: Sequence[SharedMaterials],
+) -> Layout:
+    """Return where each unknown stands; ModelError for terms that do not fit the rooms."""
+    materials = configurations.materials
+    row_of = {m: m for m in materials}
+    for term in shared:
+        for group in term.groups(materials):
+            for name in group:
+                if name not in materials:
+                    raise DataError(
+                        f'"{name}" is no material of the room; it has {", ".join(materials)}'
+                    )
+            merged = {row_of[m] for m in group}
+            head = next(m for m in materials if row_of[m] in merged)
+            row_of = {m: head if r in merged else r for m, r in row_of.items()}
+    heads = list(dict.fromkeys(row_of.values()))
+    further = tuple(t.name for t in objective.terms if isinstance(t, FurtherUnknown))
+    if len(set(further)) < len(further):
+        raise ModelError(f"two further unknowns have one name: {', '.join(further)}")
+    return Layout(
+        materials=materials,
+        rows=tuple(heads.index(row_of[m]) for m in materials),
+        centre_frequencies=tuple(float(f) for f in configurations.union.centre_frequencies),
+        n_configurations=len(configurations.rooms),
+        further=further,
+    )
+
+
+def fitting(built: Configurations, given: Configurations) -> Configurations:
+    """Return ``given`` if it has the shape that the problem was built with, else DataError."""
+    if len(built.rooms) != len(given.rooms):
+        raise DataError(
+            f"{len(given.rooms)} configurations; the problem was built with {len(built.rooms)}"
+        )
+    for old, new in zip(built.rooms, given.rooms, strict=True):
+        if new.materials != old.materials:
+            raise DataError(f"room has materials {new.materials}; built with {old.materials}")
+        if not np.array_equal(new.centre_frequencies, old.centre_frequencies):
+            has = ", ".join(bands.label(f) for f in new.centre_frequencies)
+            raise DataError(f"room has other bands than the one built with: {has}")
+    return given

@@ -1,0 +1,115 @@
+"""One room in several states: curtain open and drawn, with and without an audience."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Configurations:
+    """Several states of one room that share their materials' coefficients.
+
+    Parameters
+    ----------
+    rooms : sequence of Room
+        One a configuration: its own volume, air and areas. A material is the same unknown wherever
+        its name stands; where two rooms state it, they must state the same alpha and sigma.
+    names : sequence of str, optional
+        Of the configurations; the rooms' names if not given.
+
+    Raises
+    ------
+    DataError
+        If the bands differ, or a material's prior does.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> room = Room(name="bare", volume=60, materials=["wall", "floor"], areas=[74, 20],
+    ...             alpha=[[0.1], [0.3]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
+    >>> covered = Room(name="mat on floor", volume=60, materials=["wall", "mat"], areas=[74, 20],
+    ...             alpha=[[0.1], [0.6]], sigma=[[0.02], [0.01]], centre_frequencies=[1000])
+    >>> Configurations([room, covered]).areas.tolist()
+    [[74.0, 20.0, 0.0], [74.0, 0.0, 20.0]]
+    """
+
+    rooms: Sequence[Room]
+    names: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        rooms = tuple(self.rooms)
+        if not rooms:
+            raise DataError("rooms is empty; there is at least one configuration")
+        names = tuple(str(n) for n in self.names) or tuple(r.name for r in rooms)
+        if len(names) != len(rooms):
+            raise DataError(f"{len(names)} names for {len(rooms)} configurations")
+        object.__setattr__(self, "rooms", rooms)
+        object.__setattr__(self, "names", names)
+        for name, room in zip(names, rooms, strict=True):
+            if not np.array_equal(room.centre_frequencies, rooms[0].centre_frequencies):
+                raise DataError(f'configuration "{name}" has other bands than "{names[0]}"')
+        self._compare_priors()
+
+    def _compare_priors(self) -> None:
+        for name, room in zip(self.names, self.rooms, strict=True):
+            for i, material in enumerate(room.materials):
+                first = next(r for r in self.rooms if material in r.materials)
+                j = first.materials.index(material)
+                for what in ("alpha", "sigma"):
+                    here, there = getattr(room, what)[i], getattr(first, what)[j]
+                    if not np.array_equal(here, there):
+                        k = int(np.flatnonzero(here != there)[0])
+                        raise DataError(
+                            f'configuration "{name}": {room.place(what, i, k)} = {here[k]:g}, but '
+                            f'"{first.name}" says {there[k]:g}; a shared material has one prior'
+                        )
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Every material of any configuration, in order of appearance."""
+        return tuple(dict.fromkeys(m for room in self.rooms for m in room.materials))
+
+    @cached_property
+    def areas(self) -> Array:
+        """m², (n_configurations, n_materials); 0 where a configuration lacks a material."""
+        materials = self.materials
+        areas = np.zeros((len(self.rooms), len(materials)))
+        for c, room in enumerate(self.rooms):
+            areas[c, [materials.index(m) for m in room.materials]] = room.areas
+        return areas
+
+    @cached_property
+    def union(self) -> Room:
+        """A room with every material once, its largest area and its prior."""
+        if len(self.rooms) == 1:
+            return self.rooms[0]
+        first = self.rooms[0]
+        owners = [next(r for r in self.rooms if m in r.materials) for m in self.materials]
+        rows = [r.materials.index(m) for r, m in zip(owners, self.materials, strict=True)]
+        floors = [
+            np.max([
+                np.zeros(first.n_bands) if r.alpha_min is None else r.alpha_min[r.materials.index(m)]
+                for r in self.rooms
+                if m in r.materials
+            ], axis=0)
+            for m in self.materials
+        ]  # fmt: skip
+        return Room(
+            name=first.name,
+            volume=first.volume,
+            materials=self.materials,
+            areas=self.areas.max(axis=0),
+            alpha=np.array([r.alpha[i] for r, i in zip(owners, rows, strict=True)]),
+            sigma=np.array([r.sigma[i] for r, i in zip(owners, rows, strict=True)]),
+            centre_frequencies=first.centre_frequencies,
+            air=first.air,
+            alpha_min=np.array(floors),
+        )

@@ -1,0 +1,79 @@
+"""Why no coefficients satisfy all constraints: the smallest relaxation that lets them."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from rtcal.calibration.twin import Twin
+from rtcal.errors import InfeasibleError
+from rtcal.types import Array
+
+_NOTHING = 1e-9
+
+
+def explain(twin: Twin) -> None:
+    """Raise InfeasibleError, naming what would have to give way, if the constraints contradict.
+
+    An elastic linear programme (Chinneck 2008, ch. 6): minimise the sum of all relaxations, each in
+    mean absorption coefficient (a row's in units of the sum of its coefficients), subject to every
+    row and every bound that a term set, relaxed. 0 <= alpha <= 1 and an unknown that is held stay.
+    Returns where nothing has to give way.
+    """
+    from scipy.optimize import linprog
+
+    instance, layout = twin.instance, twin.instance.layout
+    matrix = sp.csr_array(twin.matrix)
+    n_rows, size = matrix.shape
+    norm = np.where(twin.row_norm > 0, twin.row_norm, 1.0)
+    scaled = sp.diags_array(1 / norm) @ matrix
+    # Unknowns, then relaxations of rows up and down, then of the box down and up.
+    low, high = twin.row_lower / norm, twin.row_upper / norm
+    one, none = sp.eye_array(n_rows), sp.csr_array((n_rows, size))
+    square, empty = sp.eye_array(size), sp.csr_array((size, n_rows))
+    above = sp.hstack([scaled, one * 0, -one, none, none])
+    below = sp.hstack([-scaled, -one, one * 0, none, none])
+    floor = sp.hstack([-square, empty, empty, -square, square * 0])
+    ceiling = sp.hstack([square, empty, empty, square * 0, -square])
+    limits = np.concatenate([high, -low, -twin.lower, twin.upper])
+    system = sp.csr_array(sp.vstack([above, below, floor, ceiling]))
+    used = np.isfinite(limits)
+    held = ~twin.movable
+    hard_upper = np.where(np.arange(size) < layout.n_alpha, 1.0, np.inf)
+    bounds = np.concatenate([
+        np.column_stack([np.where(held, instance.centre, 0.0),
+                         np.where(held, instance.centre, hard_upper)]),
+        np.column_stack([np.zeros(2 * n_rows + 2 * size), np.full(2 * n_rows + 2 * size, np.inf)]),
+    ])  # fmt: skip
+    cost = np.concatenate([np.zeros(size), np.ones(2 * n_rows + 2 * size)])
+    found = linprog(cost, A_ub=system[used], b_ub=limits[used], bounds=bounds, method="highs")
+    if found.status != 0 or found.fun <= _NOTHING:
+        return
+    relaxed = found.x[size:]
+    raise InfeasibleError(
+        "the constraints contradict each other. The smallest relaxation that removes it: "
+        + "; ".join(_named(twin, relaxed, norm))
+    )
+
+
+def _named(twin: Twin, relaxed: Array, norm: Array) -> list[str]:
+    layout = twin.instance.layout
+    n_rows, size = len(norm), layout.size
+    labels = [
+        term.label(row, layout)
+        for term in twin.row_constraints
+        for row in range(len(term.row_scale(twin.instance)))
+    ]
+    out = []
+    for side, (start, word) in enumerate(((0, "lower"), (n_rows, "higher"))):
+        for row in np.flatnonzero(relaxed[start : start + n_rows] > _NOTHING):
+            limit = (twin.row_lower, twin.row_upper)[side][row]
+            by = relaxed[start + row] * norm[row]
+            out.append(f"{labels[row]}: {limit:.4g} {word} by {by:.4g}")
+    for start, limits, word in (
+        (2 * n_rows, twin.lower, "lower bound {:.4g} lower by {:.4g}"),
+        (2 * n_rows + size, twin.upper, "upper bound {:.4g} higher by {:.4g}"),
+    ):
+        for u in np.flatnonzero(relaxed[start : start + size] > _NOTHING):
+            out.append(f"{layout.place(u)}: " + word.format(limits[u], relaxed[start + u]))
+    return out
