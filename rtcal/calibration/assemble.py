@@ -106,9 +106,9 @@ class Assembler:
                 np.where(lower == upper, lower, alpha), [max(t.mean, 0.0) for t in further]
             ),
         )
-        for term in self.objective.terms:
-            if isinstance(term, SoftMatch):
-                instance = replace(instance, target_uncertainty=term.uncertainty(instance))
+        for soft in self.objective.terms:
+            if isinstance(soft, SoftMatch):
+                instance = replace(instance, target_uncertainty=soft.uncertainty(instance))
         return instance
 
     def target(self, rooms: Sequence[Room], times: Array) -> Array:

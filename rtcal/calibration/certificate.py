@@ -72,9 +72,7 @@ def certify(twin: Twin, u: Array, multipliers: Multipliers) -> Certificate:
 
     gradient, pull = twin.gradient(u), np.asarray(matrix.T @ multipliers.rows)
     force = gradient + pull
-    dual = _by_band(
-        np.abs(sigma * (force - multipliers.lower + multipliers.upper)), layout, np.max
-    )
+    dual = _by_band(np.abs(sigma * (force - multipliers.lower + multipliers.upper)), layout, np.max)
     slack_lower, slack_upper = u - twin.lower, _finite(twin.upper - u)
     gap = _gap(multipliers.lower, multipliers.upper, slack_lower, slack_upper)
     row_gap = _row_gap(twin, multipliers.rows, values)

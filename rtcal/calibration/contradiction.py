@@ -75,5 +75,5 @@ def _named(twin: Twin, relaxed: Array, norm: Array) -> list[str]:
         (2 * n_rows + size, twin.upper, "upper bound {:.4g} higher by {:.4g}"),
     ):
         for u in np.flatnonzero(relaxed[start : start + size] > _NOTHING):
-            out.append(f"{layout.place(u)}: " + word.format(limits[u], relaxed[start + u]))
+            out.append(f"{layout.place(int(u))}: " + word.format(limits[u], relaxed[start + u]))
     return out

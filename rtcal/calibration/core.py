@@ -15,6 +15,7 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration import contradiction, feasibility, solvers
 from rtcal.calibration.certificate import Certificate, certify
+from rtcal.calibration.compiled import Compiled
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Flags, Instance
 from rtcal.calibration.layout import Layout
@@ -85,9 +86,7 @@ class Solution:
 class Core:
     """An objective and row constraints, compiled for one layout."""
 
-    def __init__(
-        self, layout: Layout, objective: Objective, rows: Sequence[RowConstraint]
-    ) -> None:
+    def __init__(self, layout: Layout, objective: Objective, rows: Sequence[RowConstraint]) -> None:
         self.objective = objective
         self.rows = tuple(rows)
         self._context = context = Context(layout)
@@ -113,7 +112,7 @@ class Core:
                 "term multiplies parameters, or divides by one; let it use the context's derived "
                 "parameters"
             )
-        self._compiled = solvers.Compiled(problem, context.x, tuple(row_constraints), lower, upper)
+        self._compiled = Compiled(problem, context.x, tuple(row_constraints), lower, upper)
 
     def solve(
         self,

@@ -95,7 +95,9 @@ class Layout:
         """Return the name of a matched row: its band, and its configuration if there are several."""
         configuration, band = divmod(int(row), self.n_bands)
         label = bands.label(self.centre_frequencies[band])
-        return label if self.n_configurations == 1 else f"{label}, configuration {configuration + 1}"
+        return (
+            label if self.n_configurations == 1 else f"{label}, configuration {configuration + 1}"
+        )
 
     def expand(self, values: Array) -> Array:
         """Return flat values of the unknowns as (n_materials, n_bands)."""

@@ -21,6 +21,8 @@ from rtcal.types import Array
 
 _ROUNDS = 60
 _ROUNDING = 1e-13
+_PATIENCE = 8
+"""Rounds without progress before what is reached is left to the certificate."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,8 @@ def polish(
     at_upper = (at_upper & ~at_lower) | forced_upper
     fixed_row = twin.row_lower == twin.row_upper
     side = np.where(fixed_row, 1, np.sign(_active_rows(twin, alpha, multipliers.rows)))
-    alpha = np.where(twin.movable, alpha, twin.instance.centre.ravel())
+    alpha = np.where(twin.movable, alpha, twin.instance.centre)
+    worst, patience = np.inf, _PATIENCE
     for _ in range(_ROUNDS):
         alpha = np.where(at_lower, lower, np.where(at_upper, upper, alpha))
         free = twin.movable & ~at_lower & ~at_upper
@@ -93,8 +96,11 @@ def polish(
             at_lower, at_upper = at_lower & ~free_lower, at_upper & ~free_upper
             side = np.where(free_row, 0, side)
             continue
-        if np.max(np.abs(balance[free]), initial=0.0) > 1e3 * tolerance:
-            continue  # a piecewise quadratic objective changed its piece
+        unbalanced = float(np.max(np.abs(balance[free]), initial=0.0))
+        if unbalanced > 1e3 * tolerance and patience:
+            # A piecewise quadratic objective changed its piece, or rounding is all that is left.
+            worst, patience = min(worst, unbalanced), patience - (unbalanced > 0.5 * worst)
+            continue
         force = twin.stationarity(trial, rows)
         found = Multipliers(
             rows,

@@ -10,16 +10,41 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
-from rtcal.calibration.terms import ExactMatch, PriorDeviation
+from rtcal.calibration.terms import (
+    BandSmoothness,
+    ExactMatch,
+    HuberDeviation,
+    PriorDeviation,
+    SoftMatch,
+)
 from rtcal.errors import ModelError
 from rtcal.types import Array
+
+_RELATIVE = 0.05
+"""u_T / T where the measurement states no uncertainty: one just noticeable difference."""
+_SMOOTHING = 0.1
+"""Weight of the smoothness: small enough to cost under 2 % where the truth is uncorrelated over
+bands (`python -m rtcal.studies.smoothing`)."""
 
 METHODS: dict[str, Callable[[], Calibration]] = {
     "mle": lambda: Calibration(PriorDeviation(), [ExactMatch()]),
     "lse": lambda: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
+    "soft": lambda: Calibration(PriorDeviation() + SoftMatch(_RELATIVE), []),
+    "smooth": lambda: Calibration(
+        PriorDeviation() + SoftMatch(_RELATIVE) + _SMOOTHING * BandSmoothness(), []
+    ),
+    "robust": lambda: Calibration(HuberDeviation() + SoftMatch(_RELATIVE), []),
+    "joint": lambda: Calibration(PriorDeviation() + SoftMatch(_RELATIVE), []),
 }
-"""By name: ``mle``, the likeliest coefficients that give the measured T (Bellows & Katz 2025,
-Eq. 19); ``lse``, the nearest ones whatever their sigma (Eq. 7)."""
+"""By name.
+
+``mle``: the likeliest coefficients that give the measured T (Bellows & Katz 2025, Eq. 19).
+``lse``: the nearest ones whatever their sigma (Eq. 7).
+``soft``: the most probable ones when T has its uncertainty (5 % where none is stated).
+``smooth``: soft, the shift changing slowly over frequency.
+``robust``: soft, a few coefficients may be far off what was stated.
+``joint``: soft, for several configurations of one room.
+"""
 
 
 def preset(method: str) -> Calibration:
@@ -50,7 +75,7 @@ def calibrate(
         Its alpha and sigma are the prior.
     measured : Measurement, or T in s, (n_bands,)
         Per band T20, else T30; NaN where missing: that band keeps its prior.
-    method : {"mle", "lse"}
+    method : {"mle", "lse", "soft", "smooth", "robust", "joint"}
     equation : Equation, optional
         `rtcal.Eyring` with the room's air if not given.
     solver : str

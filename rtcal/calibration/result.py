@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,31 +15,13 @@ import rtcal
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import CalibrationRecord, Room
-from rtcal.calibration.certificate import Certificate, certify
+from rtcal.calibration.certificate import Certificate
+from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.core import RawAnswer, Solution
 from rtcal.calibration.feasibility import Unreachable
+from rtcal.calibration.instance import Instance
 from rtcal.calibration.measured import Measured
-from rtcal.calibration.twin import Multipliers, Twin
 from rtcal.types import Array
-
-
-@dataclass(frozen=True, eq=False)
-class RawAnswer:
-    """The solver's own answer, before polishing, so that a solver can be judged.
-
-    ``alpha`` (n_materials, n_bands); ``seconds`` is the solver's own time.
-    """
-
-    twin: Twin
-    alpha: Array
-    multipliers: Multipliers
-    status: str
-    iterations: int
-    seconds: float
-
-    @cached_property
-    def certificate(self) -> Certificate:
-        """The raw answer's own certificate."""
-        return certify(self.twin, self.alpha, self.multipliers, 1.0)
 
 
 @dataclass(frozen=True)
@@ -68,41 +51,105 @@ class Plausibility:
 class CalibrationResult:
     """A calibrated room and everything that is known of the calibration.
 
-    Attributes
-    ----------
-    prior : Room
-        The room as it was given.
-    alpha : array (n_materials, n_bands)
-        The calibrated coefficients.
-    target, target_uncertainty : array (n_bands,)
-        b and its standard uncertainty in m², NaN where missing.
-    multipliers : array (n_bands,)
-        D in 1/m²: free coefficients are mu - D S sigma² (Bellows & Katz 2025, Eq. 25).
-    active : array (n_materials, n_bands) of int
-        -1 at the lower bound, 1 at the upper, 0 free.
-    certificate : Certificate
-    raw : RawAnswer
-    polished : bool
-        Whether ``alpha`` is the polished answer (else the solver's own was better).
-    unreachable : tuple of Unreachable
-        Bands that were moved to the nearest end.
+    One configuration's view of a `JointResult`; with one configuration, all of it.
     """
 
-    prior: Room
-    equation: LinearEquation
-    method: str
-    solver: str
-    measured_data: Measured
-    alpha: Array
-    target: Array
-    target_uncertainty: Array
-    gain_sigma: Array
-    multipliers: Array
-    active: NDArray[np.int8]
-    certificate: Certificate
-    raw: RawAnswer
-    polished: bool
-    unreachable: tuple[Unreachable, ...]
+    joint: JointResult
+    configuration: int
+
+    @property
+    def prior(self) -> Room:
+        """The room as it was given."""
+        return self.joint.configurations.rooms[self.configuration]
+
+    @property
+    def equation(self) -> LinearEquation:
+        """The equation that T was inverted with."""
+        return self.joint.equation
+
+    @property
+    def method(self) -> str:
+        """The method's name."""
+        return self.joint.method
+
+    @property
+    def solver(self) -> str:
+        """The solver's name."""
+        return self.joint.solver
+
+    @property
+    def measured_data(self) -> Measured:
+        """The measurement, in the room's bands."""
+        return self.joint.data[self.configuration]
+
+    @cached_property
+    def _rows(self) -> list[int]:
+        """Where the room's materials stand among those of all configurations."""
+        every = self.joint.materials
+        return [every.index(m) for m in self.prior.materials]
+
+    @cached_property
+    def alpha(self) -> Array:
+        """The calibrated coefficients, (n_materials, n_bands)."""
+        return self.joint.alpha[self._rows]
+
+    @property
+    def target(self) -> Array:
+        """B in m², (n_bands,), NaN where missing."""
+        return np.asarray(self._instance.target[self.configuration])
+
+    @property
+    def target_uncertainty(self) -> Array:
+        """Standard uncertainty of b in m², (n_bands,), NaN where unknown."""
+        return np.asarray(self._instance.target_uncertainty[self.configuration])
+
+    @property
+    def _instance(self) -> Instance:
+        return self.joint.solution.twin.instance
+
+    @property
+    def multipliers(self) -> Array:
+        """D in 1/m², (n_bands,): free coefficients are mu - D S sigma² (Eq. 25)."""
+        return np.asarray(self.joint.solution.match_multipliers[self.configuration])
+
+    @cached_property
+    def active(self) -> NDArray[np.int8]:
+        """-1 at the lower bound, 1 at the upper, 0 free, (n_materials, n_bands)."""
+        return self.joint.active[self._rows]
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """How far the answer is from the optimum."""
+        whole = self.joint.solution.certificate
+        return replace(whole, alpha_error_bound=whole.alpha_error_bound[self._rows])
+
+    @property
+    def raw(self) -> RawAnswer:
+        """The solver's own answer."""
+        return self.joint.solution.raw
+
+    @property
+    def polished(self) -> bool:
+        """Whether the answer is the polished one (else the solver's own was better)."""
+        return self.joint.solution.polished
+
+    @property
+    def unreachable(self) -> tuple[Unreachable, ...]:
+        """Bands that were moved to the nearest end."""
+        found = self.joint.solution.unreachable
+        return tuple(u for u in found if u.configuration == self.configuration)
+
+    @property
+    def effects(self) -> dict[str, float]:
+        """The sizes of the further unknowns, by name."""
+        return self.joint.effects
+
+    @cached_property
+    def added_absorption(self) -> Array:
+        """What effects add to the room's S'alpha in m², (n_bands,)."""
+        instance = self._instance
+        own = instance.further(self.joint.solution.unknowns)
+        return np.asarray(instance.gains[self.configuration] @ own)
 
     @property
     def measured(self) -> Array:
@@ -127,7 +174,7 @@ class CalibrationResult:
     @cached_property
     def reverberation_time_after(self) -> Array:
         """T of the calibrated room in s, (n_bands,)."""
-        return self.equation.time(self.prior, self.prior.areas @ self.alpha)
+        return self.equation.time(self.prior, self.prior.areas @ self.alpha + self.added_absorption)
 
     @property
     def gap_before(self) -> Array:
@@ -171,19 +218,10 @@ class CalibrationResult:
     def posterior_sigma(self) -> Array:
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands).
 
-        The error of a linear estimate alpha = mu + q (b - S'mu) / S'q with q = sigma² S of the
-        method, for a prior with the room's sigma and a T with its uncertainty:
-        var = K - 2 q S K / S'q + q² (S'KS + u_b²) / (S'q)². Bounds are not counted in.
+        That of the linear estimate, for a prior with the room's sigma and a T with its uncertainty;
+        see `rtcal.calibration.posterior.estimate_sigma`. Bounds are not counted in.
         """
-        areas = self.prior.areas[:, np.newaxis]
-        prior = self.prior.sigma**2
-        gain = self.gain_sigma**2 * areas
-        total = np.sum(areas * gain, axis=0)
-        used = self.matched & (total > 0)
-        gain = np.divide(gain, total, out=np.zeros_like(gain), where=used)
-        spread = np.sum(areas**2 * prior, axis=0) + np.nan_to_num(self.target_uncertainty) ** 2
-        variance = prior - 2 * gain * areas * prior + gain**2 * spread
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return self.joint.posterior_sigma[self._rows]
 
     @cached_property
     def room(self) -> Room:
@@ -242,6 +280,7 @@ class CalibrationResult:
                 "degrees_of_freedom": plausibility.degrees_of_freedom,
                 "p_value": plausibility.p_value,
             },
+            "effects": self.effects,
             "multipliers": _listed(self.multipliers),
             "unreachable": [str(u) for u in self.unreachable],
             "certificate": _certificate(self.certificate),
@@ -264,6 +303,90 @@ class CalibrationResult:
         from rtcal.calibration.table import table
 
         return table(self)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointResult:
+    """One answer for several configurations of a room: shared alpha, one T a configuration.
+
+    Attributes
+    ----------
+    configurations : Configurations
+    solution : Solution
+        The answer over the unknowns, its multipliers and its certificate.
+    equation, method, solver
+        As asked for.
+    data : tuple of Measured
+        One a configuration.
+    assemble : function
+        The numbers of the same problem for other measurements.
+    """
+
+    configurations: Configurations
+    solution: Solution
+    equation: LinearEquation
+    method: str
+    solver: str
+    data: tuple[Measured, ...]
+    assemble: Callable[[Sequence[Measured]], Instance]
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Every material of any configuration."""
+        return self.configurations.materials
+
+    @cached_property
+    def alpha(self) -> Array:
+        """The calibrated coefficients, (n_materials, n_bands)."""
+        return self.solution.twin.instance.layout.expand(self.solution.unknowns)
+
+    @cached_property
+    def active(self) -> NDArray[np.int8]:
+        """-1 at the lower bound, 1 at the upper, 0 free, (n_materials, n_bands)."""
+        layout = self.solution.twin.instance.layout
+        return layout.expand(self.solution.active.astype(float)).astype(np.int8)
+
+    @property
+    def certificate(self) -> Certificate:
+        """How far the answer is from the optimum."""
+        return self.solution.certificate
+
+    @cached_property
+    def effects(self) -> dict[str, float]:
+        """The sizes of the further unknowns, by name."""
+        instance = self.solution.twin.instance
+        sizes = instance.further(self.solution.unknowns)
+        return dict(zip(instance.layout.further, sizes.tolist(), strict=True))
+
+    @cached_property
+    def _estimate_sigma(self) -> Array:
+        from rtcal.calibration.posterior import estimate_sigma
+
+        return estimate_sigma(self)
+
+    @property
+    def posterior_sigma(self) -> Array:
+        """Standard deviation of the calibrated coefficients, (n_materials, n_bands)."""
+        return self.solution.twin.instance.layout.expand(self._estimate_sigma)
+
+    @property
+    def effects_sigma(self) -> dict[str, float]:
+        """Standard deviation of the sizes of the further unknowns, by name."""
+        instance = self.solution.twin.instance
+        sizes = instance.further(self._estimate_sigma)
+        return dict(zip(instance.layout.further, sizes.tolist(), strict=True))
+
+    @cached_property
+    def results(self) -> tuple[CalibrationResult, ...]:
+        """The answer as each configuration sees it."""
+        return tuple(
+            CalibrationResult(joint=self, configuration=c)
+            for c in range(len(self.configurations.rooms))
+        )
+
+    def __str__(self) -> str:
+        parts = zip(self.configurations.names, self.results, strict=True)
+        return "\n\n".join(f"configuration: {name}\n{result}" for name, result in parts)
 
 
 def _listed(values: Array) -> list[float | None]:

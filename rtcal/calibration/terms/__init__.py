@@ -28,12 +28,36 @@ from rtcal.calibration.terms.limits import (
     GroupAbsorption,
     Shared,
 )
-from rtcal.calibration.terms.match import AddedAbsorption, ExactMatch, MatchWithin, SoftMatch
+from rtcal.calibration.terms.match import (
+    AddedAbsorption,
+    ExactMatch,
+    MatchWithin,
+    SoftMatch,
+    match_matrix,
+)
 from rtcal.calibration.terms.prior import HuberDeviation, PriorDeviation
 
 __all__ = [
-    "AddedAbsorption", "AtMost", "BandSmoothness", "BoundConstraint", "Bounds", "ExactMatch",
-    "Fixed", "FurtherUnknown", "GroupAbsorption", "HuberDeviation", "Matching", "MatchWithin",
-    "Objective", "ObjectiveTerm", "PriorDeviation", "RowConstraint", "Rows", "Shared",
-    "SharedMaterials", "SoftMatch", "as_objective",
+    "AddedAbsorption",
+    "AtMost",
+    "BandSmoothness",
+    "BoundConstraint",
+    "Bounds",
+    "ExactMatch",
+    "Fixed",
+    "FurtherUnknown",
+    "GroupAbsorption",
+    "HuberDeviation",
+    "MatchWithin",
+    "Matching",
+    "Objective",
+    "ObjectiveTerm",
+    "PriorDeviation",
+    "RowConstraint",
+    "Rows",
+    "Shared",
+    "SharedMaterials",
+    "SoftMatch",
+    "as_objective",
+    "match_matrix",
 ]  # fmt: skip

@@ -47,6 +47,10 @@ class ObjectiveTerm(Protocol):
         """Return m, (size,), with curvature >= diag(m / sigma²) everywhere; 0 where unsure."""
         ...
 
+    def correlate(self, columns: Array, layout: Layout) -> Array:
+        """Return R @ columns, R the prior correlation of the unknowns; columns (size, ...)."""
+        ...
+
     def __add__(self, other: Any) -> Objective: ...
 
     def __rmul__(self, factor: float) -> Objective: ...
@@ -88,6 +92,10 @@ class Sums:
     def convexity(self, instance: Instance) -> Array:
         """Return zeros: no strong convexity is claimed."""
         return np.zeros(instance.layout.size)
+
+    def correlate(self, columns: Array, layout: Layout) -> Array:
+        """Return the columns as they are: independent."""
+        return columns
 
     def __add__(self, other: Any) -> Objective:
         mine: Any = self

@@ -70,7 +70,9 @@ class BandSmoothness(Sums):
         layout = instance.layout
         n, k = layout.n_rows, layout.n_bands
         one = sp.diags_array([-np.ones(k - 1), np.ones(k - 1)], offsets=[0, 1], shape=(k - 1, k))
-        over_all = sp.hstack([sp.kron(sp.eye_array(n), one), sp.csr_array((n * (k - 1), layout.size - n * k))])
+        over_all = sp.hstack(
+            [sp.kron(sp.eye_array(n), one), sp.csr_array((n * (k - 1), layout.size - n * k))]
+        )
         known = np.asarray(instance.alpha(instance.sigma) == 0)
         both = ~(known[:, 1:] | known[:, :-1]).ravel()
         return sp.csr_array(sp.diags_array(both / np.sqrt(self._octaves(layout))) @ over_all)

@@ -19,7 +19,6 @@ from rtcal.errors import ModelError
 from rtcal.types import Array
 
 
-
 def _positive(what: str, value: float | None) -> None:
     if value is not None and not (np.isfinite(value) and value > 0):
         raise ModelError(f"{what}={value:g}): it must be finite and above 0")
@@ -98,6 +97,19 @@ class PriorDeviation(Sums):
         stacked = np.array(bands)
         full = np.einsum("ij,iab,jcb->iajc", between @ between.T, stacked, stacked)
         return np.asarray(full.reshape(layout.n_alpha, layout.n_alpha))
+
+    def correlate(self, columns: Array, layout: Layout) -> Array:
+        """Return R @ columns; further unknowns are independent."""
+        if not self.correlated():
+            return columns
+        bands, between = self.factors(layout)
+        n, k = layout.n_rows, layout.n_bands
+        stacked = np.array(bands)
+        alpha = columns[: layout.n_alpha].reshape(n, k, -1)
+        alpha = np.einsum("iab,ia...->ib...", stacked, alpha)
+        alpha = np.einsum("ij,jb...->ib...", between @ between.T, alpha)
+        alpha = np.einsum("iab,ib...->ia...", stacked, alpha).reshape(layout.n_alpha, -1)
+        return np.concatenate([alpha, columns[layout.n_alpha :]])
 
     def expression(self, context: Context, weight: int) -> Any:
         """½ |W x|² in the whitened unknowns, W'W the inverse of R.
@@ -244,7 +256,9 @@ def _precision(term: PriorDeviation, layout: Layout, known: bytes) -> Any:
             (np.ones(len(keep)), (keep, np.arange(len(keep)))), (layout.n_alpha, len(keep))
         )
         precision = spread @ sp.csr_array(reduced) @ spread.T
-    padded = sp.csr_array(sp.block_diag([precision, sp.csr_array((layout.size - layout.n_alpha,) * 2)]))
+    padded = sp.csr_array(
+        sp.block_diag([precision, sp.csr_array((layout.size - layout.n_alpha,) * 2)])
+    )
     return padded
 
 
