@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 from rtcal.acoustics.equations import Equation
-from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.calibration.problem import Calibration
-from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.problem import Calibration, Times, Unreached
+from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.calibration.terms import (
     BandSmoothness,
     ExactMatch,
@@ -18,7 +18,6 @@ from rtcal.calibration.terms import (
     SoftMatch,
 )
 from rtcal.errors import ModelError
-from rtcal.types import Array
 
 _RELATIVE = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""
@@ -54,16 +53,42 @@ def preset(method: str) -> Calibration:
     return METHODS[method]()
 
 
+@overload
 def calibrate(
     room: Room,
-    measured: Measurement | Sequence[float] | Array,
+    measured: Times,
     method: str = "mle",
     equation: Equation | None = None,
     solver: str = "clarabel",
-    unreachable: Literal["raise", "nearest"] = "raise",
+    unreachable: Unreached = "raise",
     warm_start: Literal["none", "closed_form"] = "none",
     settings: Mapping[str, Any] | None = None,
-) -> CalibrationResult:
+) -> CalibrationResult: ...
+
+
+@overload
+def calibrate(
+    room: Configurations,
+    measured: Sequence[Times],
+    method: str = "mle",
+    equation: Equation | None = None,
+    solver: str = "clarabel",
+    unreachable: Unreached = "raise",
+    warm_start: Literal["none", "closed_form"] = "none",
+    settings: Mapping[str, Any] | None = None,
+) -> JointResult: ...
+
+
+def calibrate(
+    room: Room | Configurations,
+    measured: Any,
+    method: str = "mle",
+    equation: Equation | None = None,
+    solver: str = "clarabel",
+    unreachable: Unreached = "raise",
+    warm_start: Literal["none", "closed_form"] = "none",
+    settings: Mapping[str, Any] | None = None,
+) -> CalibrationResult | JointResult:
     """Calibrate a room's absorption coefficients to its measured reverberation time.
 
     minimise sum ((alpha - mu) / sigma)²  subject to  S'alpha = b,  alpha_min <= alpha <= 1,
@@ -71,8 +96,9 @@ def calibrate(
 
     Parameters
     ----------
-    room : Room
-        Its alpha and sigma are the prior.
+    room : Room or Configurations
+        Its alpha and sigma are the prior. Several configurations of one room share their
+        materials' coefficients; then ``measured`` has one entry a configuration.
     measured : Measurement, or T in s, (n_bands,)
         Per band T20, else T30; NaN where missing: that band keeps its prior.
     method : {"mle", "lse", "soft", "smooth", "robust", "joint"}
@@ -90,7 +116,7 @@ def calibrate(
 
     Returns
     -------
-    CalibrationResult
+    CalibrationResult, or JointResult for Configurations
 
     Raises
     ------
@@ -107,12 +133,13 @@ def calibrate(
     >>> bool(abs(result.gap_after).max() < 1e-9)
     True
     """
-    problem = preset(method).build(room, equation)
-    return problem.solve(
-        measured,
-        solver=solver,
-        unreachable=unreachable,
-        warm_start=warm_start,
-        settings=settings,
-        method=method,
-    )
+    calibration = preset(method)
+    if isinstance(room, Configurations):
+        return calibration.build(room, equation).solve(
+            measured, solver=solver, unreachable=unreachable, warm_start=warm_start,
+            settings=settings, method=method,
+        )  # fmt: skip
+    return calibration.build(room, equation).solve(
+        measured, solver=solver, unreachable=unreachable, warm_start=warm_start,
+        settings=settings, method=method,
+    )  # fmt: skip
