@@ -14,7 +14,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, InfeasibleError
+from rtcal.errors import DataError, InfeasibleError, ModelError
 from rtcal.types import Array
 
 PAPER_SPEED_OF_SOUND = 24 * np.log(10) / 0.164
@@ -99,7 +99,8 @@ class LinearEquation:
         """Return db/dT in m²/s, (n_bands,): negative, since a longer T needs less absorption."""
         t = np.asarray(t, dtype=float)
         total_slope = -self._constant(room) * room.volume / t**2
-        return np.asarray(total_slope / self.slope(self.target(room, t) / room.total_area))
+        with np.errstate(divide="ignore"):
+            return np.asarray(total_slope / self.slope(self.target(room, t) / room.total_area))
 
     def air_share(self, room: Room, absorption_area: Array) -> Array:
         """Return the air's share 4mV / (S a + 4mV) of the whole absorption, (n_bands,)."""
@@ -138,9 +139,10 @@ class LinearEquation:
                 )
         b = self.target(room, t)
         longest = self.time(room, np.zeros(room.n_bands))
-        shortest = self.time(room, np.full(room.n_bands, room.total_area))
+        top = self.largest_mean_alpha * room.total_area
+        shortest = self.time(room, np.full(room.n_bands, top))
         for i in range(room.n_bands):
-            if np.isnan(t[i]) or 0 <= b[i] <= room.total_area:
+            if np.isnan(t[i]) or 0 <= b[i] <= top * (1 + 1e-15):
                 continue
             why = "longer than the air alone allows" if t[i] > longest[i] else "too short"
             raise InfeasibleError(
@@ -206,3 +208,68 @@ class Eyring(LinearEquation):
         """Return 1 / (1 - mean alpha)."""
         with np.errstate(divide="ignore"):
             return np.asarray(1 / (1 - np.minimum(mean_alpha, 1.0)))
+
+
+@dataclass(frozen=True)
+class Kuttruff(LinearEquation):
+    """Kuttruff's equation: a = a' (1 - gamma² a' / 2), a' = -ln(1 - mean alpha).
+
+    gamma² is the relative variance of the free paths. The exponent peaks at a' = 1 / gamma², for
+    gamma² = .4 at a mean coefficient of .918; beyond it the equation does not hold, and a T shorter
+    than there is refused.
+
+    Parameters
+    ----------
+    speed_of_sound : float, optional
+        c in m/s; the room's air tells it if it is not given.
+    path_variance : float
+        gamma², above 0 and at most 1; .4 suits rooms of usual proportions.
+
+    References
+    ----------
+    H. Kuttruff, Room Acoustics, 5th ed. (2009), Eqs. 5.23 to 5.25.
+
+    Examples
+    --------
+    >>> room = Room(name="box", volume=120, materials=["all"], areas=[158], alpha=[[0.2]],
+    ...             sigma=[[0.1]], centre_frequencies=[1000])
+    >>> print(Kuttruff(speed_of_sound=343).reverberation_time(room).round(4))
+    [0.574]
+    """
+
+    path_variance: float = 0.4
+
+    name: ClassVar[str] = "Kuttruff"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.path_variance <= 1:
+            raise DataError(f"path_variance = {self.path_variance:g} is not above 0 and at most 1")
+
+    @property
+    def largest_mean_alpha(self) -> float:
+        """1 - exp(-1 / gamma²), where T is shortest."""
+        return float(-np.expm1(-1 / self.path_variance))
+
+    def exponent(self, mean_alpha: Array) -> Array:
+        """Return a' (1 - gamma² a' / 2); ModelError beyond the peak, where it does not hold."""
+        if np.any(np.asarray(mean_alpha) > self.largest_mean_alpha * (1 + 1e-12)):
+            raise ModelError(
+                f"a mean absorption coefficient of {np.max(mean_alpha):.3f} is beyond "
+                f"{self.largest_mean_alpha:.3f}, up to which Kuttruff's equation holds"
+            )
+        eyring = -np.log1p(-np.asarray(mean_alpha, dtype=float))
+        return np.asarray(eyring * (1 - self.path_variance * eyring / 2))
+
+    def mean_alpha(self, exponent: Array) -> Array:
+        """Return the mean coefficient on the lower branch; NaN for an exponent above the peak."""
+        # 2 gamma² a before the peak; written as a quotient, small exponents keep their digits.
+        inside = 1 - 2 * self.path_variance * np.asarray(exponent, dtype=float)
+        inside = np.where(inside < 0, np.where(inside > -1e-14, 0.0, np.nan), inside)
+        eyring = 2 * np.asarray(exponent, dtype=float) / (1 + np.sqrt(inside))
+        return np.asarray(-np.expm1(-eyring))
+
+    def slope(self, mean_alpha: Array) -> Array:
+        """Return (1 - gamma² a') / (1 - mean alpha), 0 at the peak."""
+        eyring = -np.log1p(-np.asarray(mean_alpha, dtype=float))
+        return np.asarray((1 - self.path_variance * eyring) / (1 - np.asarray(mean_alpha)))

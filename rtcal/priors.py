@@ -1,0 +1,233 @@
+"""What is known of alpha before measuring: the truncated normal, and where sigma comes from.
+
+Which sigma to state:
+
+- `TIERS`, the paper's three: .01 for a painted wall or linoleum, .05 for wood panels or a door, .1 for
+  seats and perforated ceilings (Bellows & Katz 2025, Sect. 4.3.1).
+- `sigma_iso_12999_2`: how far laboratories disagree on one and the same specimen. No handbook value
+  deserves less; for another specimen in another mounting take `in_situ` of it.
+- `sigma_relative`: a share of alpha with a least value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}
+"""Standard deviation by degree of uncertainty (Bellows & Katz 2025, Sect. 4.3.1)."""
+
+# ISO 12999-2:2020, Table 1: sigma_R = m alpha + n in third-octaves (as transcribed in the open
+# source package phonometry, J. M. Requena Plens; the standard itself was not at hand).
+_ISO_12999_2: dict[float, tuple[float, float]] = {
+    63: (0.450, 0.015), 80: (0.330, 0.015), 100: (0.240, 0.015), 125: (0.180, 0.015),
+    160: (0.140, 0.015), 200: (0.110, 0.015), 250: (0.090, 0.015), 315: (0.075, 0.015),
+    400: (0.060, 0.015), 500: (0.050, 0.015), 630: (0.045, 0.015), 800: (0.040, 0.015),
+    1000: (0.040, 0.015), 1250: (0.040, 0.016), 1600: (0.037, 0.018), 2000: (0.035, 0.021),
+    2500: (0.030, 0.026), 3150: (0.030, 0.032), 4000: (0.030, 0.040), 5000: (0.026, 0.060),
+}  # fmt: skip
+
+# Gauss-Legendre nodes: 80 integrate exp(-x²/2) over +-9.5 to rounding.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(80)
+_DROP = 90.0  # beyond sqrt(mode² + 90) the density is below exp(-45) of its peak
+
+
+@dataclass(frozen=True, eq=False)
+class TruncatedNormal:
+    """The normal distribution of mean mu and standard deviation sigma, cut to [lower, upper].
+
+    Arrays of any common shape. ``mu`` may lie at or beyond the ends. Moments are integrated over the
+    effective support from the mode, so that they keep their digits in the tails, where the closed
+    forms (Bellows & Katz 2025, Eqs. 14 and 31) lose all of them.
+
+    Parameters
+    ----------
+    mu : array
+        Mean of the untruncated distribution.
+    sigma : array
+        Its standard deviation, above 0.
+    lower, upper : float or array
+        Ends of the support.
+
+    Raises
+    ------
+    DataError
+        If a value is not finite, sigma is not above 0, or lower is not below upper.
+
+    References
+    ----------
+    Bellows & Katz (2025), Eqs. 13, 14 and 31.
+
+    Examples
+    --------
+    >>> known = TruncatedNormal(mu=0.05, sigma=0.05)
+    >>> print(known.mean().round(4), known.variance().round(6))
+    0.0644 0.001574
+    """
+
+    mu: Array
+    sigma: Array
+    lower: Array | float = 0.0
+    upper: Array | float = 1.0
+
+    def __post_init__(self) -> None:
+        values = [np.asarray(v, dtype=float) for v in (self.mu, self.sigma, self.lower, self.upper)]
+        try:
+            values = list(np.broadcast_arrays(*values))
+        except ValueError as error:
+            raise DataError(f"truncated normal: shapes do not fit: {error}") from error
+        for name, value in zip(("mu", "sigma", "lower", "upper"), values, strict=True):
+            if not np.isfinite(value).all():
+                raise DataError(f"truncated normal: {name} has a value that is not finite")
+            object.__setattr__(self, name, value)
+        if not np.all(self.sigma > 0):
+            raise DataError(f"truncated normal: sigma = {np.min(self.sigma):g} is not above 0")
+        if not np.all(np.asarray(self.lower) < np.asarray(self.upper)):
+            raise DataError("truncated normal: lower must be below upper")
+
+    def log_pdf(self, x: Array) -> Array:
+        """Return the natural logarithm of the density at ``x``; -inf outside [lower, upper]."""
+        x = np.asarray(x, dtype=float)
+        mode, _, scale, _, _ = self._moments()
+        offset = (x - mode) / self.sigma
+        slope = (mode - self.mu) / self.sigma
+        inside = -slope * offset - offset**2 / 2 - np.log(scale * self.sigma)
+        return np.where((x < self.lower) | (x > self.upper), -np.inf, inside)
+
+    def pdf(self, x: Array) -> Array:
+        """Return the density at ``x`` (Eq. 13)."""
+        return np.asarray(np.exp(self.log_pdf(x)))
+
+    def mean(self) -> Array:
+        """Return the mean of the truncated distribution."""
+        mode, _, _, first, _ = self._moments()
+        return np.asarray(mode + self.sigma * first)
+
+    def variance(self) -> Array:
+        """Return the variance of the truncated distribution (Eq. 31)."""
+        *_, second = self._moments()
+        return np.asarray(np.asarray(self.sigma) ** 2 * second)
+
+    def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
+        """Return draws of shape ``size`` + the parameters' shape, by inversion of the distribution.
+
+        Exact in the tails: it works with logarithms of the probability on the side where both ends
+        are small.
+        """
+        from scipy.special import log_ndtr, ndtri_exp
+
+        low = (np.asarray(self.lower) - self.mu) / self.sigma
+        high = (np.asarray(self.upper) - self.mu) / self.sigma
+        flip = low + high > 0  # the upper tail: mirror it
+        start, end = np.where(flip, -high, low), np.where(flip, -low, high)
+        below, above = log_ndtr(start), log_ndtr(end)
+        u = rng.random(tuple(size) + np.shape(self.mu))
+        # log(P(start) + u (P(end) - P(start))), counted from the larger one, P(end).
+        z = ndtri_exp(above + np.log(u + (1 - u) * np.exp(below - above)))
+        drawn = np.asarray(self.mu) + np.asarray(self.sigma) * np.where(flip, -z, z)
+        return np.asarray(np.clip(drawn, self.lower, self.upper))
+
+    def _moments(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Mode; its slope; integral of exp(-slope d - d²/2); mean and variance of d.
+
+        d is the distance from the mode in sigmas.
+        """
+        mu, sigma = np.asarray(self.mu), np.asarray(self.sigma)
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        mode = np.clip(mu, lower, upper)
+        slope = (mode - mu) / sigma
+        reach = _DROP / (np.sqrt(slope**2 + _DROP) + np.abs(slope))  # sqrt(m² + 90) - |m|
+        left = np.maximum((lower - mode) / sigma, -reach)
+        right = np.minimum((upper - mode) / sigma, reach)
+        half, centre = (right - left) / 2, (right + left) / 2
+        d = centre[..., np.newaxis] + half[..., np.newaxis] * _NODES
+        weight = np.exp(-slope[..., np.newaxis] * d - d**2 / 2) * _WEIGHTS
+        total = np.sum(weight, axis=-1)
+        first = np.sum(weight * d, axis=-1) / total
+        second = np.sum(weight * (d - first[..., np.newaxis]) ** 2, axis=-1) / total
+        return mode, slope, total * half, first, second
+
+
+def sigma_relative(alpha: Array, fraction: float, minimum: float = 0.0) -> Array:
+    """Return max(fraction alpha, minimum), same shape as ``alpha``.
+
+    >>> print(sigma_relative(np.array([0.02, 0.5]), 0.3, 0.01))
+    [0.01 0.15]
+    """
+    for name, value in (("fraction", fraction), ("minimum", minimum)):
+        if not (np.isfinite(value) and value >= 0):
+            raise DataError(f"sigma_relative: {name} = {value:g} is not finite and 0 or more")
+    return np.asarray(np.maximum(fraction * np.asarray(alpha, dtype=float), minimum))
+
+
+def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array) -> Array:
+    """Return sigma_R = m alpha + n, the reproducibility of ISO 354 between laboratories.
+
+    Parameters
+    ----------
+    alpha : array (..., n_bands)
+    centre_frequencies : sequence (n_bands,)
+        Third-octaves from 63 to 5000 Hz, or octaves from 125 to 4000 Hz: there m and n are the means
+        over the three thirds, whose errors are taken as fully correlated.
+
+    Raises
+    ------
+    DataError
+        For a band that the standard does not tabulate.
+
+    References
+    ----------
+    ISO 12999-2:2020, Eq. 1 and Table 1.
+
+    Examples
+    --------
+    >>> print(sigma_iso_12999_2(np.array([[0.5, 0.5, 0.5]]), [800, 1000, 1250]).round(4))
+    [[0.035 0.035 0.036]]
+    """
+    f = bands.as_bands(centre_frequencies)
+    thirds = bands.bandwidth_factor(f) < 0.5
+    constants = []
+    for frequency in f:
+        wanted = [float(frequency)]
+        if not thirds and frequency in bands.THIRD_OCTAVES:
+            place = bands.THIRD_OCTAVES.index(frequency)
+            wanted = list(bands.THIRD_OCTAVES[max(place - 1, 0) : place + 2])
+        if any(w not in _ISO_12999_2 for w in wanted):
+            raise DataError(
+                f"ISO 12999-2 tabulates third-octaves from 63 to 5000 Hz (octaves from 125 to "
+                f"4000 Hz), not {bands.label(frequency)}"
+            )
+        constants.append(np.mean([_ISO_12999_2[w] for w in wanted], axis=0))
+    m, n = np.array(constants).T
+    return np.asarray(m * np.asarray(alpha, dtype=float) + n)
+
+
+def in_situ(sigma: Array, factor: float) -> Array:
+    """Return ``factor`` times ``sigma``: another specimen, mounted otherwise, aged and painted.
+
+    >>> print(in_situ(np.array([0.02]), 2.0))
+    [0.04]
+    """
+    if not (np.isfinite(factor) and factor >= 1):
+        raise DataError(f"in-situ factor = {factor:g} is not finite and 1 or more")
+    return np.asarray(factor * np.asarray(sigma, dtype=float))
+
+
+def neighbour_correlation(size: int, correlation: float) -> Array:
+    """Return the matrix correlation^|i - j|, (size, size): neighbouring bands are alike.
+
+    >>> print(neighbour_correlation(3, 0.5))
+    [[1.   0.5  0.25]
+     [0.5  1.   0.5 ]
+     [0.25 0.5  1.  ]]
+    """
+    if not 0 <= correlation < 1:
+        raise DataError(f"correlation = {correlation:g} is not from 0 to below 1")
+    steps = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
+    return np.asarray(float(correlation) ** steps)
