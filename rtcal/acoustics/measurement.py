@@ -240,13 +240,13 @@ class Measurement:
 
     @classmethod
     def from_file(cls, path: str) -> Measurement:
-        """Read a measurement from CSV; see `rtcal.acoustics.files` for the format."""
-        from rtcal.acoustics import files
+        """Read a measurement from CSV; see `rtcal.acoustics.measurement_files` for the format."""
+        from rtcal.acoustics import measurement_files
 
-        return files.read_measurement(path)
+        return measurement_files.read_measurement(path)
 
     def save(self, path: str) -> None:
         """Write the measurement to CSV, whole or not at all."""
-        from rtcal.acoustics import files
+        from rtcal.acoustics import measurement_files
 
-        files.write_measurement(self, path)
+        measurement_files.write_measurement(self, path)

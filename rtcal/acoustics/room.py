@@ -316,16 +316,16 @@ class Room:
 
     @classmethod
     def from_file(cls, path: str) -> Room:
-        """Read a room from TOML; see `rtcal.acoustics.files` for the format."""
-        from rtcal.acoustics import files
+        """Read a room from TOML; see `rtcal.acoustics.room_files` for the format."""
+        from rtcal.acoustics import room_files
 
-        return files.read_room(path)
+        return room_files.read_room(path)
 
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""
-        from rtcal.acoustics import files
+        from rtcal.acoustics import room_files
 
-        files.write_room(self, path)
+        room_files.write_room(self, path)
 
 
 def _frozen(array: Array) -> Array:

@@ -1,0 +1,174 @@
+"""A measurement in CSV, the native format.
+
+One row for each value; an empty value is missing; lines that begin with # are notes::
+
+    source,receiver,parameter,band,value
+    S1,R1,T20,500,1.92
+
+Parameters: T20, T30, EDT, Ts in s; C50, C80, G in dB; D50 as a fraction; the band in Hz. Optional
+columns: ``uncertainty`` (standard uncertainty of the value), and for rows that sum several pairs up
+(source and receiver ``*``) ``standard_deviation`` over the pairs, ``sources`` and ``receivers``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.files import read_text, write_text
+from rtcal.acoustics.measurement import DECAY_TIMES, SUMMARY, UNITS, Measurement
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+_COLUMNS = ("source", "receiver", "parameter", "band", "value")
+_OPTIONAL_COLUMNS = ("uncertainty", "standard_deviation", "sources", "receivers")
+
+
+def read_measurement(path: str | os.PathLike[str]) -> Measurement:
+    """Read a measurement from CSV. DataError names file, line, value and rule."""
+    lines = read_text(path).splitlines()
+    numbered = [
+        (number, line)
+        for number, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not numbered:
+        raise DataError(f"{path}: no rows; the first must name the columns {', '.join(_COLUMNS)}")
+    header = [c.strip().lower() for c in next(csv.reader([numbered[0][1]]))]
+    for column in _COLUMNS:
+        if column not in header:
+            raise DataError(f'{path}, line {numbered[0][0]}: column "{column}" is missing')
+    for column in header:
+        if column not in _COLUMNS + _OPTIONAL_COLUMNS:
+            known = ", ".join(_COLUMNS + _OPTIONAL_COLUMNS)
+            raise DataError(
+                f'{path}, line {numbered[0][0]}: column "{column}" means nothing; known: {known}'
+            )
+    rows: dict[tuple[str, str, str, float], dict[str, float]] = {}
+    for number, line in numbered[1:]:
+        place = f"{path}, line {number}"
+        cells = next(csv.reader([line]))
+        if len(cells) != len(header):
+            raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
+        cell = dict(zip(header, (c.strip() for c in cells), strict=True))
+        key, numbers = _measurement_row(cell, place)
+        if key in rows:
+            raise DataError(f"{place}: {key[2].upper()} of {key[0]}, {key[1]} at "
+                            f"{bands.label(key[3])} is given twice")  # fmt: skip
+        rows[key] = numbers
+    if not rows:
+        raise DataError(f"{path}: no row with a value below the header")
+    try:
+        return _assembled(rows)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def _measurement_row(
+    cell: Mapping[str, str], place: str
+) -> tuple[tuple[str, str, str, float], dict[str, float]]:
+    parameter = cell["parameter"].lower()
+    if parameter not in UNITS:
+        known = ", ".join(UNITS)
+        raise DataError(f'{place}: parameter "{cell["parameter"]}" is unknown; known: {known}')
+    band = _cell(cell, "band", place)
+    if not band > 0:
+        raise DataError(f'{place}: band = "{cell["band"]}" is not a frequency above 0 Hz')
+    numbers = {c: _cell(cell, c, place) for c in ("value", *_OPTIONAL_COLUMNS) if c in cell}
+    value = numbers["value"]
+    if parameter in DECAY_TIMES and value <= 0:
+        raise DataError(f"{place}: {cell['parameter']} = {value:g} s is not above 0")
+    for column in _OPTIONAL_COLUMNS:
+        if numbers.get(column, 0.0) < 0:
+            raise DataError(f"{place}: {column} = {numbers[column]:g} is below 0")
+    return (cell["source"], cell["receiver"], parameter, bands.nominal(band)), numbers
+
+
+def _cell(cell: Mapping[str, str], column: str, place: str) -> float:
+    if not cell[column]:
+        return float("nan")
+    try:
+        number = float(cell[column])
+    except ValueError as error:
+        raise DataError(f'{place}: {column} = "{cell[column]}" is not a number') from error
+    if not np.isfinite(number):
+        raise DataError(f'{place}: {column} = "{cell[column]}" is not finite; leave it empty')
+    return number
+
+
+def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) -> Measurement:
+    frequencies = sorted({key[3] for key in rows})
+    pairs = list(dict.fromkeys(key[:2] for key in rows))
+    parameters = list(dict.fromkeys(key[2] for key in rows))
+    if (SUMMARY, SUMMARY) in pairs and len(pairs) > 1:
+        raise DataError(f'summary rows (source and receiver "{SUMMARY}") stand beside single pairs')
+    shape = (len(pairs), len(frequencies))
+    values = {p: np.full(shape, np.nan) for p in parameters}
+    uncertainty: dict[str, Array] = {}
+    deviation: dict[str, Array] = {}
+    counts: dict[str, set[float]] = {"sources": set(), "receivers": set()}
+    for (source, receiver, parameter, band), numbers in rows.items():
+        where = pairs.index((source, receiver)), frequencies.index(band)
+        values[parameter][where] = numbers["value"]
+        if np.isfinite(numbers.get("uncertainty", np.nan)):
+            uncertainty.setdefault(parameter, np.full(shape, np.nan))[where] = numbers[
+                "uncertainty"
+            ]
+        if np.isfinite(numbers.get("standard_deviation", np.nan)):
+            spread = deviation.setdefault(parameter, np.full(shape[1], np.nan))
+            spread[where[1]] = numbers["standard_deviation"]
+        for name, seen in counts.items():
+            if np.isfinite(numbers.get(name, np.nan)):
+                seen.add(numbers[name])
+    for name, seen in counts.items():
+        if len(seen) > 1:
+            raise DataError(f"column {name} has several values; all rows must be over the same")
+    return Measurement(
+        centre_frequencies=np.array(frequencies),
+        pairs=pairs,
+        values=values,
+        uncertainty=uncertainty,
+        standard_deviation=deviation,
+        n_sources=int(counts["sources"].pop()) if counts["sources"] else None,
+        n_receivers=int(counts["receivers"].pop()) if counts["receivers"] else None,
+    )
+
+
+def write_measurement(measurement: Measurement, path: str | os.PathLike[str]) -> None:
+    """Write a measurement to CSV, whole or not at all; reading it back gives the same numbers."""
+    extra = {
+        "uncertainty": bool(measurement.uncertainty),
+        "standard_deviation": bool(measurement.standard_deviation),
+        "sources": measurement.n_sources is not None,
+        "receivers": measurement.n_receivers is not None,
+    }
+    columns = list(_COLUMNS) + [c for c in _OPTIONAL_COLUMNS if extra[c]]
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    for parameter, values in measurement.values.items():
+        for i, (source, receiver) in enumerate(measurement.pairs):
+            for k, band in enumerate(measurement.centre_frequencies):
+                cells: dict[str, Any] = {
+                    "source": source, "receiver": receiver, "parameter": parameter.upper(),
+                    "band": f"{band:g}", "value": _text(values[i, k]),
+                }  # fmt: skip
+                if parameter in measurement.uncertainty:
+                    cells["uncertainty"] = _text(measurement.uncertainty[parameter][i, k])
+                if parameter in measurement.standard_deviation:
+                    spread = measurement.standard_deviation[parameter][k]
+                    cells["standard_deviation"] = _text(spread)
+                cells["sources"] = measurement.n_sources
+                cells["receivers"] = measurement.n_receivers
+                writer.writerow([cells.get(c, "") for c in columns])
+    write_text(path, stream.getvalue())
+
+
+def _text(value: float) -> str:
+    return repr(float(value)) if np.isfinite(value) else ""

@@ -1,0 +1,246 @@
+"""A room in TOML, the native format.
+
+One ``[[material]]`` for each material::
+
+    name = "Seminar room"
+    volume = 146.1                      # m³
+    centre_frequencies = [500, 1000]    # Hz
+
+    [air]                               # left out: the air absorbs nothing
+    temperature = 19.5                  # °C
+    humidity = 41.7                     # %
+    pressure = 101.325                  # kPa
+
+    [prior]                             # sigma = max(relative * alpha, minimum)
+    relative = 0.3                      # for materials that state no sigma of their own
+    minimum = 0.01
+
+    [[material]]
+    name = "plaster"
+    area = 34.93                        # m²; or leave it out and give [[surface]]s
+    alpha = [0.052, 0.052]              # 0 to 1, one a band
+    sigma = 0.05                        # optional: one number, or one a band
+    alpha_min = 0.01                    # optional: the least that calibration may give
+    scattering = [0.1, 0.1]             # optional, for simulators
+    source = "where alpha comes from"   # optional
+
+    [[surface]]                         # optional: areas of a material are summed
+    name = "north wall"
+    material = "plaster"
+    area = 12.0                         # m²
+    axis = "x"                          # optional: the direction of its normal
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.files import read_text, write_text
+from rtcal.acoustics.room import CalibrationRecord, Material, Room, Surface
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+_ROOM_KEYS = {
+    "": {"name", "volume", "centre_frequencies", "dimensions", "air", "prior", "material",
+         "surface", "calibration"},
+    "air": {"temperature", "humidity", "pressure"},
+    "prior": {"relative", "minimum"},
+    "material": {"name", "area", "alpha", "sigma", "alpha_min", "scattering", "source"},
+    "surface": {"name", "material", "area", "axis"},
+    "calibration": {"method", "equation", "measured", "solver", "version"},
+}  # fmt: skip
+
+
+def read_room(path: str | os.PathLike[str]) -> Room:
+    """Read a room from TOML. DataError names the file, the place, the value and the rule."""
+    text = read_text(path)
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{path}: not valid TOML: {error}") from error
+    try:
+        return _room(content)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def _room(content: Mapping[str, Any]) -> Room:
+    _known(content, "", "the file")
+    frequencies = bands.as_bands(_get(content, "centre_frequencies", list, "the file"))
+    prior = _table(content, "prior")
+    air = _table(content, "air")
+    surfaces = [
+        Surface(
+            name=str(entry.get("name", f"surface {i + 1}")),
+            material=str(_get(entry, "material", str, f"[[surface]] {i + 1}")),
+            area=float(_get(entry, "area", (int, float), f"[[surface]] {i + 1}")),
+            axis=entry.get("axis"),
+        )
+        for i, entry in enumerate(_entries(content, "surface"))
+    ]
+    materials: list[Material] = []
+    for i, entry in enumerate(_entries(content, "material")):
+        material = _material(entry, f"[[material]] {i + 1}", len(frequencies), prior)
+        if material.name in (m.name for m in materials):
+            raise DataError(f'material "{material.name}" is given twice')
+        materials.append(material)
+        drawn = any(s.material == material.name for s in surfaces)
+        if "area" in entry and drawn:
+            raise DataError(f'area["{material.name}"] is given, and its surfaces too; give one')
+        if "area" in entry:
+            area = float(_get(entry, "area", (int, float), f'material "{material.name}"'))
+            surfaces.append(Surface(name=material.name, material=material.name, area=area))
+        elif not drawn:
+            raise DataError(f'area["{material.name}"] is missing, and no [[surface]] has it')
+    if not materials:
+        raise DataError("no [[material]]; a room has at least one")
+    record = _table(content, "calibration")
+    dimensions = content.get("dimensions")
+    return Room.from_surfaces(
+        name=str(content.get("name", "")),
+        volume=_get(content, "volume", (int, float), "the file"),
+        surfaces=surfaces,
+        materials=materials,
+        centre_frequencies=frequencies,
+        air=None if air is None else Air(**_numbers(air, "air")),
+        dimensions=None if dimensions is None else tuple(dimensions),
+        calibration=None if record is None else CalibrationRecord(**record),
+    )
+
+
+def _material(
+    entry: Mapping[str, Any], place: str, n_bands: int, prior: Mapping[str, Any] | None
+) -> Material:
+    name = _get(entry, "name", str, place)
+    place = f'material "{name}"'
+    alpha = _values(entry, "alpha", n_bands, place, scalar=False)
+    if "sigma" in entry:
+        sigma = _values(entry, "sigma", n_bands, place)
+    elif prior is not None:
+        rule = _numbers(prior, "prior")
+        sigma = np.maximum(rule.get("relative", 0.0) * alpha, rule.get("minimum", 0.0))
+    else:
+        raise DataError(f"{place} states no sigma, and the file has no [prior] to derive it from")
+    return Material(
+        name=name,
+        alpha=alpha.tolist(),
+        sigma=sigma.tolist(),
+        alpha_min=_values(entry, "alpha_min", n_bands, place).tolist()
+        if "alpha_min" in entry
+        else 0.0,
+        scattering=_values(entry, "scattering", n_bands, place).tolist()
+        if "scattering" in entry
+        else None,
+        source=str(entry.get("source", "")),
+    )
+
+
+def _known(table: Mapping[str, Any], kind: str, place: str) -> None:
+    for key in table:
+        if key not in _ROOM_KEYS[kind]:
+            allowed = ", ".join(sorted(_ROOM_KEYS[kind]))
+            raise DataError(
+                f'{place} has the key "{key}", which means nothing; known are {allowed}'
+            )
+
+
+def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any] | None:
+    table = content.get(key)
+    if table is None:
+        return None
+    if not isinstance(table, dict):
+        raise DataError(f"[{key}] must be a table")
+    _known(table, key, f"[{key}]")
+    return table
+
+
+def _entries(content: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
+    entries = content.get(key, [])
+    if not (isinstance(entries, list) and all(isinstance(e, dict) for e in entries)):
+        raise DataError(f"[[{key}]] must be a list of tables")
+    for i, entry in enumerate(entries):
+        _known(entry, key, f"[[{key}]] {i + 1}")
+    return entries
+
+
+def _get(table: Mapping[str, Any], key: str, kind: Any, place: str) -> Any:
+    if key not in table:
+        raise DataError(f"{place} lacks {key}")
+    value = table[key]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise DataError(f"{place}: {key} = {value!r} is of the wrong kind")
+    return value
+
+
+def _numbers(table: Mapping[str, Any], place: str) -> dict[str, float]:
+    for key, value in table.items():
+        if not isinstance(value, (int, float)) or isinstance(value, bool):
+            raise DataError(f"[{place}] {key} = {value!r} is not a number")
+        if place == "prior" and not (np.isfinite(value) and value >= 0):
+            raise DataError(f"[{place}] {key} = {value:g} is not finite and 0 or more")
+    return {key: float(value) for key, value in table.items()}
+
+
+def _values(
+    entry: Mapping[str, Any], key: str, n_bands: int, place: str, scalar: bool = True
+) -> Array:
+    value = entry.get(key)
+    if value is None:
+        raise DataError(f"{place} lacks {key}")
+    listed = value if isinstance(value, list) else [value] * n_bands
+    if not isinstance(value, list) and not scalar:
+        raise DataError(f"{place}: {key} = {value!r} is not a list of one number a band")
+    if len(listed) != n_bands:
+        raise DataError(f"{place}: {key} has {len(listed)} values; the room has {n_bands} bands")
+    for v in listed:
+        if not isinstance(v, (int, float)) or isinstance(v, bool):
+            raise DataError(f"{place}: {key} has {v!r}, which is not a number")
+    return np.array(listed, dtype=float)
+
+
+def write_room(room: Room, path: str | os.PathLike[str]) -> None:
+    """Write a room to TOML, whole or not at all; reading it back gives the same numbers."""
+    lines = [f"name = {_quoted(room.name)}", f"volume = {room.volume!r}"]
+    lines.append(f"centre_frequencies = {_listed(room.centre_frequencies)}")
+    if room.dimensions is not None:
+        lines.append(f"dimensions = {_listed(room.dimensions)}")
+    if room.air is not None:
+        lines += ["", "[air]"]
+        lines += [f"{key} = {float(getattr(room.air, key))!r}" for key in sorted(_ROOM_KEYS["air"])]
+    if room.calibration is not None:
+        lines += ["", "[calibration]"]
+        record = vars(room.calibration)
+        lines += [f"{key} = {_quoted(str(record[key]))}" for key in record]
+    drawn = {s.material for s in room.surfaces}
+    for i, material in enumerate(room.materials):
+        lines += ["", "[[material]]", f"name = {_quoted(material)}"]
+        if material not in drawn:
+            lines.append(f"area = {float(room.areas[i])!r}")
+        for key in ("alpha", "sigma", "alpha_min", "scattering"):
+            if (value := getattr(room, key)) is not None:
+                lines.append(f"{key} = {_listed(value[i])}")
+        if material in room.sources:
+            lines.append(f"source = {_quoted(room.sources[material])}")
+    for surface in room.surfaces:
+        lines += ["", "[[surface]]", f"name = {_quoted(surface.name)}"]
+        lines += [f"material = {_quoted(surface.material)}", f"area = {float(surface.area)!r}"]
+        if surface.axis is not None:
+            lines.append(f"axis = {_quoted(surface.axis)}")
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _quoted(text: str) -> str:
+    # A JSON string is a TOML basic string but for DEL, which TOML wants escaped.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _listed(values: Iterable[float]) -> str:
+    return "[" + ", ".join(repr(float(v)) for v in values) + "]"
