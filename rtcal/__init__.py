@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.equations import Eyring, Sabine
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Material, Room, Surface
-    from rtcal.calibration import closed_form, terms
+    from rtcal.calibration import closed_form, exact, terms
     from rtcal.calibration.presets import calibrate
     from rtcal.calibration.problem import Calibration
 
@@ -40,12 +40,13 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "closed_form": ("rtcal.calibration.closed_form", None),
     "datasets": ("rtcal.datasets", None),
     "errors": ("rtcal.errors", None),
+    "exact": ("rtcal.calibration.exact", None),
     "terms": ("rtcal.calibration.terms", None),
 }
 
 __all__ = [
     "Air", "Calibration", "Eyring", "Material", "Measurement", "Room", "Sabine", "Surface",
-    "calibrate", "closed_form", "datasets", "errors", "terms",
+    "calibrate", "closed_form", "datasets", "errors", "exact", "terms",
 ]  # fmt: skip
 
 

@@ -1,0 +1,241 @@
+"""The compiled rows of `rtcal.calibration.exact`: one problem after the other, in one thread.
+
+The arithmetic is that of the NumPy twin in `exact`; tests hold the two together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.jit import compiled
+from rtcal.types import Array
+
+EPS = float(np.finfo(float).eps)
+OK, BELOW, ABOVE, BAD_INPUT, UNSETTLED = 0, 1, 2, 3, -1
+LARGEST = float(np.finfo(float).max)
+ROUNDING = 1e-13  # of alpha, below which sums are as they come
+SPLIT = 134217729.0  # 2^27 + 1: halves of 26 bits, whose products do not round
+
+
+@compiled(reorder=True)
+def solve_rows(
+    mu: Array,
+    sigma: Array,
+    areas: Array,
+    target: Array,
+    lower: Array,
+    upper: Array,
+    tolerance: Array,
+    uncertainty: Array,
+    alpha: Array,
+    multiplier: Array,
+    status: NDArray[np.int8],
+) -> None:
+    """Solve every row; an argument with one row serves all rows.
+
+    mu, sigma, areas, lower, upper: (rows or 1, n); target, tolerance, uncertainty: (rows or 1,);
+    alpha (rows, n), multiplier (rows,) and status (rows,) are written.
+    """
+    rows, n = alpha.shape
+    weight = np.empty(n)
+    free, base_of = np.empty(n), np.empty(n)
+    step_mu, step_sigma, step_areas = mu.shape[0] > 1, sigma.shape[0] > 1, areas.shape[0] > 1
+    step_lower, step_upper, step_target = lower.shape[0] > 1, upper.shape[0] > 1, target.size > 1
+    step_tolerance, step_uncertainty = tolerance.size > 1, uncertainty.size > 1
+    largest = 0.0
+    # The closed form inline, without a call: handing a row on costs as much as solving it.
+    for r in range(rows):
+        m, g, s = mu[r * step_mu], sigma[r * step_sigma], areas[r * step_areas]
+        low, high, a = lower[r * step_lower], upper[r * step_upper], alpha[r]
+        u = uncertainty[r * step_uncertainty]
+        if r == 0 or step_lower or step_upper:
+            largest = 0.0
+            for i in range(n):
+                largest = max(largest, abs(low[i]), abs(high[i]))
+        base = spread = area = variance = 0.0
+        for i in range(n):
+            v = g[i] * g[i]
+            w = s[i] * v
+            weight[i] = w
+            base += s[i] * m[i]
+            spread += s[i] * w
+            area += s[i]
+            variance += v
+        d = (base - target[r * step_target]) / (spread + u * u)
+        violations = 0
+        room = 0.0
+        for i in range(n):
+            x = m[i] - d * weight[i]
+            a[i] = x
+            # Written so that NaN counts as a violation.
+            violations += not ((x >= low[i]) & (x <= high[i]) & (s[i] >= 0) & (g[i] >= 0))
+            room += weight[i] * (x - low[i]) * (high[i] - x)
+        # Were b so near to an end that it is the end, `room` would be less than this.
+        least_room = 32 * n * EPS * area * largest * largest * variance
+        settled = violations == 0 and room > least_room
+        multiplier[r] = d
+        status[r] = OK if settled and u >= 0 and tolerance[r * step_tolerance] == 0 else UNSETTLED
+    for r in range(rows):
+        if status[r] == UNSETTLED:
+            status[r], multiplier[r] = careful(
+                mu[r * step_mu], sigma[r * step_sigma], areas[r * step_areas],
+                lower[r * step_lower], upper[r * step_upper], target[r * step_target],
+                tolerance[r * step_tolerance], uncertainty[r * step_uncertainty],
+                weight, free, base_of, alpha[r],
+            )  # fmt: skip
+
+
+@compiled(reorder=True)
+def careful(
+    m: Array, g: Array, s: Array, low: Array, high: Array,
+    b: float, give: float, u: float, w: Array, free: Array, base: Array, a: Array,
+) -> tuple[int, float]:  # fmt: skip
+    """Solve a row that the closed form does not settle; return status and multiplier."""
+    n = m.size
+    least = most = size = total = 0.0
+    bad = 0
+    for i in range(n):
+        w[i] = s[i] * g[i] * g[i]
+        bottom = m[i] if g[i] == 0 else low[i]
+        top = m[i] if g[i] == 0 else high[i]
+        least += s[i] * bottom
+        most += s[i] * top
+        size += s[i] * (abs(bottom) if abs(bottom) > abs(top) else abs(top))
+        total += s[i] * m[i] + s[i] * w[i]
+        sound = (s[i] >= 0) & (g[i] >= 0) & (low[i] <= bottom) & (bottom <= top) & (top <= high[i])
+        bad += not sound
+    # A NaN or an infinity anywhere makes this NaN or infinite (isfinite would be optimised away).
+    total += least + most + b + u * u + give
+    if bad > 0 or not abs(total) <= LARGEST or give < 0 or u < 0:
+        a[:] = np.nan
+        return BAD_INPUT, np.nan
+    if give > 0:
+        start = 0.0
+        for i in range(n):
+            a[i] = min(max(m[i], low[i]), high[i])
+            start += s[i] * a[i]
+        if abs(start - b) <= give:
+            return OK, 0.0
+        b += give if start > b else -give
+    near = 16 * n * EPS * size
+    if u == 0 and (b <= least + near or b >= most - near):
+        return at_end(m, g, w, low, high, b, least, most, near, a)
+    return OK, fix(m, w, s, low, high, b, u * u, free, base, a)
+
+
+@compiled(reorder=False)
+def at_end(
+    m: Array, g: Array, w: Array, low: Array, high: Array,
+    b: float, least: float, most: float, near: float, a: Array,
+) -> tuple[int, float]:  # fmt: skip
+    """Write the only feasible point where b is an end; return status and multiplier."""
+    below, above = b < least - near, b > most + near
+    if below or above:
+        a[:] = np.nan
+        return (BELOW if below else ABOVE), np.nan
+    bottom = b - least <= most - b
+    d = 0.0
+    first = True
+    for i in range(m.size):
+        bound = low[i] if bottom else high[i]
+        if w[i] > 0:
+            a[i] = bound
+            leaves = (m[i] - bound) / w[i]
+            if first or (leaves > d if bottom else leaves < d):
+                d = leaves
+                first = False
+        else:  # sigma = 0 holds it at mu; without an area it takes the point nearest mu
+            a[i] = m[i] if g[i] == 0 else min(max(m[i], low[i]), high[i])
+    return OK, d
+
+
+@compiled(reorder=True)
+def fix(
+    m: Array, w: Array, s: Array, low: Array, high: Array,
+    b: float, slack: float, free: Array, base: Array, a: Array,
+) -> float:  # fmt: skip
+    """Variable fixing: peg the violators on the side that must be pegged, repeat; return D.
+
+    ``a`` is written. Scratch (n,): ``free``, the weights S sigma² of what is free and 0 else, and
+    ``base``, mu of what is free and its bound of what is pegged; so a = base - D free for all.
+    """
+    n = m.size
+    for i in range(n):
+        held = low[i] if m[i] < low[i] else (high[i] if m[i] > high[i] else m[i])
+        free[i] = w[i]
+        base[i] = m[i] if w[i] > 0 else held
+    d = spread = largest = 0.0
+    for _ in range(n + 1):
+        excess, spread, largest = -b, slack, 0.0
+        for i in range(n):
+            excess += s[i] * base[i]
+            spread += s[i] * free[i]
+            largest = free[i] if free[i] > largest else largest
+        if spread == 0:
+            break
+        d = excess / spread
+        under = over = 0.0
+        for i in range(n):
+            x = base[i] - d * free[i]
+            a[i] = x
+            under += s[i] * (low[i] - x if x < low[i] else 0.0)
+            over += s[i] * (x - high[i] if x > high[i] else 0.0)
+        if under == 0 and over == 0:
+            break
+        # Clipped, S'a is too large: D must rise, and what is at its lower bound stays there.
+        if under >= over:
+            for i in range(n):
+                base[i] = low[i] if a[i] < low[i] else base[i]
+                free[i] = 0.0 if a[i] < low[i] else free[i]
+        if under <= over:
+            for i in range(n):
+                base[i] = high[i] if a[i] > high[i] else base[i]
+                free[i] = 0.0 if a[i] > high[i] else free[i]
+    if spread == 0:
+        for i in range(n):
+            a[i] = base[i]
+        return meeting(m, w, low, high, a)
+    # What the free ones make up may be a small difference of large areas: then once more, compensated.
+    size = abs(b)
+    for i in range(n):
+        size += s[i] * abs(base[i])
+    if n * EPS * size * largest > ROUNDING * spread:
+        d = excess_of(s, base, b) / spread
+    for i in range(n):
+        x = base[i] - d * free[i]
+        a[i] = low[i] if x < low[i] else (high[i] if x > high[i] else x)
+    return d
+
+
+@compiled(reorder=False)
+def meeting(m: Array, w: Array, low: Array, high: Array, a: Array) -> float:
+    """Return D where all are pegged: of the interval that keeps them so, the end nearest 0."""
+    start, stop = -np.inf, np.inf
+    for i in range(m.size):
+        if w[i] > 0 and low[i] < high[i]:
+            if a[i] == low[i]:
+                start = max(start, (m[i] - low[i]) / w[i])
+            else:
+                stop = min(stop, (m[i] - high[i]) / w[i])
+    d = start if abs(start) <= abs(stop) else stop
+    return d if np.isfinite(d) else 0.0
+
+
+@compiled(reorder=False)
+def excess_of(s: Array, a: Array, b: float) -> float:
+    """Return S'a - b as if summed in twice the precision (Dekker's product, Knuth's sum)."""
+    total, lost = -b, 0.0
+    for i in range(s.size):
+        product = s[i] * a[i]
+        cut = SPLIT * s[i]
+        s_high = cut - (cut - s[i])
+        cut = SPLIT * a[i]
+        a_high = cut - (cut - a[i])
+        s_low, a_low = s[i] - s_high, a[i] - a_high
+        error = s_low * a_low - (((product - s_high * a_high) - s_low * a_high) - s_high * a_low)
+        larger = total + product
+        part = larger - total
+        lost += ((total - (larger - part)) + (product - part)) + error
+        total = larger
+    return total + lost

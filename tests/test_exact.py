@@ -1,0 +1,278 @@
+"""The exact batch solver: against rational arithmetic, its twin, the definitions, bad input."""
+
+from __future__ import annotations
+
+import functools
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import rtcal as rt
+from rtcal import exact, jit
+from rtcal.errors import DataError, MissingDependencyError
+from tests import rational
+from tests.problems import Problem, problems
+
+ENGINES = ["numpy", pytest.param("numba", marks=pytest.mark.skipif(
+    not jit.available(), reason="numba is not installed (rtcal[fast])"))]  # fmt: skip
+EPS = np.finfo(float).eps
+COUNT = 5000
+STATUS = {"below": exact.BELOW, "above": exact.ABOVE}
+
+
+def by_size(found: list[Problem]) -> dict[int, list[int]]:
+    sizes: dict[int, list[int]] = {}
+    for i, p in enumerate(found):
+        sizes.setdefault(p.mu.size, []).append(i)
+    return sizes
+
+
+def end_distance(p: Problem) -> float:
+    """How far outside the ends b lies, exactly, over the tolerance that makes it the end."""
+    held = p.sigma == 0
+    low, high = (
+        sum((Fraction(s) * Fraction(x) for s, x in zip(p.areas, np.where(held, p.mu, bound),
+             strict=True)), Fraction(0)) for bound in (0.0, 1.0)
+    )  # fmt: skip
+    b = Fraction(p.target)
+    return float(max(low - b, b - high) / (Fraction(16 * p.mu.size * EPS) * high))
+
+
+@functools.cache
+def truth() -> tuple[list[Problem], list]:
+    found = list(problems(COUNT))
+    return found, [
+        rational.solve(p.mu.tolist(), p.sigma.tolist(), p.areas.tolist(), p.target) for p in found
+    ]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_against_rational_arithmetic(engine: str) -> None:
+    found, right = truth()
+    worst, infeasible, snapped = 0.0, 0, 0
+    for indices in by_size(found).values():
+        chosen = [found[i] for i in indices]
+        mu, sigma, areas = (np.array([getattr(p, k) for p in chosen])
+                            for k in ("mu", "sigma", "areas"))  # fmt: skip
+        target = np.array([p.target for p in chosen])
+        alpha, multiplier, status = exact.solve(mu, sigma, areas, target, engine=engine)
+        assert alpha.min(where=status[:, np.newaxis] == 0, initial=0) == 0
+        assert alpha.max(where=status[:, np.newaxis] == 0, initial=1) == 1
+        for j, i in enumerate(indices):
+            p, answer = found[i], right[i]
+            if isinstance(answer, str):
+                outside = end_distance(p)
+                assert abs(outside - 1) > 0.01, "a problem sits on the tolerance itself"
+                if outside > 1:
+                    infeasible += 1
+                    assert status[j] == STATUS[answer]
+                    assert np.isnan(alpha[j]).all()
+                    assert np.isnan(multiplier[j])
+                    continue
+                snapped += 1
+                answer = [Fraction(x) for x in np.where(p.sigma == 0, p.mu, answer == "above")]
+            assert status[j] == exact.OK
+            worst = max(worst, *(abs(float(x) - a) for x, a in zip(answer, alpha[j], strict=True)))
+            held = p.sigma == 0
+            assert np.array_equal(alpha[j][held], p.mu[held])
+    assert infeasible > 500
+    assert snapped > 10
+    assert worst < 1e-11
+    assert worst > 0  # an answer compared with itself would be 0
+
+
+@functools.cache
+def variants() -> list[tuple[tuple, dict, list]]:
+    """Arguments of `exact.solve`, its options, and the right answer: bounds, soft match, band."""
+    rng = np.random.default_rng(5)
+    found = []
+    for p in problems(105, seed=11):
+        n = p.mu.size
+        lower, upper = rng.uniform(0, 0.3, n), rng.uniform(0.4, 1, n)
+        mu = np.where(p.sigma == 0, 0.5 * (lower + upper), p.mu)
+        least, most = (float(p.areas @ np.where(p.sigma == 0, mu, x)) for x in (lower, upper))
+        b = least + rng.uniform(1e-6, 1 - 1e-6) * (most - least)
+        data = [x.tolist() for x in (mu, p.sigma, p.areas)]
+        bounds = [x.tolist() for x in (lower, upper)]
+        arrays = (mu, p.sigma, p.areas, b, lower, upper)
+        found.append((arrays, {}, rational.solve(*data, b, *bounds)))
+        # a soft match is one more coefficient, of area 1, mean 0, sigma u and no bounds
+        u = float(10 ** rng.uniform(-3, 1))
+        asked = b + float(rng.normal(0, 3 * u))
+        more = [[*x, y] for x, y in zip((*data, *bounds), (0.0, u, 1.0, -1e6, 1e6), strict=True)]
+        right = rational.solve(*more[:3], asked, *more[3:])
+        found.append(((*arrays[:3], asked, lower, upper), {"uncertainty": u}, right[:n]))
+        # a band: mu where it already fits, else the exact match of its nearest edge
+        nearest = float(p.areas @ np.clip(mu, lower, upper))
+        give = 0.5 * abs(nearest - b)
+        edge = b + give if nearest > b else b - give
+        found.append((arrays, {"tolerance": give}, rational.solve(*data, edge, *bounds)))
+        found.append((arrays, {"tolerance": 3 * give}, np.clip(mu, lower, upper).tolist()))
+    return found
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_bounds_per_coefficient_soft_and_band_against_rational_arithmetic(engine: str) -> None:
+    active, worst = 0, 0.0
+    for arrays, options, right in variants():
+        alpha, d, status = exact.solve(*arrays, **options, engine=engine)
+        assert status == exact.OK
+        worst = max(worst, *(abs(float(x) - a) for x, a in zip(right, alpha, strict=True)))
+        active += int(np.sum((alpha == arrays[4]) | (alpha == arrays[5])))
+        if "uncertainty" in options:
+            u = options["uncertainty"]
+            miss = float(arrays[2] @ alpha) - arrays[3]
+            assert d == pytest.approx(miss / u**2, rel=1e-6, abs=1e-9 / u**2)
+    assert worst < 1e-11
+    assert active > 1000
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_multiplier_is_the_papers_d(engine: str) -> None:
+    checked = 0
+    for p in problems(210, seed=2):
+        alpha, d, status = exact.solve(p.mu, p.sigma, p.areas, p.target, engine=engine)
+        if status != exact.OK or not np.any(p.sigma > 0):
+            continue
+        w = p.areas * p.sigma**2
+        leaves_low, leaves_high = (p.mu / w, (p.mu - 1) / w) if np.all(w > 0) else (None, None)
+        at_low, at_high = (alpha == 0) & (w > 0), (alpha == 1) & (w > 0)
+        free = (w > 0) & ~at_low & ~at_high
+        np.testing.assert_allclose(p.mu[free] - d * w[free], alpha[free], rtol=0, atol=1e-11)
+        if leaves_low is not None and not np.any(free):  # an end: its multiplier nearest 0
+            want = leaves_low.max() if at_low.all() else leaves_high.min()
+            assert d == pytest.approx(want, rel=1e-12)
+            checked += 1
+        else:  # at a bound the clipped formula must stay outside the bound
+            assert np.all(p.mu[at_low] - d * w[at_low] <= 1e-11)
+            assert np.all(p.mu[at_high] - d * w[at_high] >= 1 - 1e-11)
+    assert checked > 5
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_ends(engine: str) -> None:
+    """b within 16 n eps sum |S bound| of an end is that end; beyond, it is out of reach."""
+    areas = np.array([0.1, 33.3, 7.7])
+    mu, sigma = np.array([0.2, 0.4, 0.6]), np.array([0.05, 0.1, 0.0])
+    least, most = 0.6 * 7.7, 0.1 + 33.3 + 0.6 * 7.7
+    near = 16 * 3 * EPS * most
+    target = np.array([least, least - near / 2, least + near / 2, least - 3 * near,
+                       most, most + near / 2, most - near / 2, most + 3 * near])  # fmt: skip
+    alpha, d, status = exact.solve(mu, sigma, areas, target, engine=engine)
+    assert status.tolist() == [0, 0, 0, 1, 0, 0, 0, 2]
+    assert np.array_equal(alpha[:3], np.tile([0, 0, 0.6], (3, 1)))
+    assert np.array_equal(alpha[4:7], np.tile([1, 1, 0.6], (3, 1)))
+    w = areas * sigma**2
+    assert d[:3] == pytest.approx(max(0.2 / w[0], 0.4 / w[1]))
+    assert d[4:7] == pytest.approx(min(-0.8 / w[0], -0.6 / w[1]))
+    # nothing can move: feasible only at S'mu
+    held = exact.solve(mu, np.zeros(3), areas, [mu @ areas, mu @ areas + 1, 1.0], engine=engine)
+    assert held.status.tolist() == [0, 2, 1]
+    assert np.array_equal(held.alpha[0], mu)
+    assert held.multiplier[0] == 0
+    # a point where all coefficients are at a bound, though not an end
+    corner = exact.solve([-1.0, 2.0], [1.0, 1.0], [2.0, 3.0], 3.0, engine=engine)
+    assert corner.alpha.tolist() == [0, 1]
+    assert corner.multiplier == pytest.approx(1 / 3)  # of [-1/2, 1/3] the end nearest 0
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_bad_rows_are_status_3_and_leave_the_others_alone(engine: str) -> None:
+    mu, sigma, areas = np.full((10, 3), 0.5), np.full((10, 3), 0.1), np.full((10, 3), 2.0)
+    lower, upper, target = np.zeros((10, 3)), np.ones((10, 3)), np.full(10, 2.5)
+    give, u = np.zeros(10), np.zeros(10)
+    mu[1, 0] = np.nan
+    sigma[2, 1] = -0.1
+    areas[3, 2] = -2.0
+    target[4] = np.inf
+    lower[5, 0], upper[5, 0] = 0.7, 0.6
+    mu[6, 1], sigma[6, 1] = 1.2, 0.0  # held outside the bounds: no silent clipping
+    upper[7, 0] = np.nan
+    sigma[8, 0] = np.inf
+    give[9] = -1.0
+    alpha, d, status = exact.solve(
+        mu, sigma, areas, target, lower, upper, tolerance=give, engine=engine
+    )
+    assert status.tolist() == [0] + [3] * 9
+    assert np.isnan(alpha[1:]).all()
+    assert np.isnan(d[1:]).all()
+    np.testing.assert_allclose(alpha[0], 2.5 / 6)
+    u[2] = -1.0
+    soft = exact.solve(0.5 * np.ones(3), [0.1] * 3, [2.0, 2.0, 2.0], np.full(10, 2.5), uncertainty=u,
+                       engine=engine)  # fmt: skip
+    assert soft.status.tolist() == [0, 0, 3] + [0] * 7
+
+
+def test_what_does_not_fit_is_an_error() -> None:
+    with pytest.raises(DataError, match="do not fit"):
+        exact.solve([0.1, 0.2], [0.1, 0.1, 0.1], [1, 1], 0.2)
+    with pytest.raises(DataError, match="at least one axis"):
+        exact.solve(0.1, [0.1], [1], 0.2)
+    with pytest.raises(DataError, match="mu is not an array"):
+        exact.solve(["a"], [0.1], [1], 0.2)
+    with pytest.raises(DataError, match="not both"):
+        exact.solve([0.1], [0.1], [1], 0.2, tolerance=1.0, uncertainty=1.0)
+    with pytest.raises(DataError, match='engine = "gpu"'):
+        exact.solve([0.1], [0.1], [1], 0.2, engine="gpu")
+    with pytest.raises(DataError, match="out must be"):
+        exact.solve([0.1], [0.1], [1], 0.2, out=np.empty(2))
+
+
+def test_without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jit, "available", lambda: False)
+    with pytest.raises(MissingDependencyError, match=r"rtcal\[fast\]"):
+        exact.solve([0.1], [0.1], [1], 0.05, engine="numba")
+    assert exact.solve([0.1], [0.1], [1], 0.05).alpha == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_shapes_broadcast(engine: str) -> None:
+    rng = np.random.default_rng(4)
+    mu, sigma = rng.uniform(0.2, 0.8, (5, 1, 4)), rng.uniform(0.01, 0.1, (4,))
+    areas, target = rng.uniform(1, 9, (3, 4)), rng.uniform(2, 3, (5, 3))
+    out = np.empty((5, 3, 4))
+    alpha, d, status = exact.solve(mu, sigma, areas, target, engine=engine, out=out)
+    assert alpha is out
+    assert d.shape == status.shape == (5, 3)
+    for i in range(5):
+        for j in range(3):
+            one = exact.solve(mu[i, 0], sigma, areas[j], target[i, j], engine=engine)
+            np.testing.assert_allclose(alpha[i, j], one.alpha, rtol=0, atol=1e-14)
+            assert one.multiplier == pytest.approx(float(d[i, j]))
+    assert exact.solve(mu[:0], sigma, areas[0], 1.0, engine=engine).alpha.shape == (0, 1, 4)
+    np.testing.assert_allclose((areas * alpha).sum(-1), target, rtol=1e-13)
+
+
+@pytest.mark.skipif(not jit.available(), reason="numba is not installed (rtcal[fast])")
+@given(st.integers(1, 30), st.integers(0, 2**32), st.floats(0, 3))
+def test_the_twins_agree(n: int, seed: int, spread: float) -> None:
+    rng = np.random.default_rng(seed)
+    mu, sigma = rng.uniform(-0.2, 1.2, (20, n)), rng.uniform(0.01, 0.3, (20, n))
+    areas = 10 ** rng.uniform(0, spread, (20, n))
+    target = rng.uniform(-0.05, 1.05, 20) * areas.sum(-1)
+    u = rng.choice([0.0, 0.5], 20)
+    one, other = (
+        exact.solve(mu, sigma, areas, target, uncertainty=u, engine=e) for e in ("numpy", "numba")
+    )
+    assert np.array_equal(one.status, other.status)
+    np.testing.assert_allclose(one.alpha, other.alpha, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(one.multiplier, other.multiplier, rtol=1e-8, atol=1e-9)
+
+
+def test_optimum_and_closed_form() -> None:
+    rng = np.random.default_rng(6)
+    mu, sigma, areas = rng.uniform(0.3, 0.7, 6), rng.uniform(0.01, 0.1, 6), rng.uniform(5, 50, 6)
+    closed = rt.closed_form.maximum_likelihood(mu, sigma, areas, 80.0)
+    assert closed.min() > 0
+    np.testing.assert_allclose(exact.solve(mu, sigma, areas, 80.0).alpha, closed, rtol=1e-12)
+    best = exact.solve(mu, sigma, areas, 10.0).alpha  # bounds active
+    assert np.any(best == 0)
+    cost = np.sum(((best - mu) / sigma) ** 2)
+    for _ in range(200):
+        other = rng.dirichlet(np.ones(6)) * 10.0 / areas
+        other = best + rng.uniform(0, 1) * (other - best)
+        assert areas @ other == pytest.approx(10.0)
+        assert np.sum(((other - mu) / sigma) ** 2) >= cost
