@@ -1,0 +1,207 @@
+"""The path tracer's inner loops, compiled by numba. `rtcal.simulators.path_numpy` is their twin.
+
+Both modules have `trace` and `histogram` with the same arguments, and make the same paths up to
+rounding. Only `rtcal.simulators.paths` imports them, inside a function.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+from rtcal.types import Array
+
+# splitmix64 (Steele, Lea & Flood 2014): one 64-bit state a path, so that a path does not depend on
+# how many others are traced, nor on the number of threads.
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
+
+_jit = numba.njit(cache=True, nogil=True)
+
+
+def _uniform(state: Any) -> float:
+    state[0] += _GOLDEN
+    z = state[0]
+    z = (z ^ (z >> _S30)) * _FIRST
+    z = (z ^ (z >> _S27)) * _SECOND
+    z = z ^ (z >> _S31)
+    return float(z >> _S11) * 2.0**-53
+
+
+uniform = _jit(_uniform)
+
+
+def _nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[int, float]:
+    """Return the triangle that the ray meets first and how far away; (-1, inf) if none."""
+    best, found = np.inf, -1
+    for i in range(planes.shape[0]):
+        approach = -(planes[i, 0] * v[0] + planes[i, 1] * v[1] + planes[i, 2] * v[2])
+        if approach <= 0.0:  # seen from behind, or along the wall
+            continue
+        height = planes[i, 0] * p[0] + planes[i, 1] * p[1] + planes[i, 2] * p[2] - planes[i, 3]
+        t = height / approach
+        if t >= best or t < -1e-9:
+            continue
+        x, y, z = p[0] + t * v[0], p[1] + t * v[1], p[2] + t * v[2]
+        a = sides[i, 0, 0] * x + sides[i, 0, 1] * y + sides[i, 0, 2] * z - sides[i, 0, 3]
+        if a < -1e-9 or a > 1.0 + 1e-9:
+            continue
+        b = sides[i, 1, 0] * x + sides[i, 1, 1] * y + sides[i, 1, 2] * z - sides[i, 1, 3]
+        if b < -1e-9 or a + b > 1.0 + 1e-9:
+            continue
+        best, found = t, i
+    return found, best
+
+
+nearest = _jit(_nearest)
+
+
+def _grown(array: Any, needed: int) -> Any:
+    if needed <= array.size:
+        return array
+    larger = np.empty(max(2 * array.size, needed), array.dtype)
+    larger[: array.size] = array
+    return larger
+
+
+grown = _jit(_grown)
+
+
+def _trace(
+    origin: Array,
+    directions: Array,
+    seeds: Any,
+    longest: float,
+    planes: Array,
+    sides: Array,
+    owners: Any,
+    scattering: Array,
+    vector: bool,
+    receivers: Array,
+    radii: Array,
+) -> tuple[Any, Any, Any, Any, Array]:
+    n_paths, n_receivers, n_materials = len(directions), len(receivers), len(scattering)
+    starts = np.zeros(n_paths + 1, np.int64)
+    events = np.empty(64 * n_paths + 64, np.uint16)
+    lengths = np.empty(4 * n_paths + 64, np.float32)
+    weights = np.empty(4 * n_paths + 64, np.float32)
+    statistics = np.zeros(4)  # paths lost, free paths: number, sum, sum of squares
+    n_events = n_heard = 0
+    p, v, state = np.empty(3), np.empty(3), np.empty(1, np.uint64)
+    for path in range(n_paths):
+        p[:] = origin
+        v[:] = directions[path]
+        state[0] = seeds[path]
+        travelled, reflections, diffuse = 0.0, 0, False
+        while travelled < longest:
+            triangle, t = nearest(p, v, planes, sides)
+            if triangle < 0:
+                statistics[0] += 1
+                break
+            events = grown(events, n_events + n_receivers + 1)
+            lengths = grown(lengths, n_heard + n_receivers)
+            weights = grown(weights, n_heard + n_receivers)
+            if reflections > 0:
+                statistics[1] += 1
+                statistics[2] += t
+                statistics[3] += t * t
+                for r in range(n_receivers):
+                    x, y, z = receivers[r, 0] - p[0], receivers[r, 1] - p[1], receivers[r, 2] - p[2]
+                    along = x * v[0] + y * v[1] + z * v[2]
+                    length = travelled + along
+                    square = radii[r] * radii[r]
+                    if (
+                        0.0 < along < t
+                        and length < longest
+                        and x * x + y * y + z * z - along * along < square
+                    ):
+                        weight = 1.0 / (math.pi * square)
+                        if not diffuse:
+                            weight *= 0.5 * (1.0 + math.sqrt(max(1 - square / length**2, 0.0)))
+                        events[n_events] = n_materials + r
+                        lengths[n_heard] = length
+                        weights[n_heard] = weight
+                        n_events += 1
+                        n_heard += 1
+            travelled += t
+            if travelled >= longest:
+                break
+            material = owners[triangle]
+            events[n_events] = material
+            n_events += 1
+            reflections += 1
+            choice, u, w = uniform(state), uniform(state), uniform(state)
+            s = scattering[material]
+            nx, ny, nz = planes[triangle, 0], planes[triangle, 1], planes[triangle, 2]
+            across = v[0] * nx + v[1] * ny + v[2] * nz
+            for i in range(3):
+                p[i] += t * v[i]
+                v[i] -= 2.0 * across * planes[triangle, i]
+            if (vector and s > 0.0) or (not vector and choice < s):
+                diffuse = True
+                # A point of the unit sphere on top of the normal: Lambert's distribution.
+                up = 1.0 - 2.0 * u
+                round_ = math.sqrt(max(1.0 - up * up, 0.0))
+                lx = nx + round_ * math.cos(2.0 * math.pi * w)
+                ly = ny + round_ * math.sin(2.0 * math.pi * w)
+                lz = nz + up
+                share = (s if vector else 1.0) / math.sqrt(lx * lx + ly * ly + lz * lz + 1e-30)
+                rest = 1.0 - s if vector else 0.0
+                v[0] = share * lx + rest * v[0]
+                v[1] = share * ly + rest * v[1]
+                v[2] = share * lz + rest * v[2]
+            norm = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+            for i in range(3):
+                v[i] /= norm
+        starts[path + 1] = n_events
+    return (
+        events[:n_events].copy(),
+        starts,
+        lengths[:n_heard].copy(),
+        weights[:n_heard].copy(),
+        (statistics),
+    )
+
+
+trace = _jit(_trace)
+
+
+def _histogram(
+    events: Any,
+    starts: Any,
+    lengths: Any,
+    weights: Any,
+    log_reflection: Array,
+    attenuation: Array,
+    first: Array,
+    bin_length: float,
+    out: Array,
+) -> None:
+    n_materials, n_bands = log_reflection.shape
+    n_bins = out.shape[2]
+    level = np.empty(n_bands)
+    heard = 0
+    for path in range(len(starts) - 1):
+        level[:] = 0.0
+        for e in range(starts[path], starts[path + 1]):
+            code = np.int64(events[e])
+            if code < n_materials:
+                for k in range(n_bands):
+                    level[k] += log_reflection[code, k]
+                continue
+            receiver, length = code - n_materials, np.float64(lengths[heard])
+            place = math.floor((length - first[receiver]) / bin_length)
+            if 0 <= place < n_bins:
+                for k in range(n_bands):
+                    out[receiver, k, place] += weights[heard] * math.exp(
+                        level[k] - attenuation[k] * length
+                    )
+            heard += 1
+
+
+histogram = _jit(_histogram)

@@ -1,0 +1,152 @@
+"""The path tracer's inner loops in NumPy, for where numba is absent: all paths step together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.types import Array
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
+
+
+def _uniform(state: NDArray[np.uint64]) -> Array:
+    state += _GOLDEN
+    z = (state ^ (state >> _S30)) * _FIRST
+    z = (z ^ (z >> _S27)) * _SECOND
+    z = z ^ (z >> _S31)
+    return np.asarray((z >> _S11) * 2.0**-53)
+
+
+def nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return the triangle that each ray meets first and how far away; inf if none."""
+    approach = -(v @ planes[:, :3].T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (p @ planes[:, :3].T - planes[:, 3]) / approach
+        met = (approach > 0) & (t >= -1e-9)
+        a, b = (
+            p @ sides[:, i, :3].T + t * (v @ sides[:, i, :3].T) - sides[:, i, 3] for i in (0, 1)
+        )
+        met &= (a >= -1e-9) & (b >= -1e-9) & (a <= 1 + 1e-9) & (a + b <= 1 + 1e-9)
+    t = np.where(met, t, np.inf)
+    triangle = np.argmin(t, axis=1)
+    return triangle, t[np.arange(len(t)), triangle]
+
+
+def _kept(which: NDArray[np.bool_], *columns: Any) -> tuple[Any, ...]:
+    return tuple(column[which] for column in columns)
+
+
+def trace(
+    origin: Array,
+    directions: Array,
+    seeds: NDArray[np.uint64],
+    longest: float,
+    planes: Array,
+    sides: Array,
+    owners: NDArray[np.int64],
+    scattering: Array,
+    vector: bool,
+    receivers: Array,
+    radii: Array,
+) -> tuple[Any, Any, Any, Any, Array]:
+    """Trace paths; see `rtcal.simulators.paths.trace` for what comes back."""
+    n_paths, n_materials = len(directions), len(scattering)
+    p, v = np.broadcast_to(origin, directions.shape).copy(), directions.copy()
+    state, travelled = seeds.copy(), np.zeros(n_paths)
+    diffuse = np.zeros(n_paths, dtype=bool)
+    alive = np.arange(n_paths)
+    statistics = np.zeros(4)
+    found: list[tuple[Any, Any, Any, Any]] = []  # path, code, length, weight, step by step
+    step = 0
+    while alive.size:
+        triangle, t = nearest(p, v, planes, sides)
+        here = np.isfinite(t)
+        statistics[0] += np.count_nonzero(~here)
+        alive, p, v, travelled, state, diffuse, triangle, t = _kept(
+            here, alive, p, v, travelled, state, diffuse, triangle, t
+        )
+        if step:
+            statistics[1:] += t.size, t.sum(), (t * t).sum()
+            for r, (centre, radius) in enumerate(zip(receivers, radii, strict=True)):
+                to = centre - p
+                along = np.sum(to * v, axis=1)
+                length = travelled + along
+                hit = (along > 0) & (along < t) & (length < longest)
+                hit &= np.sum(to * to, axis=1) - along**2 < radius**2
+                ratio = radius**2 / np.maximum(length[hit], radius) ** 2
+                weight = np.where(diffuse[hit], 1.0, 0.5 * (1 + np.sqrt(1 - ratio)))
+                found.append((
+                    alive[hit], np.full(hit.sum(), n_materials + r), length[hit],
+                    weight / (np.pi * radius**2),
+                ))  # fmt: skip
+        travelled = travelled + t
+        on = travelled < longest
+        alive, p, v, travelled, state, diffuse, triangle, t = _kept(
+            on, alive, p, v, travelled, state, diffuse, triangle, t
+        )
+        material, normal = owners[triangle], planes[triangle, :3]
+        nothing = np.full(alive.size, np.nan)
+        found.append((alive, material, nothing, nothing))
+        choice, u, w = _uniform(state), _uniform(state), _uniform(state)
+        p = p + t[:, np.newaxis] * v
+        v = v - 2 * np.sum(v * normal, axis=1, keepdims=True) * normal
+        up = 1 - 2 * u
+        round_ = np.sqrt(np.maximum(1 - up * up, 0))
+        lambert = normal + np.stack(
+            [round_ * np.cos(2 * np.pi * w), round_ * np.sin(2 * np.pi * w), up], axis=1
+        )
+        lambert /= np.sqrt(np.sum(lambert**2, axis=1, keepdims=True) + 1e-30)
+        s = scattering[material]
+        spread = s > 0 if vector else choice < s
+        share = np.where(spread, s if vector else 1.0, 0.0)[:, np.newaxis]
+        v = share * lambert + (1 - share) * v
+        v /= np.linalg.norm(v, axis=1, keepdims=True)
+        diffuse = diffuse | spread
+        step += 1
+    path, code, length, weight = (np.concatenate(column) for column in zip(*found, strict=True))
+    order = np.argsort(path, kind="stable")  # within a path the steps stay in their order
+    heard = order[code[order] >= n_materials]
+    starts = np.concatenate([[0], np.cumsum(np.bincount(path, minlength=n_paths))])
+    return (
+        code[order].astype(np.uint16), starts, length[heard].astype(np.float32),
+        weight[heard].astype(np.float32), statistics,
+    )  # fmt: skip
+
+
+def histogram(
+    events: NDArray[np.uint16],
+    starts: NDArray[np.int64],
+    lengths: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    log_reflection: Array,
+    attenuation: Array,
+    first: Array,
+    bin_length: float,
+    out: Array,
+) -> None:
+    """Add what the receivers hear to ``out``; see `rtcal.simulators.paths.Paths.energy`."""
+    n_materials, n_bands = log_reflection.shape
+    n_receivers, _, n_bins = out.shape
+    heard = np.flatnonzero(events >= n_materials)
+    if not heard.size:
+        return
+    receiver = events[heard].astype(np.int64) - n_materials
+    length = lengths.astype(float)
+    place = np.floor((length - first[receiver]) / bin_length).astype(np.int64)
+    here = (place >= 0) & (place < n_bins)
+    path = np.searchsorted(starts, heard, side="right") - 1
+    # -inf (nothing reflected) would make NaN of a difference of sums; -800 is 0 all the same.
+    steps = np.vstack([np.maximum(log_reflection, -800), np.zeros((n_receivers, n_bands))])
+    for k in range(n_bands):
+        level = np.concatenate([[0.0], np.cumsum(steps[events, k])])
+        energy = weights * np.exp(level[heard] - level[starts[path]] - attenuation[k] * length)
+        flat = np.bincount(
+            (receiver * n_bins + place)[here], energy[here], minlength=n_receivers * n_bins
+        )
+        out[:, k] += flat.reshape(n_receivers, n_bins)

@@ -1,0 +1,315 @@
+"""Sound paths in a polyhedron, traced once and weighted afterwards.
+
+Which walls a path meets does not depend on what they absorb. So a path is kept as the materials it
+hits, in order, and where receivers hear it; the energy heard is
+
+    E = w product over hits (1 - alpha) exp(-m L),
+
+L the length travelled, m the air's attenuation and w the path's share of the source's energy over
+the receiver's cross-section. Any alpha, band and air weighs the same paths anew.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.errors import DataError
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.types import Array
+
+Scattering = Literal["random", "vector"]
+"""What a scattering coefficient s does to a reflection.
+
+``"random"``: with probability s the path goes on in a random direction after Lambert's law, else
+specularly (Heinz 1993; Vorlaender 2008, Sect. 11.3). ``"vector"``: it goes on along
+s·Lambert + (1 - s)·specular, both unit vectors (Christensen & Rindel 2005, Forum Acusticum;
+pyroomacoustics does the same). They agree at 0 and at 1 and nowhere else.
+"""
+
+_LOST = 1e-4
+"""The share of paths that may slip through an edge by rounding; more, and the walls have gaps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Some paths from one source: a stream of events and what the receivers heard.
+
+    ``events``: per path, from ``starts[i]`` to ``starts[i + 1]``, the material of each hit, or
+    n_materials + receiver where a receiver hears the path. ``lengths`` (m) and ``weights`` (1/m²)
+    belong to the latter, in order.
+    """
+
+    events: NDArray[np.uint16]
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    lost: int
+    free_paths: tuple[float, float, float]  # number, sum in m, sum of squares in m²
+
+    @property
+    def nbytes(self) -> int:
+        """Memory in bytes."""
+        return sum(x.nbytes for x in (self.events, self.starts, self.lengths, self.weights))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Paths:
+    """Paths from every source to every receiver, in independent batches of equal size.
+
+    Made by `trace`.
+
+    Attributes
+    ----------
+    batches : tuple of tuples of Batch
+        By source and batch. Batches share no random number: their spread is the noise.
+    n_materials, n_paths : int
+        ``n_paths`` per source.
+    longest : float
+        m; every path is followed to this length.
+    direct : array (n_sources, n_receivers)
+        Length of the direct sound in m, NaN where a wall hides the source.
+    first : array (n_sources, n_receivers)
+        Length of the first sound in m: the direct one, else the first path heard.
+    """
+
+    batches: tuple[tuple[Batch, ...], ...]
+    n_materials: int
+    n_paths: int
+    longest: float
+    direct: Array
+    first: Array
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all paths in bytes."""
+        return sum(batch.nbytes for source in self.batches for batch in source)
+
+    @property
+    def mean_free_path(self) -> float:
+        """Mean length in m from one reflection to the next; 4V/S in a diffuse field."""
+        number, total, _ = self._free_paths()
+        return total / number
+
+    @property
+    def gamma_squared(self) -> float:
+        """The free paths' variance over their squared mean: gamma² of Kuttruff's equation."""
+        number, total, squares = self._free_paths()
+        return squares / number / (total / number) ** 2 - 1
+
+    def _free_paths(self) -> tuple[float, float, float]:
+        sums = np.sum([b.free_paths for source in self.batches for b in source], axis=0)
+        return float(sums[0]), float(sums[1]), float(sums[2])
+
+    def energy(self, alpha: Array, air_attenuation: Array, bin_length: float) -> Array:
+        """Return the energy that reaches each receiver, by length travelled after the first sound.
+
+        Parameters
+        ----------
+        alpha : array (n_materials, n_bands)
+            Absorption coefficients, 0 to 1.
+        air_attenuation : array (n_bands,)
+            m in 1/m.
+        bin_length : float
+            Width of a bin in m: c times its width in s. The first bin starts with the first sound.
+
+        Returns
+        -------
+        array (n_batches, n_sources, n_receivers, n_bands, n_bins)
+            Energy over area in 1/m² of a source of unit energy, so that the direct sound is
+            1/(4 pi r²). The mean over batches is the estimate.
+        """
+        alpha = np.asarray(alpha, dtype=float)
+        attenuation = np.ascontiguousarray(air_attenuation, dtype=float)
+        if alpha.ndim != 2 or alpha.shape != (self.n_materials, len(attenuation)):
+            raise DataError(
+                f"alpha has shape {alpha.shape}; the paths ask for (n_materials, n_bands) = "
+                f"({self.n_materials}, {len(attenuation)})"
+            )
+        with np.errstate(divide="ignore"):
+            log_reflection = np.log1p(-alpha)
+        n_sources, n_receivers = self.first.shape
+        n_bins = int(np.ceil((self.longest - self.first.min()) / bin_length))
+        n_batches, n_bands = len(self.batches[0]), len(attenuation)
+        out = np.zeros((n_batches, n_sources, n_receivers, n_bands, n_bins))
+        histogram = kernels().histogram
+        for s, source in enumerate(self.batches):
+            for b, batch in enumerate(source):
+                histogram(
+                    batch.events, batch.starts, batch.lengths, batch.weights, log_reflection,
+                    attenuation, self.first[s], float(bin_length), out[b, s],
+                )  # fmt: skip
+                out[b, s] /= len(batch.starts) - 1
+        seen = self.direct[..., np.newaxis]
+        direct = np.exp(-attenuation * seen) / (4 * np.pi * seen**2)
+        out[..., 0] += np.nan_to_num(direct)
+        return out
+
+
+def kernels() -> ModuleType:
+    """Return the module with the inner loops: numba's, or NumPy's where numba is absent."""
+    try:
+        from rtcal.simulators import path_numba
+    except ImportError:
+        from rtcal.simulators import path_numpy
+
+        return path_numpy
+    return path_numba
+
+
+def trace(
+    geometry: Polyhedron,
+    sources: Array,
+    receivers: Array,
+    *,
+    materials: NDArray[np.int64],
+    scattering: Array,
+    radii: Array,
+    longest: float,
+    n_paths: int,
+    n_batches: int,
+    meaning: Scattering,
+    seed: int,
+    workers: int | None = None,
+) -> Paths:
+    """Trace ``n_paths`` from each source.
+
+    Receivers are spheres. A path that has met no diffuse reflection is weighted for the sphere as
+    its image source sees it, 1 / (L² solid angle), every other one by 1 / (pi r²): both make the
+    expected energy that at the receiver's centre, whatever the radius (exactly, where no edge
+    shades a part of the sphere). The direct sound is not traced, since it is known.
+
+    Parameters
+    ----------
+    geometry : Polyhedron
+    sources, receivers : array (n, 3)
+        In m, inside the room.
+    materials : int array (n_faces,)
+        Number of each face's material.
+    scattering : array (n_materials,)
+    radii : array (n_receivers,)
+        In m; no more than the distance to the nearest wall.
+    longest : float
+        How far to follow each path, in m.
+    n_paths, n_batches : int
+        Paths per source, and into how many independent batches they are divided.
+    meaning : "random" or "vector"
+        See `Scattering`.
+    seed : int
+        The same seed gives the same paths, whatever ``longest`` and ``workers``: longer paths
+        start with the shorter ones.
+    workers : int, optional
+        Threads; as many as there are processors if not given.
+
+    Raises
+    ------
+    DataError
+        If more than one path in 10,000 finds no wall: the faces leave gaps or cut each other.
+    """
+    planes, sides = _planes(geometry)
+    owners = materials[geometry.triangle_faces]
+    per_batch = -(-n_paths // n_batches)
+    run = kernels().trace
+
+    def one(job: tuple[int, int]) -> Batch:
+        s, b = job
+        sequence = np.random.SeedSequence([seed, s, b])
+        seeds = sequence.generate_state(per_batch, np.uint64)
+        directions = _sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
+        events, starts, lengths, weights, counts = run(
+            sources[s], directions, seeds, float(longest), planes, sides, owners,
+            np.ascontiguousarray(scattering, dtype=float), meaning == "vector", receivers,
+            np.ascontiguousarray(radii, dtype=float),
+        )  # fmt: skip
+        free = (float(counts[1]), float(counts[2]), float(counts[3]))
+        return Batch(events, starts, lengths, weights, int(counts[0]), free)
+
+    jobs = [(s, b) for s in range(len(sources)) for b in range(n_batches)]
+    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        done = list(pool.map(one, jobs))
+    lost = sum(batch.lost for batch in done)
+    if lost > max(1, _LOST * per_batch * len(jobs)):
+        raise DataError(
+            f"{lost} of {per_batch * len(jobs)} paths found no wall: the room's faces leave gaps or "
+            "cut through each other"
+        )
+    batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
+    direct = np.array([[_seen(s, r, planes, sides) for r in receivers] for s in sources])
+    n_materials = len(scattering)
+    return Paths(
+        batches=batches,
+        n_materials=n_materials,
+        n_paths=per_batch * n_batches,
+        longest=float(longest),
+        direct=direct,
+        first=_first(batches, direct, n_materials, longest),
+    )
+
+
+def _planes(geometry: Polyhedron) -> tuple[Array, Array]:
+    """Return each triangle's plane (inward normal, offset) and its two barycentric functions.
+
+    A point x of the plane lies in the triangle where n·x - d is 0 or more for both rows of
+    ``sides`` (n_triangles, 2, 4), and their sum at most 1 (Havel & Herout 2010).
+    """
+    a, b, c = np.moveaxis(geometry.triangles, 1, 0)
+    u, v = b - a, c - a
+    normal = np.cross(u, v)
+    square = np.sum(normal**2, axis=1, keepdims=True)
+    rows = np.stack([np.cross(v, normal) / square, np.cross(normal, u) / square], axis=1)
+    offsets = np.einsum("tij,tj->ti", rows, a)[..., np.newaxis]
+    inward = -normal / np.sqrt(square)
+    planes = np.hstack([inward, np.sum(inward * a, axis=1, keepdims=True)])
+    return planes, np.ascontiguousarray(np.concatenate([rows, offsets], axis=2))
+
+
+def _sphere(n: int, rng: np.random.Generator) -> Array:
+    """Return n directions spread evenly over the sphere (a Fibonacci lattice), turned at random."""
+    height = 1 - (2 * np.arange(n) + 1) / n
+    turn = np.pi * (1 + np.sqrt(5)) * np.arange(n)
+    across = np.sqrt(1 - height**2)
+    lattice = np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
+    rotation, upper = np.linalg.qr(rng.standard_normal((3, 3)))
+    return np.ascontiguousarray(lattice @ (rotation * np.sign(np.diag(upper))))
+
+
+def _seen(source: Array, receiver: Array, planes: Array, sides: Array) -> float:
+    """Return the length of the direct sound in m, NaN where a wall stands in its way."""
+    length = float(np.linalg.norm(receiver - source))
+    if length == 0:
+        raise DataError("a source and a receiver are at the same place")
+    from rtcal.simulators.path_numpy import nearest
+
+    _, t = nearest(source[np.newaxis], (receiver - source)[np.newaxis] / length, planes, sides)
+    return length if t[0] > length else np.nan
+
+
+def _first(
+    batches: tuple[tuple[Batch, ...], ...], direct: Array, n_materials: int, longest: float
+) -> Array:
+    """Return the length of the first sound: direct, else heard first, else all of ``longest``."""
+    first = direct.copy()
+    for s, r in np.argwhere(np.isnan(direct)):
+        heard = [
+            b.lengths[b.events[b.events >= n_materials] == n_materials + r] for b in batches[s]
+        ]
+        first[s, r] = min((float(x.min()) for x in heard if x.size), default=longest)
+    return first
+
+
+def jackknife(estimate: Any, values: Array) -> Array:
+    """Return the standard error of ``estimate(mean over batches)`` from batches on axis 0.
+
+    Leave-one-out (Efron & Stein 1981): sqrt((n - 1)/n sum (estimate_i - mean)²).
+    """
+    n = len(values)
+    total = values.sum(axis=0)
+    left_out = np.stack([estimate((total - value) / (n - 1)) for value in values])
+    spread = left_out - left_out.mean(axis=0)
+    return np.asarray(np.sqrt((n - 1) / n * np.sum(spread**2, axis=0)))
