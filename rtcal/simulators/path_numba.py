@@ -1,4 +1,4 @@
-"""The path tracer's inner loops, compiled by numba. `rtcal.simulators.path_numpy` is their twin.
+"""The path tracer's inner loops, compiled. `rtcal.simulators.path_numpy` is their twin.
 
 Both modules have `trace` and `histogram` with the same arguments, and make the same paths up to
 rounding. Only `rtcal.simulators.paths` imports them, inside a function.
@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
+from rtcal.jit import compiled
 from rtcal.types import Array
 
 # splitmix64 (Steele, Lea & Flood 2014): one 64-bit state a path, so that a path does not depend on
@@ -21,10 +21,10 @@ _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
 
-_jit = numba.njit(cache=True, nogil=True)
 
-
-def _uniform(state: Any) -> float:
+@compiled(reorder=False)
+def uniform(state: Any) -> float:
+    """Return a random number in [0, 1) and step the state, (1,) of 64 bits."""
     state[0] += _GOLDEN
     z = state[0]
     z = (z ^ (z >> _S30)) * _FIRST
@@ -33,10 +33,8 @@ def _uniform(state: Any) -> float:
     return float(z >> _S11) * 2.0**-53
 
 
-uniform = _jit(_uniform)
-
-
-def _nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[int, float]:
+@compiled(reorder=False)
+def nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[int, float]:
     """Return the triangle that the ray meets first and how far away; (-1, inf) if none."""
     best, found = np.inf, -1
     for i in range(planes.shape[0]):
@@ -58,10 +56,9 @@ def _nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[int, floa
     return found, best
 
 
-nearest = _jit(_nearest)
-
-
-def _grown(array: Any, needed: int) -> Any:
+@compiled(reorder=False)
+def grown(array: Any, needed: int) -> Any:
+    """Return the array with room for ``needed`` elements, at least doubled where it grows."""
     if needed <= array.size:
         return array
     larger = np.empty(max(2 * array.size, needed), array.dtype)
@@ -69,10 +66,8 @@ def _grown(array: Any, needed: int) -> Any:
     return larger
 
 
-grown = _jit(_grown)
-
-
-def _trace(
+@compiled(reorder=False)
+def trace(
     origin: Array,
     directions: Array,
     seeds: Any,
@@ -85,12 +80,16 @@ def _trace(
     receivers: Array,
     radii: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
+    """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.paths.Batch`), counts.
+
+    ``counts``: paths lost; free paths, their sum and their sum of squares.
+    """
     n_paths, n_receivers, n_materials = len(directions), len(receivers), len(scattering)
     starts = np.zeros(n_paths + 1, np.int64)
     events = np.empty(64 * n_paths + 64, np.uint16)
     lengths = np.empty(4 * n_paths + 64, np.float32)
     weights = np.empty(4 * n_paths + 64, np.float32)
-    statistics = np.zeros(4)  # paths lost, free paths: number, sum, sum of squares
+    counts = np.zeros(4)
     n_events = n_heard = 0
     p, v, state = np.empty(3), np.empty(3), np.empty(1, np.uint64)
     for path in range(n_paths):
@@ -101,15 +100,15 @@ def _trace(
         while travelled < longest:
             triangle, t = nearest(p, v, planes, sides)
             if triangle < 0:
-                statistics[0] += 1
+                counts[0] += 1
                 break
             events = grown(events, n_events + n_receivers + 1)
             lengths = grown(lengths, n_heard + n_receivers)
             weights = grown(weights, n_heard + n_receivers)
             if reflections > 0:
-                statistics[1] += 1
-                statistics[2] += t
-                statistics[3] += t * t
+                counts[1] += 1
+                counts[2] += t
+                counts[3] += t * t
                 for r in range(n_receivers):
                     x, y, z = receivers[r, 0] - p[0], receivers[r, 1] - p[1], receivers[r, 2] - p[2]
                     along = x * v[0] + y * v[1] + z * v[2]
@@ -164,14 +163,12 @@ def _trace(
         starts,
         lengths[:n_heard].copy(),
         weights[:n_heard].copy(),
-        (statistics),
+        (counts),
     )
 
 
-trace = _jit(_trace)
-
-
-def _histogram(
+@compiled(reorder=False)
+def histogram(
     events: Any,
     starts: Any,
     lengths: Any,
@@ -182,6 +179,7 @@ def _histogram(
     bin_length: float,
     out: Array,
 ) -> None:
+    """Add what the receivers hear to ``out``; see `rtcal.simulators.paths.Paths.energy`."""
     n_materials, n_bands = log_reflection.shape
     n_bins = out.shape[2]
     level = np.empty(n_bands)
@@ -202,6 +200,3 @@ def _histogram(
                         level[k] - attenuation[k] * length
                     )
             heard += 1
-
-
-histogram = _jit(_histogram)

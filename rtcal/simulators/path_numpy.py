@@ -55,24 +55,24 @@ def trace(
     receivers: Array,
     radii: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
-    """Trace paths; see `rtcal.simulators.paths.trace` for what comes back."""
+    """Trace paths; see `rtcal.simulators.path_numba.trace` for what comes back."""
     n_paths, n_materials = len(directions), len(scattering)
     p, v = np.broadcast_to(origin, directions.shape).copy(), directions.copy()
     state, travelled = seeds.copy(), np.zeros(n_paths)
     diffuse = np.zeros(n_paths, dtype=bool)
     alive = np.arange(n_paths)
-    statistics = np.zeros(4)
+    counts = np.zeros(4)
     found: list[tuple[Any, Any, Any, Any]] = []  # path, code, length, weight, step by step
     step = 0
     while alive.size:
         triangle, t = nearest(p, v, planes, sides)
         here = np.isfinite(t)
-        statistics[0] += np.count_nonzero(~here)
+        counts[0] += np.count_nonzero(~here)
         alive, p, v, travelled, state, diffuse, triangle, t = _kept(
             here, alive, p, v, travelled, state, diffuse, triangle, t
         )
         if step:
-            statistics[1:] += t.size, t.sum(), (t * t).sum()
+            counts[1:] += t.size, t.sum(), (t * t).sum()
             for r, (centre, radius) in enumerate(zip(receivers, radii, strict=True)):
                 to = centre - p
                 along = np.sum(to * v, axis=1)
@@ -115,7 +115,7 @@ def trace(
     starts = np.concatenate([[0], np.cumsum(np.bincount(path, minlength=n_paths))])
     return (
         code[order].astype(np.uint16), starts, length[heard].astype(np.float32),
-        weight[heard].astype(np.float32), statistics,
+        weight[heard].astype(np.float32), counts,
     )  # fmt: skip
 
 

@@ -20,7 +20,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal import jit
 from rtcal.errors import DataError
+from rtcal.simulators import path_numpy
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.types import Array
 
@@ -154,13 +156,11 @@ class Paths:
 
 def kernels() -> ModuleType:
     """Return the module with the inner loops: numba's, or NumPy's where numba is absent."""
-    try:
+    if jit.available():
         from rtcal.simulators import path_numba
-    except ImportError:
-        from rtcal.simulators import path_numpy
 
-        return path_numpy
-    return path_numba
+        return path_numba
+    return path_numpy
 
 
 def trace(
@@ -284,9 +284,9 @@ def _seen(source: Array, receiver: Array, planes: Array, sides: Array) -> float:
     length = float(np.linalg.norm(receiver - source))
     if length == 0:
         raise DataError("a source and a receiver are at the same place")
-    from rtcal.simulators.path_numpy import nearest
-
-    _, t = nearest(source[np.newaxis], (receiver - source)[np.newaxis] / length, planes, sides)
+    _, t = path_numpy.nearest(
+        source[np.newaxis], (receiver - source)[np.newaxis] / length, planes, sides
+    )
     return length if t[0] > length else np.nan
 
 
