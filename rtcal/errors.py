@@ -2,7 +2,8 @@
 
 ``DataError``: mend the input.  ``ModelError``: mend the model.  ``InfeasibleError``: no absorption
 coefficients within the bounds give what was asked.  ``SolverError``: the solver failed on a sound
-problem; another solver or other settings may help.  ``MissingDependencyError``: install an extra.
+problem; another solver or other settings may help.  ``SimulatorError``: a simulator failed; its
+cause says why.  ``MissingDependencyError``: install an extra.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ class DataError(RtcalError, ValueError):
     """The input breaks a rule; the message names the place, the value and the rule."""
 
 
+class TooShortError(DataError):
+    """A decay ends before it holds its decay time; simulate or record longer."""
+
+
 class ModelError(RtcalError):
     """The model cannot be calibrated as it was put together."""
 
@@ -26,6 +31,10 @@ class InfeasibleError(RtcalError):
 
 class SolverError(RtcalError):
     """The solver did not find an answer that passes the certificate."""
+
+
+class SimulatorError(RtcalError):
+    """A simulator raised, took too long, or returned something that is no measurement."""
 
 
 class MissingDependencyError(RtcalError, ImportError):

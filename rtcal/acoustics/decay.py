@@ -1,0 +1,226 @@
+"""Energy decays: decay times, clarity, definition and centre time.
+
+An energy decay is the energy per time bin, from the arrival of the direct sound on: a tracer's
+histogram, or a squared impulse response (one bin a sample). Bins are the last axis; everything
+before it is a batch, and comes back as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import Measurement
+from rtcal.errors import DataError, TooShortError
+from rtcal.types import Array
+
+RANGES: dict[str, tuple[float, float]] = {
+    "edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0),
+}  # fmt: skip
+"""Levels in dB between which each decay time is fitted (ISO 3382-1:2009, 5.3 and A.2.2)."""
+
+MARGIN_DB = 15.0
+"""How far below a range's lower end the energy that was cut off has to be. Cutting an exponential
+off there lowers T20 by 0.4 %."""
+
+
+def decay_curve_db(energy: Array) -> Array:
+    """Return the normalised decay curve at the start of each bin, in dB, same shape.
+
+    L_k = 10 lg(sum over j >= k of E_j / sum over all of E_j), so that L_0 = 0 (Schroeder 1965).
+    Minus infinity where no energy is left, NaN where there was none at all.
+    """
+    energy = _checked(energy)
+    # Summed from the end: there the small numbers are, and a difference would lose them.
+    left = np.flip(np.cumsum(np.flip(energy, -1), axis=-1), -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(10 * np.log10(left / left[..., :1]))
+
+
+def cut_off_db(energy: Array) -> Array:
+    """Return the level of the energy that the end of the decay cuts off, (...).
+
+    In dB below all the energy there is, extrapolated from the last two quarters A, B of the time:
+    B r / (1 - r), r = B / A. Infinite where the energy does not fall, minus infinity where none is
+    left at the end. A double slope is judged by its late part.
+    """
+    energy = _checked(energy)
+    quarter = energy.shape[-1] // 4
+    if quarter == 0:
+        return np.full(energy.shape[:-1], np.inf)
+    last = energy[..., -quarter:].sum(axis=-1)
+    before = energy[..., -2 * quarter : -quarter].sum(axis=-1)
+    falls = before > last
+    with np.errstate(divide="ignore", invalid="ignore"):
+        beyond = np.where(last == 0, 0.0, np.where(falls, last**2 / (before - last), np.inf))
+        return np.asarray(10 * np.log10(beyond / energy.sum(axis=-1)))
+
+
+def decay_time(energy: Array, bin_width: float, parameter: str = "t20") -> Array:
+    """Return a decay time in s, (...): -60 dB over the slope of the decay curve within its range.
+
+    Parameters
+    ----------
+    energy : array (..., n_bins)
+        Energy per bin, 0 or more; the first bin starts with the direct sound.
+    bin_width : float
+        s.
+    parameter : {"t20", "t30", "edt"}
+
+    Returns
+    -------
+    array (...)
+        NaN where the decay is `too_short`, or fewer than two points lie within the range.
+
+    Raises
+    ------
+    DataError
+        For an unknown parameter, energy that is negative or not finite, a width not above 0.
+
+    References
+    ----------
+    ISO 3382-1:2009, 5.3.3 (line fitted by least squares).
+
+    Examples
+    --------
+    >>> time = np.arange(20000) * 1e-4
+    >>> print(decay_time(10 ** (-6 * time / 0.8), 1e-4).round(6))
+    0.8
+    """
+    if parameter not in RANGES:
+        raise DataError(f'"{parameter}" is no decay time; known are {", ".join(RANGES)}')
+    width = _width(bin_width)
+    upper, lower = RANGES[parameter]
+    level = decay_curve_db(energy)
+    with np.errstate(invalid="ignore"):
+        within = (level <= upper) & (level >= lower)
+    k = np.arange(level.shape[-1], dtype=float)
+    n = within.sum(axis=-1)
+    many = np.maximum(n, 1)
+    centred_k = np.where(within, k - (np.where(within, k, 0).sum(-1) / many)[..., np.newaxis], 0.0)
+    y = np.where(within, level, 0.0)
+    spread = np.sum(centred_k**2, axis=-1)
+    fall = -np.sum(centred_k * y, axis=-1)
+    holds = (n >= 2) & (fall > 0) & ~too_short(energy, parameter)
+    return np.where(holds, 60 * width * spread / np.where(holds, fall, 1.0), np.nan)
+
+
+def too_short(energy: Array, parameter: str = "t20") -> NDArray[np.bool_]:
+    """Return whether the decay is cut off too early to hold a decay time, (...)."""
+    return np.asarray(cut_off_db(energy) > RANGES[parameter][1] - MARGIN_DB)
+
+
+def early_energy(energy: Array, bin_width: float, limit: float) -> Array:
+    """Return the share of the energy within ``limit`` s of the direct sound, (...), 0 to 1.
+
+    A bin that the limit divides counts in proportion.
+    """
+    energy = _checked(energy)
+    total = energy.sum(axis=-1)
+    position = min(limit / _width(bin_width), energy.shape[-1])
+    whole = int(position)
+    early = energy[..., :whole].sum(axis=-1)
+    if whole < energy.shape[-1]:
+        early = early + (position - whole) * energy[..., whole]
+    return _share(early, total)
+
+
+def clarity(energy: Array, bin_width: float, limit: float) -> Array:
+    """Return C50 (``limit`` .05 s) or C80 (.08 s) in dB, (...): 10 lg(early / late).
+
+    ISO 3382-1:2009, A.10. Infinite where nothing comes after the limit.
+    """
+    early = early_energy(energy, bin_width, limit)
+    with np.errstate(divide="ignore"):
+        return np.asarray(10 * np.log10(early / (1 - early)))
+
+
+def centre_time(energy: Array, bin_width: float) -> Array:
+    """Return Ts in s, (...): the energy's centre of gravity (ISO 3382-1:2009, A.13)."""
+    energy = _checked(energy)
+    middle = (np.arange(energy.shape[-1]) + 0.5) * _width(bin_width)
+    total = energy.sum(axis=-1)
+    return _share(energy @ middle, total)
+
+
+def parameters(energy: Array, bin_width: float) -> dict[str, Array]:
+    """Return EDT, T20, T30, C50, C80, D50 and Ts by name, each (...), in the units of `Measurement`.
+
+    NaN where the decay does not hold the parameter; see `decay_time`.
+    """
+    found = {name: decay_time(energy, bin_width, name) for name in RANGES}
+    for name, limit in (("c50", 0.05), ("c80", 0.08)):
+        value = clarity(energy, bin_width, limit)
+        found[name] = np.where(np.isfinite(value), value, np.nan)
+    found["d50"] = early_energy(energy, bin_width, 0.05)
+    found["ts"] = centre_time(energy, bin_width)
+    return found
+
+
+def measurement(
+    energy: Array,
+    bin_width: float,
+    centre_frequencies: Array,
+    pairs: Sequence[tuple[str, str]],
+    uncertainty: Mapping[str, Array] | None = None,
+) -> Measurement:
+    """Return the `Measurement` of energy decays (n_pairs, n_bands, n_bins).
+
+    ``uncertainty`` states the standard uncertainty of parameters, by name, (n_pairs, n_bands).
+
+    Raises
+    ------
+    TooShortError
+        If a decay is cut off before it holds T20: a mean over the other pairs would hide it.
+    DataError
+        If a decay has no T20 at all, since nothing is reflected.
+    """
+    found = parameters(energy, bin_width)
+    lost = np.isnan(found["t20"])
+    if lost.any():
+        short = too_short(energy)
+        bad = lost & short if (lost & short).any() else lost
+        pair, band = (int(i) for i in np.argwhere(bad)[0])
+        where = f"{' to '.join(pairs[pair])}, {bands.label(np.asarray(centre_frequencies)[band])}"
+        if short[pair, band]:
+            raise TooShortError(
+                f"the decay from {where} is too short to hold T20: {energy.shape[-1] * bin_width:.3g}"
+                f" s end {max(0.0, -float(cut_off_db(energy)[pair, band])):.0f} dB down, "
+                f"{-RANGES['t20'][1] + MARGIN_DB:.0f} dB are needed. The room is more reverberant "
+                "than the decay is long: simulate longer"
+            )
+        raise DataError(f"the decay from {where} has no T20: too little is reflected")
+    return Measurement(
+        centre_frequencies=np.asarray(centre_frequencies, dtype=float),
+        values=found,
+        pairs=pairs,
+        uncertainty=uncertainty or {},
+    )
+
+
+def _share(part: Array, total: Array) -> Array:
+    blank = np.full(np.shape(total), np.nan)
+    return np.asarray(np.divide(part, total, out=blank, where=total > 0))
+
+
+def _checked(energy: Array) -> Array:
+    energy = np.asarray(energy, dtype=float)
+    if energy.ndim == 0 or energy.shape[-1] == 0:
+        raise DataError(
+            f"energy has shape {energy.shape}; it needs at least one bin, on its last axis"
+        )
+    if (bad := ~np.isfinite(energy) | (energy < 0)).any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise DataError(
+            f"energy{list(where)} = {energy[where]:g} is not a finite value of 0 or more"
+        )
+    return energy
+
+
+def _width(bin_width: float) -> float:
+    if not (np.isfinite(bin_width) and bin_width > 0):
+        raise DataError(f"bin_width = {bin_width:g} s is not finite and above 0")
+    return float(bin_width)

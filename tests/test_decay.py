@@ -1,0 +1,124 @@
+"""Decay parameters against exact exponentials, against pyrato, and against what they must refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtcal.acoustics import decay
+from rtcal.errors import DataError, TooShortError
+
+
+def exponential(t: float, width: float = 1e-4, length: float = 1.5) -> np.ndarray:
+    """Energy per bin of a pure exponential decay, ``length`` reverberation times long."""
+    return 10 ** (-6 * np.arange(round(length * t / width)) * width / t)
+
+
+@given(st.floats(0.1, 8))
+def test_exponentials_are_exact(t: float) -> None:
+    width = t / 1000
+    energy = exponential(t, width, 1.6)
+    for name in ("edt", "t20", "t30"):
+        # The end at -96 dB lets the curve bend by 4e-7 at -35 dB.
+        assert decay.decay_time(energy, width, name) == pytest.approx(t, rel=1e-6)
+    rate = 6 * np.log(10) / t
+    assert decay.centre_time(energy, width) == pytest.approx(1 / rate, rel=1e-4)
+
+
+@pytest.mark.parametrize("t", [0.5, 2.0])
+def test_clarity_and_definition_of_an_exponential(t: float) -> None:
+    energy = np.stack([exponential(t, 1e-4, 2.0)] * 2)
+    rate = 6 * np.log(10) / t
+    found = decay.parameters(energy, 1e-4)
+    assert found["c50"] == pytest.approx(10 * np.log10(np.expm1(0.05 * rate)), abs=1e-6)
+    assert found["c80"] == pytest.approx(10 * np.log10(np.expm1(0.08 * rate)), abs=1e-6)
+    assert found["d50"] == pytest.approx(-np.expm1(-0.05 * rate), rel=1e-6)
+    assert found["ts"].shape == (2,)
+
+
+def test_a_limit_within_a_bin_counts_in_proportion() -> None:
+    assert decay.early_energy(np.ones(10), 0.02, 0.05) == pytest.approx(0.25)
+
+
+def test_pyrato_agrees_on_a_noisy_decay() -> None:
+    pyfar = pytest.importorskip("pyfar")
+    pyrato = pytest.importorskip("pyrato")
+    rate, t = 8000, 0.9
+    time = np.arange(2 * rate) / rate
+    noise = np.random.default_rng(3).standard_normal(time.size)
+    energy = noise**2 * 10 ** (-6 * time / t)
+    level = decay.decay_curve_db(energy)
+    curve = pyfar.TimeData(10 ** (level / 10), time)
+    for name, label in (("edt", "EDT"), ("t20", "T20"), ("t30", "T30")):
+        expected = float(
+            np.squeeze(pyrato.parameters.reverberation_time_linear_regression(curve, T=label))
+        )
+        # pyrato takes the points nearest to the range's ends, here those within it: one of thousands.
+        assert decay.decay_time(energy, 1 / rate, name) == pytest.approx(expected, rel=1e-3)
+    for name, limit in (("c50", 50), ("c80", 80)):
+        expected = float(np.squeeze(pyrato.parameters.clarity(curve, limit)))
+        assert decay.parameters(energy, 1 / rate)[name] == pytest.approx(expected, abs=0.02)
+
+
+def test_batches_are_taken_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    energy = rng.random((3, 2, 4000)) * exponential(0.25, 1e-4, 1.6)
+    together = decay.parameters(energy, 1e-4)
+    for name, value in together.items():
+        assert value.shape == (3, 2)
+        assert value[2, 1] == pytest.approx(float(decay.parameters(energy[2, 1], 1e-4)[name]))
+
+
+def test_the_level_of_what_is_cut_off() -> None:
+    assert decay.cut_off_db(exponential(1.0, 1e-4, 0.7)) == pytest.approx(-42, abs=0.01)
+
+
+@pytest.mark.parametrize(("length", "short"), [(0.3, True), (0.6, True), (0.7, False)])
+def test_too_short_is_said(length: float, short: bool) -> None:
+    energy = exponential(1.0, 1e-4, length)
+    assert bool(decay.too_short(energy)) is short
+    assert bool(np.isnan(decay.decay_time(energy, 1e-4))) is short
+    if short:
+        with pytest.raises(TooShortError, match=r"S to R, 1000 Hz is too short to hold T20"):
+            decay.measurement(
+                energy[np.newaxis, np.newaxis], 1e-4, np.array([1000.0]), [("S", "R")]
+            )
+    else:  # what the margin lets pass
+        assert decay.decay_time(energy, 1e-4) == pytest.approx(1.0, rel=0.004)
+
+
+def test_a_slow_late_part_is_seen() -> None:
+    """A double slope whose late part is cut off: the early slope alone would look long enough."""
+    time = np.arange(7000) * 1e-4
+    energy = 10 ** (-6 * time / 0.5) + 1e-3 * 10 ** (-6 * time / 5)
+    assert decay.too_short(energy)
+
+
+def test_one_short_pair_is_not_averaged_away() -> None:
+    energy = np.stack([exponential(0.5, 1e-4, 1.6), exponential(4.0, 1e-4, 0.2)])[:, np.newaxis]
+    with pytest.raises(TooShortError, match="S to B"):
+        decay.measurement(energy, 1e-4, np.array([500.0]), [("S", "A"), ("S", "B")])
+
+
+def test_nothing_reflected_is_no_decay() -> None:
+    energy = np.zeros((1, 1, 100))
+    energy[..., 0] = 1
+    with pytest.raises(DataError, match="too little is reflected"):
+        decay.measurement(energy, 1e-3, np.array([500.0]), [("S", "R")])
+
+
+@pytest.mark.parametrize(
+    ("energy", "width", "name", "message"),
+    [
+        ([1, -1.0], 1e-3, "t20", r"energy\[1\] = -1 is not"),
+        ([1, np.nan], 1e-3, "t20", r"energy\[1\] = nan is not"),
+        ([], 1e-3, "t20", "at least one bin"),
+        ([1, 1], 0.0, "t20", "bin_width = 0 s"),
+        ([1, 1], 1e-3, "t60", '"t60" is no decay time'),
+    ],
+)
+def test_bad_input(energy: list[float], width: float, name: str, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        decay.decay_time(np.array(energy), width, name)
