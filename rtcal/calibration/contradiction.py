@@ -16,8 +16,9 @@ def explain(twin: Twin) -> None:
     """Raise InfeasibleError, naming what would have to give way, if the constraints contradict.
 
     An elastic linear programme (Chinneck 2008, ch. 6): minimise the sum of all relaxations, each in
-    mean absorption coefficient (a row's in units of the sum of its coefficients), subject to every
-    row and every bound that a term set, relaxed. 0 <= alpha <= 1 and an unknown that is held stay.
+    absorption coefficients (a row's in units of the sum of its coefficients of one sign), subject
+    to every row and every bound that a term set, relaxed. 0 <= alpha <= 1 and an unknown that is
+    held stay.
     Returns where nothing has to give way.
     """
     from scipy.optimize import linprog
@@ -25,7 +26,9 @@ def explain(twin: Twin) -> None:
     instance, layout = twin.instance, twin.instance.layout
     matrix = sp.csr_array(twin.matrix)
     n_rows, size = matrix.shape
-    norm = np.where(twin.row_norm > 0, twin.row_norm, 1.0)
+    sides = [np.asarray(part.maximum(0).sum(axis=1)).ravel() for part in (matrix, -matrix)]
+    norm = np.maximum(*sides)
+    norm[norm == 0] = 1.0
     scaled = sp.diags_array(1 / norm) @ matrix
     # Unknowns, then relaxations of rows up and down, then of the box down and up.
     low, high = twin.row_lower / norm, twin.row_upper / norm

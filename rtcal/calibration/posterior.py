@@ -1,20 +1,234 @@
-"""What is known of alpha after the calibration: uncertainty, sensitivity, identifiability."""
+"""What is known of alpha after the calibration: uncertainty, sensitivity, identifiability.
+
+`posterior` gives the distribution within the bounds: exact marginals by FFT where the priors are
+independent and each band has one matched row, else samples. `estimate_sigma` is the cheap linear
+answer that the calibrated room carries; `sensitivity` is how the answer follows T.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
 
 from rtcal.calibration.instance import Flags, Instance
-from rtcal.calibration.result import JointResult
-from rtcal.calibration.terms import match_matrix
+from rtcal.calibration.marginals import POINTS, marginals, unmatched
+from rtcal.calibration.result import CalibrationResult, JointResult
+from rtcal.calibration.sampler import sample
+from rtcal.calibration.terms import ExactMatch, PriorDeviation, SoftMatch, match_matrix
 from rtcal.calibration.twin import Twin
+from rtcal.errors import DataError, ModelError
 from rtcal.types import Array
 
 _STEP = 1e-5
 """Relative step of T in the differences that tell how the problem's numbers follow T."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The distribution of alpha given the measurement.
+
+    Attributes
+    ----------
+    mean, sigma : array (n_materials, n_bands)
+    correlation : array (n_bands, n_materials, n_materials)
+        Between materials in one band.
+    points, cumulative : array (n_materials, n_bands, n_points)
+        The distribution function of every coefficient.
+    prior_sigma : array (n_materials, n_bands)
+        Before the measurement, within the bounds.
+    samples : array (n_samples, n_materials, n_bands), optional
+        Where sampling was needed.
+    effects : dict of str to array (n_samples,)
+        Samples of the sizes of further unknowns.
+    """
+
+    mean: Array
+    sigma: Array
+    correlation: Array
+    points: Array
+    cumulative: Array
+    prior_sigma: Array
+    samples: Array | None = None
+    effects: dict[str, Array] = field(default_factory=dict)
+
+    def quantile(self, probability: float) -> Array:
+        """Return the quantile of every coefficient, (n_materials, n_bands)."""
+        if not 0 < probability < 1:
+            raise DataError(f"probability = {probability:g} is not between 0 and 1")
+        out = np.empty_like(self.mean)
+        for i, k in np.ndindex(*out.shape):
+            out[i, k] = np.interp(probability, self.cumulative[i, k], self.points[i, k])
+        return out
+
+    def interval(self, level: float = 0.9) -> tuple[Array, Array]:
+        """Return the ends of the central credible interval, both (n_materials, n_bands)."""
+        if not 0 < level < 1:
+            raise DataError(f"level = {level:g} is not between 0 and 1")
+        return self.quantile((1 - level) / 2), self.quantile((1 + level) / 2)
+
+    @property
+    def identifiability(self) -> Array:
+        """1 - posterior variance / prior variance, (n_materials, n_bands).
+
+        1: the measurement tells the coefficient; 0: it was not learnt at all, and what the
+        calibration says of it is what was stated before. Slightly below 0 where the measurement
+        moves a coefficient away from a bound that had cut its prior short.
+        """
+        before = self.prior_sigma**2
+        ratio = np.divide(self.sigma**2, before, out=np.ones_like(before), where=before > 0)
+        return np.asarray(1 - ratio)
+
+
+def posterior(
+    result: CalibrationResult | JointResult, n_samples: int = 4000, seed: int = 0
+) -> Posterior:
+    """Return the posterior distribution of a calibration's coefficients.
+
+    The prior is normal with the room's sigma, truncated to the bounds; the error of b is normal
+    with u_b (0 with an exact match).
+
+    Parameters
+    ----------
+    result : CalibrationResult or JointResult
+    n_samples : int
+        Where sampling is needed.
+    seed : int
+
+    Raises
+    ------
+    ModelError
+        If the objective is no log-density of what is known: a prior with one sigma for all
+        (`lse`), or a `HuberDeviation`.
+    SolverError
+        If sampling was needed and its chains disagree.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> result = rt.calibrate(*rt.datasets.bras_cr2(), method="soft")
+    >>> low, high = posterior(result).interval(0.9)
+    >>> bool(((low < result.alpha) & (result.alpha < high)).all())
+    True
+    """
+    joint = result.joint if isinstance(result, CalibrationResult) else result
+    twin = joint.solution.twin
+    prior = next(t for t in twin.objective.terms if t.is_prior)
+    if not isinstance(prior, PriorDeviation) or prior.sigma is not None:
+        raise ModelError(
+            f"{prior!r} is no log-density of what is known of alpha: it has no posterior. Use "
+            'method "soft" or "mle"'
+        )
+    if not _one_row_a_band(twin, prior):
+        return _sampled(joint, n_samples, seed)
+    return _by_fft(joint)
+
+
+def _one_row_a_band(twin: Twin, prior: PriorDeviation) -> bool:
+    layout = twin.instance.layout
+    return (
+        layout.n_configurations == 1
+        and not layout.further
+        and not prior.correlated()
+        and all(isinstance(t, PriorDeviation | SoftMatch) for t in twin.objective.terms)
+        and all(isinstance(r, ExactMatch) for r in twin.row_constraints)
+        and len(twin.objective.terms) + len(twin.row_constraints) <= 2
+    )
+
+
+def _by_fft(result: JointResult) -> Posterior:
+    solution = result.solution
+    instance, u = solution.twin.instance, solution.unknowns
+    layout = instance.layout
+    alpha, scale = instance.alpha(u), instance.alpha(instance.scale)
+    mu, lower, upper = (instance.alpha(v) for v in (instance.mu, instance.lower, instance.upper))
+    areas, target = instance.areas[0], instance.target[0]
+    soft = [w for t, w in zip(solution.twin.objective.terms, instance.weights, strict=True)
+            if isinstance(t, SoftMatch)]  # fmt: skip
+    pull = np.nan_to_num(solution.match_multipliers[0])
+    noise = np.zeros(layout.n_bands)
+    if soft:
+        # A weight other than 1 says that u_b is another one.
+        noise = np.nan_to_num(instance.target_uncertainty[0]) / np.sqrt(max(soft[0], 1e-300))
+        miss = areas @ alpha - np.nan_to_num(target)
+        pull = np.divide(miss, noise**2, out=np.zeros_like(miss), where=noise > 0)
+    shape = (layout.n_rows, layout.n_bands)
+    points, cumulative = np.zeros((*shape, POINTS)), np.zeros((*shape, POINTS))
+    mean, sigma, before = alpha.copy(), np.zeros(shape), np.zeros(shape)
+    correlation = np.tile(np.eye(layout.n_rows), (layout.n_bands, 1, 1))
+    points[...], cumulative[...] = alpha[:, :, np.newaxis], np.linspace(0, 1, POINTS)
+    for k in range(layout.n_bands):
+        free = np.flatnonzero(scale[:, k] > 0)
+        if not len(free):
+            continue
+        own = (mu[free, k], scale[free, k], lower[free, k], upper[free, k])
+        known = float(areas @ np.where(scale[:, k] > 0, 0.0, alpha[:, k]))
+        alone = unmatched(*own)
+        before[free, k] = np.sqrt(np.diag(alone.covariance))
+        if not np.isfinite(target[k]):
+            found = alone
+        elif not soft and (solution.active.reshape(shape)[free, k] != 0).all():
+            continue  # b at an end of its reach leaves one answer
+        else:
+            found = marginals(
+                *own, areas[free], float(target[k]) - known, float(noise[k]), float(pull[k])
+            )
+        points[free, k], cumulative[free, k] = (
+            found.points,
+            _distribution(found.points, found.density),
+        )
+        mean[free, k] = found.mean
+        spread = np.sqrt(np.diag(found.covariance))
+        sigma[free, k] = spread
+        correlation[k][np.ix_(free, free)] = found.covariance / np.outer(spread, spread)
+    rows = list(layout.rows)
+    return Posterior(
+        mean[rows], sigma[rows], correlation[:, rows][:, :, rows], points[rows], cumulative[rows],
+        before[rows],
+    )  # fmt: skip
+
+
+def _distribution(points: Array, density: Array) -> Array:
+    width = np.diff(points, axis=-1)
+    cells = 0.5 * (density[:, 1:] + density[:, :-1]) * width
+    total = np.concatenate([np.zeros((len(points), 1)), np.cumsum(cells, axis=1)], axis=1)
+    return np.asarray(total / total[:, -1:])
+
+
+def _sampled(result: JointResult, n_samples: int, seed: int) -> Posterior:
+    solution = result.solution
+    twin, layout = solution.twin, solution.twin.instance.layout
+    drawn = sample(twin, solution.unknowns, n_samples, seed)
+    alpha = drawn[:, : layout.n_alpha].reshape(-1, layout.n_rows, layout.n_bands)
+    alpha = alpha[:, list(layout.rows)]
+    ordered = np.moveaxis(np.sort(alpha, axis=0), 0, -1)
+    levels = (np.arange(len(drawn)) + 0.5) / len(drawn)
+    sigma = alpha.std(axis=0, ddof=1)
+    correlation = np.empty((layout.n_bands, alpha.shape[1], alpha.shape[1]))
+    for k in range(layout.n_bands):
+        centred = (alpha[:, :, k] - alpha[:, :, k].mean(axis=0)) / np.where(
+            sigma[:, k] > 0, sigma[:, k], 1.0
+        )
+        correlation[k] = centred.T @ centred / (len(drawn) - 1)
+        np.fill_diagonal(correlation[k], 1.0)
+    # The prior of the same terms without the measurement, in the same box.
+    blind = replace(
+        twin.instance, target=np.full_like(twin.instance.target, np.nan),
+        time=np.full_like(twin.instance.time, np.nan),
+    )  # fmt: skip
+    prior = Twin(blind, twin.objective, twin.row_constraints)
+    before = sample(prior, solution.unknowns, n_samples, seed + 1)
+    return Posterior(
+        mean=alpha.mean(axis=0),
+        sigma=sigma,
+        correlation=correlation,
+        points=ordered,
+        cumulative=np.broadcast_to(levels, ordered.shape),
+        prior_sigma=layout.expand(before.std(axis=0, ddof=1)),
+        samples=alpha,
+        effects={name: drawn[:, layout.n_alpha + p] for p, name in enumerate(layout.further)},
+    )
 
 
 def estimate_sigma(result: JointResult) -> Array:
@@ -70,7 +284,8 @@ def _by_time(result: JointResult, *, bounds: bool) -> Array:
     """D u / d T, (size, rows of T): the derivative of the optimality conditions.
 
     H du + A' dy = -d(gradient), A du = d(limits), over the unknowns that are free and the rows
-    that are active; with ``bounds=False`` as if no unknown were at a bound.
+    that are active; with ``bounds=False`` as if no unknown were at a bound, and with u_b kept, as
+    the error of a linear estimate needs it (else u_b = |db/dT| u_T follows T too).
     """
     solution = result.solution
     twin, u = solution.twin, solution.unknowns
@@ -83,7 +298,7 @@ def _by_time(result: JointResult, *, bounds: bool) -> Array:
     d_gradient = np.zeros((len(u), n_times))
     d_limit = np.zeros((len(active), n_times))
     for place in np.flatnonzero(np.isfinite(instance.time).ravel()):
-        ends = [_at_time(result, int(place), s) for s in (1 - _STEP, 1 + _STEP)]
+        ends = [_at_time(result, int(place), s, bounds) for s in (1 - _STEP, 1 + _STEP)]
         width = 2 * _STEP * instance.time.ravel()[place]
         d_gradient[:, place] = (ends[1].gradient(u) - ends[0].gradient(u)) / width
         limits = [np.where(upper, t.row_upper, t.row_lower) for t in ends]
@@ -92,7 +307,7 @@ def _by_time(result: JointResult, *, bounds: bool) -> Array:
     return _kkt_solve(twin, u, free, active, d_gradient, d_limit)
 
 
-def _at_time(result: JointResult, place: int, factor: float) -> Twin:
+def _at_time(result: JointResult, place: int, factor: float, noise_follows: bool) -> Twin:
     """The twin of the same problem with one T multiplied by ``factor``."""
     configuration, band = divmod(place, result.solution.twin.instance.layout.n_bands)
     data = list(result.data)
@@ -101,6 +316,8 @@ def _at_time(result: JointResult, place: int, factor: float) -> Twin:
     data[configuration] = replace(data[configuration], reverberation_time=times)
     twin = result.solution.twin
     new: Instance = result.assemble(data)
+    if not noise_follows:
+        new = replace(new, target_uncertainty=twin.instance.target_uncertainty)
     return Twin(new, twin.objective, twin.row_constraints)
 
 

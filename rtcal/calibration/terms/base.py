@@ -189,12 +189,12 @@ def limited(
 
         def compute(instance: Instance, side: int = side) -> tuple[Array, Array]:
             scale = term.row_scale(instance)
-            limit = term.limits(instance)[side] * scale
+            limit = term.limits(instance)[side]
+            applies = np.isfinite(limit) & (scale > 0)
+            scale = np.where(applies, scale, 0.0)
             # A row that does not apply reads 0 <= 1, which leaves the solver an interior.
-            open_row = np.isfinite(limit) & (scale > 0)
-            free = -1.0 if side else 1.0
-            values = term.coefficients(instance) * np.where(open_row, scale, 0.0)[rows]
-            return values, np.where(open_row, -np.where(open_row, limit, 0.0), free)
+            constant = np.where(applies, -np.where(applies, limit, 0.0) * scale, 1 - 2 * side)
+            return term.coefficients(instance) * scale[rows], constant
 
         expression = context.affine(rows, columns, n_rows, compute).expression
         made.append((expression <= 0 if side else expression >= 0, sign))

@@ -1,0 +1,352 @@
+"""Composed calibrations: compile once, every solver agrees, what is proved holds."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rtcal as rt
+from rtcal import terms
+from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.presets import METHODS, preset
+from tests.conftest import random_room, true_times
+
+EYRING = rt.Eyring()
+PRIOR = terms.PriorDeviation()
+# Each ingredient: an objective term, a constraint, or a prior in place of the plain one.
+INGREDIENTS = {
+    "correlated": terms.PriorDeviation(band_correlation=0.5),
+    "huber": terms.HuberDeviation(),
+    "soft": terms.SoftMatch(0.03),
+    "smooth": 0.3 * terms.BandSmoothness(),
+    "effect": terms.AddedAbsorption("opening", [0.5, 1.0, 2.0], sigma=1.0),
+    "exact": terms.ExactMatch(),
+    "within": terms.MatchWithin(0.5),
+    "bounds": terms.Bounds(0.05, 0.95, "m0"),
+    "fixed": terms.Fixed("m1"),
+    "shared": terms.Shared("m2", "m3"),
+    "at most": terms.AtMost("m0", "m4"),
+    "group": terms.GroupAbsorption(["m0", "m4"], most=80.0),
+}
+
+
+def composed(*names: str) -> rt.Calibration:
+    parts = [INGREDIENTS[n] for n in names]
+    objective = [p for p in parts if isinstance(p, terms.Objective | terms.ObjectiveTerm)]
+    constraints = [p for p in parts if not isinstance(p, terms.Objective | terms.ObjectiveTerm)]
+    total = terms.as_objective(objective[0]) if objective else terms.as_objective(PRIOR)
+    for term in objective[1:]:
+        total = total + term
+    if not any(t.is_prior for t in total.terms):
+        total = PRIOR + total
+    return rt.Calibration(total, constraints)
+
+
+def a_room(rng: np.random.Generator) -> rt.Room:
+    """Materials 2 and 3 have one prior, so that they can be shared."""
+    room = random_room(rng, 5, 3)
+    alpha, sigma = room.alpha.copy(), room.sigma.copy()
+    alpha[3], sigma[3] = alpha[2], sigma[2]
+    return room.replace(alpha=alpha, sigma=sigma)
+
+
+@pytest.fixture
+def compilations(monkeypatch) -> list[object]:
+    """Every time that cvxpy builds the chain of reductions, which is what compiling is."""
+    seen: list[object] = []
+    original = cp.Problem._construct_chain
+
+    def counted(self, *args, **kwargs):
+        seen.append(self)
+        return original(self, *args, **kwargs)
+
+    monkeypatch.setattr(cp.Problem, "_construct_chain", counted)
+    return seen
+
+
+PAIRS = [(n,) for n in INGREDIENTS] + [
+    p for p in combinations(INGREDIENTS, 2) if p != ("correlated", "huber")
+]
+
+
+@pytest.mark.parametrize("names", PAIRS, ids=" & ".join)
+def test_changed_data_resolve_without_compiling(names: tuple[str, ...], compilations) -> None:
+    """Prior, areas, volume, air, T, missing bands and weights change; the answer follows."""
+    rng = np.random.default_rng(len(names[0]) + 7 * len(names[-1]))
+    room = a_room(rng)
+    problem = composed(*names).build(room)
+    first = problem.solve(true_times(rng, room, EYRING))
+    assert len(compilations) == 1
+    answers = [first.alpha]
+    for round_ in range(2):
+        other = a_room(rng).replace(volume=150.0 + 50 * round_, air=rt.Air(15, 60))
+        t = true_times(rng, other, EYRING)
+        t[round_] = np.nan
+        weights = {terms.BandSmoothness(): 1.0 + round_} if "smooth" in names else None
+        result = problem.solve(t, other, weights)
+        answers.append(result.alpha)
+        assert result.certificate.worst < 1e-9
+        assert np.nanmax(result.certificate.alpha_error_bound) < 1e-4
+    assert len(compilations) == 1
+    assert np.abs(answers[1] - answers[2]).max() > 1e-3
+    # Built anew for the last room, the answer is the same.
+    fresh = composed(*names).build(other).solve(t, None, weights)
+    np.testing.assert_allclose(fresh.alpha, answers[2], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_solvers_agree_on_every_preset(method: str) -> None:
+    """On targets at least 1e-3 of the range from the ends; certified each."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        room = random_room(rng, 6, 6)
+        if seed == 1:  # priors at the box, so that bounds are active
+            room = room.replace(alpha=np.clip(room.alpha - 0.25, 0.01, 1))
+        t = true_times(rng, room, EYRING)
+        problem = preset(method).build(room)
+        found = [problem.solve(t, solver=s) for s in ("clarabel", "osqp", "highs")]
+        share = found[0].target / room.total_area
+        assert ((share > 1e-3) & (share < 1 - 1e-3)).all()
+        for result in found:
+            assert result.certificate.worst < 1e-9
+            np.testing.assert_allclose(result.alpha, found[0].alpha, rtol=0, atol=1e-6)
+        assert np.abs(found[0].alpha - room.alpha).max() > 0.01
+
+
+@given(st.integers(0, 5000), st.sampled_from(list(INGREDIENTS)[2:]))
+@settings(max_examples=40)
+def test_no_random_feasible_point_beats_the_optimum(seed: int, name: str) -> None:
+    rng = np.random.default_rng(seed)
+    room = a_room(rng)
+    result = composed(name).build(room).solve(true_times(rng, room, EYRING))
+    solution = result.joint.solution
+    twin, u = solution.twin, solution.unknowns
+    best = twin.value(u)
+    equal = twin.row_lower == twin.row_upper
+    rows = np.asarray(twin.matrix)[equal] * twin.sigma
+    for scale in (1e-3, 1e-1):
+        step = rng.standard_normal(len(u))
+        step -= np.linalg.pinv(rows) @ (rows @ step)
+        trial = u + scale * twin.sigma * step
+        at = twin.matrix @ trial
+        inside = (trial >= twin.lower).all() and (trial <= twin.upper).all()
+        slack = 1e-12 * np.maximum(twin.row_norm, 1)
+        if inside and (at >= twin.row_lower - slack).all() and (at <= twin.row_upper + slack).all():
+            assert twin.value(trial) >= best - 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_theorem_separable_sigma_exact_match_no_bound(seed: int) -> None:
+    """sigma_ik = u_i v_k, one band correlation, exact match, no bound: nothing changes alpha."""
+    rng = np.random.default_rng(seed)
+    room = random_room(rng, 6, 8)
+    separable = np.outer(rng.uniform(0.02, 0.1, 6), rng.uniform(0.5, 1.0, 8))
+    room = room.replace(sigma=separable)
+    t = EYRING.time(room, room.areas @ (room.alpha + 0.3 * separable * rng.standard_normal((6, 8))))
+    plain = rt.calibrate(room, t)
+    assert not plain.active.any()
+    assert np.abs(plain.shift).max() > 1e-3
+    exact = [terms.ExactMatch()]
+    for objective in (
+        terms.PriorDeviation(band_correlation=0.8),
+        PRIOR + 0.7 * terms.BandSmoothness(),
+        terms.PriorDeviation(band_correlation=0.3) + 5 * terms.BandSmoothness(),
+    ):
+        other = rt.Calibration(objective, exact).build(room).solve(t)
+        np.testing.assert_allclose(other.alpha, plain.alpha, rtol=0, atol=1e-10)
+    # Each premise is needed.
+    uneven = room.replace(sigma=separable * rng.uniform(0.5, 1.5, separable.shape))
+    own = {f"m{i}": 0.15 * i for i in range(6)}
+    for calibration, where in (
+        (rt.Calibration(terms.PriorDeviation(band_correlation=0.8), exact), uneven),
+        (rt.Calibration(terms.PriorDeviation(band_correlation=own), exact), room),
+        (
+            rt.Calibration(terms.PriorDeviation(band_correlation=0.8) + terms.SoftMatch(0.1), []),
+            room,
+        ),
+    ):
+        methods = "soft" if len(calibration.objective.terms) == 2 else "mle"
+        base = preset(methods).build(where).solve(t)
+        assert np.abs(calibration.build(where).solve(t).alpha - base.alpha).max() > 1e-5
+
+
+def test_soft_match_is_the_gaussian_posterior_mean() -> None:
+    rng = np.random.default_rng(1)
+    room = random_room(rng, 5, 3)
+    result = rt.calibrate(room, true_times(rng, room, EYRING), method="soft")
+    assert not result.active.any()
+    for k in range(3):
+        prior = room.sigma[:, k] ** 2
+        gain = prior * room.areas / (room.areas**2 @ prior + result.target_uncertainty[k] ** 2)
+        wanted = room.alpha[:, k] + gain * (result.target[k] - room.areas @ room.alpha[:, k])
+        np.testing.assert_allclose(result.alpha[:, k], wanted, rtol=0, atol=1e-11)
+        spread = np.sqrt(prior - gain * room.areas * prior)
+        np.testing.assert_allclose(result.posterior_sigma[:, k], spread, rtol=1e-6)
+
+
+def test_constraints_do_what_they_say() -> None:
+    rng = np.random.default_rng(5)
+    room = a_room(rng)
+    t = true_times(rng, room, EYRING) * 0.9
+    exact = terms.ExactMatch()
+
+    def solved(*constraints: object, objective: object = PRIOR) -> rt.CalibrationResult:
+        return rt.Calibration(objective, list(constraints)).build(room).solve(t)
+
+    plain = solved(exact)
+    lesser, greater = (1, 0) if (plain.alpha[1] > plain.alpha[0]).any() else (0, 1)
+    ordered = solved(exact, terms.AtMost(f"m{lesser}", f"m{greater}"))
+    assert (plain.alpha[lesser] > plain.alpha[greater]).any()
+    assert (ordered.alpha[lesser] <= ordered.alpha[greater] + 1e-12).all()
+    only = solved(exact, terms.AtMost(f"m{lesser}", f"m{greater}", band=125))
+    assert only.alpha[lesser, 1] <= only.alpha[greater, 1] + 1e-12
+    np.testing.assert_allclose(only.alpha[:, [0, 2]], plain.alpha[:, [0, 2]], atol=1e-12)
+    fixed = solved(exact, terms.Fixed("m0"), terms.Fixed("m1", 0.5, band=125))
+    np.testing.assert_array_equal(fixed.alpha[0], room.alpha[0])
+    assert fixed.alpha[1, 1] == 0.5 != fixed.alpha[1, 0]
+    shared = solved(exact, terms.Shared("m2", "m3"))
+    np.testing.assert_array_equal(shared.alpha[2], shared.alpha[3])
+    one = room.replace(
+        materials=["m0", "m1", "m2", "m4"],
+        areas=[*room.areas[:2], room.areas[2] + room.areas[3], room.areas[4]],
+        alpha=np.delete(room.alpha, 3, 0),
+        sigma=np.delete(room.sigma, 3, 0),
+    )
+    np.testing.assert_allclose(rt.calibrate(one, t).alpha[2], shared.alpha[2], atol=1e-12)
+    own = float(room.areas[:2] @ plain.alpha[:2, 1])
+    group = terms.GroupAbsorption(["m0", "m1"], least=own + 1, most=own + 1, band=125)
+    np.testing.assert_allclose(
+        room.areas[:2] @ solved(exact, group).alpha[:2, 1], own + 1, rtol=1e-10
+    )
+    least = solved(exact, terms.GroupAbsorption(["m0", "m1"], least=own + 1, band=125))
+    np.testing.assert_allclose(least.alpha, solved(exact, group).alpha, atol=1e-10)
+    most = solved(exact, terms.GroupAbsorption(["m0", "m1"], most=own + 1, band=125))
+    np.testing.assert_allclose(most.alpha, plain.alpha, atol=1e-10)
+    within = solved(terms.MatchWithin(1.0))
+    assert np.abs(within.gap_after).max() == pytest.approx(1.0, abs=1e-9)
+    assert np.abs(within.shift_in_sigmas).max() < np.abs(plain.shift_in_sigmas).max()
+    none = solved(terms.MatchWithin(0.0))
+    np.testing.assert_allclose(none.alpha, plain.alpha, atol=1e-12)
+
+
+def test_huber_lets_one_material_go() -> None:
+    """A carpet taken for concrete: its own shift grows, the others' shrinks."""
+    rng = np.random.default_rng(2)
+    room = random_room(rng, 5, 3)
+    truth = room.alpha.copy()
+    truth[4] += 12 * room.sigma[4]
+    truth = np.clip(truth, 0, 0.95)
+    t = EYRING.time(room, room.areas @ truth)
+    plain, robust = (rt.calibrate(room, t, method=m) for m in ("soft", "robust"))
+    assert np.abs(robust.shift_in_sigmas).max() > 1.5 * np.abs(plain.shift_in_sigmas).max()
+
+
+def test_an_effect_is_found_beside_alpha() -> None:
+    rng = np.random.default_rng(3)
+    room = random_room(rng, 5, 3).replace(sigma=np.full((5, 3), 0.002))
+    gain = np.array([1.0, 4.0, 2.0])
+    t = EYRING.time(room, room.areas @ room.alpha + 1.5 * gain)
+    term = terms.AddedAbsorption("opening", gain, sigma=3.0)
+    result = rt.Calibration(PRIOR + term).build(room).solve(t)
+    size, spread = result.effects["opening"], result.joint.effects_sigma["opening"]
+    assert size == pytest.approx(1.5, abs=0.02)
+    assert 0 < spread < 0.1
+    np.testing.assert_allclose(result.reverberation_time_after, t, rtol=1e-10)
+    assert result.to_dict()["effects"] == {"opening": size}
+    # Nothing missing: the size stays at its bound, 0.
+    t = EYRING.time(room, room.areas @ (room.alpha - 0.002))
+    assert rt.Calibration(PRIOR + term).build(room).solve(t).effects["opening"] == 0.0
+
+
+def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
+    room = rt.Room(
+        name="two", volume=100, materials=["a", "b"], areas=[50, 50], alpha=[[0.3], [0.3]],
+        sigma=[[0.1], [0.1]], centre_frequencies=[1000],
+    )  # fmt: skip
+    t = EYRING.time(room, np.array([30.0]))
+    constraints = [terms.ExactMatch(), terms.GroupAbsorption(["a"], least=40.0)]
+    with pytest.raises(rt.errors.InfeasibleError) as error:
+        rt.Calibration(PRIOR, constraints).build(room).solve(t)
+    text = str(error.value)
+    # 40 m² of a alone, but T allows 30: 10 m² are 0.1 of all 100 m², 0.2 of a's 50 m².
+    assert "smallest relaxation" in text
+    assert "match of T at 1000 Hz: 30 higher by 10" in text
+    with pytest.raises(rt.errors.InfeasibleError, match=r"upper bound 0\.1 higher by 0\.02$"):
+        rt.Calibration(
+            PRIOR + terms.SoftMatch(0.05),
+            [
+                terms.Bounds(0, 0.1, "a"),
+                terms.Bounds(0.12, 1, "b"),
+                terms.AtMost("b", "a"),
+                terms.GroupAbsorption(["a"], least=6.0),
+            ],
+        ).build(room).solve(t)
+    # Two configurations that ask one room for two T.
+    twice = Configurations([room, room])
+    with pytest.raises(rt.errors.InfeasibleError, match="configuration"):
+        rt.Calibration(PRIOR).build(twice).solve([t, 1.2 * t])
+
+
+def test_two_configurations_tell_two_materials_apart() -> None:
+    """Exact in both, without noise: the two coefficients are determined."""
+    a = rt.Room(
+        name="open", volume=100, materials=["wall", "curtain"], areas=[90, 10],
+        alpha=[[0.3, 0.4], [0.5, 0.6]], sigma=np.full((2, 2), 0.1), centre_frequencies=[500, 1000],
+    )  # fmt: skip
+    b = a.replace(name="drawn", areas=[75, 25])
+    truth = np.array([[0.25, 0.45], [0.62, 0.51]])
+    times = [EYRING.time(r, r.areas @ truth) for r in (a, b)]
+    both = Configurations([a, b])
+    result = rt.Calibration(PRIOR).build(both).solve(times)
+    np.testing.assert_allclose(result.alpha, truth, atol=1e-10)
+    assert result.certificate.worst < 1e-9
+    for view, t in zip(result.results, times, strict=True):
+        np.testing.assert_allclose(view.reverberation_time_after, t, rtol=1e-10)
+        assert view.room.alpha.shape == (2, 2)
+    joint = rt.calibrate(both, times, method="joint")
+    assert np.abs(joint.alpha - truth).max() < np.abs(rt.calibrate(a, times[0]).alpha - truth).max()
+    assert "configuration: drawn" in str(joint)
+    # The same room twice, exactly: dependent rows, still certified.
+    same = rt.Calibration(PRIOR).build(Configurations([a, a])).solve([times[0]] * 2)
+    np.testing.assert_allclose(same.alpha, rt.calibrate(a, times[0]).alpha, atol=1e-9)
+
+
+def test_bad_composition_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    room = a_room(rng)
+    t = true_times(rng, room, EYRING)
+    build = lambda *c, objective=PRIOR: rt.Calibration(objective, list(c)).build(room)  # noqa: E731
+    data, model = rt.errors.DataError, rt.errors.ModelError
+    with pytest.raises(model, match="2 prior deviations"):
+        rt.Calibration(PRIOR + terms.HuberDeviation())
+    with pytest.raises(model, match="no constraint"):
+        rt.Calibration(PRIOR, [terms.SoftMatch()])
+    with pytest.raises(data, match='"no" is no material'):
+        build(terms.Shared("m0", "no"))
+    with pytest.raises(data, match='"no" is no material'):
+        build(terms.AtMost("m0", "no"))
+    with pytest.raises(data, match="is no band"):
+        build(terms.AtMost("m0", "m1", band=8000))
+    with pytest.raises(data, match="share their coefficients have one prior"):
+        build(terms.ExactMatch(), terms.Shared("m0", "m1")).solve(t)
+    with pytest.raises(model, match="name it too"):
+        build(terms.Shared("m2", "m3"), terms.GroupAbsorption(["m2"], most=5)).solve(t)
+    with pytest.raises(data, match=r"u_T\[63 Hz\] is unknown or 0"):
+        build(objective=PRIOR + terms.SoftMatch()).solve(t)
+    with pytest.raises(model, match="two further unknowns"):
+        effect = terms.AddedAbsorption("x", [1, 1, 1], 1.0)
+        build(objective=PRIOR + effect + terms.AddedAbsorption("x", [2, 1, 1], 1.0))
+    with pytest.raises(model, match="gain has shape"):
+        build(objective=PRIOR + terms.AddedAbsorption("x", [1, 1], 1.0)).solve(t)
+    with pytest.raises(data, match="no term of the objective"):
+        build(terms.ExactMatch()).solve(t, weights={terms.BandSmoothness(): 1.0})
+    other = room.replace(alpha=room.alpha * 0.9)
+    with pytest.raises(data, match="has one prior"):
+        Configurations([room, other])
+    with pytest.raises(data, match="2 measurements for 1 configurations"):
+        rt.Calibration(PRIOR).build(Configurations([room])).solve([t, t])

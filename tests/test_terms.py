@@ -1,0 +1,221 @@
+"""Every term: its cvxpy expression against plain NumPy, its derivatives, what it refuses."""
+
+from __future__ import annotations
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import rtcal as rt
+from rtcal import terms
+from rtcal.calibration.assemble import Assembler, layout_of
+from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.context import Context
+from rtcal.calibration.instance import Instance
+from rtcal.calibration.measured import times_in_room
+from tests.conftest import random_room, true_times
+
+EYRING = rt.Eyring()
+GAIN = [0.5, 1.0, 2.0, 1.5]
+OBJECTIVE = {
+    "prior": terms.PriorDeviation(),
+    "correlated": terms.PriorDeviation(
+        band_correlation={"m0": 0.7, "m2": 0.4}, material_correlation={("m1", "m3"): 0.5}
+    ),
+    "huber": terms.HuberDeviation(threshold=0.8),
+    "soft": terms.SoftMatch(0.05),
+    "smooth": terms.BandSmoothness(),
+    "effect": terms.AddedAbsorption("opening", GAIN, sigma=2.0, mean=0.5),
+}
+ROWS = {
+    "exact": terms.ExactMatch(),
+    "within": terms.MatchWithin(1.0),
+    "at most": terms.AtMost("m1", "m3"),
+    "group": terms.GroupAbsorption(["m0", "m2"], least=5.0, most=50.0),
+    "group at one band": terms.GroupAbsorption(["m0", "m1"], most=30.0, band=250),
+}
+
+
+def made(seed: int, term: object = None) -> tuple[Context, Instance, rt.Room]:
+    """An instance with a missing T, a coefficient with sigma = 0 and one that is pinned."""
+    rng = np.random.default_rng(seed)
+    room = random_room(rng, 4, 4)
+    sigma = room.sigma.copy()
+    sigma[0, 1] = 0.0
+    room = room.replace(sigma=sigma)
+    t = true_times(rng, room, EYRING)
+    t[2] = np.nan
+    objective = terms.as_objective(terms.PriorDeviation())
+    if isinstance(term, terms.ObjectiveTerm):
+        objective = terms.Objective((term,), (2.5,))
+    configurations = Configurations([room])
+    layout = layout_of(configurations, objective, [])
+    assembler = Assembler(layout, EYRING, objective, (), 0, None)
+    instance = assembler.instance(configurations, [times_in_room(room, t)], None)
+    where = np.zeros(layout.size, dtype=bool)
+    where[5] = True
+    return Context(layout), instance.pin(where, np.full(layout.size, 0.9)), room
+
+
+def point(instance: Instance, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    x = np.random.default_rng(seed + 1).standard_normal(instance.layout.size)
+    return x, instance.centre + instance.scale * x
+
+
+@pytest.mark.parametrize("name", OBJECTIVE)
+@pytest.mark.parametrize("seed", range(4))
+def test_expression_equals_the_numpy_twin(name: str, seed: int) -> None:
+    """Up to a constant: what is held contributes one, and x of what is held is free."""
+    term = OBJECTIVE[name]
+    context, instance, _ = made(seed, term)
+    expression = term.expression(context, 0)
+    context.update(instance)
+    values, twins = [], []
+    loose = (instance.scale == 0) & (np.arange(instance.layout.size) < instance.layout.n_alpha)
+    for s in (seed, seed + 50):
+        x, u = point(instance, s)
+        # The helper unknowns of a term and the x of held coefficients take their best value.
+        problem = cp.Problem(cp.Minimize(expression), [context.x[~loose] == x[~loose]])
+        problem.solve(solver="CLARABEL", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+        values.append(problem.value)
+        twins.append(instance.weights[0] * term.value(u, instance))
+    assert abs(twins[1] - twins[0]) > 1e-3
+    assert values[1] - values[0] == pytest.approx(twins[1] - twins[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("name", OBJECTIVE)
+def test_gradient_and_curvature_are_derivatives_of_the_value(name: str) -> None:
+    term = OBJECTIVE[name]
+    _, instance, _ = made(3, term)
+    rng = np.random.default_rng(0)
+    u = instance.centre + 0.02 * rng.standard_normal(instance.layout.size)
+    curvature = term.curvature(u, instance)
+    curvature = curvature.toarray() if sp.issparse(curvature) else np.diag(curvature)
+    gradient = term.gradient(u, instance)
+    h = 1e-6
+    for i in range(len(u)):
+        step = np.zeros_like(u)
+        step[i] = h
+        slope = (term.value(u + step, instance) - term.value(u - step, instance)) / (2 * h)
+        assert gradient[i] == pytest.approx(slope, rel=1e-5, abs=1e-5)
+        bend = (term.gradient(u + step, instance) - term.gradient(u - step, instance)) / (2 * h)
+        np.testing.assert_allclose(curvature[i], bend, rtol=1e-5, atol=1e-3)
+    assert np.abs(gradient).max() > 1e-4
+    # The claimed convexity holds: curvature - diag(m / sigma²) has no negative eigenvalue.
+    sigma = instance.sigma
+    moves = sigma > 0
+    scaled = (curvature * np.outer(sigma, sigma))[np.ix_(moves, moves)]
+    m = term.convexity(instance)[moves]
+    assert np.linalg.eigvalsh(scaled - np.diag(m)).min() > -1e-9 * max(1, np.abs(scaled).max())
+
+
+@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize("seed", range(4))
+def test_constraint_expressions_equal_the_rows_of_the_twin(name: str, seed: int) -> None:
+    term = ROWS[name]
+    context, instance, _ = made(seed)
+    constraints = term.constraints(context)
+    context.update(instance)
+    x, u = point(instance, seed)
+    context.x.value = x
+    rows, scale = term.rows(instance), term.row_scale(instance)
+    at = rows.matrix @ u
+    applies = scale > 0
+    for constraint, sign in constraints:
+        got = np.asarray(constraint.args[0].value - (constraint.args[1].value))
+        limit = rows.upper if sign > 0 else rows.lower
+        if name == "exact":
+            limit = np.where(applies, rows.lower, 0.0)
+        wanted = (at - np.where(applies, limit, 0.0)) * scale
+        # cvxpy writes a >= b as b - a <= 0.
+        got = got if sign > 0 else -got
+        np.testing.assert_allclose(np.abs(got[applies]), np.abs(wanted[applies]), atol=1e-12)
+        assert np.abs(wanted[applies]).max() > 1e-3
+        excess = wanted[applies] * sign
+        np.testing.assert_array_equal(got[applies] * sign > 0, excess > 0)
+
+
+def test_correlated_prior_is_the_gaussian_with_that_correlation() -> None:
+    """Dense algebra, the unknown with sigma = 0 integrated out."""
+    term = OBJECTIVE["correlated"]
+    _, instance, room = made(1, term)
+    layout = instance.layout
+    r = term.correlation(layout)
+    octaves = np.log2(room.centre_frequencies)
+    assert r[0, 3] == pytest.approx(0.7 ** (octaves[3] - octaves[0]))
+    assert r[4, 5] == 0
+    assert r[4, 12] == pytest.approx(0.5)  # the same band of two materials
+    moves = instance.sigma > 0
+    x = np.random.default_rng(2).standard_normal(layout.size)
+    u = instance.mu + instance.sigma * x
+    inverse = np.linalg.inv(r[np.ix_(moves, moves)])
+    wanted = 0.5 * x[moves] @ inverse @ x[moves]
+    assert term.value(u, instance) == pytest.approx(wanted, rel=1e-10)
+    columns = np.random.default_rng(3).standard_normal((layout.size, 2))
+    np.testing.assert_allclose(term.correlate(columns, layout), r @ columns, atol=1e-12)
+
+
+def test_a_term_is_priced_by_hand() -> None:
+    _, instance, room = made(0, terms.SoftMatch(0.05))
+    u = instance.mu.copy()
+    u[:4] += 0.1
+    miss = (room.areas @ instance.alpha(u) - instance.target[0])[[0, 1, 3]]
+    t = instance.time[0]
+    slope = (EYRING.target(room, t * 1.001) - EYRING.target(room, t * 0.999)) / 0.002
+    u_b = np.abs(0.05 * slope)[[0, 1, 3]]
+    assert terms.SoftMatch(0.05).value(u, instance) == pytest.approx(
+        0.5 * np.sum((miss / u_b) ** 2), rel=1e-4
+    )
+    x = np.array([0.5, -3.0])
+    h = terms.HuberDeviation(threshold=1.0, convex=0.1)
+    u = instance.mu.copy()
+    u[2:4] += instance.sigma[2:4] * x
+    wanted = 0.1 * (0.125 + 4.5) + 0.9 * (0.125 + 3.0 - 0.5)
+    assert h.value(u, instance) == pytest.approx(wanted, rel=1e-12)
+    smooth = terms.BandSmoothness()
+    # Row 0 has sigma = 0 in band 1, so only bands 2 and 3 are neighbours there.
+    assert smooth.value(u, instance) == pytest.approx(0.5 * (3.5**2), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: terms.PriorDeviation(sigma=0.0), "must be finite and above 0"),
+        (lambda: terms.HuberDeviation(threshold=-1), "must be finite and above 0"),
+        (lambda: terms.HuberDeviation(convex=0), r"in \(0, 1\]"),
+        (lambda: terms.SoftMatch(-0.1), "above 0"),
+        (lambda: terms.MatchWithin(20), "from 0 to below 20"),
+        (lambda: terms.AddedAbsorption("x", [1, np.nan], 1.0), "not finite"),
+        (lambda: terms.AddedAbsorption("x", [1, 1], 0.0), "above"),
+        (lambda: terms.AtMost("a", "a"), "both sides"),
+        (lambda: terms.GroupAbsorption(["a"]), "one of them at least"),
+        (lambda: terms.GroupAbsorption([], least=1), "needs a material"),
+        (lambda: terms.GroupAbsorption(["a"], least=3, most=2), "least <= most"),
+        (lambda: terms.Shared("a"), "two different"),
+        (lambda: -1 * terms.BandSmoothness(), "not convex"),
+    ],
+)
+def test_terms_refuse_what_makes_no_sense(make, says: str) -> None:
+    with pytest.raises(rt.errors.ModelError, match=says):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("term", "error", "says"),
+    [
+        (terms.PriorDeviation(band_correlation=1.0), "ModelError", r"not in \[0, 1\)"),
+        (terms.PriorDeviation(band_correlation={"no": 0.5}), "DataError", "is no material"),
+        (terms.PriorDeviation(band_correlation=np.ones((2, 2))), "ModelError", "shape"),
+        (terms.PriorDeviation(band_correlation=np.ones((4, 4))), "ModelError", "definite"),
+        (
+            terms.PriorDeviation(material_correlation={("m0", "m1"): 1.5}),
+            "ModelError",
+            "not positive definite",
+        ),
+    ],
+)
+def test_correlations_that_are_none_are_refused(term, error: str, says: str) -> None:
+    room = random_room(np.random.default_rng(0), 4, 4)
+    with pytest.raises(getattr(rt.errors, error), match=says):
+        rt.Calibration(term).build(room)
