@@ -15,10 +15,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtcal import datasets, errors
+    from rtcal import datasets, errors, priors
     from rtcal.acoustics.air import Air
-    from rtcal.acoustics.equations import Eyring, Sabine
+    from rtcal.acoustics.equations import Eyring, Kuttruff, Sabine
     from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.other_equations import ArauPuchades, Fitzroy, Millington
     from rtcal.acoustics.room import Material, Room, Surface
     from rtcal.calibration import closed_form, exact, terms
     from rtcal.calibration.presets import calibrate
@@ -29,8 +30,13 @@ __version__ = "0.1.0"
 # name -> (module, attribute or None for the module itself); at most 20, the rest in the modules.
 _EXPORTS: dict[str, tuple[str, str | None]] = {
     "Air": ("rtcal.acoustics.air", "Air"),
+    "ArauPuchades": ("rtcal.acoustics.other_equations", "ArauPuchades"),
     "Calibration": ("rtcal.calibration.problem", "Calibration"),
     "Eyring": ("rtcal.acoustics.equations", "Eyring"),
+    "Fitzroy": ("rtcal.acoustics.other_equations", "Fitzroy"),
+    "Kuttruff": ("rtcal.acoustics.equations", "Kuttruff"),
+    "Millington": ("rtcal.acoustics.other_equations", "Millington"),
+    "priors": ("rtcal.priors", None),
     "Material": ("rtcal.acoustics.room", "Material"),
     "Measurement": ("rtcal.acoustics.measurement", "Measurement"),
     "Room": ("rtcal.acoustics.room", "Room"),
@@ -45,9 +51,26 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
 }
 
 __all__ = [
-    "Air", "Calibration", "Eyring", "Material", "Measurement", "Room", "Sabine", "Surface",
-    "calibrate", "closed_form", "datasets", "errors", "exact", "terms",
-]  # fmt: skip
+    "Air",
+    "ArauPuchades",
+    "Calibration",
+    "Eyring",
+    "Fitzroy",
+    "Kuttruff",
+    "Material",
+    "Measurement",
+    "Millington",
+    "Room",
+    "Sabine",
+    "Surface",
+    "calibrate",
+    "closed_form",
+    "datasets",
+    "errors",
+    "exact",
+    "priors",
+    "terms",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -8,15 +8,25 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
 import rtcal
-from rtcal.errors import DataError, MissingDependencyError, RtcalError, SolverError
+from rtcal.errors import (
+    DataError,
+    MissingAirWarning,
+    MissingDependencyError,
+    RtcalError,
+    SolverError,
+)
 
-EQUATIONS = ("eyring", "sabine")
+EQUATIONS = {
+    "eyring": "Eyring", "sabine": "Sabine", "kuttruff": "Kuttruff", "millington": "Millington",
+    "fitzroy": "Fitzroy", "arau": "ArauPuchades",
+}  # fmt: skip
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -30,8 +40,8 @@ def cli() -> None:
 @click.argument("measured", type=click.Path())
 @click.option("--method", default="mle", show_default=True, help="mle or lse.")
 @click.option(
-    "--equation", type=click.Choice(EQUATIONS), default="eyring", show_default=True,
-    help="The reverberation equation.",
+    "--equation", type=click.Choice(tuple(EQUATIONS)), default="eyring", show_default=True,
+    help="The reverberation equation; the last three only predict, and are calibrated in the loop.",
 )  # fmt: skip
 @click.option(
     "--solver", default="clarabel", show_default=True,
@@ -63,10 +73,11 @@ def calibrate(
 
     Example: rtcal calibrate room.toml t20.csv --out calibrated
     """
-    from rtcal.acoustics import equations
     from rtcal.acoustics.files import write_text
 
-    chosen = {"eyring": equations.Eyring(), "sabine": equations.Sabine()}[equation]
+    chosen = getattr(rtcal, EQUATIONS[equation])()
+    # The page says it where the user looks.
+    warnings.simplefilter("ignore", MissingAirWarning)
     result = rtcal.calibrate(
         rtcal.Room.from_file(room),
         rtcal.Measurement.from_file(measured),

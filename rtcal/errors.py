@@ -39,3 +39,11 @@ class SimulatorError(RtcalError):
 
 class MissingDependencyError(RtcalError, ImportError):
     """An optional library is not installed; the message says which extra brings it."""
+
+
+class RtcalWarning(UserWarning):
+    """Base of every warning that rtcal gives."""
+
+
+class MissingAirWarning(RtcalWarning):
+    """A room states no air, so its surfaces are made to absorb what the air does."""

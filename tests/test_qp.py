@@ -124,7 +124,7 @@ def test_missing_band_keeps_its_prior_and_says_so() -> None:
     np.testing.assert_allclose(result.alpha[:, [0, 2, 3]], whole.alpha[:, [0, 2, 3]], atol=1e-12)
     assert np.isnan(result.multipliers[1])
     assert result.plausibility.degrees_of_freedom == 3
-    assert "not calibrated, no T measured: 125 Hz" in str(result)
+    assert "125 Hz: not calibrated, no T was measured" in str(result)
     assert result.to_dict()["gap_after_jnd"][1] is None
 
 

@@ -1,10 +1,16 @@
-"""How far a model is from a measurement, in just noticeable differences (JND)."""
+"""How far a model is from a measurement (JND), how plausible that is, and where not to believe it."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import DECAY_TIMES
+from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.types import Array
 
@@ -27,3 +33,196 @@ def gap_jnd(model: Array, measured: Array, parameter: str = "t20") -> Array:
     model, measured = np.asarray(model, dtype=float), np.asarray(measured, dtype=float)
     unit = JND[parameter] * measured if parameter in DECAY_TIMES else JND[parameter]
     return np.asarray((model - measured) / unit)
+
+
+@dataclass(frozen=True, eq=False)
+class Plausibility:
+    """Whether to believe a calibration: it always fits.
+
+    Attributes
+    ----------
+    z : array (n_bands,)
+        The miss of S'alpha before calibration in standard deviations of what was known of it; NaN
+        where nothing was matched.
+    q : float
+        z'R^-1 z, R the correlation of z between bands; the sum of z² where the bands are independent.
+    degrees_of_freedom : int
+        One a matched band, not one a coefficient.
+    p_value : float or None
+        The chance of a larger q if prior and measurement are right; None where a bound is active,
+        because then q is not chi-square.
+    """
+
+    z: Array
+    q: float
+    degrees_of_freedom: int
+    p_value: float | None
+
+
+def absorption_covariance(room: Room, target_uncertainty: Array) -> Array:
+    """Return the covariance of b - S'mu over bands in m⁴, (n_bands, n_bands).
+
+    That of S'alpha under the room's prior, with its correlations between bands and materials, and
+    on the diagonal u_b² of the measurement (NaN counts as none).
+    """
+    by_band, between = room.correlations()
+    spread = room.areas[:, np.newaxis] * room.sigma
+    prior = by_band * (spread.T @ between @ spread)
+    return np.asarray(prior + np.diag(np.nan_to_num(target_uncertainty) ** 2))
+
+
+def plausibility(miss: Array, covariance: Array, bound_active: bool) -> Plausibility:
+    """Return z per band and Q over bands.
+
+    Parameters
+    ----------
+    miss : array (n_bands,)
+        b - S'mu in m², NaN where nothing was measured.
+    covariance : array (n_bands, n_bands)
+        Of ``miss``, if prior and measurement are right.
+    bound_active : bool
+        Whether a coefficient stands at a bound: then there is no p-value.
+
+    Examples
+    --------
+    >>> found = plausibility(np.array([2.0, np.nan]), np.eye(2), bound_active=False)
+    >>> found.q, found.degrees_of_freedom, round(found.p_value, 4)
+    (4.0, 1, 0.0455)
+    """
+    spread = np.sqrt(np.diag(covariance))
+    used = np.isfinite(miss) & (spread > 0)
+    z = np.full(len(miss), np.nan)
+    z[used] = miss[used] / spread[used]
+    correlation = covariance[np.ix_(used, used)] / np.outer(spread[used], spread[used])
+    q = float(z[used] @ np.linalg.solve(correlation, z[used])) if used.any() else 0.0
+    count = int(used.sum())
+    p_value = None
+    if not bound_active and count:
+        from scipy.special import chdtrc
+
+        p_value = float(chdtrc(count, q))
+    return Plausibility(z, q, count, p_value)
+
+
+@dataclass(frozen=True)
+class TrustMark:
+    """A reason not to believe a band (``frequency`` in Hz) or the whole room (None).
+
+    ``kind`` names it, ``letter`` stands for it in tables, ``text`` says what is so and ``advice``
+    what to do.
+    """
+
+    kind: str
+    letter: str
+    frequency: float | None
+    text: str
+    advice: str
+
+
+_ADVICE: dict[str, tuple[str, str]] = {
+    "missing": ("m", "alpha keeps its prior there: measure the band, or draw no conclusion from it"),
+    "below_schroeder": (
+        "s", "single modes rule, which no reverberation equation describes: do not carry these "
+        "coefficients to other positions or rooms",
+    ),
+    "air": (
+        "a", "an error of T, or of the stated climate, counts several times in alpha: measure "
+        "temperature and humidity with T",
+    ),
+    "uncertain": (
+        "u", "no verdict on the gap: measure at more positions, or calibrate with method soft",
+    ),
+    "at_bound": (
+        "b", "its sigma or another's is too small, or an effect is missing: state a floor (alpha_min) "
+        "for hard materials and look for the effect",
+    ),
+    "implausible": (
+        "z", "the measurement contradicts what was stated of the materials: check areas and volume, "
+        "then look for an effect that the model lacks, before using these coefficients",
+    ),
+    "no_air": (
+        "", "the surfaces are made to absorb what the air does, most of all above 1 kHz: state "
+        "temperature and humidity",
+    ),
+    "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
+    "clipped": ("", "ISO 354 gives values above 1 by its edge effect: state the specimen's size"),
+}  # fmt: skip
+
+_AIR_SHARE = 0.5
+
+
+def schroeder_frequency(t: Array, volume: float) -> Array:
+    """Return 2000 sqrt(T / V) in Hz, T in s and V in m³ (Schroeder & Kuttruff 1962).
+
+    >>> print(schroeder_frequency(np.array([2.0]), 200.0))
+    [200.]
+    """
+    return np.asarray(2000 * np.sqrt(np.asarray(t, dtype=float) / volume))
+
+
+def trust_marks(
+    room: Room,
+    measured: Array,
+    uncertainty: Array,
+    air_share: Array,
+    active: NDArray[Any],
+    z: Array,
+) -> tuple[TrustMark, ...]:
+    """Return every reason not to believe a band or the room.
+
+    Parameters
+    ----------
+    room : Room
+    measured, uncertainty : array (n_bands,)
+        T and its standard uncertainty in s; NaN where missing or unknown.
+    air_share : array (n_bands,)
+        The air's share of the whole absorption.
+    active : array (n_materials, n_bands)
+        Not 0 where a coefficient stands at a bound.
+    z : array (n_bands,)
+    """
+    found: list[TrustMark] = []
+
+    def mark(kind: str, frequency: float | None, text: str) -> None:
+        letter, advice = _ADVICE[kind]
+        found.append(TrustMark(kind, letter, frequency, text, advice))
+
+    if room.air is None:
+        mark("no_air", None, "no air is stated")
+    smallest = 4.84 * room.volume ** (2 / 3)  # the surface of the sphere of this volume
+    if room.total_area < smallest:
+        mark("surface_missing", None, f"{room.total_area:.4g} m² of surface cannot enclose "
+             f"{room.volume:.4g} m³, which takes at least {smallest:.4g} m²")  # fmt: skip
+    if room.clipped:
+        mark("clipped", None, f"cut to 1: {'; '.join(room.clipped)}")
+    limits = schroeder_frequency(measured, room.volume)
+    for k, frequency in enumerate(room.centre_frequencies):
+        f = float(frequency)
+        if np.isnan(measured[k]):
+            mark("missing", f, "not calibrated, no T was measured")
+        elif f < limits[k]:
+            mark("below_schroeder", f, f"below the Schroeder frequency, {limits[k]:.0f} Hz")
+        if air_share[k] > _AIR_SHARE:
+            mark("air", f, f"the air absorbs {100 * air_share[k]:.0f} % of the whole")
+        if uncertainty[k] > JND["t20"] * measured[k]:
+            mark("uncertain", f, f"T is uncertain by {uncertainty[k]:.2g} s, more than one JND")
+        for i in np.flatnonzero(active[:, k]).tolist():
+            side = "lower" if active[i, k] < 0 else "upper"
+            mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound")
+        if abs(z[k]) > 2:
+            mark("implausible", f, f"|z| = {abs(z[k]):.1f}, more than 2")
+    return tuple(found)
+
+
+def explained(marks: tuple[TrustMark, ...]) -> list[str]:
+    """Return the marks as lines of text, those of one kind together, with what to do."""
+    lines = []
+    for kind in dict.fromkeys(mark.kind for mark in marks):
+        of_kind = [mark for mark in marks if mark.kind == kind]
+        letter = f"[{of_kind[0].letter}] " if of_kind[0].letter else ""
+        told = []
+        for mark in of_kind:
+            where = "" if mark.frequency is None else f"{bands.label(mark.frequency)}: "
+            told.append(where + mark.text)
+        lines += [f"{letter}{'; '.join(told)}", f"    -> {of_kind[0].advice}"]
+    return lines

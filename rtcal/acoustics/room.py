@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -113,6 +113,15 @@ class Room:
         Of a shoebox, in m, for simulators.
     sources : mapping of str to str
         By material, where its coefficients come from.
+    band_correlation : float
+        Prior correlation of one material's errors in bands an octave apart, 0 to below 1; it falls as
+        band_correlation ** octaves.
+    material_correlation : mapping of (material, material) to float
+        Prior correlation of two materials' errors in the same band, for materials that share a source
+        or a mounting.
+    above_one : {"refuse", "clip"}
+        What to do with coefficients above 1, which laboratories report (ISO 354: the edges of the
+        specimen absorb too). Clipped ones are listed in ``clipped``.
     calibration : CalibrationRecord, optional
         Set in the room that a calibration returns.
 
@@ -142,12 +151,18 @@ class Room:
     surfaces: Sequence[Surface] = ()
     dimensions: tuple[float, float, float] | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
+    band_correlation: float = 0.0
+    material_correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
     calibration: CalibrationRecord | None = None
+    above_one: InitVar[str] = "refuse"
+    clipped: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, above_one: str) -> None:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
+        if above_one not in ("refuse", "clip"):
+            raise DataError(f'above_one = "{above_one}" is not "refuse" or "clip"')
         if isinstance(self.materials, str):
             raise DataError(f'materials = "{self.materials}" is one text, not a sequence of names')
         put("materials", tuple(str(m) for m in self.materials))
@@ -164,6 +179,8 @@ class Room:
                 "(Room.from_surfaces sums its surfaces)"
             )
         put("areas", self._checked_areas(n))
+        if above_one == "clip":
+            self._clip(put)
         for name in ("alpha", "sigma", "scattering", "alpha_min"):
             value = getattr(self, name)
             if value is not None:
@@ -179,6 +196,34 @@ class Room:
                     f'surface["{surface.name}"].material = "{surface.material}" is no material of '
                     f"the room; it has {', '.join(self.materials)}"
                 )
+
+        self._check_correlation()
+
+    def _clip(self, put: Callable[[str, object], None]) -> None:
+        """Cut coefficients above 1 to 1 and name them."""
+        alpha = _array("alpha", self.alpha)
+        if alpha.shape == (self.n_materials, self.n_bands):
+            above = np.argwhere(alpha > 1)
+            found = [f"{self.place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above.tolist()]
+            put("clipped", (*self.clipped, *found))
+            put("alpha", np.minimum(alpha, 1.0))
+
+    def _check_correlation(self) -> None:
+        if not 0 <= self.band_correlation < 1:
+            raise DataError(
+                f"band_correlation = {self.band_correlation:g} is not from 0 to below 1"
+            )
+        between = np.eye(self.n_materials)
+        for (first, second), value in self.material_correlation.items():
+            i, j = self.material_index(first), self.material_index(second)
+            if i == j or not -1 < value < 1:
+                raise DataError(
+                    f'material_correlation["{first}", "{second}"] = {value:g} is not a value between '
+                    "-1 and 1 for two materials"
+                )
+            between[i, j] = between[j, i] = value
+        if np.linalg.eigvalsh(between)[0] <= 0:
+            raise DataError("material_correlation is not positive definite: the values contradict")
 
     def _checked_areas(self, n: int) -> Array:
         areas = _array("areas", self.areas)
@@ -237,6 +282,24 @@ class Room:
         """C in m/s, of the stated air or else of air at 20 °C."""
         return (self.air or Air()).speed_of_sound
 
+    def correlations(self) -> tuple[Array, Array]:
+        """Return the prior's correlation of bands (n_bands, n_bands) and of materials."""
+        octaves = np.log2(self.centre_frequencies)
+        apart = np.abs(octaves[:, np.newaxis] - octaves)
+        by_band = np.where(apart == 0, 1.0, self.band_correlation**apart)
+        between = np.eye(self.n_materials)
+        for (first, second), value in self.material_correlation.items():
+            i, j = self.materials.index(first), self.materials.index(second)
+            between[i, j] = between[j, i] = value
+        return by_band, between
+
+    def with_air(self, air: Air | None) -> Room:
+        """Return the room in another climate: calibrated in one, predicted in another.
+
+        The coefficients stay; only the air's attenuation and the speed of sound change.
+        """
+        return self.replace(air=air)
+
     def place(self, name: str, material: int, band: int) -> str:
         """Return how messages name one value: ``alpha["carpet", 500 Hz]``."""
         frequency = bands.label(self.centre_frequencies[band])
@@ -265,7 +328,10 @@ class Room:
         centre_frequencies: Sequence[float] | Array,
         air: Air | None = None,
         dimensions: tuple[float, float, float] | None = None,
+        band_correlation: float = 0.0,
+        material_correlation: Mapping[tuple[str, str], float] | None = None,
         calibration: CalibrationRecord | None = None,
+        above_one: str = "refuse",
     ) -> Room:
         """Return the room whose area per material is the sum over its surfaces.
 
@@ -311,7 +377,10 @@ class Room:
             surfaces=surfaces,
             dimensions=dimensions,
             sources={m.name: m.source for m in used if m.source},
+            band_correlation=band_correlation,
+            material_correlation=material_correlation or {},
             calibration=calibration,
+            above_one=above_one,
         )  # fmt: skip
 
     @classmethod

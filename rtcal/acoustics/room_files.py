@@ -3,6 +3,7 @@
 One ``[[material]]`` for each material::
 
     name = "Seminar room"
+    above_one = "clip"                  # optional: cut ISO 354 coefficients above 1, and say so
     volume = 146.1                      # m³
     centre_frequencies = [500, 1000]    # Hz
 
@@ -11,18 +12,26 @@ One ``[[material]]`` for each material::
     humidity = 41.7                     # %
     pressure = 101.325                  # kPa
 
-    [prior]                             # sigma = max(relative * alpha, minimum)
-    relative = 0.3                      # for materials that state no sigma of their own
-    minimum = 0.01
+    [prior]                             # for materials that state no sigma of their own:
+    relative = 0.3                      # sigma = in_situ_factor * max(relative * alpha, minimum,
+    minimum = 0.01                      #                              ISO 12999-2's if asked for)
+    iso_12999_2 = true                  # optional: the spread between laboratories as the least
+    in_situ_factor = 1.5                # optional, 1 or more: another specimen, mounted otherwise
+    band_correlation = 0.7              # optional: of one material's errors an octave apart
 
     [[material]]
     name = "plaster"
     area = 34.93                        # m²; or leave it out and give [[surface]]s
     alpha = [0.052, 0.052]              # 0 to 1, one a band
-    sigma = 0.05                        # optional: one number, or one a band
+    sigma = 0.05                        # optional: one number, one a band, or a degree of
+                                        # uncertainty: "low" .01, "moderate" .05, "high" .1
     alpha_min = 0.01                    # optional: the least that calibration may give
     scattering = [0.1, 0.1]             # optional, for simulators
     source = "where alpha comes from"   # optional
+
+    [[correlation]]                     # optional: of two materials' errors in the same band
+    materials = ["plaster", "concrete"]
+    value = 0.5
 
     [[surface]]                         # optional: areas of a material are summed
     name = "north wall"
@@ -45,18 +54,23 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.files import read_text, write_text
 from rtcal.acoustics.room import CalibrationRecord, Material, Room, Surface
+from rtcal.acoustics.sigma import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.errors import DataError
 from rtcal.types import Array
 
 _ROOM_KEYS = {
     "": {"name", "volume", "centre_frequencies", "dimensions", "air", "prior", "material",
-         "surface", "calibration"},
+         "surface", "correlation", "calibration", "above_one", "clipped"},
     "air": {"temperature", "humidity", "pressure"},
-    "prior": {"relative", "minimum"},
+    "prior": {"relative", "minimum", "iso_12999_2", "in_situ_factor", "band_correlation"},
     "material": {"name", "area", "alpha", "sigma", "alpha_min", "scattering", "source"},
     "surface": {"name", "material", "area", "axis"},
+    "correlation": {"materials", "value"},
     "calibration": {"method", "equation", "measured", "solver", "version"},
 }  # fmt: skip
+
+_NEEDED = ("method", "equation", "measured")
+_RECORD = (*_NEEDED, "solver", "version")
 
 
 def read_room(path: str | os.PathLike[str]) -> Room:
@@ -82,13 +96,13 @@ def _room(content: Mapping[str, Any]) -> Room:
             name=str(entry.get("name", f"surface {i + 1}")),
             material=str(_get(entry, "material", str, f"[[surface]] {i + 1}")),
             area=float(_get(entry, "area", (int, float), f"[[surface]] {i + 1}")),
-            axis=entry.get("axis"),
+            axis=_get(entry, "axis", str, f"[[surface]] {i + 1}") if "axis" in entry else None,
         )
         for i, entry in enumerate(_entries(content, "surface"))
     ]
     materials: list[Material] = []
     for i, entry in enumerate(_entries(content, "material")):
-        material = _material(entry, f"[[material]] {i + 1}", len(frequencies), prior)
+        material = _material(entry, f"[[material]] {i + 1}", frequencies, prior)
         if material.name in (m.name for m in materials):
             raise DataError(f'material "{material.name}" is given twice')
         materials.append(material)
@@ -103,30 +117,58 @@ def _room(content: Mapping[str, Any]) -> Room:
     if not materials:
         raise DataError("no [[material]]; a room has at least one")
     record = _table(content, "calibration")
+    if record is not None:
+        record = {
+            k: _get(record, k, str, "[calibration]") for k in _RECORD if k in record or k in _NEEDED
+        }
     dimensions = content.get("dimensions")
-    return Room.from_surfaces(
+    if dimensions is not None:
+        dimensions = _values(content, "dimensions", 3, "the file", scalar=False).tolist()
+    room = Room.from_surfaces(
         name=str(content.get("name", "")),
         volume=_get(content, "volume", (int, float), "the file"),
         surfaces=surfaces,
         materials=materials,
         centre_frequencies=frequencies,
         air=None if air is None else Air(**_numbers(air, "air")),
-        dimensions=None if dimensions is None else tuple(dimensions),
+        dimensions=dimensions,
+        band_correlation=_numbers(prior or {}, "prior").get("band_correlation", 0.0),
+        material_correlation=dict(
+            _correlation(entry, f"[[correlation]] {i + 1}")
+            for i, entry in enumerate(_entries(content, "correlation"))
+        ),
         calibration=None if record is None else CalibrationRecord(**record),
+        above_one=content.get("above_one", "refuse"),
     )
+    clipped = content.get("clipped", [])
+    if not isinstance(clipped, list):
+        raise DataError("clipped must be a list of texts")
+    return room.replace(clipped=(*map(str, clipped), *room.clipped))
+
+
+def _correlation(entry: Mapping[str, Any], place: str) -> tuple[tuple[str, str], float]:
+    pair = _get(entry, "materials", list, place)
+    if len(pair) != 2 or not all(isinstance(name, str) for name in pair):
+        raise DataError(f"{place}: materials = {pair!r} is not two names")
+    return (pair[0], pair[1]), float(_get(entry, "value", (int, float), place))
 
 
 def _material(
-    entry: Mapping[str, Any], place: str, n_bands: int, prior: Mapping[str, Any] | None
+    entry: Mapping[str, Any], place: str, frequencies: Array, prior: Mapping[str, Any] | None
 ) -> Material:
+    n_bands = len(frequencies)
     name = _get(entry, "name", str, place)
     place = f'material "{name}"'
     alpha = _values(entry, "alpha", n_bands, place, scalar=False)
-    if "sigma" in entry:
+    stated = entry.get("sigma")
+    if isinstance(stated, str):
+        if stated not in TIERS:
+            raise DataError(f'{place}: sigma = "{stated}" is not one of {", ".join(TIERS)}')
+        sigma = np.full(n_bands, TIERS[stated])
+    elif stated is not None:
         sigma = _values(entry, "sigma", n_bands, place)
     elif prior is not None:
-        rule = _numbers(prior, "prior")
-        sigma = np.maximum(rule.get("relative", 0.0) * alpha, rule.get("minimum", 0.0))
+        sigma = _prior_sigma(prior, alpha, frequencies)
     else:
         raise DataError(f"{place} states no sigma, and the file has no [prior] to derive it from")
     return Material(
@@ -141,6 +183,15 @@ def _material(
         else None,
         source=str(entry.get("source", "")),
     )
+
+
+def _prior_sigma(prior: Mapping[str, Any], alpha: Array, frequencies: Array) -> Array:
+    """Return sigma by the file's rule for materials that state none of their own."""
+    rule = _numbers(prior, "prior")
+    sigma = sigma_relative(alpha, rule.get("relative", 0.0), rule.get("minimum", 0.0))
+    if prior.get("iso_12999_2", False):
+        sigma = np.maximum(sigma, sigma_iso_12999_2(alpha, frequencies))
+    return in_situ(sigma, rule.get("in_situ_factor", 1.0))
 
 
 def _known(table: Mapping[str, Any], kind: str, place: str) -> None:
@@ -181,6 +232,11 @@ def _get(table: Mapping[str, Any], key: str, kind: Any, place: str) -> Any:
 
 
 def _numbers(table: Mapping[str, Any], place: str) -> dict[str, float]:
+    switches = {"iso_12999_2"}
+    for key in switches & table.keys():
+        if not isinstance(table[key], bool):
+            raise DataError(f"[{place}] {key} = {table[key]!r} is not true or false")
+    table = {key: value for key, value in table.items() if key not in switches}
     for key, value in table.items():
         if not isinstance(value, (int, float)) or isinstance(value, bool):
             raise DataError(f"[{place}] {key} = {value!r} is not a number")
@@ -212,6 +268,10 @@ def write_room(room: Room, path: str | os.PathLike[str]) -> None:
     lines.append(f"centre_frequencies = {_listed(room.centre_frequencies)}")
     if room.dimensions is not None:
         lines.append(f"dimensions = {_listed(room.dimensions)}")
+    if room.clipped:
+        lines.append("clipped = [" + ", ".join(_quoted(c) for c in room.clipped) + "]")
+    if room.band_correlation:
+        lines += ["", "[prior]", f"band_correlation = {float(room.band_correlation)!r}"]
     if room.air is not None:
         lines += ["", "[air]"]
         lines += [f"{key} = {float(getattr(room.air, key))!r}" for key in sorted(_ROOM_KEYS["air"])]
@@ -229,6 +289,9 @@ def write_room(room: Room, path: str | os.PathLike[str]) -> None:
                 lines.append(f"{key} = {_listed(value[i])}")
         if material in room.sources:
             lines.append(f"source = {_quoted(room.sources[material])}")
+    for (first, second), value in room.material_correlation.items():
+        lines += ["", "[[correlation]]", f"materials = [{_quoted(first)}, {_quoted(second)}]"]
+        lines.append(f"value = {float(value)!r}")
     for surface in room.surfaces:
         lines += ["", "[[surface]]", f"name = {_quoted(surface.name)}"]
         lines += [f"material = {_quoted(surface.material)}", f"area = {float(surface.area)!r}"]

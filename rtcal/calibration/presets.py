@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, overload
 
@@ -17,7 +18,7 @@ from rtcal.calibration.terms import (
     PriorDeviation,
     SoftMatch,
 )
-from rtcal.errors import ModelError
+from rtcal.errors import MissingAirWarning, ModelError
 
 _RELATIVE = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""
@@ -25,15 +26,15 @@ _SMOOTHING = 0.1
 """Weight of the smoothness: small enough to cost under 2 % where the truth is uncorrelated over
 bands (`python -m rtcal.studies.smoothing`)."""
 
-METHODS: dict[str, Callable[[], Calibration]] = {
-    "mle": lambda: Calibration(PriorDeviation(), [ExactMatch()]),
-    "lse": lambda: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
-    "soft": lambda: Calibration(PriorDeviation() + SoftMatch(_RELATIVE), []),
-    "smooth": lambda: Calibration(
-        PriorDeviation() + SoftMatch(_RELATIVE) + _SMOOTHING * BandSmoothness(), []
+METHODS: dict[str, Callable[[PriorDeviation], Calibration]] = {
+    "mle": lambda prior: Calibration(prior, [ExactMatch()]),
+    "lse": lambda prior: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
+    "soft": lambda prior: Calibration(prior + SoftMatch(_RELATIVE), []),
+    "smooth": lambda prior: Calibration(
+        prior + SoftMatch(_RELATIVE) + _SMOOTHING * BandSmoothness(), []
     ),
-    "robust": lambda: Calibration(HuberDeviation() + SoftMatch(_RELATIVE), []),
-    "joint": lambda: Calibration(PriorDeviation() + SoftMatch(_RELATIVE), []),
+    "robust": lambda prior: Calibration(HuberDeviation() + SoftMatch(_RELATIVE), []),
+    "joint": lambda prior: Calibration(prior + SoftMatch(_RELATIVE), []),
 }
 """By name.
 
@@ -46,11 +47,24 @@ METHODS: dict[str, Callable[[], Calibration]] = {
 """
 
 
-def preset(method: str) -> Calibration:
-    """Return the calibration behind a name; ModelError if there is none of that name."""
+def preset(method: str, room: Room | None = None) -> Calibration:
+    """Return the calibration behind a name, with the correlations that ``room`` states.
+
+    ``lse`` leaves them out as it leaves sigma out. Raises ModelError for an unknown name, and for
+    ``robust`` with correlations: it treats every coefficient apart.
+    """
     if method not in METHODS:
         raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')
-    return METHODS[method]()
+    prior = PriorDeviation()
+    if room is not None and (room.band_correlation or room.material_correlation):
+        if method == "robust":
+            raise ModelError(
+                'method "robust" treats every coefficient apart, but the room states correlations'
+            )
+        prior = PriorDeviation(
+            band_correlation=room.band_correlation, material_correlation=room.material_correlation
+        )
+    return METHODS[method](prior)
 
 
 @overload
@@ -123,6 +137,11 @@ def calibrate(
     DataError, ModelError, InfeasibleError, SolverError
         As `CalibrationProblem.solve`.
 
+    Warns
+    -----
+    MissingAirWarning
+        If the room states no air.
+
     Examples
     --------
     >>> import rtcal as rt
@@ -133,7 +152,15 @@ def calibrate(
     >>> bool(abs(result.gap_after).max() < 1e-9)
     True
     """
-    calibration = preset(method)
+    first = room if isinstance(room, Room) else room.rooms[0]
+    if first.air is None:
+        warnings.warn(
+            f'room "{first.name}" states no air: its surfaces are made to absorb what the air does. '
+            "Give it air=rtcal.Air(temperature, humidity)",
+            MissingAirWarning,
+            stacklevel=2,
+        )
+    calibration = preset(method, first)
     if isinstance(room, Configurations):
         return calibration.build(room, equation).solve(
             measured, solver=solver, unreachable=unreachable, warm_start=warm_start,

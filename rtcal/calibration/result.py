@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 import rtcal
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.quality import gap_jnd
+from rtcal.acoustics.quality import (
+    Plausibility,
+    TrustMark,
+    absorption_covariance,
+    gap_jnd,
+    plausibility,
+    trust_marks,
+)
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Configurations
@@ -22,29 +29,6 @@ from rtcal.calibration.feasibility import Unreachable
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.measured import Measured
 from rtcal.types import Array
-
-
-@dataclass(frozen=True)
-class Plausibility:
-    """Whether to believe a calibration: it always fits.
-
-    Attributes
-    ----------
-    z : array (n_bands,)
-        The shift of S'alpha in standard deviations of what was known; NaN where nothing was matched.
-    q : float
-        Sum of z².
-    degrees_of_freedom : int
-        One a matched band, not one a coefficient.
-    p_value : float or None
-        The chance of a larger q if prior and measurement are right; None where a bound is active,
-        because then q is not chi-square.
-    """
-
-    z: Array
-    q: float
-    degrees_of_freedom: int
-    p_value: float | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -199,20 +183,29 @@ class CalibrationResult:
 
     @cached_property
     def plausibility(self) -> Plausibility:
-        """Z per band and Q over bands, with the prior's own sigma whatever the method."""
+        """How far T was from what was known, per band and in all, with the prior's own sigma."""
         room = self.prior
-        known = np.nan_to_num(self.target_uncertainty)
-        spread = np.sqrt(room.areas**2 @ room.sigma**2 + known**2)
+        covariance = absorption_covariance(room, self.target_uncertainty)
         miss = self.target - room.absorption_area
-        z = np.divide(miss, spread, out=np.full_like(miss, np.nan), where=spread > 0)
-        used = np.isfinite(z)
-        q = float(np.sum(z[used] ** 2))
-        p_value = None
-        if not self.active.any():
-            from scipy.special import chdtrc
+        return plausibility(miss, covariance, bool(self.active.any()))
 
-            p_value = float(chdtrc(used.sum(), q))
-        return Plausibility(z, q, int(used.sum()), p_value)
+    @cached_property
+    def air_share(self) -> Array:
+        """The air's share of the whole absorption of the calibrated room, (n_bands,)."""
+        area = self.prior.areas @ self.alpha + self.added_absorption
+        return self.equation.air_share(self.prior, area)
+
+    @cached_property
+    def trust_marks(self) -> tuple[TrustMark, ...]:
+        """Every reason not to believe a band, or the whole room, with what to do."""
+        return trust_marks(
+            self.prior,
+            self.measured,
+            self.measured_uncertainty,
+            self.air_share,
+            self.active,
+            self.plausibility.z,
+        )
 
     @cached_property
     def posterior_sigma(self) -> Array:
@@ -237,7 +230,7 @@ class CalibrationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing."""
-        room, plausibility = self.prior, self.plausibility
+        room, plausible = self.prior, self.plausibility
         bounds = {-1: "lower", 0: "", 1: "upper"}
         return {
             "rtcal_version": rtcal.__version__,
@@ -275,12 +268,14 @@ class CalibrationResult:
                 for i, name in enumerate(room.materials)
             ],
             "plausibility": {
-                "z": _listed(plausibility.z),
-                "q": plausibility.q,
-                "degrees_of_freedom": plausibility.degrees_of_freedom,
-                "p_value": plausibility.p_value,
+                "z": _listed(plausible.z),
+                "q": plausible.q,
+                "degrees_of_freedom": plausible.degrees_of_freedom,
+                "p_value": plausible.p_value,
             },
             "effects": self.effects,
+            "air_share": _listed(self.air_share),
+            "trust_marks": [vars(mark) for mark in self.trust_marks],
             "multipliers": _listed(self.multipliers),
             "unreachable": [str(u) for u in self.unreachable],
             "certificate": _certificate(self.certificate),

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.quality import explained
 from rtcal.types import Array
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
 _WIDTH = 9
-_Z_LIMIT = 2.0
 _P_LIMIT = 0.05
 
 
@@ -46,6 +46,8 @@ def table(result: CalibrationResult) -> str:
         numbers("gap before / JND", result.gap_before, "+.1f"),
         numbers("gap after / JND", _cleaned(result.gap_after), "+.1f"),
         numbers("z", plausibility.z, "+.1f"),
+        numbers("air's share / %", 100 * result.air_share, ".0f"),
+        line("do not trust, see below", [_letters(result, f) for f in room.centre_frequencies]),
         "",
         "alpha after (shift in sigmas of the prior; * at a bound)",
     ]
@@ -59,6 +61,12 @@ def table(result: CalibrationResult) -> str:
     return "\n".join(out)
 
 
+def _letters(result: CalibrationResult, frequency: float) -> str:
+    """The letters of a band's trust marks."""
+    found = (m.letter for m in result.trust_marks if m.frequency == frequency)
+    return "".join(dict.fromkeys(found)) or "."
+
+
 def _cleaned(values: Array) -> Array:
     """Rounding residue printed as plain 0."""
     return np.where(np.abs(values) < 1e-9, 0.0, values)
@@ -66,7 +74,7 @@ def _cleaned(values: Array) -> Array:
 
 def _believe(result: CalibrationResult) -> list[str]:
     """The sentences below the tables: whether to believe it, and what could not be met."""
-    room, plausibility = result.prior, result.plausibility
+    plausibility = result.plausibility
     degrees = plausibility.degrees_of_freedom
     text = f"Plausibility: Q = {plausibility.q:.1f} with {degrees} degrees of freedom"
     if plausibility.p_value is None:
@@ -78,23 +86,13 @@ def _believe(result: CalibrationResult) -> list[str]:
         ]
     else:
         out = [text + f", p = {plausibility.p_value:.2g}: in keeping with what was stated."]
-    for k, z in enumerate(plausibility.z):
-        if abs(z) > _Z_LIMIT:
-            out.append(
-                f"  {bands.label(room.centre_frequencies[k])}: implausible, |z| = {abs(z):.1f}: "
-                "look for an effect that the model lacks before using these coefficients."
-            )
     out += [f"  {u} (nearest end taken)" for u in result.unreachable]
-    missing = [
-        bands.label(f)
-        for f, there in zip(room.centre_frequencies, result.matched, strict=True)
-        if not there
-    ]
-    if missing:
-        out.append(f"  not calibrated, no T measured: {', '.join(missing)}")
     if result.measured_data.ignored:
         ignored = ", ".join(bands.label(f) for f in result.measured_data.ignored)
         out.append(f"  measured, but no band of the room: {ignored}")
+    if result.trust_marks:
+        out += ["Where not to believe it, and what to do:"]
+        out += [f"  {text}" for text in explained(result.trust_marks)]
     certificate = result.certificate
     out.append(
         f"Certificate: primal residual {np.max(certificate.primal_residual):.1e}, dual residual "

@@ -57,6 +57,13 @@ def reverberation_time(result: CalibrationResult) -> Any:
         f, result.reverberation_time_after, color=_AFTER, marker="o", markersize=10,
         markerfacecolor="none", label="after calibration",
     )  # fmt: skip
+    for frequency in f[here]:
+        letters = {m.letter for m in result.trust_marks if m.frequency == frequency}
+        if letters:  # the letters of the printed page: where not to believe the band
+            axes.annotate(
+                "".join(sorted(letters)), (frequency, 0.02), xycoords=("data", "axes fraction"),
+                ha="center", va="bottom", fontsize="small", fontweight="bold",
+            )  # fmt: skip
     axes.set_xscale("log")
     axes.set_xticks(f, [f"{v:g}" for v in f], rotation=45 if len(f) > 10 else 0)
     axes.minorticks_off()

@@ -1,0 +1,97 @@
+"""A catalogue of materials to start from: pyroomacoustics' table, read from the installed package.
+
+Its values (after M. Vorländer, Auralization, 2008, Appendix) are under the MIT licence of
+pyroomacoustics. They are handbook values: state a sigma that they deserve.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from importlib import metadata, resources
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.room import Material
+from rtcal.acoustics.sigma import in_situ, sigma_iso_12999_2
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.types import Array
+
+_TABLE = "pyroomacoustics"
+
+
+def names() -> dict[str, str]:
+    """Return the catalogue's materials, name to description.
+
+    Raises MissingDependencyError without pyroomacoustics.
+    """
+    return {name: str(entry["description"]) for name, entry in _entries()[1].items()}
+
+
+def material(
+    name: str, centre_frequencies: Sequence[float] | Array, in_situ_factor: float = 1.5
+) -> Material:
+    """Return a material of the catalogue with a sigma and its provenance.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+    centre_frequencies : sequence (n_bands,)
+        Octaves that the catalogue has, within 125 to 8000 Hz.
+    in_situ_factor : float
+        sigma is this times ISO 12999-2's spread between laboratories; above 4 kHz, which the standard
+        does not tabulate, its value at 4 kHz is taken.
+
+    Raises
+    ------
+    DataError
+        For an unknown name, or a band that the catalogue lacks for it.
+    MissingDependencyError
+        Without pyroomacoustics.
+    """
+    f = bands.as_bands(centre_frequencies)
+    centres, entries = _entries()
+    if name not in entries:
+        near = ", ".join(sorted(n for n in entries if n.split("_")[0] == name.split("_")[0]))
+        raise DataError(
+            f'"{name}" is not in the catalogue of {len(entries)} materials'
+            + (f"; similar: {near}" if near else "")
+        )
+    coefficients = [float(v) for v in entries[name]["coeffs"]]
+    known = dict(zip(centres, coefficients, strict=False))  # some end at 4 kHz
+    for frequency in f:
+        if frequency not in known:
+            has = ", ".join(bands.label(c) for c in known)
+            raise DataError(f'"{name}" has no value at {bands.label(frequency)}; it has {has}')
+    alpha = np.array([known[frequency] for frequency in f])
+    tabulated = np.minimum(f, 4000.0)
+    sigma = np.array([
+        sigma_iso_12999_2(alpha[k : k + 1], tabulated[k : k + 1])[0] for k in range(len(f))
+    ])  # fmt: skip
+    version = metadata.version(_TABLE)
+    return Material(
+        name=name,
+        alpha=np.minimum(alpha, 1.0).tolist(),
+        sigma=in_situ(sigma, in_situ_factor).tolist(),
+        source=f"pyroomacoustics {version} materials.json (after Vorländer 2008): "
+        f"{entries[name]['description']}",
+    )
+
+
+def _entries() -> tuple[list[float], dict[str, dict[str, Any]]]:
+    """The table's centre frequencies and its absorbing materials by name."""
+    try:
+        # Located without importing it: only its data file is wanted.
+        text = (resources.files(_TABLE) / "data" / "materials.json").read_text(encoding="utf-8")
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "the catalogue is read from pyroomacoustics: pip install 'rtcal[geometry]'"
+        ) from error
+    content = json.loads(text)
+    groups = content["absorption"].values()
+    return [float(c) for c in content["center_freqs"]], {
+        name: entry for group in groups for name, entry in group.items()
+    }

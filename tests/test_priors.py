@@ -1,0 +1,209 @@
+"""What is known before measuring: the truncated normal, sigma rules, correlation, catalogue."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import integrate, stats
+
+import rtcal as rt
+from rtcal.priors import TIERS, TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
+
+sigmas = st.floats(np.log(1e-6), np.log(10)).map(np.exp)
+
+
+@given(mu=st.floats(0, 1), sigma=sigmas)
+def test_against_scipy(mu: float, sigma: float) -> None:
+    ours = TruncatedNormal(mu, sigma)
+    scipys = stats.truncnorm(-mu / sigma, (1 - mu) / sigma, mu, sigma)
+    x = np.clip(np.linspace(mu - 4 * sigma, mu + 4 * sigma, 9), 0, 1)
+    np.testing.assert_allclose(ours.log_pdf(x), scipys.logpdf(x), rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(ours.pdf(x), scipys.pdf(x), rtol=1e-9)
+    assert ours.mean() == pytest.approx(scipys.mean(), rel=1e-10)
+    assert ours.variance() == pytest.approx(scipys.var(), rel=1e-9 if sigma > 1 else 1e-10)
+
+
+@given(mu=st.one_of(st.floats(-3, 0), st.floats(1, 4)), sigma=st.floats(1e-3, 10))
+def test_the_tails_against_adaptive_integration(mu: float, sigma: float) -> None:
+    """With mu at and beyond the box scipy's own variance loses its digits; quadrature does not."""
+    ours = TruncatedNormal(mu, sigma)
+    end = 0.0 if mu <= 0 else 1.0
+    length = min(1.0, 60 * sigma / max(abs(mu - end) / sigma, 1))
+
+    def density(s: float) -> float:  # from the end inwards, scaled to 1 there
+        x = end + (s if end == 0 else -s)
+        return float(np.exp(-((x - mu) ** 2 - (end - mu) ** 2) / (2 * sigma**2)))
+
+    def moment(f) -> float:
+        return integrate.quad(f, 0, length, epsabs=0, epsrel=1e-13, limit=200)[0]
+
+    total = moment(density)
+    first = moment(lambda s: s * density(s)) / total
+    second = moment(lambda s: (s - first) ** 2 * density(s)) / total
+    assert abs(ours.mean() - end) == pytest.approx(first, rel=1e-10)
+    assert ours.variance() == pytest.approx(second, rel=1e-10)
+    if (end - mu) / sigma < 30:
+        scipys = stats.truncnorm(-mu / sigma, (1 - mu) / sigma, mu, sigma)
+        assert ours.log_pdf(end) == pytest.approx(scipys.logpdf(end), rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("mu", "sigma"), [(0.3, 0.1), (0.02, 0.05), (-0.4, 0.05), (1.3, 0.04), (0.5, 8)]
+)
+def test_samples_have_the_distribution(mu: float, sigma: float) -> None:
+    drawn = TruncatedNormal(mu, sigma).sample(np.random.default_rng(1), (20_000,))
+    assert drawn.min() >= 0
+    assert drawn.max() <= 1
+    known = stats.truncnorm(-mu / sigma, (1 - mu) / sigma, mu, sigma)
+    assert stats.kstest(drawn, known.cdf).pvalue > 0.01
+
+
+def test_arrays_of_any_shape() -> None:
+    prior = TruncatedNormal(np.full((3, 1), 0.2), np.array([0.05, 0.1]))
+    assert prior.mean().shape == (3, 2)
+    assert prior.sample(np.random.default_rng(0), (5,)).shape == (5, 3, 2)
+    assert prior.pdf(0.2).shape == (3, 2)
+    assert TruncatedNormal(0.2, 0.05).pdf(1.2) == 0
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ((0.2, 0.0), "sigma = 0 is not above 0"),
+        ((np.nan, 0.1), "mu has a value that is not finite"),
+        ((0.2, 0.1, 1.0, 0.0), "lower must be below upper"),
+        (([0.1, 0.2], [0.1, 0.1, 0.1]), "shapes do not fit"),
+    ],
+)
+def test_bad_parameters(values, message: str) -> None:
+    with pytest.raises(rt.errors.DataError, match=message):
+        TruncatedNormal(*values)
+
+
+def test_iso_12999_2() -> None:
+    """sigma_R = m alpha + n where m or n change; its Table 4 prints U = 2 sigma_R to two digits."""
+    thirds = [63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000,
+              2500, 3150, 4000, 5000]  # fmt: skip
+    found = dict(zip(thirds, sigma_iso_12999_2(np.full(20, 0.5), thirds), strict=True))
+    by_hand = {63: 0.24, 125: 0.105, 500: 0.04, 1000: 0.035, 2000: 0.0385, 4000: 0.055, 5000: 0.073}
+    for band, sigma in by_hand.items():
+        assert found[band] == pytest.approx(sigma, rel=1e-12)
+    octave = sigma_iso_12999_2(np.array([0.5, 0.5]), [500, 1000])
+    np.testing.assert_allclose(octave, [(0.06 + 0.05 + 0.045) / 6 + 0.015, 0.02 + 0.046 / 3])
+    with pytest.raises(rt.errors.DataError, match="not 8000 Hz"):
+        sigma_iso_12999_2(np.array([0.5, 0.5]), [4000, 8000])
+
+
+def test_sigma_rules() -> None:
+    np.testing.assert_allclose(sigma_relative(np.array([0.01, 0.4]), 0.3, 0.01), [0.01, 0.12])
+    np.testing.assert_allclose(in_situ(np.array([0.02]), 1.5), [0.03])
+    assert list(TIERS.values()) == [0.01, 0.05, 0.1]
+    for bad in (lambda: sigma_relative(np.ones(1), -1), lambda: in_situ(np.ones(1), 0.5)):
+        with pytest.raises(rt.errors.DataError):
+            bad()
+
+
+ROOM = """\
+name = "r"
+volume = 100
+centre_frequencies = [500, 1000, 2000]
+above_one = "clip"
+[air]
+[prior]
+relative = 0.2
+minimum = 0.01
+iso_12999_2 = true
+in_situ_factor = 2.0
+band_correlation = 0.7
+[[material]]
+name = "wall"
+area = 80
+alpha = [0.1, 0.1, 0.9]
+[[material]]
+name = "panel"
+area = 20
+alpha = [0.9, 1.1, 1.05]
+sigma = "moderate"
+[[correlation]]
+materials = ["wall", "panel"]
+value = 0.5
+"""
+
+
+def test_a_room_file_states_its_prior(tmp_path) -> None:
+    path = tmp_path / "room.toml"
+    path.write_text(ROOM, encoding="utf-8")
+    room = rt.Room.from_file(path)
+    iso = sigma_iso_12999_2(np.array([0.1, 0.1, 0.9]), [500, 1000, 2000])
+    np.testing.assert_allclose(room.sigma[0], 2 * np.maximum([0.02, 0.02, 0.18], iso))
+    np.testing.assert_array_equal(room.sigma[1], 0.05)
+    assert room.clipped == ('alpha["panel", 1000 Hz] = 1.1', 'alpha["panel", 2000 Hz] = 1.05')
+    np.testing.assert_array_equal(room.alpha[1], [0.9, 1, 1])
+    by_band, between = room.correlations()
+    np.testing.assert_allclose(by_band[0], [1, 0.7, 0.49])
+    np.testing.assert_allclose(between, [[1, 0.5], [0.5, 1]])
+    room.save(tmp_path / "again.toml")
+    again = rt.Room.from_file(tmp_path / "again.toml")
+    for field in ("alpha", "sigma"):
+        np.testing.assert_array_equal(getattr(again, field), getattr(room, field))
+    assert again.clipped == room.clipped
+    assert again.band_correlation == 0.7
+    assert again.material_correlation == room.material_correlation
+    result = rt.calibrate(room, [0.6, 0.55, 0.5])
+    assert "cut to 1: alpha" in str(result)
+    assert abs(result.gap_after).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('above_one = "clip"', "", r'alpha\["panel", 1000 Hz\] = 1.1 is not in \[0, 1\]'),
+        ('above_one = "clip"', 'above_one = "cut"', 'above_one = "cut" is not "refuse" or "clip"'),
+        ('"moderate"', '"middling"', 'sigma = "middling" is not one of low, moderate, high'),
+        ("iso_12999_2 = true", "iso_12999_2 = 1", "iso_12999_2 = 1 is not true or false"),
+        ("in_situ_factor = 2.0", "in_situ_factor = 0.5", "in-situ factor = 0.5"),
+        ("band_correlation = 0.7", "band_correlation = 1.0", "band_correlation = 1 is not from 0"),
+        ("value = 0.5", "value = 1.5", r'material_correlation\["wall", "panel"\] = 1.5'),
+        ('["wall", "panel"]', '["wall", "door"]', '"door" is no material'),
+        ('["wall", "panel"]', '["wall"]', "is not two names"),
+    ],
+)
+def test_a_bad_prior_is_refused(tmp_path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "room.toml"
+    path.write_text(ROOM.replace(old, new), encoding="utf-8")
+    with pytest.raises(rt.errors.DataError, match=message):
+        rt.Room.from_file(path)
+
+
+def test_correlations_reach_the_calibration() -> None:
+    """Not separable sigma, one band without T: the correlated prior carries a shift over to it."""
+    room = rt.Room(
+        name="r", volume=100, materials=["a", "b"], areas=[80, 30], alpha=[[0.1, 0.1], [0.3, 0.4]],
+        sigma=[[0.05, 0.05], [0.1, 0.1]], centre_frequencies=[500, 1000], air=rt.Air(),
+    )  # fmt: skip
+    t = [0.5, np.nan]
+    alone = rt.calibrate(room, t)
+    together = rt.calibrate(room.replace(band_correlation=0.8), t)
+    assert np.all(alone.shift[:, 1] == 0)
+    np.testing.assert_allclose(together.shift[:, 1], 0.8 * together.shift[:, 0], rtol=1e-9)
+    with pytest.raises(rt.errors.ModelError, match='"robust" treats every coefficient apart'):
+        rt.calibrate(room.replace(band_correlation=0.8), [0.5, 0.5], method="robust")
+
+
+def test_the_catalogue() -> None:
+    pytest.importorskip("pyroomacoustics")
+    from rtcal.datasets import catalogue
+
+    names = catalogue.names()
+    assert len(names) > 70
+    found = catalogue.material("hard_surface", [125, 250, 500, 1000, 2000, 4000])
+    assert found.alpha == [0.02, 0.02, 0.03, 0.03, 0.04, 0.05]
+    assert min(found.sigma) >= 1.5 * 0.015
+    assert "pyroomacoustics" in found.source
+    assert "Vorländer" in found.source
+    with pytest.raises(rt.errors.DataError, match='"hard_stone" is not in the catalogue'):
+        catalogue.material("hard_stone", [500])
+    with pytest.raises(rt.errors.DataError, match="has no value at 63 Hz"):
+        catalogue.material("hard_surface", [63, 125])

@@ -1,0 +1,183 @@
+"""z, Q and the trust marks: right when the prior is true, and loud when it is not."""
+
+from __future__ import annotations
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import rtcal as rt
+from rtcal.acoustics.quality import absorption_covariance, plausibility, trust_marks
+from tests.conftest import random_room
+
+ROOMS = 2000
+
+
+def simulated(rng: np.random.Generator, stated: float, correlation: float, noise: float):
+    """z (4,) and p of a room whose true coefficients have ``1 / stated`` times the stated sigma."""
+    room = random_room(rng, 6, 4)
+    room = room.replace(sigma=room.sigma / 4, band_correlation=correlation)
+    by_band, _ = room.correlations()
+    root = np.linalg.cholesky(by_band)
+    drawn = room.alpha + room.sigma / stated * (rng.standard_normal((6, 4)) @ root.T)
+    u_b = noise * room.absorption_area
+    target = room.areas @ drawn + u_b * rng.standard_normal(4)
+    found = plausibility(
+        target - room.absorption_area, absorption_covariance(room, u_b), bound_active=False
+    )
+    return found.z, found.p_value
+
+
+@pytest.mark.parametrize(("correlation", "noise"), [(0.0, 0.0), (0.8, 0.0), (0.8, 0.03)])
+def test_z_is_standard_normal_and_p_uniform_when_the_prior_is_true(correlation, noise) -> None:
+    rng = np.random.default_rng(12)
+    results = [simulated(rng, 1.0, correlation, noise) for _ in range(ROOMS)]
+    z = np.array([r[0] for r in results])
+    p = np.array([r[1] for r in results])
+    for band in range(4):
+        assert stats.kstest(z[:, band], "norm").pvalue > 0.01
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+def test_a_prior_stated_at_half_its_sigma_is_flagged(correlation: float) -> None:
+    rng = np.random.default_rng(13)
+    results = [simulated(rng, 0.5, correlation, 0.0) for _ in range(ROOMS)]
+    z = np.array([r[0] for r in results])
+    p = np.array([r[1] for r in results])
+    assert stats.kstest(z[:, 0], "norm").pvalue < 1e-6
+    assert stats.kstest(p, "uniform").pvalue < 1e-6
+    assert np.mean(np.abs(z) > 2) > 0.25  # 32 % of N(0, 2²); 4.6 % of N(0, 1)
+    assert np.mean(p < 0.05) > 0.4
+
+
+def test_calibrate_reports_the_same_z_and_q() -> None:
+    rng = np.random.default_rng(14)
+    values = []
+    for _ in range(300):
+        room = random_room(rng, 6, 4, rt.Air())
+        room = room.replace(sigma=room.sigma / 4)
+        truth = room.alpha + room.sigma * rng.standard_normal((6, 4))
+        t = rt.Eyring().time(room, room.areas @ truth)
+        result = rt.calibrate(room, t)
+        assert not result.active.any()
+        assert result.plausibility.q == pytest.approx(np.sum(result.plausibility.z**2))
+        # The minimum of the objective is z² per band: one degree of freedom, not six.
+        assert np.sum(result.shift_in_sigmas**2) == pytest.approx(result.plausibility.q, rel=1e-6)
+        values.append(result.plausibility.p_value)
+    assert stats.kstest(values, "uniform").pvalue > 0.01
+
+
+def test_q_counts_correlated_bands_once() -> None:
+    """Two fully alike bands tell no more than one."""
+    nearly = np.array([[1.0, 0.999999], [0.999999, 1.0]])
+    found = plausibility(np.array([2.0, 2.0]), nearly, bound_active=False)
+    assert found.q == pytest.approx(4.0, rel=1e-5)
+    assert plausibility(np.array([2.0, 2.0]), np.eye(2), bound_active=False).q == 8
+
+
+def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
+    result = rt.calibrate(*cr2)
+    kinds = {(m.kind, m.frequency) for m in result.trust_marks}
+    assert kinds == {("below_schroeder", 125), ("implausible", 125), ("implausible", 4000)}
+    assert result.plausibility.z[0] == pytest.approx(4.6, abs=0.05)
+    assert result.plausibility.p_value < 1e-4
+    page = str(result)
+    assert "[s] 125 Hz: below the Schroeder frequency, 196 Hz" in page
+    assert "-> the measurement contradicts what was stated" in page
+    line = next(text for text in page.splitlines() if text.startswith("do not trust"))
+    assert line.split()[-6:] == ["sz", ".", ".", ".", ".", "z"]
+    content = json.loads(result.to_json())
+    assert {m["kind"] for m in content["trust_marks"]} == {"below_schroeder", "implausible"}
+    assert all(m["advice"] for m in content["trust_marks"])
+
+
+def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
+    room = rt.Room(
+        name="r", volume=1000, materials=["wall", "seats"], areas=[400, 150],
+        alpha=[[0.05] * 4, [0.5] * 4], sigma=[[0.02] * 4, [0.1] * 4],
+        centre_frequencies=[63, 500, 4000, 8000], air=rt.Air(20, 30),
+    )  # fmt: skip
+    t = np.array([1.2, 1.2, 1.0, np.nan])
+    quiet = {
+        "measured": t, "uncertainty": np.full(4, 0.01), "air_share": np.full(4, 0.2),
+        "active": np.zeros((2, 4)), "z": np.zeros(4),
+    }  # fmt: skip
+
+    def kinds(of: rt.Room = room, **changes) -> set:
+        return {(m.kind, m.frequency) for m in trust_marks(of, **{**quiet, **changes})}
+
+    base = {("below_schroeder", 63), ("missing", 8000)}
+    assert kinds() == base
+    assert kinds(z=np.array([0, -2.5, 1.9, np.nan])) == base | {("implausible", 500)}
+    assert kinds(uncertainty=np.array([np.nan, 0.061, 0.049, 1])) == base | {("uncertain", 500)}
+    assert kinds(air_share=np.array([0, 0.49, 0.51, 0.2])) == base | {("air", 4000)}
+    active = np.array([[0, -1, 0, 0], [0, 0, 1, 0]])
+    assert kinds(active=active) == base | {("at_bound", 500), ("at_bound", 4000)}
+    assert kinds(room.with_air(None)) == base | {("no_air", None)}
+    # 4.84 V^(2/3) = 484 m²: a sphere of 1000 m³ has no less.
+    assert kinds(room.replace(areas=[300, 150])) == base | {("surface_missing", None)}
+    texts = trust_marks(room.replace(areas=[300, 150]), **quiet)
+    assert "450 m² of surface cannot enclose 1000 m³" in texts[0].text
+
+
+def test_missing_air_warns(cr2) -> None:
+    room, measured = cr2
+    with pytest.warns(rt.errors.MissingAirWarning, match="states no air"):
+        result = rt.calibrate(room.with_air(None), measured)
+    assert "no air is stated" in str(result)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rt.calibrate(room, measured)
+
+
+def test_uncertainty_of_t_over_pairs() -> None:
+    """Two sources x three receivers: n_eff is 3, not 6; never below ISO 3382-2's own variance."""
+    rng = np.random.default_rng(3)
+    t20 = 1.0 + 0.2 * rng.standard_normal((6, 2))
+    pairs = [(s, r) for s in ("S1", "S2") for r in ("R1", "R2", "R3")]
+    measured = rt.Measurement(centre_frequencies=[500, 1000], pairs=pairs, values={"t20": t20})
+    spread = np.std(t20, axis=0, ddof=1) / np.sqrt(3)
+    np.testing.assert_allclose(measured.decay_time().uncertainty, spread, rtol=1e-12)
+    same = rt.Measurement(
+        centre_frequencies=[500, 1000], pairs=pairs, values={"t20": np.ones((6, 2))}
+    )
+    iso = 0.88 * np.sqrt((1 + 0.190) / (6 * 0.71 * np.array([500, 1000]) * 1.0))
+    np.testing.assert_allclose(same.decay_time().uncertainty, iso, rtol=1e-12)
+    t30 = rt.Measurement(
+        centre_frequencies=[500, 630], pairs=pairs, values={"t30": np.ones((6, 2))}
+    )
+    iso = 0.55 * np.sqrt((1 + 0.152) / (6 * 0.23 * np.array([500, 630]) * 1.0))
+    np.testing.assert_allclose(t30.decay_time().uncertainty, iso, rtol=1e-12)
+    t20[0, 1] = np.nan
+    holes = rt.Measurement(centre_frequencies=[500, 1000], pairs=pairs, values={"t20": t20})
+    assert holes.decay_time().mean[1] == pytest.approx(np.mean(t20[1:, 1]))
+    stated = rt.Measurement(
+        centre_frequencies=[500, 1000], pairs=pairs, values={"t20": t20},
+        uncertainty={"t20": np.full((6, 2), 0.06)},
+    )  # fmt: skip
+    assert stated.decay_time().uncertainty[0] == pytest.approx(0.06 / np.sqrt(6))
+
+
+def test_t20_is_taken_else_t30_never_edt() -> None:
+    measured = rt.Measurement.from_values(
+        [250, 500, 1000], t20=[np.nan, 1.1, np.nan], t30=[1.2, 1.3, np.nan], edt=[1, 1, 1]
+    )
+    decay = measured.decay_time()
+    np.testing.assert_array_equal(decay.mean, [1.2, 1.1, np.nan])
+    assert decay.parameter == ("t30", "t20", "")
+
+
+def test_uncertainty_of_t_reaches_b_and_z(cr2) -> None:
+    """u_b = |db/dT| u_T, by a finite difference; z is smaller with it."""
+    room, measured = cr2
+    result = rt.calibrate(room, measured)
+    u = result.measured_uncertainty
+    up, down = (rt.Eyring().absorption_area(room, result.measured + s * 1e-4 * u) for s in (1, -1))
+    np.testing.assert_allclose(result.target_uncertainty, np.abs(up - down) / 2e-4, rtol=1e-6)
+    bare = rt.calibrate(room, result.measured)
+    assert np.isnan(bare.target_uncertainty).all()
+    assert np.all(np.abs(result.plausibility.z) < np.abs(bare.plausibility.z))
