@@ -232,15 +232,10 @@ def test_calibrated_in_one_climate_predicted_in_another(cr2) -> None:
     assert abs(dry[0] / result.measured[0] - 1) < 0.01
 
 
-@given(
-    temperature=st.floats(-20, 50),
-    humidity=st.floats(10, 100),
-    log_f=st.floats(np.log(50), np.log(1e4)),
-)
-def test_air_against_pyfar(temperature: float, humidity: float, log_f: float) -> None:
+@given(st.floats(-20, 50), st.floats(10, 100), st.floats(50, 1e4))
+def test_air_against_pyfar(temperature: float, humidity: float, f: float) -> None:
     """ISO 9613-1 as pyfar has it: to 1e-6 over the standard's range."""
     pyfar = pytest.importorskip("pyfar")
-    f = np.exp(log_f)
     m_db = pyfar.constants.air_attenuation(temperature, np.array([f]), humidity / 100)[0]
     ours = rt.Air(temperature, humidity)
     np.testing.assert_allclose(ours.attenuation_db([f]), m_db, rtol=1e-6)
