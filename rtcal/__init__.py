@@ -47,6 +47,7 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "datasets": ("rtcal.datasets", None),
     "errors": ("rtcal.errors", None),
     "exact": ("rtcal.calibration.exact", None),
+    "studies": ("rtcal.studies", None),
     "terms": ("rtcal.calibration.terms", None),
 }
 
@@ -69,6 +70,7 @@ __all__ = [
     "errors",
     "exact",
     "priors",
+    "studies",
     "terms",
 ]
 

@@ -22,6 +22,7 @@ from rtcal.errors import (
     RtcalError,
     SolverError,
 )
+from rtcal.study_command import study
 
 EQUATIONS = {
     "eyring": "Eyring", "sabine": "Sabine", "kuttruff": "Kuttruff", "millington": "Millington",
@@ -106,6 +107,9 @@ def calibrate(
         click.echo(str(result))
         if written:
             click.echo("Written: " + ", ".join(os.fspath(p) for p in written))
+
+
+cli.add_command(study)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

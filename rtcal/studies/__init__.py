@@ -1,0 +1,24 @@
+"""Stochastic studies of calibration methods (Bellows & Katz 2025, Sect. 3.4).
+
+Examples
+--------
+>>> from rtcal import studies
+>>> table = studies.analytic_scores(studies.rooms.SHOEBOX, sigma_r=0.1, realisations=1000, seed=1)
+>>> print(table.method[table.score.argmax()])
+mle
+"""
+
+from rtcal.studies import rooms
+from rtcal.studies.study import (
+    Study,
+    analytic_emse,
+    analytic_scores,
+    calibration_scores,
+    run,
+)
+from rtcal.studies.tables import write_table
+
+__all__ = [
+    "Study", "analytic_emse", "analytic_scores", "calibration_scores", "rooms", "run",
+    "write_table",
+]  # fmt: skip

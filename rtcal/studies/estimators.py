@@ -1,0 +1,140 @@
+"""The estimators of the study, as one family: alpha = mu - D q with S'alpha = b.
+
+q = mu scales all coefficients alike (Bellows & Katz 2025, Eq. 36), q = S is the least-squares
+estimate (Eq. 10), q = S sigma² the maximum-likelihood estimate (Eq. 25). Unbounded, with e = mu -
+alpha* and delta = S'e, each leaves the error (I - q S'/(S'q)) e. Bounded, alpha = clip(mu - D q, 0, 1):
+the exact minimiser of the QP with sigma² = q/S.
+
+In a realisation mu and q are the same for all trials. So the piecewise linear delta(D) is tabulated
+once, and a trial that leaves the box costs one look-up: faster here than `rtcal.exact`, which must
+start anew for each problem and to which the tests hold it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal import jit
+from rtcal.types import Array
+
+METHODS = ("none", "scaling", "lse", "mle")
+CALIBRATIONS = METHODS[1:]
+
+
+def directions(mu: Array, sigma: Array, areas: Array) -> Array:
+    """Return q of each calibration, (..., 3, n)."""
+    return np.stack([mu, np.broadcast_to(areas, mu.shape), areas * sigma**2], axis=-2)
+
+
+def expected_errors(second_moment: Array, q: Array, areas: Array) -> Array:
+    """Return the EMSE of no and of each unbounded calibration, (..., 4), from E ee', (..., n, n).
+
+    n EMSE = tr G - 2 q'GS/(S'q) + |q|² S'GS/(S'q)², G = E ee'.
+    """
+    n = areas.size
+    total = np.trace(second_moment, axis1=-2, axis2=-1)[..., np.newaxis]
+    along = second_moment @ areas  # E[delta e], (..., n)
+    reach = q @ areas
+    cross = (q * along[..., np.newaxis, :]).sum(-1) / reach
+    spread = (along @ areas)[..., np.newaxis] * (q**2).sum(-1) / reach**2
+    return np.asarray(np.concatenate([total, total - 2 * cross + spread], axis=-1) / n)
+
+
+@dataclass(frozen=True, eq=False)
+class Realisation:
+    """What the trials of one realisation share; the calibrations along the first axis of q.
+
+    ``q`` (3, n); ``delta`` and ``multiplier`` (3, 2 n), the table of delta(D) = S'(mu - clip(mu - D q,
+    0, 1)), increasing; ``least`` and ``most`` (3,), the ends of delta between which the closed form
+    stays in the box.
+    """
+
+    mu: Array
+    sigma: Array
+    areas: Array
+    q: Array
+    delta: Array
+    multiplier: Array
+    least: Array
+    most: Array
+
+
+def realisations(mu: Array, sigma: Array, areas: Array) -> list[Realisation]:
+    """Tabulate a few realisations, mu and sigma (r, n)."""
+    q = directions(mu, sigma, areas)
+    top, bottom = (mu[:, np.newaxis] - 1) / q, mu[:, np.newaxis] / q  # D at which a bound is met
+    points = np.sort(np.concatenate([top, bottom], axis=-1), axis=-1)  # (r, 3, 2 n)
+    centre = mu[:, np.newaxis, np.newaxis]
+    alpha = np.clip(centre - points[..., np.newaxis] * q[:, :, np.newaxis], 0, 1)
+    delta = ((centre - alpha) * areas).sum(-1)
+    reach = q @ areas
+    least, most = top.max(-1) * reach, bottom.min(-1) * reach
+    return [
+        Realisation(mu[r], sigma[r], areas, q[r], delta[r], points[r], least[r], most[r])
+        for r in range(len(mu))
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class TrialSums:
+    """Sums over trials.
+
+    ``squares`` e'e; ``products`` delta² and, by calibration, delta e'q, (4,); ``change`` the bounded
+    estimate's e'e minus the unbounded's, (3,); ``active`` the number of trials where they differ, (3,).
+    """
+
+    squares: float
+    products: Array
+    change: Array
+    active: Array
+
+    def __add__(self, other: TrialSums) -> TrialSums:
+        return TrialSums(
+            self.squares + other.squares, self.products + other.products,
+            self.change + other.change, self.active + other.active,
+        )  # fmt: skip
+
+    def errors(self, room: Realisation, trials: int) -> Array:
+        """Return the sampled EMSE of none and the calibrations, unbounded and bounded, (7,)."""
+        reach = room.q @ room.areas
+        # |e - D q|² = |e|² - 2 D e'q + D²|q|² with D = delta/(S'q)
+        length = (room.q**2).sum(-1)
+        shift = -2 * self.products[1:] / reach + self.products[0] * length / reach**2
+        unbounded = self.squares + shift
+        total = np.concatenate([[self.squares], unbounded, unbounded + self.change])
+        return np.asarray(total / (room.mu.size * trials))
+
+
+def score(z: Array, room: Realisation) -> TrialSums:
+    """Calibrate the trials ``z`` = (alpha* - mu)/sigma, (n, trials), and sum up their errors."""
+    # e = mu - alpha* = -sigma z; the rows give delta = S'e and e'q from z
+    rows = -np.vstack([room.areas * room.sigma, room.q * room.sigma])
+    if jit.available():
+        from rtcal.studies import trials_kernel
+
+        squares, sums = trials_kernel.score(
+            z, rows, room.mu, room.sigma, room.q, room.q @ room.areas, room.delta,
+            room.multiplier, room.least, room.most,
+        )  # fmt: skip
+        return TrialSums(squares, sums[0], sums[1, :-1], sums[2, :-1])
+    return _score(z, rows, room)
+
+
+def _score(z: Array, rows: Array, room: Realisation) -> TrialSums:
+    """Do the same with NumPy: the twin of `trials_kernel.score`."""
+    along = rows @ z
+    delta = along[0]
+    variance = room.sigma**2
+    change, active = np.zeros(len(room.q)), np.zeros(len(room.q))
+    for k, q in enumerate(room.q):
+        out = np.flatnonzero((delta < room.least[k]) | (delta > room.most[k]))
+        active[k] = out.size
+        d = np.interp(delta[out], room.delta[k], room.multiplier[k])
+        truth = room.mu[:, np.newaxis] + room.sigma[:, np.newaxis] * z[:, out]
+        error = np.clip(room.mu[:, np.newaxis] - d * q[:, np.newaxis], 0, 1) - truth
+        free = room.mu[:, np.newaxis] - delta[out] / (q @ room.areas) * q[:, np.newaxis] - truth
+        change[k] = np.sum(error**2) - np.sum(free**2)
+    squares = float(np.einsum("it,it,i->", z, z, variance))
+    return TrialSums(squares, (along * delta).sum(-1), change, active)

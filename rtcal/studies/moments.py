@@ -1,0 +1,102 @@
+"""Sums over realisations that scores, standard errors and box plots need; they add.
+
+Their size does not depend on the number of rooms, so neither does the study's memory.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from rtcal.studies.estimators import CALIBRATIONS, METHODS
+from rtcal.types import Array
+
+SAMPLED = METHODS + tuple(f"{m} bounded" for m in CALIBRATIONS)
+ANALYTIC = tuple(f"{m} analytic" for m in METHODS)
+SERIES = SAMPLED + ANALYTIC
+"""The EMSE of one realisation, eleven ways."""
+
+EDGES = np.linspace(0.0, 0.5, 4001)  # of sqrt(EMSE); the last bin takes what is beyond
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Sums over realisations.
+
+    ``count`` of realisations and ``active`` trials with a bound active by calibration; ``sums`` of
+    the series and ``products`` of each two; the sampled series' histogram of sqrt(EMSE) and extremes.
+    """
+
+    count: int
+    sums: Array
+    products: Array
+    active: Array
+    histogram: Array
+    least: Array
+    most: Array
+
+    @classmethod
+    def of(cls, emse: Array, active: Array) -> Moments:
+        """Sum up the series of some realisations, (r, 11), and their active trials, (r, 3)."""
+        root = np.sqrt(emse[:, : len(SAMPLED)])
+        bins = np.minimum(np.searchsorted(EDGES, root, side="right") - 1, EDGES.size - 2)
+        histogram = np.stack([np.bincount(b, minlength=EDGES.size - 1) for b in bins.T])
+        return cls(
+            count=len(emse), sums=emse.sum(0), products=np.einsum("ri,rj->ij", emse, emse),
+            active=active.sum(0).astype(float), histogram=histogram.astype(float),
+            least=root.min(0), most=root.max(0),
+        )  # fmt: skip
+
+    def __add__(self, other: Moments) -> Moments:
+        return Moments(
+            self.count + other.count, self.sums + other.sums, self.products + other.products,
+            self.active + other.active, self.histogram + other.histogram,
+            np.minimum(self.least, other.least), np.maximum(self.most, other.most),
+        )  # fmt: skip
+
+    def to_bytes(self) -> bytes:
+        """Return the sums as the content of an .npz file."""
+        stream = io.BytesIO()
+        np.savez_compressed(stream, **{f.name: getattr(self, f.name) for f in fields(self)})
+        return stream.getvalue()
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> Moments:
+        """Read what `to_bytes` wrote; ValueError, KeyError or OSError if it is something else."""
+        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+            values = {f.name: stored[f.name] for f in fields(cls)}
+        return cls(**{**values, "count": int(values["count"])})
+
+    def mean(self, weights: dict[str, float]) -> float:
+        """Return the mean over realisations of a weighted sum of series."""
+        return float(_vector(weights) @ self.sums / self.count)
+
+    def score(self, method: dict[str, float], baseline: dict[str, float]) -> tuple[float, Array]:
+        """Return 1 - sqrt(mean method / mean baseline) and its gradient by the series' means."""
+        top, bottom = self.mean(method), self.mean(baseline)
+        ratio = np.sqrt(top / bottom)
+        gradient = -ratio / 2 * (_vector(method) / top - _vector(baseline) / bottom)
+        return float(1 - ratio), gradient
+
+    def standard_error(self, gradient: Array) -> float:
+        """Return the standard error of a smooth function of the means with that gradient.
+
+        The delta method on independent realisations; NaN for a single one.
+        """
+        if self.count < 2:
+            return float("nan")
+        means = self.sums / self.count
+        covariance = self.products / self.count - np.outer(means, means)
+        variance = float(gradient @ covariance @ gradient) / (self.count - 1)
+        return float(max(variance, 0.0) ** 0.5)
+
+    def quantile(self, series: int, share: float) -> float:
+        """Return a quantile of sqrt(EMSE) of a sampled series, to a histogram bin (1.25e-4)."""
+        running = np.cumsum(self.histogram[series])
+        return float(np.interp(share * running[-1], np.concatenate([[0.0], running]), EDGES))
+
+
+def _vector(weights: dict[str, float]) -> Array:
+    return np.array([weights.get(name, 0.0) for name in SERIES])

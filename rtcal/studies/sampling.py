@@ -1,0 +1,61 @@
+"""The random rooms of Bellows & Katz (2025), Sect. 3.4: realisations and trials.
+
+A realisation gives every surface a mean mu and a standard deviation sigma, what a practitioner knows;
+a trial draws the true coefficients from the truncated normal (mu, sigma) on [0, 1].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal import jit
+from rtcal.types import Array
+
+SIGMA_LIMIT = 0.25
+"""sigma is below this, else the interval (2 sigma, 1 - 2 sigma) for mu is empty."""
+
+
+def redrawn_share(sigma_r: float) -> float:
+    """Return the share of Rayleigh draws at or beyond `SIGMA_LIMIT`: exp(-1 / (32 sigma_r²))."""
+    return float(np.exp(-(SIGMA_LIMIT**2) / (2 * sigma_r**2)))
+
+
+def realisations(
+    rng: np.random.Generator, count: int, n: int, sigma_r: float
+) -> tuple[Array, Array]:
+    """Return mu and sigma, each (count, n).
+
+    sigma ~ Rayleigh(sigma_r), redrawn while it is .25 or more: drawn at once from the law that
+    redrawing leaves, by inversion. mu ~ uniform(2 sigma, 1 - 2 sigma).
+    """
+    below = 1 - redrawn_share(sigma_r)
+    sigma = sigma_r * np.sqrt(-2 * np.log1p(-below * (1 - rng.random((count, n)))))
+    sigma = np.minimum(sigma, np.nextafter(SIGMA_LIMIT, 0))  # rounding at the far end
+    return 2 * sigma + (1 - 4 * sigma) * rng.random((count, n)), sigma
+
+
+def trials(rng: np.random.Generator, mu: Array, sigma: Array, z: Array) -> None:
+    """Fill ``z`` (n, trials) with (alpha - mu)/sigma of truncated normals on [0, 1].
+
+    Standard normals, each drawn again while it lies outside: mu is at least 2 sigma from the ends, so
+    at most one in twenty does.
+    """
+    rng.standard_normal(out=z)
+    low, high = -mu / sigma, (1 - mu) / sigma
+    again = outside(z, low, high)
+    flat = z.reshape(-1)
+    while again.size:
+        row = again // z.shape[1]
+        flat[again] = drawn = rng.standard_normal(again.size)
+        again = again[(drawn < low[row]) | (drawn > high[row])]
+
+
+def outside(z: Array, low: Array, high: Array) -> NDArray[np.intp]:
+    """Return the flat indices of ``z`` (n, trials) below ``low`` or above ``high`` (n,)."""
+    if jit.available():
+        from rtcal.studies import trials_kernel
+
+        found = np.empty(z.size, np.intp)
+        return found[: trials_kernel.outside(z, low, high, found)]
+    return np.flatnonzero((z < low[:, np.newaxis]) | (z > high[:, np.newaxis]))

@@ -1,0 +1,46 @@
+"""Tidy tables to CSV or Parquet, by the ending of the path."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics.files import write_bytes, write_text
+from rtcal.errors import DataError, MissingDependencyError
+
+
+def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> None:
+    """Write a table as .csv or .parquet, whole or not at all; numbers keep all their digits.
+
+    Raises
+    ------
+    DataError
+        If the path ends otherwise or cannot be written.
+    MissingDependencyError
+        For Parquet where pyarrow is not installed (extra ``studies``).
+    """
+    ending = os.path.splitext(os.fspath(path))[1].lower()
+    names = list(table.dtype.names or ())
+    if ending == ".csv":
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(table.tolist())
+        write_text(path, stream.getvalue())
+    elif ending == ".parquet":
+        try:
+            import pyarrow
+            from pyarrow import parquet
+        except ImportError as error:
+            raise MissingDependencyError(
+                "Parquet files need pyarrow: pip install 'rtcal[studies]'"
+            ) from error
+        content = io.BytesIO()
+        parquet.write_table(pyarrow.table({c: table[c].tolist() for c in names}), content)
+        write_bytes(path, content.getvalue())
+    else:
+        raise DataError(f'{path}: a table ends with .csv or .parquet, not "{ending}"')

@@ -1,0 +1,407 @@
+"""The stochastic study: sampling, scores, their standard errors, workers, resuming, the command."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import rtcal as rt
+from rtcal import jit, studies
+from rtcal.cli import cli
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.priors import TruncatedNormal
+from rtcal.studies import estimators, paper, sampling
+from rtcal.studies.moments import SERIES, Moments
+
+SHOEBOX = np.array(studies.rooms.SHOEBOX)
+HALL = np.array(list(studies.rooms.LECTURE_HALL.values()))
+
+
+def drawn(
+    n: int = 6, sigma_r: float = 0.1, count: int = 20, seed: int = 0
+) -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng, *sampling.realisations(rng, count, n, sigma_r)
+
+
+def by_method(table: np.recarray) -> dict[tuple[str, bool], np.record]:
+    return {(str(row.method), bool(row.bounded)): row for row in table}
+
+
+# Sampling -----------------------------------------------------------------------------------------
+
+
+def test_sigma_has_the_law_that_redrawing_leaves() -> None:
+    rng = np.random.default_rng(1)
+    redrawn = rng.rayleigh(0.1, 400_000)
+    assert np.mean(redrawn >= 0.25) == pytest.approx(sampling.redrawn_share(0.1), rel=0.03)
+    assert sampling.redrawn_share(0.1) == pytest.approx(0.0439, abs=1e-4)
+    redrawn = redrawn[redrawn < 0.25]
+    mu, sigma = sampling.realisations(rng, 60_000, 6, 0.1)
+    assert sigma.min() > 0
+    assert sigma.max() < 0.25
+    shares = (0.05, 0.25, 0.5, 0.75, 0.95)
+    # 380,000 draws a side: quantiles scatter by about 2e-4
+    np.testing.assert_allclose(
+        np.quantile(sigma, shares), np.quantile(redrawn, shares), atol=1.5e-3
+    )
+    place = (mu - 2 * sigma) / (1 - 4 * sigma)
+    np.testing.assert_allclose(np.quantile(place, shares), shares, atol=5e-3)
+
+
+def test_trials_are_truncated_normal() -> None:
+    rng = np.random.default_rng(2)
+    mu, sigma = np.array([0.45, 0.1, 0.9]), np.array([0.22, 0.05, 0.05])
+    z = np.empty((3, 200_000))
+    sampling.trials(rng, mu, sigma, z)
+    alpha = mu[:, np.newaxis] + sigma[:, np.newaxis] * z
+    assert alpha.min() >= 0
+    assert alpha.max() <= 1
+    law = TruncatedNormal(mu, sigma)
+    standard_error = np.sqrt(law.variance() / z.shape[1])
+    assert np.all(abs(alpha.mean(1) - law.mean()) < 4 * standard_error)
+    np.testing.assert_allclose(alpha.var(1), law.variance(), rtol=0.015)  # about 4 standard errors
+    assert np.all((abs(law.mean() - mu) > 4 * standard_error)[1:])  # the bias is seen
+
+
+@pytest.mark.skipif(not jit.available(), reason="numba is not installed (rtcal[fast])")
+def test_kernels_and_twins_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled = studies.run(SHOEBOX, 0.1, 30, 700, seed=3)
+    monkeypatch.setattr(jit, "available", lambda: False)
+    plain = studies.run(SHOEBOX, 0.1, 30, 700, seed=3)
+    assert plain.moments.active.sum() > 100
+    assert np.array_equal(plain.moments.active, compiled.moments.active)
+    np.testing.assert_allclose(plain.moments.sums, compiled.moments.sums, rtol=1e-12)
+
+
+# Estimators ---------------------------------------------------------------------------------------
+
+
+def test_errors_against_the_exact_solver_and_the_closed_forms() -> None:
+    """Every method's error, trial by trial, from alpha itself: no shared formula."""
+    rng, mu, sigma = drawn(sigma_r=0.15, count=12, seed=4)
+    trials, active = 400, 0
+    for room in estimators.realisations(mu, sigma, SHOEBOX):
+        z = np.empty((6, trials))
+        sampling.trials(rng, room.mu, room.sigma, z)
+        sums = estimators.score(z, room)
+        got = sums.errors(room, trials)
+        truth = (room.mu[:, np.newaxis] + room.sigma[:, np.newaxis] * z).T
+        b = truth @ SHOEBOX
+        each = np.broadcast_to(room.mu, truth.shape)
+        cases = {
+            "scaling": np.sqrt(room.mu / SHOEBOX), "lse": np.ones(6), "mle": room.sigma,
+        }  # fmt: skip
+        want = [np.mean((each - truth) ** 2)]
+        closed = [
+            np.array([rt.closed_form.scaling(room.mu, SHOEBOX, x) for x in b]),
+            np.array([rt.closed_form.least_squares(room.mu, SHOEBOX, x) for x in b]),
+            np.array(
+                [rt.closed_form.maximum_likelihood(room.mu, room.sigma, SHOEBOX, x) for x in b]
+            ),
+        ]
+        want += [np.mean((a - truth) ** 2) for a in closed]
+        for k, spread in enumerate(cases.values()):
+            exact = rt.exact.solve(room.mu, spread, SHOEBOX, b)
+            assert not np.any(exact.status)
+            want.append(np.mean((exact.alpha - truth) ** 2))
+            assert sums.active[k] == np.sum(((closed[k] < 0) | (closed[k] > 1)).any(1))
+        active += sums.active.sum()
+        np.testing.assert_allclose(got, want, rtol=1e-9)
+    assert active > 50
+
+
+def test_analytic_emse_is_the_mean_over_trials() -> None:
+    mu = np.array([0.1, 0.45, 0.9, 0.3, 0.12, 0.52])
+    sigma = np.array([0.05, 0.2, 0.04, 0.1, 0.05, 0.2])
+    known = studies.analytic_emse(mu, sigma, SHOEBOX)
+    truth = TruncatedNormal(mu, sigma).sample(np.random.default_rng(5), (200_000,))
+    b = truth @ SHOEBOX
+    for i, q in enumerate((None, mu, SHOEBOX, SHOEBOX * sigma**2)):
+        alpha = mu if q is None else mu + np.outer((b - SHOEBOX @ mu) / (SHOEBOX @ q), q)
+        errors = np.mean((alpha - truth) ** 2, axis=1)
+        assert abs(errors.mean() - known[i]) < 4 * errors.std() / np.sqrt(errors.size)
+    # Eq. 30 alone leaves out the bias of mu under truncation
+    law = TruncatedNormal(mu, sigma)
+    bias = np.mean((law.mean() - mu) ** 2)
+    assert bias > 1e-6
+    assert known[0] - law.variance().mean() == pytest.approx(bias, rel=1e-6)
+
+
+# Scores -------------------------------------------------------------------------------------------
+
+
+def test_table_2_of_the_paper() -> None:
+    """LSE within .1 of 8.7; the others within .7 points of the paper and .15 of STATISTICS.md."""
+    stated = {
+        "scaling": (4.48, 5.95, 6.78),
+        "lse": (8.71, 8.71, 8.71),
+        "mle": (14.83, 14.69, 13.09),
+    }
+    for k, level in enumerate(paper.SIGMA_R):
+        table = by_method(studies.analytic_scores(SHOEBOX, level, 20_000, seed=0))
+        for method, values in stated.items():
+            row = table[method, False]
+            assert 100 * row.score == pytest.approx(values[k], abs=0.15)
+            assert 100 * row.score == pytest.approx(paper.TABLE_2[method][k], abs=0.7)
+            assert 0 < 100 * row.standard_error < 0.05
+        assert 100 * table["lse", False].score == pytest.approx(8.7, abs=0.1)
+        assert table["none", False].score == 0
+
+
+@pytest.mark.parametrize(
+    "areas", [SHOEBOX, HALL, np.array([1.0, 50.0])], ids=["box", "hall", "two"]
+)
+def test_lse_scores_the_same_whatever_the_areas(areas: np.ndarray) -> None:
+    row = by_method(studies.analytic_scores(areas, 0.07, 5000, seed=7))["lse", False]
+    theory = 1 - np.sqrt(1 - 1 / areas.size)
+    assert abs(row.score - theory) < 4 * row.standard_error
+    assert row.score > 10 * row.standard_error
+
+
+def test_simulated_scores_agree_with_the_analytic_and_their_standard_errors_hold() -> None:
+    analytic = by_method(studies.analytic_scores(SHOEBOX, 0.1, 40_000, seed=8))
+    scores = np.array([
+        [[by_method(table)[m, False][c] for c in ("score", "standard_error")]
+         for m in ("scaling", "lse", "mle")]
+        for table in (studies.calibration_scores(SHOEBOX, 0.1, 100, 50, seed=s) for s in range(60))
+    ])  # fmt: skip
+    for k, m in enumerate(("scaling", "lse", "mle")):
+        spread = scores[:, k, 0].std(ddof=1)
+        assert scores[:, k, 1].mean() == pytest.approx(spread, rel=0.35)  # 60 seeds: 9 % a sigma
+        assert abs(scores[:, k, 0].mean() - analytic[m, False].score) < 4 * spread / np.sqrt(60)
+
+
+def test_bounds_help_and_the_control_variate_shows_it() -> None:
+    study = studies.run(SHOEBOX, 0.1, 600, 400, seed=9)
+    plain, controlled = by_method(study.scores()), by_method(study.controlled_scores())
+    for row in study.bound_effects():
+        method = str(row.method)
+        assert row.difference > 3 * row.standard_error > 0
+        # as it must come out of the two tables
+        gain = controlled[method, True].score - controlled[method, False].score
+        assert row.difference == pytest.approx(gain, rel=1e-12)
+        # far sharper than two separate scores
+        assert row.standard_error < 0.3 * plain[method, True].standard_error
+        assert 0 < row.active_share < 0.05
+    same = studies.analytic_scores(SHOEBOX, 0.1, 600, seed=9)
+    assert controlled["mle", False].score == pytest.approx(by_method(same)["mle", False].score)
+    spread = study.spread()
+    assert np.all(np.diff([list(r)[2:] for r in spread.tolist()], axis=1) > 0)
+    for row, aace in zip(spread, study.scores().aace, strict=True):
+        assert row.first_quartile < aace < row.most
+
+
+def test_table_1_within_rounding() -> None:
+    low, high = paper.table_1_range(SHOEBOX)
+    printed = np.array(list(paper.TABLE_1_EMSE.values()))
+    assert np.all((printed > low) & (printed < high))
+    assert np.all(high / low < 1.3)
+    orders = paper.table_1_orders()
+    assert len(orders) == 90
+    assert all(sorted(o) == sorted(studies.rooms.SHOEBOX) for o in orders)
+
+
+def test_the_halls_are_closed_and_have_the_papers_numbers() -> None:
+    assert HALL.size == 23
+    assert HALL.max() / HALL.min() == pytest.approx(66.6, rel=1e-12)
+    assert pytest.approx(334) == 12.5 * 8 * 3.34
+    faces = [100, 100, 41.75, 41.75, 26.72, 26.72]
+    ends = np.cumsum([4, 3, 4, 3, 4, 5])
+    for start, end, face in zip([0, *ends[:-1]], ends, faces, strict=True):
+        assert HALL[start:end].sum() == pytest.approx(face)
+    for seed in studies.rooms.HALL_SEEDS:
+        areas = np.array(studies.rooms.random_hall(seed))
+        assert areas.size == 23
+        assert areas.max() / areas.min() == pytest.approx(66.6, rel=1e-9)
+    assert studies.rooms.random_hall(1) != studies.rooms.random_hall(2)
+
+
+# Running ------------------------------------------------------------------------------------------
+
+
+def test_same_for_any_number_of_workers() -> None:
+    one = studies.run(SHOEBOX, 0.05, 450, 300, seed=11, workers=1)
+    many = studies.run(SHOEBOX, 0.05, 450, 300, seed=11, workers=3)
+    with ThreadPoolExecutor(2) as pool:
+        own = studies.run(SHOEBOX, 0.05, 450, 300, seed=11, executor=pool)
+    for other in (many, own):
+        assert np.array_equal(one.moments.products, other.moments.products)
+        assert one.scores().tolist() == other.scores().tolist()
+    another = studies.run(SHOEBOX, 0.05, 450, 300, seed=12)
+    assert not np.array_equal(one.moments.products, another.moments.products)
+
+
+def test_resumes_where_it_stopped(tmp_path: Path) -> None:
+    whole = studies.run(SHOEBOX, 0.05, 450, 200, seed=13)
+
+    class Stops(ThreadPoolExecutor):
+        """Fails from the fourth piece on, like a machine that is switched off."""
+
+        def submit(self, *arguments):
+            if arguments[-1] >= 3:
+                raise RuntimeError("switched off")
+            return super().submit(*arguments)
+
+    folder = tmp_path / "study"
+    with Stops(1) as pool, pytest.raises(RuntimeError, match="switched off"):
+        studies.run(SHOEBOX, 0.05, 450, 200, seed=13, executor=pool, folder=folder)
+    studies.run(SHOEBOX, 0.05, 450, 200, seed=13, folder=folder)
+    pieces = sorted(folder.glob("*.npz"))
+    assert len(pieces) == 5
+    pieces[2].write_bytes(b"half a file")
+    stamps = {p: p.stat().st_mtime_ns for p in pieces}
+    again = studies.run(SHOEBOX, 0.05, 450, 200, seed=13, folder=folder)
+    assert [p for p in pieces if p.stat().st_mtime_ns != stamps[p]] == [pieces[2]]
+    assert again.scores().tolist() == whole.scores().tolist()
+    with pytest.raises(DataError, match="another study"):
+        studies.run(SHOEBOX, 0.05, 450, 200, seed=14, folder=folder)
+
+
+def test_what_was_finished_before_a_failure_is_kept(tmp_path: Path) -> None:
+    class Breaks(ThreadPoolExecutor):
+        def submit(self, *arguments):
+            if arguments[-1] == 3:
+                return super().submit(int, "no number")
+            return super().submit(*arguments)
+
+    with Breaks(1) as pool, pytest.raises(ValueError, match="no number"):
+        studies.run(SHOEBOX, 0.05, 450, 50, executor=pool, folder=tmp_path)
+    assert len(list(tmp_path.glob("*.npz"))) == 3
+
+
+@pytest.mark.filterwarnings("ignore")  # dask's and tornado's own
+def test_dask_cluster_of_two_processes_loses_nothing_when_a_worker_is_killed(
+    tmp_path: Path,
+) -> None:
+    distributed = pytest.importorskip(
+        "distributed", reason="dask is not installed (rtcal[studies])"
+    )
+    alone = studies.run(SHOEBOX, 0.05, 1500, 1500, seed=15, workers=1)
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        pids = client.run(os.getpid)
+        assert len(set(pids.values())) == 2
+        assert os.getpid() not in pids.values()
+
+        def kill() -> None:
+            while not list(tmp_path.glob("*.npz")):
+                time.sleep(0.01)
+            os.kill(next(iter(pids.values())), signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        study = studies.run(
+            SHOEBOX, 0.05, 1500, 1500, seed=15, executor=client.get_executor(), folder=tmp_path
+        )
+        killer.join()
+        with pytest.raises(ProcessLookupError):
+            for _ in range(500):  # until its parent has taken notice
+                os.kill(next(iter(pids.values())), 0)
+                time.sleep(0.01)
+    assert study.scores().tolist() == alone.scores().tolist()
+    assert len(list(tmp_path.glob("*.npz"))) == 15
+
+
+def test_memory_does_not_grow_with_the_rooms() -> None:
+    few, many = (studies.run(SHOEBOX, 0.05, r, 2).moments for r in (100, 4000))
+    assert many.count == 40 * few.count
+    for name in ("sums", "products", "active", "histogram", "least", "most"):
+        assert getattr(many, name).shape == getattr(few, name).shape
+
+
+def test_moments_are_of_independent_realisations() -> None:
+    rng = np.random.default_rng(16)
+    emse = rng.uniform(0.1, 0.2, (50, len(SERIES)))
+    whole = Moments.of(emse, np.zeros((50, 3)))
+    parts = Moments.of(emse[:20], np.zeros((20, 3))) + Moments.of(emse[20:], np.zeros((30, 3)))
+    np.testing.assert_allclose(whole.products, parts.products)
+    gradient = np.zeros(len(SERIES))
+    gradient[2] = 1.0
+    want = emse[:, 2].std(ddof=1) / np.sqrt(50)
+    assert whole.standard_error(gradient) == pytest.approx(want)
+    assert np.isnan(Moments.of(emse[:1], np.zeros((1, 3))).standard_error(gradient))
+    many = rng.uniform(0.1, 0.2, (20_000, len(SERIES)))
+    summed = Moments.of(many, np.zeros((20_000, 3)))
+    want = np.quantile(np.sqrt(many[:, 2]), 0.25)
+    assert summed.quantile(2, 0.25) == pytest.approx(want, abs=1.25e-4)
+
+
+# Tables, the command, bad input -------------------------------------------------------------------
+
+
+def test_tables_to_csv_and_parquet(tmp_path: Path) -> None:
+    table = studies.analytic_scores(SHOEBOX, 0.1, 50)
+    studies.write_table(table, tmp_path / "t.csv")
+    lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "method,bounded,aace,score,standard_error"
+    assert float(lines[3].split(",")[3]) == table.score[2]
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    studies.write_table(table, tmp_path / "t.parquet")
+    read = parquet.read_table(tmp_path / "t.parquet").to_pydict()
+    assert read["method"] == ["none", "scaling", "lse", "mle"]
+    assert read["score"] == table.score.tolist()
+    with pytest.raises(DataError, match=r"\.csv or \.parquet"):
+        studies.write_table(table, tmp_path / "t.xls")
+
+
+def test_command(tmp_path: Path) -> None:
+    arguments = ["study", "--realisations", "60", "--trials", "40", "--room", "shoebox", "--room",
+                 "halls", "--out", str(tmp_path)]  # fmt: skip
+    done = CliRunner().invoke(cli, arguments, catch_exceptions=False)
+    assert done.exit_code == 0
+    assert "4.4 % of sigma drawn again" in done.output
+    line = next(x for x in done.output.splitlines() if x.startswith("MLE"))
+    score, paper_value = float(line.split()[3]), float(line.split()[5])
+    assert paper_value == 14.8
+    assert 10 < score < 20
+    assert done.output.count("active in") == 9
+    assert "26.8   23.9 to 28.8" in done.output
+    names = {p.name for p in tmp_path.iterdir()}
+    assert {"shoebox-0.1-scores.csv", "shoebox-0.1-spread.png", "priors.png",
+            "table-1-priors.png"} <= names  # fmt: skip
+    analytic = CliRunner().invoke(cli, ["study", "--trials", "0", "--realisations", "50", "--room",
+                                        "lecture-hall"], catch_exceptions=False)  # fmt: skip
+    assert "stand-in" in analytic.output
+    assert "-1.2" in analytic.output
+
+
+def test_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for areas, message in (([], "shape"), ([[1.0]], "shape"), ([1.0, 0.0], r"areas\[1\] = 0 m²"),
+                           ([1.0, np.nan], r"areas\[1\]"), (["a"], "numbers")):  # fmt: skip
+        with pytest.raises(DataError, match=message):
+            studies.calibration_scores(areas, 0.1, 1, 1)
+    for sigma_r in (0.0, -1.0, np.nan):
+        with pytest.raises(DataError, match="sigma_r"):
+            studies.analytic_scores(SHOEBOX, sigma_r, 10)
+    with pytest.raises(DataError, match="trials = 0"):
+        studies.calibration_scores(SHOEBOX, 0.1, 1, 0)
+    with pytest.raises(DataError, match="realisations = -1"):
+        studies.analytic_scores(SHOEBOX, 0.1, -1)
+    with pytest.raises(DataError, match="workers = 0"):
+        studies.run(SHOEBOX, 0.1, 1, 1, workers=0)
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(DataError, match="file"):
+        studies.run(SHOEBOX, 0.1, 1, 1, folder=blocked / "study")
+    monkeypatch.setitem(__import__("sys").modules, "tqdm", None)
+    with pytest.raises(MissingDependencyError, match=r"rtcal\[studies\]"):
+        studies.run(SHOEBOX, 0.1, 1, 1, progress=True)
+
+
+def test_progress_bar(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
+    studies.run(SHOEBOX, 0.1, 250, 10, progress=True)
+    assert "3/3" in capsys.readouterr().err
