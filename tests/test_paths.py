@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from rtcal.acoustics.decay import decay_time
 from rtcal.datasets import halls
 from rtcal.errors import DataError
-from rtcal.simulators import path_numba, path_numpy, paths
+from rtcal.simulators import energies, path_numba, path_numpy, paths
 from rtcal.simulators.geometry import Polyhedron
 
 C = 343.0
@@ -26,17 +27,6 @@ def trace(geometry, sources, receivers, scattering, seconds, **options):
         longest=seconds * C,
         **settings,
     )
-
-
-def decay_time(energy, dt=0.002):
-    """T20 of energies (..., n_bins), written out here so that the test has its own."""
-    curve = np.cumsum(energy[..., ::-1], axis=-1)[..., ::-1]
-    level = 10 * np.log10(np.maximum(curve / curve[..., :1], 1e-30))
-    times = np.empty(level.shape[:-1])
-    for i in np.ndindex(times.shape):
-        fit = (level[i] <= -5) & (level[i] >= -25)
-        times[i] = -60 / np.polyfit(dt * np.flatnonzero(fit), level[i][fit], 1)[0]
-    return times
 
 
 BOX = Polyhedron.shoebox((5, 7, 3), "wall")
@@ -102,9 +92,9 @@ def test_kuttruffs_equation_with_the_paths_own_gamma_squared(diffuse):
     exponent = a * (1 - diffuse.gamma_squared * a / 2)
     kuttruff = 24 * np.log(10) / C * BOX.volume / (142 * exponent)
     energy = diffuse.energy(alpha[np.newaxis], np.zeros(5), BIN).mean(axis=0)
-    assert decay_time(energy[0]).mean(axis=0) == pytest.approx(kuttruff, rel=0.02)
+    assert decay_time(energy[0], 0.002).mean(axis=0) == pytest.approx(kuttruff, rel=0.02)
     # 2 % would be no test if Eyring passed it as well.
-    assert abs(decay_time(energy[0]).mean(axis=0)[-1] / (kuttruff * exponent / a)[-1] - 1) > 0.08
+    assert abs(decay_time(energy[0], 0.002).mean(axis=0)[-1] / (kuttruff * exponent / a)[-1] - 1) > 0.08
 
 
 def test_air_and_absorption_weigh_the_same_paths(diffuse):
@@ -188,7 +178,7 @@ def test_scattering_means_two_things():
         for meaning in ("random", "vector"):
             made = trace(corridor, [(4, 1, 1.5)], receivers, s, 1.5, meaning=meaning)
             energy = made.energy(np.full((1, 1), 0.2), np.zeros(1), BIN).mean(axis=0)
-            t[s, meaning] = decay_time(energy[0]).mean()
+            t[s, meaning] = decay_time(energy[0], 0.002).mean()
     assert t[1.0, "vector"] == pytest.approx(t[1.0, "random"], rel=1e-9)
     assert t[0.1, "random"] > 1.2 * t[0.1, "vector"]
 
@@ -252,5 +242,5 @@ def test_bad_input(diffuse):
 
 def test_jackknife_of_a_mean_is_its_standard_error():
     values = np.random.default_rng(0).normal(2, 1, (40, 3))
-    error = paths.jackknife(lambda mean: mean, values)
+    error = energies.jackknife(lambda mean: mean, values)
     assert error == pytest.approx(values.std(axis=0, ddof=1) / np.sqrt(40))

@@ -15,7 +15,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,7 @@ class Paths:
         Returns
         -------
         array (n_batches, n_sources, n_receivers, n_bands, n_bins)
-            Energy over area in 1/m² of a source of unit energy, so that the direct sound is
+            As many bins as every pair fills. Energy over area in 1/m² of a source of unit energy, so that the direct sound is
             1/(4 pi r²). The mean over batches is the estimate.
         """
         alpha = np.asarray(alpha, dtype=float)
@@ -137,7 +137,7 @@ class Paths:
         with np.errstate(divide="ignore"):
             log_reflection = np.log1p(-alpha)
         n_sources, n_receivers = self.first.shape
-        n_bins = int(np.ceil((self.longest - self.first.min()) / bin_length))
+        n_bins = max(int((self.longest - self.first.max()) / bin_length), 1)
         n_batches, n_bands = len(self.batches[0]), len(attenuation)
         out = np.zeros((n_batches, n_sources, n_receivers, n_bands, n_bins))
         histogram = kernels().histogram
@@ -240,7 +240,7 @@ def trace(
             "cut through each other"
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
-    direct = np.array([[_seen(s, r, planes, sides) for r in receivers] for s in sources])
+    direct = direct_lengths(geometry, sources, receivers)
     n_materials = len(scattering)
     return Paths(
         batches=batches,
@@ -279,15 +279,19 @@ def _sphere(n: int, rng: np.random.Generator) -> Array:
     return np.ascontiguousarray(lattice @ (rotation * np.sign(np.diag(upper))))
 
 
-def _seen(source: Array, receiver: Array, planes: Array, sides: Array) -> float:
-    """Return the length of the direct sound in m, NaN where a wall stands in its way."""
-    length = float(np.linalg.norm(receiver - source))
-    if length == 0:
-        raise DataError("a source and a receiver are at the same place")
-    _, t = path_numpy.nearest(
-        source[np.newaxis], (receiver - source)[np.newaxis] / length, planes, sides
-    )
-    return length if t[0] > length else np.nan
+def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Array:
+    """Return the lengths of the direct sounds in m, (n_sources, n_receivers), NaN where hidden."""
+    planes, sides = _planes(geometry)
+    lengths = np.empty((len(sources), len(receivers)))
+    for s, source in enumerate(sources):
+        way = receivers - source
+        lengths[s] = np.linalg.norm(way, axis=1)
+        if not lengths[s].all():
+            raise DataError("a source and a receiver are at the same place")
+        towards = way / lengths[s][:, np.newaxis]
+        _, t = path_numpy.nearest(np.tile(source, (len(way), 1)), towards, planes, sides)
+        lengths[s, t < lengths[s]] = np.nan
+    return lengths
 
 
 def _first(
@@ -301,15 +305,3 @@ def _first(
         ]
         first[s, r] = min((float(x.min()) for x in heard if x.size), default=longest)
     return first
-
-
-def jackknife(estimate: Any, values: Array) -> Array:
-    """Return the standard error of ``estimate(mean over batches)`` from batches on axis 0.
-
-    Leave-one-out (Efron & Stein 1981): sqrt((n - 1)/n sum (estimate_i - mean)²).
-    """
-    n = len(values)
-    total = values.sum(axis=0)
-    left_out = np.stack([estimate((total - value) / (n - 1)) for value in values])
-    spread = left_out - left_out.mean(axis=0)
-    return np.asarray(np.sqrt((n - 1) / n * np.sum(spread**2, axis=0)))
