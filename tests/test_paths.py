@@ -94,7 +94,10 @@ def test_kuttruffs_equation_with_the_paths_own_gamma_squared(diffuse):
     energy = diffuse.energy(alpha[np.newaxis], np.zeros(5), BIN).mean(axis=0)
     assert decay_time(energy[0], 0.002).mean(axis=0) == pytest.approx(kuttruff, rel=0.02)
     # 2 % would be no test if Eyring passed it as well.
-    assert abs(decay_time(energy[0], 0.002).mean(axis=0)[-1] / (kuttruff * exponent / a)[-1] - 1) > 0.08
+    assert (
+        abs(decay_time(energy[0], 0.002).mean(axis=0)[-1] / (kuttruff * exponent / a)[-1] - 1)
+        > 0.08
+    )
 
 
 def test_air_and_absorption_weigh_the_same_paths(diffuse):
@@ -137,7 +140,7 @@ def test_image_sources_at_scattering_0():
         exact = image_sources(
             (5, 7, 3), SOURCE[0], receiver, alpha, seconds * C, specular.first[0, r]
         )
-        assert exact[0] >= 1 / (4 * np.pi * specular.direct[0, r] ** 2)
+        assert exact[0] > 0.999 / (4 * np.pi * specular.direct[0, r] ** 2)
         n = 9  # of 50 ms, from the direct sound on
         wide = energy[:, r, : 25 * n].reshape(16, n, 25).sum(axis=2)
         exact = exact[: 25 * n].reshape(n, 25).sum(axis=1)

@@ -47,9 +47,7 @@ def measurement(
     )
 
 
-def decay_long_enough(
-    simulate: Callable[[float], Array], room: Room, alpha: Array
-) -> Array:
+def decay_long_enough(simulate: Callable[[float], Array], room: Room, alpha: Array) -> Array:
     """Return ``simulate(seconds)``, (n_batches, ...), with seconds doubled until T20 fits in.
 
     Starts with Eyring's T of alpha and goes no further than `LONGEST`.

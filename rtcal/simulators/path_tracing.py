@@ -77,9 +77,7 @@ class PathTracing:
     n_batches: int = 16
     workers: int | None = None
     deterministic: bool = field(default=False, init=False)
-    _traced: dict[tuple[int, int], paths.Paths] = field(
-        default_factory=dict, init=False, repr=False
-    )
+    _kept: dict[tuple[int, int], paths.Paths] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         def put(name: str, value: object) -> None:
@@ -144,7 +142,7 @@ class PathTracing:
         parts: list[tuple[Any, Array]] = []
         for g in range(columns.shape[1]):
             bands = np.flatnonzero(group.reshape(-1) == g)
-            traced = self.paths(int(bands[0]), seconds, seed=seed)
+            traced = self.traced(int(bands[0]), seconds, seed=seed)
             parts.append((bands, traced.energy(
                 alpha[:, bands], self.room.air_attenuation[bands],
                 self.room.speed_of_sound * self.bin_width,
@@ -155,7 +153,7 @@ class PathTracing:
             energy[:, :, :, bands] = part[..., :n_bins]
         return energy
 
-    def paths(self, band: int, seconds: float, *, seed: int = 0) -> paths.Paths:
+    def traced(self, band: int, seconds: float, *, seed: int = 0) -> paths.Paths:
         """Return the paths that a band is heard by, ``seconds`` long or longer.
 
         The paths of one seed are kept; another seed's replace them.
@@ -163,11 +161,11 @@ class PathTracing:
         longest = seconds * self.room.speed_of_sound
         columns = [tuple(column) for column in self.scattering.T]
         key = (seed, columns.index(columns[band]))
-        if key not in self._traced or self._traced[key].longest < longest:
-            if any(kept != seed for kept, _ in self._traced):
-                self._traced.clear()
-            self._traced[key] = self._trace(self.scattering[:, band], longest, seed)
-        return self._traced[key]
+        if key not in self._kept or self._kept[key].longest < longest:
+            if any(other != seed for other, _ in self._kept):
+                self._kept.clear()
+            self._kept[key] = self._trace(self.scattering[:, band], longest, seed)
+        return self._kept[key]
 
     def _trace(self, scattering: Array, longest: float, seed: int) -> paths.Paths:
         receivers = np.array(list(self.receivers.values()))

@@ -124,8 +124,8 @@ class Paths:
         Returns
         -------
         array (n_batches, n_sources, n_receivers, n_bands, n_bins)
-            As many bins as every pair fills. Energy over area in 1/m² of a source of unit energy, so that the direct sound is
-            1/(4 pi r²). The mean over batches is the estimate.
+            As many bins as every pair fills. Energy over area in 1/m² of a source of unit energy,
+            so that the direct sound is 1/(4 pi r²). The mean over batches is the estimate.
         """
         alpha = np.asarray(alpha, dtype=float)
         attenuation = np.ascontiguousarray(air_attenuation, dtype=float)

@@ -151,7 +151,10 @@ class RayTracing:
         rng = np.random.default_rng(seed)
         direct = paths.direct_lengths(self.geometry, *self._points())
         parts = [
-            [self._part(alpha, scattering, chunk, seconds, direct, rng) for scattering, chunk in chunks]
+            [
+                self._part(alpha, scattering, chunk, seconds, direct, rng)
+                for scattering, chunk in chunks
+            ]
             for _ in range(self.n_batches)
         ]
         n_bins = min(part.shape[-1] for batch in parts for part in batch)
@@ -189,16 +192,13 @@ class RayTracing:
         """One batch in a room turned at random, (n_sources, n_receivers, n_bands, n_fine_bins)."""
         engine = _engine()
         sources, receivers = self._points()
-        rotation, upper = np.linalg.qr(rng.standard_normal((3, 3)))
-        rotation = rotation * np.sign(np.diag(upper))
+        rotation = np.asarray(np.linalg.qr(rng.standard_normal((3, 3)))[0])
         rotation[:, 0] *= np.linalg.det(rotation)  # turned, not mirrored: that flips the normals
         n_bands = alpha.shape[1]
         absorption = np.hstack([alpha, np.tile(alpha[:, -1:], (1, _BANDS - n_bands))])
         walls = []
-        for corners, face in zip(
-            self.geometry.triangles, self.geometry.triangle_faces, strict=True
-        ):
-            row = self.room.material_index(self.geometry.materials[face])
+        for corners, material in self._walls():
+            row = self.room.material_index(material)
             walls.append(engine.wall_factory(
                 rotation @ corners.T, absorption[row], np.full(_BANDS, scattering[row]), ""
             ))  # fmt: skip
@@ -217,11 +217,23 @@ class RayTracing:
         number = int(rng.integers(2**63))
         engine.random.seed(numpy=number, libroom=number)
         room.ray_tracing()
-        energy = np.array([
-            [np.asarray(heard[0])[:n_bands] for heard in microphone]
-            for microphone in room.rt_histograms
-        ])  # fmt: skip
-        return np.swapaxes(energy, 0, 1) / (4 * np.pi)
+        energy = np.zeros((len(sources), len(receivers), n_bands, int(seconds / _FINE)))
+        for s, r in np.ndindex(energy.shape[:2]):
+            heard = np.asarray(room.rt_histograms[r][s][0])[:n_bands, : energy.shape[-1]]
+            energy[s, r, :, : heard.shape[1]] = heard  # ends with the last ray heard
+        return energy / (4 * np.pi)
+
+    def _walls(self) -> list[tuple[Array, str]]:
+        """Corners and material of each wall: convex faces whole, the others as triangles."""
+        hall, walls = self.geometry, []
+        for i, (face, material) in enumerate(zip(hall.faces, hall.materials, strict=True)):
+            corners = hall.vertices[list(face)]
+            edges = np.roll(corners, -1, axis=0) - corners
+            if (np.cross(edges, np.roll(edges, -1, axis=0)) @ hall.normals[i] >= 0).all():
+                walls.append((corners, material))
+            else:
+                walls += [(t, material) for t in hall.triangles[hall.triangle_faces == i]]
+        return walls
 
     def _from_direct_sound(self, fine: Array, direct: Array, per_bin: int) -> Array:
         """Sum fine bins from the direct sound on, as many as every pair has."""
@@ -232,7 +244,7 @@ class RayTracing:
                 heard = np.flatnonzero(fine[s, r].sum(axis=0))
                 starts[s, r] = heard[0] if heard.size else 0
             else:  # a ray is noted where it is nearest to the centre: a little before it
-                nearest = np.sqrt(max(direct[s, r] ** 2 - radius**2, 0.0))
+                nearest = float(np.sqrt(np.maximum(direct[s, r] ** 2 - radius**2, 0.0)))
                 starts[s, r] = int(nearest / (c * _FINE))
         n_bins = (fine.shape[-1] - int(starts.max())) // per_bin
         binned = np.empty((*fine.shape[:3], n_bins))
