@@ -77,16 +77,16 @@ def calibrate(
     from rtcal.acoustics.files import write_text
 
     chosen = getattr(rtcal, EQUATIONS[equation])()
-    # The page says it where the user looks.
-    warnings.simplefilter("ignore", MissingAirWarning)
-    result = rtcal.calibrate(
-        rtcal.Room.from_file(room),
-        rtcal.Measurement.from_file(measured),
-        method=method,
-        equation=chosen,
-        solver=solver,
-        unreachable="nearest" if unreachable == "nearest" else "raise",
-    )
+    with warnings.catch_warnings():  # the page says it where the user looks
+        warnings.simplefilter("ignore", MissingAirWarning)
+        result = rtcal.calibrate(
+            rtcal.Room.from_file(room),
+            rtcal.Measurement.from_file(measured),
+            method=method,
+            equation=chosen,
+            solver=solver,
+            unreachable="nearest" if unreachable == "nearest" else "raise",
+        )
     written = []
     if out is not None:
         from rtcal.report import figures

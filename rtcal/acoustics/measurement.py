@@ -22,7 +22,9 @@ DECAY_TIMES = ("t20", "t30", "edt")
 SUMMARY = "*"
 """Name of the source and of the receiver in a row that sums several pairs up."""
 
-# ISO 3382-2:2008, Eqs. 4 and 5: sigma(T) = a T sqrt((1 + b/n) / (N B T)).
+# ISO 3382-2:2008, Eqs. 4 and 5: sigma(T) = a T sqrt((1 + b/n) / (N B T)), B = .71 f in octaves and
+# .23 f in thirds. The standard was not at hand; the numbers are those of RWTH Aachen's ITA-Toolbox,
+# ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
 _ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
 _DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,18 +60,6 @@ class Plausibility:
     p_value: float | None
 
 
-def absorption_covariance(room: Room, target_uncertainty: Array) -> Array:
-    """Return the covariance of b - S'mu over bands in m⁴, (n_bands, n_bands).
-
-    That of S'alpha under the room's prior, with its correlations between bands and materials, and
-    on the diagonal u_b² of the measurement (NaN counts as none).
-    """
-    by_band, between = room.correlations()
-    spread = room.areas[:, np.newaxis] * room.sigma
-    prior = by_band * (spread.T @ between @ spread)
-    return np.asarray(prior + np.diag(np.nan_to_num(target_uncertainty) ** 2))
-
-
 def plausibility(miss: Array, covariance: Array, bound_active: bool) -> Plausibility:
     """Return z per band and Q over bands.
 
@@ -120,6 +109,10 @@ class TrustMark:
 
 
 _ADVICE: dict[str, tuple[str, str]] = {
+    "unreachable": (
+        "n", "its coefficients are the ends of their bounds, not a finding: check T, volume and areas, "
+        "and give the materials wider bounds or look for an effect that the model lacks",
+    ),
     "missing": ("m", "alpha keeps its prior there: measure the band, or draw no conclusion from it"),
     "below_schroeder": (
         "s", "single modes rule, which no reverberation equation describes: do not carry these "
@@ -144,6 +137,9 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "", "the surfaces are made to absorb what the air does, most of all above 1 kHz: state "
         "temperature and humidity",
     ),
+    "no_uncertainty": (
+        "", "z and Q may be overstated: give T per source and receiver, or its uncertainty",
+    ),
     "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
     "clipped": ("", "ISO 354 gives values above 1 by its edge effect: state the specimen's size"),
 }  # fmt: skip
@@ -160,6 +156,21 @@ def schroeder_frequency(t: Array, volume: float) -> Array:
     return np.asarray(2000 * np.sqrt(np.asarray(t, dtype=float) / volume))
 
 
+def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
+    """Return the mean of T over the octaves 500 and 1000 Hz, or their thirds; else over all bands.
+
+    T in s, (n_bands,), NaN where missing; NaN if every band is.
+
+    >>> mid_frequency_time(np.array([1.4, 2.0, 1.8]), np.array([125, 500, 1000]))
+    1.9
+    """
+    t, f = np.asarray(t, dtype=float), np.asarray(centre_frequencies, dtype=float)
+    here = np.isfinite(t)
+    middle = here & (f > 500 / np.sqrt(2)) & (f < 1000 * np.sqrt(2))
+    used = middle if middle.any() else here
+    return float(np.mean(t[used])) if used.any() else float("nan")
+
+
 def trust_marks(
     room: Room,
     measured: Array,
@@ -167,6 +178,7 @@ def trust_marks(
     air_share: Array,
     active: NDArray[Any],
     z: Array,
+    unreachable: Sequence[float] = (),
 ) -> tuple[TrustMark, ...]:
     """Return every reason not to believe a band or the room.
 
@@ -180,6 +192,8 @@ def trust_marks(
     active : array (n_materials, n_bands)
         Not 0 where a coefficient stands at a bound.
     z : array (n_bands,)
+    unreachable : sequence of float
+        Centre frequencies in Hz of bands that were moved to the nearest end.
     """
     found: list[TrustMark] = []
 
@@ -195,13 +209,19 @@ def trust_marks(
              f"{room.volume:.4g} m³, which takes at least {smallest:.4g} m²")  # fmt: skip
     if room.clipped:
         mark("clipped", None, f"cut to 1: {'; '.join(room.clipped)}")
-    limits = schroeder_frequency(measured, room.volume)
+    here = np.isfinite(measured)
+    if here.any() and not np.isfinite(uncertainty[here]).any():
+        mark("no_uncertainty", None, "the uncertainty of T is not known")
+    middle = mid_frequency_time(measured, room.centre_frequencies)
+    limit = float(schroeder_frequency(np.array(middle), room.volume))
     for k, frequency in enumerate(room.centre_frequencies):
         f = float(frequency)
         if np.isnan(measured[k]):
             mark("missing", f, "not calibrated, no T was measured")
-        elif f < limits[k]:
-            mark("below_schroeder", f, f"below the Schroeder frequency, {limits[k]:.0f} Hz")
+        elif f < limit:
+            mark("below_schroeder", f, f"below the Schroeder frequency, {limit:.0f} Hz")
+        if f in unreachable:
+            mark("unreachable", f, "no coefficients within the bounds give this T")
         if air_share[k] > _AIR_SHARE:
             mark("air", f, f"the air absorbs {100 * air_share[k]:.0f} % of the whole")
         if uncertainty[k] > JND["t20"] * measured[k]:

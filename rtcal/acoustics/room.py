@@ -282,17 +282,6 @@ class Room:
         """C in m/s, of the stated air or else of air at 20 °C."""
         return (self.air or Air()).speed_of_sound
 
-    def correlations(self) -> tuple[Array, Array]:
-        """Return the prior's correlation of bands (n_bands, n_bands) and of materials."""
-        octaves = np.log2(self.centre_frequencies)
-        apart = np.abs(octaves[:, np.newaxis] - octaves)
-        by_band = np.where(apart == 0, 1.0, self.band_correlation**apart)
-        between = np.eye(self.n_materials)
-        for (first, second), value in self.material_correlation.items():
-            i, j = self.materials.index(first), self.materials.index(second)
-            between[i, j] = between[j, i] = value
-        return by_band, between
-
     def with_air(self, air: Air | None) -> Room:
         """Return the room in another climate: calibrated in one, predicted in another.
 

@@ -59,7 +59,22 @@ class Configurations:
         self._compare_priors()
 
     def _compare_priors(self) -> None:
+        pairs = self._pairs()
         for name, room in zip(self.names, self.rooms, strict=True):
+            if room.band_correlation != self.rooms[0].band_correlation:
+                raise DataError(
+                    f'configuration "{name}": band_correlation = {room.band_correlation:g}, but '
+                    f'"{self.names[0]}" says {self.rooms[0].band_correlation:g}'
+                )
+            for (a, b), value in pairs.items():
+                stated = room.material_correlation.get(
+                    (a, b), room.material_correlation.get((b, a), 0.0)
+                )
+                if a in room.materials and b in room.materials and stated != value:
+                    raise DataError(
+                        f'configuration "{name}": material_correlation["{a}", "{b}"] = {stated:g}, but '
+                        f"another configuration says {value:g}"
+                    )
             for i, material in enumerate(room.materials):
                 first = next(r for r in self.rooms if material in r.materials)
                 j = first.materials.index(material)
@@ -71,6 +86,14 @@ class Configurations:
                             f'configuration "{name}": {room.place(what, i, k)} = {here[k]:g}, but '
                             f'"{first.name}" says {there[k]:g}; a shared material has one prior'
                         )
+
+    def _pairs(self) -> dict[tuple[str, str], float]:
+        """The correlations of materials that any configuration states."""
+        pairs: dict[tuple[str, str], float] = {}
+        for room in self.rooms:
+            for (a, b), value in room.material_correlation.items():
+                pairs.setdefault((b, a) if (b, a) in pairs else (a, b), value)
+        return pairs
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -112,4 +135,6 @@ class Configurations:
             centre_frequencies=first.centre_frequencies,
             air=first.air,
             alpha_min=np.array(floors),
+            band_correlation=first.band_correlation,
+            material_correlation=self._pairs(),
         )

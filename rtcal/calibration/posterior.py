@@ -239,23 +239,45 @@ def estimate_sigma(result: JointResult) -> Array:
     the uncertainty U of b,  cov = (1 - B S') K (1 - B S')' + B U B'.  Where T's uncertainty is
     unknown it counts as 0. Right for every method, also for one whose own sigma is not the room's.
     """
-    instance = result.solution.twin.instance
-    layout = instance.layout
     slopes = _slopes(result)
     gain = _by_time(result, bounds=False) / np.where(slopes != 0, slopes, 1.0)
+    sigma, spread, middle = _known(result)
+    variance = sigma**2 - 2 * np.sum(gain * spread, axis=1) + np.sum((gain @ middle) * gain, axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def miss(result: JointResult) -> tuple[Array, Array]:
+    """Return how far b is from what was known, and the covariance that it should have.
+
+    b - S'mu in m², (n_configurations * n_bands,), NaN where nothing was matched; and S'KS + U, K the
+    prior's covariance with the room's own sigma and the stated correlations, U that of b (0 where
+    unknown). An effect counts with its own prior.
+    """
+    instance = result.solution.twin.instance
+    *_, covariance = _known(result)
+    return instance.target.ravel() - match_matrix(instance) @ instance.mu, covariance
+
+
+def _known(result: JointResult) -> tuple[Array, Array, Array]:
+    """The prior's sigma over the unknowns; K S; S'KS + U: with what the room states of itself."""
+    instance = result.solution.twin.instance
+    layout = instance.layout
     room = result.configurations.union
     sigma = np.concatenate([
         room.sigma[layout.first].ravel(), instance.further(instance.sigma)
     ])  # fmt: skip
     prior = next(t for t in result.solution.twin.objective.terms if t.is_prior)
+    if not (isinstance(prior, PriorDeviation) and prior.correlated()):
+        # A method that leaves the correlations out of its objective (lse) is judged with them.
+        prior = PriorDeviation(
+            band_correlation=room.band_correlation, material_correlation=room.material_correlation
+        )
     match = match_matrix(instance)
-    spread = sigma[:, np.newaxis] * prior.correlate(  # K S, (size, rows)
+    spread = sigma[:, np.newaxis] * prior.correlate(
         sigma[:, np.newaxis] * match.T.toarray(), layout
     )
     noise = np.nan_to_num(instance.target_uncertainty).ravel() ** 2
-    middle = match @ spread + np.diag(noise)
-    variance = sigma**2 - 2 * np.sum(gain * spread, axis=1) + np.sum((gain @ middle) * gain, axis=1)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+    return sigma, spread, np.asarray(match @ spread + np.diag(noise))
 
 
 def sensitivity(result: JointResult) -> Array:

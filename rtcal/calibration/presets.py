@@ -152,15 +152,16 @@ def calibrate(
     >>> bool(abs(result.gap_after).max() < 1e-9)
     True
     """
-    first = room if isinstance(room, Room) else room.rooms[0]
-    if first.air is None:
+    rooms = [room] if isinstance(room, Room) else room.rooms
+    airless = [r.name for r in rooms if r.air is None]
+    if airless:
         warnings.warn(
-            f'room "{first.name}" states no air: its surfaces are made to absorb what the air does. '
+            f'room "{airless[0]}" states no air: its surfaces are made to absorb what the air does. '
             "Give it air=rtcal.Air(temperature, humidity)",
             MissingAirWarning,
             stacklevel=2,
         )
-    calibration = preset(method, first)
+    calibration = preset(method, room if isinstance(room, Room) else room.union)
     if isinstance(room, Configurations):
         return calibration.build(room, equation).solve(
             measured, solver=solver, unreachable=unreachable, warm_start=warm_start,

@@ -16,7 +16,6 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import (
     Plausibility,
     TrustMark,
-    absorption_covariance,
     gap_jnd,
     plausibility,
     trust_marks,
@@ -184,10 +183,15 @@ class CalibrationResult:
     @cached_property
     def plausibility(self) -> Plausibility:
         """How far T was from what was known, per band and in all, with the prior's own sigma."""
-        room = self.prior
-        covariance = absorption_covariance(room, self.target_uncertainty)
-        miss = self.target - room.absorption_area
-        return plausibility(miss, covariance, bool(self.active.any()))
+        from rtcal.calibration.posterior import miss
+
+        found, covariance = miss(self.joint)
+        own = slice(
+            self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
+        )
+        further = self._instance.further(self.joint.solution.active.astype(float))
+        at_bound = bool(self.active.any() or further.any())
+        return plausibility(found[own], covariance[own, own], at_bound)
 
     @cached_property
     def air_share(self) -> Array:
@@ -205,6 +209,7 @@ class CalibrationResult:
             self.air_share,
             self.active,
             self.plausibility.z,
+            [u.frequency for u in self.unreachable],
         )
 
     @cached_property

@@ -74,7 +74,7 @@ def material(
     version = metadata.version(_TABLE)
     return Material(
         name=name,
-        alpha=np.minimum(alpha, 1.0).tolist(),
+        alpha=alpha.tolist(),
         sigma=in_situ(sigma, in_situ_factor).tolist(),
         source=f"pyroomacoustics {version} materials.json (after Vorländer 2008): "
         f"{entries[name]['description']}",
