@@ -27,6 +27,7 @@ study: $(STAMP)  ## the long studies
 
 bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python benchmarks/resolve.py
+	$(BIN)/python benchmarks/path_tracing.py
 
 clean:
 	rm -rf $(VENV) demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
