@@ -161,3 +161,19 @@ def test_the_command_leaves_the_callers_warnings_alone(tmp_path, capsys) -> None
     page = capsys.readouterr()
     assert page.err == ""
     assert "no air is stated" in page.out
+
+
+def test_the_figure_says_where_not_to_believe_it(cr2) -> None:
+    pytest.importorskip("matplotlib")
+    from rtcal.report import figures
+
+    room, measured = cr2
+    axes = figures.reverberation_time(rt.calibrate(room, measured)).axes[0]
+    assert [t.get_text() for t in axes.get_xticklabels()] == [
+        "125\nsz", "250\n", "500\n", "1000\n", "2000\n", "4000\nz"
+    ]  # fmt: skip
+    assert axes.get_xlabel().endswith("do not trust: s below Schroeder, z implausible")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rt.errors.MissingAirWarning)
+        bare = rt.calibrate(room.with_air(None), measured)
+    assert "do not trust: no air, s below" in figures.reverberation_time(bare).axes[0].get_xlabel()

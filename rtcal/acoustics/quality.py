@@ -107,6 +107,11 @@ class TrustMark:
     text: str
     advice: str
 
+    @property
+    def title(self) -> str:
+        """The kind in words."""
+        return self.kind.replace("_", " ").replace("schroeder", "Schroeder")
+
 
 _ADVICE: dict[str, tuple[str, str]] = {
     "unreachable": (
@@ -230,11 +235,18 @@ def trust_marks(
             side = "lower" if active[i, k] < 0 else "upper"
             mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound")
         if abs(z[k]) > 2:
-            mark("implausible", f, f"|z| = {abs(z[k]):.1f}, more than 2")
+            side = "more" if z[k] > 0 else "less"
+            mark("implausible", f, f"T asks for {side} absorption than was stated by {abs(z[k]):.1f} "
+                 "standard deviations (z, over 2)")  # fmt: skip
     return tuple(found)
 
 
-def explained(marks: tuple[TrustMark, ...]) -> list[str]:
+def letters(marks: Sequence[TrustMark], frequency: float) -> str:
+    """Return the letters of a band's marks, each once; empty where there is none."""
+    return "".join(dict.fromkeys(m.letter for m in marks if m.frequency == frequency))
+
+
+def explained(marks: Sequence[TrustMark]) -> list[str]:
     """Return the marks as lines of text, those of one kind together, with what to do."""
     lines = []
     for kind in dict.fromkeys(mark.kind for mark in marks):

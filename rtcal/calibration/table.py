@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import explained
+from rtcal.acoustics.quality import explained, letters
 from rtcal.types import Array
 
 if TYPE_CHECKING:
@@ -47,7 +47,10 @@ def table(result: CalibrationResult) -> str:
         numbers("gap after / JND", _cleaned(result.gap_after), "+.1f"),
         numbers("z", plausibility.z, "+.1f"),
         numbers("air's share / %", 100 * result.air_share, ".0f"),
-        line("do not trust, see below", [_letters(result, f) for f in room.centre_frequencies]),
+        line(
+            "do not trust, see below",
+            [letters(result.trust_marks, f) or "." for f in room.centre_frequencies],
+        ),
         "",
         "alpha after (shift in sigmas of the prior; * at a bound)",
     ]
@@ -59,12 +62,6 @@ def table(result: CalibrationResult) -> str:
         out.append(line("  shift of alpha", [f"{s:+.3f} " for s in _cleaned(result.shift[i])]))
     out += ["", *_believe(result)]
     return "\n".join(out)
-
-
-def _letters(result: CalibrationResult, frequency: float) -> str:
-    """The letters of a band's trust marks."""
-    found = (m.letter for m in result.trust_marks if m.frequency == frequency)
-    return "".join(dict.fromkeys(found)) or "."
 
 
 def _cleaned(values: Array) -> Array:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtcal.acoustics.files import write_bytes
-from rtcal.acoustics.quality import JND
+from rtcal.acoustics.quality import JND, letters
 from rtcal.errors import DataError, MissingDependencyError
 
 if TYPE_CHECKING:
@@ -57,17 +57,16 @@ def reverberation_time(result: CalibrationResult) -> Any:
         f, result.reverberation_time_after, color=_AFTER, marker="o", markersize=10,
         markerfacecolor="none", label="after calibration",
     )  # fmt: skip
-    for frequency in f[here]:
-        letters = {m.letter for m in result.trust_marks if m.frequency == frequency}
-        if letters:  # the letters of the printed page: where not to believe the band
-            axes.annotate(
-                "".join(sorted(letters)), (frequency, 0.02), xycoords=("data", "axes fraction"),
-                ha="center", va="bottom", fontsize="small", fontweight="bold",
-            )  # fmt: skip
     axes.set_xscale("log")
-    axes.set_xticks(f, [f"{v:g}" for v in f], rotation=45 if len(f) > 10 else 0)
+    axes.set_xticks(
+        f,
+        [f"{v:g}\n{letters(result.trust_marks, v)}" for v in f],
+        rotation=45 if len(f) > 10 else 0,
+    )
     axes.minorticks_off()
-    axes.set_xlabel("Octave or third-octave band centre frequency / Hz")
+    found = [f"{m.letter} {m.title}".strip() for m in result.trust_marks]
+    key = f"\ndo not trust: {', '.join(dict.fromkeys(found))}" if found else ""
+    axes.set_xlabel(f"Octave or third-octave band centre frequency / Hz{key}")
     axes.set_ylabel("Reverberation time T / s")
     axes.set_ylim(bottom=0)
     axes.set_title(f"{room.name}: {result.method}, {result.equation.name}")
