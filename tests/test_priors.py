@@ -61,6 +61,17 @@ def test_samples_have_the_distribution(mu: float, sigma: float) -> None:
     assert stats.kstest(drawn, known.cdf).pvalue > 0.01
 
 
+@pytest.mark.parametrize(
+    ("mu", "sigma"), [(0, 1e-6), (-1, 1e-6), (2, 0.01), (4, 0.3), (-3, 10), (1, 0.02)]
+)
+def test_samples_far_in_the_tails(mu: float, sigma: float) -> None:
+    """Their mean within five standard errors, their variance within ten per cent, of the known."""
+    known = TruncatedNormal(mu, sigma)
+    drawn = known.sample(np.random.default_rng(5), (20_000,))
+    assert abs(drawn.mean() - known.mean()) < 5 * np.sqrt(known.variance() / drawn.size)
+    assert drawn.var() == pytest.approx(known.variance(), rel=0.1)
+
+
 def test_arrays_of_any_shape() -> None:
     prior = TruncatedNormal(np.full((3, 1), 0.2), np.array([0.05, 0.1]))
     assert prior.mean().shape == (3, 2)
@@ -217,3 +228,22 @@ def test_the_catalogue() -> None:
         catalogue.material("hard_stone", [500])
     with pytest.raises(rt.errors.DataError, match="has no value at 63 Hz"):
         catalogue.material("hard_surface", [63, 125])
+
+
+def test_a_room_from_the_catalogue_keeps_its_provenance(tmp_path) -> None:
+    pytest.importorskip("pyroomacoustics")
+    from rtcal.datasets import catalogue
+
+    octaves = [125, 250, 500, 1000, 2000, 4000]
+    entries = [catalogue.material(name, octaves) for name in ("hard_surface", "carpet_cotton")]
+    room = rt.Room.from_surfaces(
+        name="r", volume=60, materials=entries, centre_frequencies=octaves, air=rt.Air(),
+        surfaces=[
+            rt.Surface("walls", "hard_surface", 74), rt.Surface("floor", "carpet_cotton", 20)
+        ],
+    )  # fmt: skip
+    room.save(tmp_path / "room.toml")
+    again = rt.Room.from_file(tmp_path / "room.toml")
+    assert again.sources == {m.name: m.source for m in entries}
+    assert all("pyroomacoustics" in source for source in again.sources.values())
+    np.testing.assert_array_equal(again.alpha, [m.alpha for m in entries])

@@ -7,6 +7,7 @@ one linear equality in alpha (Bellows & Katz 2025, Eqs. 1 to 6).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, runtime_checkable
 
@@ -36,7 +37,7 @@ class Equation(Protocol):
 
 
 @dataclass(frozen=True)
-class LinearEquation:
+class LinearEquation(ABC):
     """An equation in which T depends on alpha only through S'alpha.
 
     Parameters
@@ -59,20 +60,20 @@ class LinearEquation:
         if c is not None and not (np.isfinite(c) and c > 0):
             raise DataError(f"speed_of_sound = {c:g} m/s is not finite and above 0")
 
+    @abstractmethod
     def exponent(self, mean_alpha: Array) -> Array:
         """Return the absorption exponent a of the mean coefficient S'alpha / S."""
-        raise NotImplementedError(f"{type(self).__name__} must define exponent")
 
+    @abstractmethod
     def mean_alpha(self, exponent: Array) -> Array:
         """Return the mean coefficient that has this exponent: the inverse of `exponent`.
 
         NaN where no mean coefficient has it.
         """
-        raise NotImplementedError(f"{type(self).__name__} must define mean_alpha")
 
+    @abstractmethod
     def slope(self, mean_alpha: Array) -> Array:
         """Return d exponent / d mean_alpha."""
-        raise NotImplementedError(f"{type(self).__name__} must define slope")
 
     def reverberation_time(self, room: Room) -> Array:
         """Return T in s, (n_bands,); infinite where nothing absorbs (Eqs. 1 to 3)."""

@@ -146,7 +146,10 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "", "z and Q may be overstated: give T per source and receiver, or its uncertainty",
     ),
     "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
-    "clipped": ("", "ISO 354 gives values above 1 by its edge effect: state the specimen's size"),
+    "clipped": (
+        "", "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
+        "state a larger sigma for these materials",
+    ),
 }  # fmt: skip
 
 _AIR_SHARE = 0.5
