@@ -1,16 +1,19 @@
 """The command: parse, call, print, exit code.
 
 Exit codes: 0 done; 2 the input, the model or the target cannot be used (one line on standard error
-says why); 3 the solver failed; 4 an optional library is missing.
+says why); 3 the solver failed; 4 an optional library is missing; 5 the
+output cannot be printed.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -23,6 +26,9 @@ from rtcal.errors import (
     SolverError,
 )
 from rtcal.study_command import study
+
+if TYPE_CHECKING:
+    from rtcal.calibration.result import CalibrationResult
 
 EQUATIONS = {
     "eyring": "Eyring", "sabine": "Sabine", "kuttruff": "Kuttruff", "millington": "Millington",
@@ -74,8 +80,6 @@ def calibrate(
 
     Example: rtcal calibrate room.toml t20.csv --out calibrated
     """
-    from rtcal.acoustics.files import write_text
-
     chosen = getattr(rtcal, EQUATIONS[equation])()
     with warnings.catch_warnings():  # the page says it where the user looks
         warnings.simplefilter("ignore", MissingAirWarning)
@@ -87,20 +91,7 @@ def calibrate(
             solver=solver,
             unreachable="nearest" if unreachable == "nearest" else "raise",
         )
-    written = []
-    if out is not None:
-        from rtcal.report import figures
-
-        folder = Path(out)
-        figure = figures.reverberation_time(result)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(f"{out}: {error.strerror or error}") from error
-        written = [folder / n for n in ("room.toml", "result.json", "reverberation_time.png")]
-        result.room.save(os.fspath(written[0]))
-        write_text(written[1], result.to_json())
-        figures.save(figure, written[2])
+    written = [] if out is None else _write(result, Path(out))
     if as_json and not quiet:
         click.echo(result.to_json(), nl=False)
     elif not quiet:
@@ -109,18 +100,52 @@ def calibrate(
             click.echo("Written: " + ", ".join(os.fspath(p) for p in written))
 
 
+def _write(result: CalibrationResult, folder: Path) -> list[Path]:
+    """Write room, JSON and figure, all or none; without matplotlib no figure, and that is said."""
+    from rtcal.acoustics.files import write_all
+    from rtcal.acoustics.room_files import room_text
+    from rtcal.report import figures
+
+    contents = {
+        folder / "room.toml": room_text(result.room).encode(),
+        folder / "result.json": result.to_json().encode(),
+    }
+    try:
+        figure = figures.rendered(figures.reverberation_time(result), "png")
+        contents[folder / "reverberation_time.png"] = figure
+    except MissingDependencyError as error:
+        click.echo(f"rtcal: no figure: {error}", err=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{folder}: {getattr(error, 'strerror', None) or error}") from error
+    write_all(contents)
+    return list(contents)
+
+
 cli.add_command(study)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command and exit with its code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A name that the terminal cannot show is shown as far as it can be.
+            stream.reconfigure(errors="replace")
     try:
         code = cli.main(args=arguments, prog_name="rtcal", standalone_mode=False)
+        sys.stdout.flush()
     except click.exceptions.Abort:
         code = 130
-    except click.ClickException as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         code = error.exit_code
+    except click.ClickException as error:
+        click.echo(f"rtcal: {' '.join(error.format_message().split())}", err=True)
+        code = error.exit_code
+    except OSError as error:  # the standard output is closed or full
+        sys.stderr.write(f"rtcal: cannot print: {error.strerror or error}\n")
+        code = 5
     except RtcalError as error:
         click.echo(f"rtcal: {' '.join(str(error).split())}", err=True)
         code = 3 if isinstance(error, SolverError) else 2

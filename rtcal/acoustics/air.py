@@ -63,7 +63,7 @@ class Air:
 
     @property
     def speed_of_sound(self) -> float:
-        """C = 331.3 sqrt(1 + t / 273.15) in m/s, t the temperature in °C."""
+        """c = 331.3 sqrt(1 + t / 273.15) in m/s, t the temperature in °C."""
         return float(331.3 * np.sqrt(1 + self.temperature / 273.15))
 
     def attenuation_db(self, frequencies: Iterable[float]) -> Array:

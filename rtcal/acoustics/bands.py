@@ -70,9 +70,10 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
         If there is none, or one is not a finite positive number, or they do not increase.
     """
     try:
-        f = np.array([nominal(float(v)) if float(v) > 0 else float(v) for v in frequencies])
-    except (TypeError, ValueError) as error:
+        given = [float(v) for v in frequencies]
+    except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{place}: {error}; a band is a number in Hz") from error
+    f = np.array([nominal(v) if v > 0 else v for v in given])
     if f.ndim != 1 or f.size == 0:
         raise DataError(f"{place} is empty; at least one band is needed")
     for value in f:
@@ -80,10 +81,11 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
             raise DataError(
                 f"{place} has {value:g} Hz; a centre frequency is finite and above 0 Hz"
             )
-    for below, above in itertools.pairwise(f):
+    for i, (below, above) in enumerate(itertools.pairwise(f)):
         if above <= below:
             raise DataError(
-                f"{place} has {label(above)} after {label(below)}; bands must increase, each once"
+                f"{place} has {label(given[i + 1])} after {label(given[i])}; bands must increase, "
+                "each once (within 1.5 % they are the same nominal band)"
             )
     return f
 

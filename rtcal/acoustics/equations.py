@@ -21,8 +21,9 @@ from rtcal.types import Array
 PAPER_SPEED_OF_SOUND = 24 * np.log(10) / 0.164
 """336.97 m/s: gives the paper's rounded constant 0.164 s/m; only to reproduce its numbers."""
 
-# From here on 1 - exp(-a) rounds to 1: the mean coefficient no longer tells T.
-_LARGEST_EXPONENT = 36.0
+# Towards 36, 1 - exp(-a) rounds to 1 and the mean coefficient no longer tells T; up to 25 it tells
+# T to 1e-6, and no room is so dead.
+_LARGEST_EXPONENT = 25.0
 
 
 @runtime_checkable
@@ -92,15 +93,16 @@ class LinearEquation(ABC):
         b is below 0 where T is longer than the air alone allows, and NaN where T is NaN or where
         no mean absorption coefficient has the exponent that T asks for.
         """
-        total = self._constant(room) * room.volume / np.asarray(t, dtype=float)
+        with np.errstate(over="ignore"):
+            total = self._constant(room) * room.volume / np.asarray(t, dtype=float)
         exponent = (total - 4 * room.air_attenuation * room.volume) / room.total_area
         return np.asarray(room.total_area * self.mean_alpha(exponent))
 
     def target_sensitivity(self, room: Room, t: Array) -> Array:
         """Return db/dT in m²/s, (n_bands,): negative, since a longer T needs less absorption."""
         t = np.asarray(t, dtype=float)
-        total_slope = -self._constant(room) * room.volume / t**2
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            total_slope = -self._constant(room) * room.volume / t**2
             return np.asarray(total_slope / self.slope(self.target(room, t) / room.total_area))
 
     def air_share(self, room: Room, absorption_area: Array) -> Array:
@@ -194,13 +196,18 @@ class Eyring(LinearEquation):
 
     name: ClassVar[str] = "Eyring"
 
+    @property
+    def largest_mean_alpha(self) -> float:
+        """1 - exp(-25): beyond, the mean coefficient tells T only to rounding."""
+        return float(-np.expm1(-_LARGEST_EXPONENT))
+
     def exponent(self, mean_alpha: Array) -> Array:
         """Return -ln(1 - mean alpha), infinite at 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-np.minimum(mean_alpha, 1.0)))
 
     def mean_alpha(self, exponent: Array) -> Array:
-        """Return 1 - exp(-exponent); NaN above 36, where it would round to 1 and lose T."""
+        """Return 1 - exp(-exponent); NaN above 25, where it would lose T to rounding."""
         with np.errstate(over="ignore"):
             mean = -np.expm1(-np.asarray(exponent, dtype=float))
         return np.asarray(np.where(np.asarray(exponent) > _LARGEST_EXPONENT, np.nan, mean))

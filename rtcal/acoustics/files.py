@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from rtcal.errors import DataError
 
@@ -17,27 +19,47 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise DataError(f"{path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: not UTF-8 text: byte {error.start} ({error.reason})") from error
+    except (ValueError, TypeError) as error:  # a path with a NUL, or no path
+        raise DataError(f"{path!r}: not a path: {error}") from error
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a file whole or not at all: beside it first, then moved into place."""
-    write_bytes(path, text.encode("utf-8"))
+    """Write a file whole or not at all."""
+    write_all({path: text.encode("utf-8", errors="backslashreplace")})
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """Write bytes whole or not at all; DataError if the place cannot be written."""
-    target = Path(path)
+    write_all({path: content})
+
+
+def write_all(contents: Mapping[Any, bytes]) -> None:
+    """Write several files, each whole, or none of them: beside them first, then moved into place.
+
+    The keys are paths. Raises DataError, naming the file, if a place cannot be written.
+    """
+    path: Any = ""
+    temporaries: list[tuple[str, Path]] = []
+    mask = os.umask(0)  # mkstemp makes files private; give them the usual mode
+    os.umask(mask)
     try:
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-        mask = os.umask(0)  # mkstemp makes files private; give them the usual mode
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, target)
-    except OSError as error:
-        os.unlink(temporary)
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
+        for path, content in contents.items():
+            target = Path(path)
+            if target.is_dir():
+                raise DataError(f"{path}: cannot be written: Is a directory")
+            handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+            temporaries.append((temporary, target))
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(content)
+            os.chmod(temporary, 0o666 & ~mask)
+        for temporary, target in temporaries:
+            path = target
+            os.replace(temporary, target)
+    except (OSError, ValueError) as error:
+        if isinstance(error, DataError):
+            raise
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise DataError(f"{path}: cannot be written: {reason or error}") from error
+    finally:
+        for temporary, _ in temporaries:
+            Path(temporary).unlink(missing_ok=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.room import text_name
 from rtcal.errors import DataError
 from rtcal.types import Array
 
@@ -27,17 +27,6 @@ SUMMARY = "*"
 # ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
 _ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
 _DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
-
-
-def fingerprint(
-    centre_frequencies: Array, pairs: Sequence[tuple[str, str]], values: Mapping[str, Array]
-) -> str:
-    """Return a short name of exactly these data."""
-    digest = hashlib.sha256(np.ascontiguousarray(centre_frequencies).tobytes())
-    for parameter in sorted(values):
-        digest.update(f"{parameter}{pairs!r}".encode())
-        digest.update(np.ascontiguousarray(values[parameter]).tobytes())
-    return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +85,13 @@ class Measurement:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
-        put("centre_frequencies", bands.as_bands(self.centre_frequencies))
-        put("pairs", tuple((str(s), str(r)) for s, r in self.pairs))
+        frequencies = bands.as_bands(self.centre_frequencies)
+        frequencies.setflags(write=False)
+        put("centre_frequencies", frequencies)
+        put("pairs", self._checked_pairs())
+        for name in ("values", "uncertainty", "standard_deviation"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise DataError(f"measurement {name} is not a mapping of parameter to array")
         if not self.values:
             raise DataError("measurement: no values; at least one parameter is needed")
         n, k = len(self.pairs), len(self.centre_frequencies)
@@ -106,16 +100,49 @@ class Measurement:
         ):  # fmt: skip
             checked = {p: self._checked(name, p, v, shape) for p, v in getattr(self, name).items()}
             put(name, checked)
-        if self.standard_deviation and not self.is_summary:
+        self._check_summary()
+
+    def _checked_pairs(self) -> tuple[tuple[str, str], ...]:
+        found = []
+        for pair in self.pairs:
+            if isinstance(pair, str) or len(pair) != 2:
+                raise DataError(f"pairs has {pair!r}; a pair is (source, receiver)")
+            names = tuple(text_name("pairs", name) for name in pair)
+            if names[0].startswith("#"):
+                raise DataError(f'pairs has "{names[0]}"; # begins a note in a file')
+            found.append((names[0], names[1]))
+        if repeated := next((p for p in found if found.count(p) > 1), None):
+            raise DataError(f"pairs has {repeated} twice")
+        return tuple(found)
+
+    def _check_summary(self) -> None:
+        counts = {"sources": self.n_sources, "receivers": self.n_receivers}
+        for name, count in counts.items():
+            if count is not None and (not isinstance(count, int) or count < 1):
+                raise DataError(f"measurement: {name} = {count!r} is not a whole number above 0")
+        stated = bool(self.standard_deviation) or any(c is not None for c in counts.values())
+        if stated and not self.is_summary:
             raise DataError(
-                "measurement: a standard deviation over pairs belongs to a summary row "
-                f'(source and receiver "{SUMMARY}"), not beside single pairs'
+                "measurement: a standard deviation over pairs, and numbers of sources and receivers, "
+                f'belong to a summary (source and receiver "{SUMMARY}"), not beside single pairs'
             )
+        if self.standard_deviation and None in counts.values():
+            raise DataError(
+                "measurement: a standard deviation over pairs needs the numbers of sources and "
+                "receivers, else it does not tell how uncertain the mean is"
+            )
+        for name in ("uncertainty", "standard_deviation"):
+            for parameter in getattr(self, name):
+                if parameter not in self.values:
+                    raise DataError(f"measurement {name}[{parameter}] has no values beside it")
 
     def _checked(self, name: str, parameter: str, value: Any, shape: tuple[int, ...]) -> Array:
         if parameter not in UNITS:
             raise DataError(f'parameter "{parameter}" is unknown; known are {", ".join(UNITS)}')
-        array = np.array(value, dtype=float)
+        try:
+            array = np.array(value, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise DataError(f"measurement {name}[{parameter}]: {error}") from error
         if array.shape != shape:
             raise DataError(f"measurement {name}[{parameter}] has shape {array.shape}, not {shape}")
         infinite, low = np.isinf(array), np.zeros(array.shape, dtype=bool)
@@ -138,11 +165,6 @@ class Measurement:
         """Whether the values are means over several pairs."""
         return self.pairs == ((SUMMARY, SUMMARY),)
 
-    @property
-    def fingerprint(self) -> str:
-        """A short name of exactly these data."""
-        return fingerprint(self.centre_frequencies, self.pairs, self.values)
-
     @classmethod
     def from_values(
         cls, centre_frequencies: Sequence[float] | Array, **parameters: Sequence[float] | Array
@@ -150,7 +172,7 @@ class Measurement:
         """Return a measurement of one value a band: ``from_values([500, 1000], t20=[1.9, 2.0])``."""
         return cls(
             centre_frequencies=np.asarray(centre_frequencies, dtype=float),
-            values={p: np.array(v, dtype=float)[np.newaxis] for p, v in parameters.items()},
+            values={p: [v] for p, v in parameters.items()},  # type: ignore[misc]
         )
 
     def mean(self, parameter: str) -> Array:
@@ -169,10 +191,10 @@ class Measurement:
     def mean_uncertainty(self, parameter: str) -> Array:
         """Return the standard uncertainty u of `mean`, (n_bands,), NaN where nothing is known.
 
-        A stated uncertainty is taken as it is. Else, for T20 and T30,
-        u² = max(s² / n_eff, ISO 3382-2's variance): s the standard deviation over pairs, n_eff the
-        larger of the numbers of sources and receivers, since pairs that share a source are not
-        independent; ISO 3382-2:2008, Eqs. 4 and 5, with N the number of pairs and n = 10 decays.
+        Where all of a band's values state their uncertainty, it is taken as it is. Else, for T20
+        and T30, u² = max(s² / n_eff, ISO 3382-2's variance): s the standard deviation over pairs,
+        n_eff the larger of the numbers of sources and receivers, since pairs that share a source
+        are not independent; ISO 3382-2:2008, Eqs. 4 and 5, with N the number of pairs and n = 10.
         """
         mean = self.mean(parameter)
         if parameter not in self.values:
@@ -180,12 +202,6 @@ class Measurement:
         values = self.values[parameter]
         present = np.isfinite(values)
         count = np.sum(present, axis=0)
-        safe = np.maximum(count, 1)
-        if parameter in self.uncertainty:
-            stated = np.where(present, self.uncertainty[parameter], 0.0)
-            known = np.sqrt(np.sum(stated**2, axis=0)) / safe
-            if np.isfinite(known[count > 0]).all():
-                return np.where(count > 0, known, np.nan)
         spread, n_effective, positions = self._spread(parameter)
         variance = np.where(n_effective > 1, spread**2 / np.maximum(n_effective, 1), np.nan)
         if parameter in _ISO_3382_2:
@@ -193,7 +209,12 @@ class Measurement:
             bandwidth = bands.bandwidth_factor(self.centre_frequencies) * self.centre_frequencies
             iso = a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth)
             variance = np.fmax(variance, iso)
-        return np.where(count > 0, np.sqrt(variance), np.nan)
+        found = np.where(count > 0, np.sqrt(variance), np.nan)
+        if parameter in self.uncertainty:
+            stated = np.where(present, self.uncertainty[parameter], 0.0)
+            known = np.sqrt(np.sum(stated**2, axis=0)) / np.maximum(count, 1)
+            found = np.where((count > 0) & np.isfinite(known), known, found)
+        return found
 
     def _spread(self, parameter: str) -> tuple[Array, Array, Array]:
         """Standard deviation over pairs, effective number and number of pairs, each (n_bands,)."""

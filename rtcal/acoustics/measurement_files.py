@@ -15,6 +15,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -26,13 +27,15 @@ from rtcal.acoustics.measurement import DECAY_TIMES, SUMMARY, UNITS, Measurement
 from rtcal.errors import DataError
 from rtcal.types import Array
 
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _COLUMNS = ("source", "receiver", "parameter", "band", "value")
 _OPTIONAL_COLUMNS = ("uncertainty", "standard_deviation", "sources", "receivers")
 
 
 def read_measurement(path: str | os.PathLike[str]) -> Measurement:
     """Read a measurement from CSV. DataError names file, line, value and rule."""
-    lines = read_text(path).splitlines()
+    # Not splitlines: it would also split at separators that may stand in a name.
+    lines = read_text(path).replace("\r\n", "\n").split("\n")
     numbered = [
         (number, line)
         for number, line in enumerate(lines, start=1)
@@ -40,7 +43,9 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement:
     ]
     if not numbered:
         raise DataError(f"{path}: no rows; the first must name the columns {', '.join(_COLUMNS)}")
-    header = [c.strip().lower() for c in next(csv.reader([numbered[0][1]]))]
+    header = [c.strip().lower() for c in _cells(numbered[0][1], f"{path}, line {numbered[0][0]}")]
+    if repeated := next((c for c in header if header.count(c) > 1), None):
+        raise DataError(f'{path}, line {numbered[0][0]}: column "{repeated}" is given twice')
     for column in _COLUMNS:
         if column not in header:
             raise DataError(f'{path}, line {numbered[0][0]}: column "{column}" is missing')
@@ -53,7 +58,7 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement:
     rows: dict[tuple[str, str, str, float], dict[str, float]] = {}
     for number, line in numbered[1:]:
         place = f"{path}, line {number}"
-        cells = next(csv.reader([line]))
+        cells = _cells(line, place)
         if len(cells) != len(header):
             raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
         cell = dict(zip(header, (c.strip() for c in cells), strict=True))
@@ -68,6 +73,13 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement:
         return _assembled(rows)
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
+
+
+def _cells(line: str, place: str) -> list[str]:
+    try:
+        return next(csv.reader([line], strict=True))
+    except csv.Error as error:
+        raise DataError(f"{place}: not a line of comma-separated values: {error}") from error
 
 
 def _measurement_row(
@@ -93,13 +105,12 @@ def _measurement_row(
 def _cell(cell: Mapping[str, str], column: str, place: str) -> float:
     if not cell[column]:
         return float("nan")
-    try:
-        number = float(cell[column])
-    except ValueError as error:
-        raise DataError(f'{place}: {column} = "{cell[column]}" is not a number') from error
-    if not np.isfinite(number):
-        raise DataError(f'{place}: {column} = "{cell[column]}" is not finite; leave it empty')
-    return number
+    text = cell[column]
+    if text.lower().lstrip("+-") in ("inf", "infinity", "nan"):
+        raise DataError(f'{place}: {column} = "{text}" is not finite; leave it empty')
+    if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
+        raise DataError(f'{place}: {column} = "{text[:40]}" is not a number')
+    return float(text)
 
 
 def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) -> Measurement:
@@ -135,9 +146,18 @@ def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) 
         values=values,
         uncertainty=uncertainty,
         standard_deviation=deviation,
-        n_sources=int(counts["sources"].pop()) if counts["sources"] else None,
-        n_receivers=int(counts["receivers"].pop()) if counts["receivers"] else None,
+        n_sources=_whole(counts["sources"], "sources"),
+        n_receivers=_whole(counts["receivers"], "receivers"),
     )
+
+
+def _whole(seen: set[float], name: str) -> int | None:
+    if not seen:
+        return None
+    count = next(iter(seen))
+    if count != int(count) or count < 1:
+        raise DataError(f"column {name} = {count:g} is not a whole number above 0")
+    return int(count)
 
 
 def write_measurement(measurement: Measurement, path: str | os.PathLike[str]) -> None:
@@ -157,7 +177,7 @@ def write_measurement(measurement: Measurement, path: str | os.PathLike[str]) ->
             for k, band in enumerate(measurement.centre_frequencies):
                 cells: dict[str, Any] = {
                     "source": source, "receiver": receiver, "parameter": parameter.upper(),
-                    "band": f"{band:g}", "value": _text(values[i, k]),
+                    "band": f"{float(band)!r}", "value": _text(values[i, k]),
                 }  # fmt: skip
                 if parameter in measurement.uncertainty:
                     cells["uncertainty"] = _text(measurement.uncertainty[parameter][i, k])

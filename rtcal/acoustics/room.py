@@ -10,72 +10,21 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.materials import (
+    AXES,
+    CalibrationRecord,
+    Material,
+    Surface,
+    array_of,
+    frozen,
+    number,
+    rows_of,
+    text_name,
+)
 from rtcal.errors import DataError
 from rtcal.types import Array
 
-AXES = ("x", "y", "z")
-
-
-@dataclass(frozen=True)
-class Material:
-    """A material and what is known of it.
-
-    Parameters
-    ----------
-    name : str
-    alpha : sequence (n_bands,)
-        Random-incidence absorption coefficients, 0 to 1.
-    sigma : sequence (n_bands,)
-        Standard deviation of each coefficient, 0 or more; 0 is known exactly.
-    alpha_min : float or sequence (n_bands,)
-        The least coefficient that calibration may give it.
-    scattering : sequence (n_bands,), optional
-        Random-incidence scattering coefficients, 0 to 1 (simulators read them; equations do not).
-    source : str
-        Where the coefficients come from.
-    """
-
-    name: str
-    alpha: Sequence[float]
-    sigma: Sequence[float]
-    alpha_min: float | Sequence[float] = 0.0
-    scattering: Sequence[float] | None = None
-    source: str = ""
-
-
-@dataclass(frozen=True)
-class Surface:
-    """One surface of a room: its material, its area in m² and the axis it stands across.
-
-    ``axis`` is ``"x"``, ``"y"`` or ``"z"``: the direction of its normal. Only equations that treat
-    the axes apart (Fitzroy, Arau-Puchades) need it.
-    """
-
-    name: str
-    material: str
-    area: float
-    axis: str | None = None
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.area) and self.area > 0):
-            raise DataError(f'surface["{self.name}"].area = {self.area:g} m² is not above 0')
-        if self.axis is not None and self.axis not in AXES:
-            raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
-
-
-@dataclass(frozen=True)
-class CalibrationRecord:
-    """What a calibrated room says of its calibration.
-
-    ``measured`` is the fingerprint of the data that the coefficients were calibrated to:
-    calibrating again on the same data would count them twice and is refused.
-    """
-
-    method: str
-    equation: str
-    measured: str
-    solver: str = ""
-    version: str = ""
+__all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,11 +114,20 @@ class Room:
             raise DataError(f'above_one = "{above_one}" is not "refuse" or "clip"')
         if isinstance(self.materials, str):
             raise DataError(f'materials = "{self.materials}" is one text, not a sequence of names')
-        put("materials", tuple(str(m) for m in self.materials))
-        put("surfaces", tuple(self.surfaces))
-        put("sources", dict(self.sources))
-        put("centre_frequencies", _frozen(bands.as_bands(self.centre_frequencies)))
-        put("volume", _number("volume", self.volume, " m³"))
+        for name in ("alpha", "sigma", "areas", "materials"):
+            if getattr(self, name) is None:
+                raise DataError(f"{name} is missing; a room states it")
+        put("materials", tuple(text_name("materials", m) for m in self.materials))
+        put("name", text_name("name", self.name))
+        put("surfaces", tuple(self.surfaces or ()))
+        put("sources", dict(self.sources or {}))
+        for name, kind in (("air", Air), ("calibration", CalibrationRecord)):
+            if not isinstance(getattr(self, name), (kind, type(None))):
+                raise DataError(f"{name} = {getattr(self, name)!r} is not a rtcal {kind.__name__}")
+        if not all(isinstance(surface, Surface) for surface in self.surfaces):
+            raise DataError("surfaces has something that is no rtcal.Surface")
+        put("centre_frequencies", frozen(bands.as_bands(self.centre_frequencies)))
+        put("volume", number("volume", self.volume, " m³"))
         n, k = self.n_materials, self.n_bands
         if n == 0:
             raise DataError("materials is empty; a room has at least one material")
@@ -186,22 +144,34 @@ class Room:
             if value is not None:
                 put(name, self._checked(name, value, (n, k)))
         if self.dimensions is not None:
-            sides = tuple(_number("dimensions", side, " m") for side in self.dimensions)
+            sides = tuple(number("dimensions", side, " m") for side in self.dimensions)
             if len(sides) != 3:
                 raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
             put("dimensions", sides)
+        self._check_surfaces()
+
+        self._check_correlation()
+
+    def _check_surfaces(self) -> None:
+        """The surfaces, where they are known, are what the areas are the sums of."""
+        drawn = dict.fromkeys(self.materials, 0.0)
         for surface in self.surfaces:
-            if surface.material not in self.materials:
+            if surface.material not in drawn:
                 raise DataError(
                     f'surface["{surface.name}"].material = "{surface.material}" is no material of '
                     f"the room; it has {', '.join(self.materials)}"
                 )
-
-        self._check_correlation()
+            drawn[surface.material] += surface.area
+        for material, area in zip(self.materials, self.areas, strict=True):
+            if self.surfaces and not np.isclose(drawn[material], area, rtol=1e-9, atol=0):
+                raise DataError(
+                    f'areas["{material}"] = {area:g} m², but its surfaces sum to '
+                    f"{drawn[material]:g} m²; change both, or leave the surfaces out (surfaces=())"
+                )
 
     def _clip(self, put: Callable[[str, object], None]) -> None:
         """Cut coefficients above 1 to 1 and name them."""
-        alpha = _array("alpha", self.alpha)
+        alpha = array_of("alpha", self.alpha)
         if alpha.shape == (self.n_materials, self.n_bands):
             above = np.argwhere(alpha > 1)
             found = [f"{self.place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above.tolist()]
@@ -226,16 +196,16 @@ class Room:
             raise DataError("material_correlation is not positive definite: the values contradict")
 
     def _checked_areas(self, n: int) -> Array:
-        areas = _array("areas", self.areas)
+        areas = array_of("areas", self.areas)
         if areas.shape != (n,):
             raise DataError(f"areas has shape {areas.shape}; with {n} materials it must be ({n},)")
         for material, area in zip(self.materials, areas, strict=True):
             if not (np.isfinite(area) and area > 0):
                 raise DataError(f'areas["{material}"] = {area:g} m² is not a finite area above 0')
-        return _frozen(areas)
+        return frozen(areas)
 
     def _checked(self, name: str, value: object, shape: tuple[int, int]) -> Array:
-        array = _array(name, value)
+        array = array_of(name, value)
         if array.shape != shape:
             raise DataError(
                 f"{name} has shape {array.shape}; it must be (n_materials, n_bands) = {shape}"
@@ -248,7 +218,13 @@ class Room:
         if bad.any():
             i, k = (int(v) for v in np.argwhere(bad)[0])
             raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} is not {rule}")
-        return _frozen(array)
+        if name == "alpha_min" and (low := array > self.alpha).any():
+            i, k = (int(v) for v in np.argwhere(low)[0])
+            raise DataError(
+                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} is below its own "
+                f"alpha_min = {array[i, k]:g}"
+            )
+        return frozen(array)
 
     @property
     def n_materials(self) -> int:
@@ -272,14 +248,14 @@ class Room:
 
     @property
     def air_attenuation(self) -> Array:
-        """M in 1/m at the nominal centre frequencies, (n_bands,); 0 where no air is stated."""
+        """m in 1/m at the nominal centre frequencies, (n_bands,); 0 where no air is stated."""
         if self.air is None:
             return np.zeros(self.n_bands)
         return self.air.attenuation(self.centre_frequencies)
 
     @property
     def speed_of_sound(self) -> float:
-        """C in m/s, of the stated air or else of air at 20 °C."""
+        """c in m/s, of the stated air or else of air at 20 °C."""
         return (self.air or Air()).speed_of_sound
 
     def with_air(self, air: Air | None) -> Room:
@@ -303,8 +279,14 @@ class Room:
         return self.materials.index(name)
 
     def replace(self, **changes: Any) -> Room:
-        """Return the room with some fields changed, checked like a new one."""
-        return replace(self, **changes)
+        """Return the room with some fields changed, checked like a new one.
+
+        Raises DataError as `Room` does, and for a field that it lacks.
+        """
+        try:
+            return replace(self, **changes)
+        except TypeError as error:
+            raise DataError(f"a room cannot be changed so: {error}") from error
 
     @classmethod
     def from_surfaces(
@@ -328,8 +310,11 @@ class Room:
         coefficient. Materials without a surface are left out. Raises DataError as `Room` does, and
         for a surface of a material that is not given.
         """
-        surfaces = tuple(surfaces)
+        surfaces, materials = tuple(surfaces), tuple(materials)
         known = {m.name: m for m in materials}
+        if len(known) < len(materials):
+            twice = next(m.name for m in materials if known[m.name] is not m)
+            raise DataError(f'material "{twice}" is given twice')
         for surface in surfaces:
             if surface.material not in known:
                 raise DataError(
@@ -337,7 +322,8 @@ class Room:
                     f"materials: {', '.join(known)}"
                 )
         used = [m for m in known.values() if any(s.material == m.name for s in surfaces)]
-        k = len(tuple(centre_frequencies))
+        centre_frequencies = bands.as_bands(centre_frequencies)
+        k = len(centre_frequencies)
         scattering = [m.scattering for m in used]
         if any(s is not None for s in scattering):
             missing = next((m.name for m in used if m.scattering is None), None)
@@ -345,21 +331,29 @@ class Room:
                 raise DataError(
                     f'scattering["{missing}"] is missing; state it for every material or for none'
                 )
-        floors = [np.broadcast_to(np.asarray(m.alpha_min, dtype=float), (k,)) for m in used]
+        floors = []
+        for m in used:
+            floor = array_of("alpha_min", m.alpha_min)
+            if floor.shape not in ((), (k,)):
+                raise DataError(
+                    f'alpha_min["{m.name}"] has shape {floor.shape}; it is one number, or {k}'
+                )
+            floors.append(np.broadcast_to(floor, (k,)))
         return cls(
             name=name,
             volume=volume,
             materials=[m.name for m in used],
-            areas=_array("areas", [
+            areas=array_of("areas", [
                 np.sum([s.area for s in surfaces if s.material == m.name]) for m in used
             ]),
-            alpha=_rows("alpha", [(m.name, m.alpha) for m in used], k),
-            sigma=_rows("sigma", [(m.name, m.sigma) for m in used], k),
+            alpha=rows_of("alpha", [(m.name, m.alpha) for m in used], k),
+            sigma=rows_of("sigma", [(m.name, m.sigma) for m in used], k),
             centre_frequencies=np.asarray(centre_frequencies, dtype=float),
             air=air,
             alpha_min=np.array(floors) if any(f.any() for f in floors) else None,
             scattering=(
-                _rows("scattering", [(m.name, m.scattering or ()) for m in used], k)
+                rows_of("scattering", [(m.name, () if m.scattering is None else m.scattering)
+                                      for m in used], k)
                 if any(s is not None for s in scattering)
                 else None
             ),
@@ -384,35 +378,3 @@ class Room:
         from rtcal.acoustics import room_files
 
         room_files.write_room(self, path)
-
-
-def _frozen(array: Array) -> Array:
-    array = array.copy()
-    array.setflags(write=False)
-    return array
-
-
-def _number(name: str, value: object, unit: str) -> float:
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{name} = {value!r} is not a number") from error
-    if not (np.isfinite(number) and number > 0):
-        raise DataError(f"{name} = {number:g}{unit} is not finite and above 0")
-    return number
-
-
-def _array(name: str, value: object) -> Array:
-    try:
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{name} is not an array of numbers: {error}") from error
-
-
-def _rows(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) -> Array:
-    for material, row in rows:
-        if len(row) != n_bands:
-            raise DataError(
-                f'{name}["{material}"] has {len(row)} values; the room has {n_bands} bands'
-            )
-    return _array(name, [list(row) for _, row in rows])

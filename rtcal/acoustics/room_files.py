@@ -78,7 +78,7 @@ def read_room(path: str | os.PathLike[str]) -> Room:
     text = read_text(path)
     try:
         content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: not valid TOML: {error}") from error
     try:
         return _room(content)
@@ -88,14 +88,17 @@ def read_room(path: str | os.PathLike[str]) -> Room:
 
 def _room(content: Mapping[str, Any]) -> Room:
     _known(content, "", "the file")
-    frequencies = bands.as_bands(_get(content, "centre_frequencies", list, "the file"))
+    listed = _get(content, "centre_frequencies", list, "the file")
+    frequencies = bands.as_bands(
+        _values(content, "centre_frequencies", len(listed), "the file", scalar=False)
+    )
     prior = _table(content, "prior")
     air = _table(content, "air")
     surfaces = [
         Surface(
-            name=str(entry.get("name", f"surface {i + 1}")),
+            name=_get(entry, "name", str, f"[[surface]] {i + 1}", f"surface {i + 1}"),
             material=str(_get(entry, "material", str, f"[[surface]] {i + 1}")),
-            area=float(_get(entry, "area", (int, float), f"[[surface]] {i + 1}")),
+            area=_get(entry, "area", (int, float), f"[[surface]] {i + 1}"),
             axis=_get(entry, "axis", str, f"[[surface]] {i + 1}") if "axis" in entry else None,
         )
         for i, entry in enumerate(_entries(content, "surface"))
@@ -110,7 +113,7 @@ def _room(content: Mapping[str, Any]) -> Room:
         if "area" in entry and drawn:
             raise DataError(f'area["{material.name}"] is given, and its surfaces too; give one')
         if "area" in entry:
-            area = float(_get(entry, "area", (int, float), f'material "{material.name}"'))
+            area = _get(entry, "area", (int, float), f'material "{material.name}"')
             surfaces.append(Surface(name=material.name, material=material.name, area=area))
         elif not drawn:
             raise DataError(f'area["{material.name}"] is missing, and no [[surface]] has it')
@@ -125,7 +128,7 @@ def _room(content: Mapping[str, Any]) -> Room:
     if dimensions is not None:
         dimensions = _values(content, "dimensions", 3, "the file", scalar=False).tolist()
     room = Room.from_surfaces(
-        name=str(content.get("name", "")),
+        name=_get(content, "name", str, "the file", "room"),
         volume=_get(content, "volume", (int, float), "the file"),
         surfaces=surfaces,
         materials=materials,
@@ -150,7 +153,7 @@ def _correlation(entry: Mapping[str, Any], place: str) -> tuple[tuple[str, str],
     pair = _get(entry, "materials", list, place)
     if len(pair) != 2 or not all(isinstance(name, str) for name in pair):
         raise DataError(f"{place}: materials = {pair!r} is not two names")
-    return (pair[0], pair[1]), float(_get(entry, "value", (int, float), place))
+    return (pair[0], pair[1]), _float(_get(entry, "value", (int, float), place), place)
 
 
 def _material(
@@ -181,7 +184,7 @@ def _material(
         scattering=_values(entry, "scattering", n_bands, place).tolist()
         if "scattering" in entry
         else None,
-        source=str(entry.get("source", "")),
+        source=_get(entry, "source", str, place, ""),
     )
 
 
@@ -222,12 +225,16 @@ def _entries(content: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
     return entries
 
 
-def _get(table: Mapping[str, Any], key: str, kind: Any, place: str) -> Any:
+def _get(
+    table: Mapping[str, Any], key: str, kind: Any, place: str, otherwise: object = None
+) -> Any:
+    if key not in table and otherwise is not None:
+        return otherwise
     if key not in table:
         raise DataError(f"{place} lacks {key}")
     value = table[key]
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise DataError(f"{place}: {key} = {value!r} is of the wrong kind")
+        raise DataError(f"{place}: {key} = {str(value)[:40]!r} is of the wrong kind")
     return value
 
 
@@ -240,9 +247,16 @@ def _numbers(table: Mapping[str, Any], place: str) -> dict[str, float]:
     for key, value in table.items():
         if not isinstance(value, (int, float)) or isinstance(value, bool):
             raise DataError(f"[{place}] {key} = {value!r} is not a number")
-        if place == "prior" and not (np.isfinite(value) and value >= 0):
+        if place == "prior" and not 0 <= value < float("inf"):
             raise DataError(f"[{place}] {key} = {value:g} is not finite and 0 or more")
-    return {key: float(value) for key, value in table.items()}
+    return {key: _float(value, f"[{place}] {key}") for key, value in table.items()}
+
+
+def _float(value: float, place: str) -> float:
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise DataError(f"{place} is too large a number") from error
 
 
 def _values(
@@ -259,11 +273,16 @@ def _values(
     for v in listed:
         if not isinstance(v, (int, float)) or isinstance(v, bool):
             raise DataError(f"{place}: {key} has {v!r}, which is not a number")
-    return np.array(listed, dtype=float)
+    return np.array([_float(v, f"{place}: {key}") for v in listed])
 
 
 def write_room(room: Room, path: str | os.PathLike[str]) -> None:
     """Write a room to TOML, whole or not at all; reading it back gives the same numbers."""
+    write_text(path, room_text(room))
+
+
+def room_text(room: Room) -> str:
+    """Return a room as the text of its TOML file."""
     lines = [f"name = {_quoted(room.name)}", f"volume = {room.volume!r}"]
     lines.append(f"centre_frequencies = {_listed(room.centre_frequencies)}")
     if room.dimensions is not None:
@@ -297,7 +316,7 @@ def write_room(room: Room, path: str | os.PathLike[str]) -> None:
         lines += [f"material = {_quoted(surface.material)}", f"area = {float(surface.area)!r}"]
         if surface.axis is not None:
             lines.append(f"axis = {_quoted(surface.axis)}")
-    write_text(path, "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
 
 
 def _quoted(text: str) -> str:

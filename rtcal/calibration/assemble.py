@@ -64,7 +64,9 @@ class Assembler:
         """Return the numbers; DataError where priors, bounds or data break a rule."""
         room = configurations.union
         shape = room.alpha.shape
-        sigma = room.sigma if self.sigma is None else np.full(shape, self.sigma)
+        sigma = room.sigma
+        if self.sigma is not None:  # what is known exactly stays so
+            sigma = np.where(room.sigma > 0, self.sigma, 0.0)
         lower = np.zeros(shape) if room.alpha_min is None else room.alpha_min
         upper = np.ones(shape)
         for box in self.boxes:

@@ -140,6 +140,8 @@ class Core:
         twin = Twin(asked, self.objective, self.rows)
         self._context.update(settled)
         start = None
+        if warm_start not in ("none", "closed_form"):
+            raise ModelError(f'warm_start = {warm_start!r} is not "none" or "closed_form"')
         if warm_start == "closed_form":
             if not (len(self.rows) == 1 and len(self.objective.terms) == 1):
                 raise ModelError(
@@ -163,7 +165,7 @@ class Core:
         unknowns, multipliers, certificate, active, polished = _polished(
             twin, raw, at_lower, at_upper
         )
-        if not certificate.worst <= _ACCEPTED:
+        if not _passes(twin, unknowns, certificate):
             contradiction.explain(twin)
             raise SolverError(
                 f'solver "{solver}" says {answer.status}, but its answer does not pass: primal '
@@ -218,6 +220,16 @@ class Core:
         return Multipliers(row_values, lower, upper)
 
 
+def _passes(twin: Twin, u: Array, certificate: Certificate) -> bool:
+    """Whether an answer is optimal to `_ACCEPTED`, relative to how steep the objective is there."""
+    steepness = 1 + float(np.max(np.abs(twin.sigma * twin.gradient(u)), initial=0.0))
+    return bool(
+        np.max(certificate.primal_residual) <= _ACCEPTED
+        and np.max(certificate.dual_residual) <= _ACCEPTED * steepness
+        and np.max(certificate.duality_gap) <= _ACCEPTED * steepness
+    )
+
+
 def _polished(
     twin: Twin, raw: RawAnswer, at_lower: Flags, at_upper: Flags
 ) -> tuple[Array, Multipliers, Certificate, NDArray[np.int8], bool]:
@@ -225,7 +237,7 @@ def _polished(
     found = polish(twin, raw.unknowns, raw.multipliers, at_lower, at_upper)
     if found is not None:
         certificate = certify(twin, found.alpha, found.multipliers)
-        if certificate.worst <= _ACCEPTED or certificate.worst <= raw.certificate.worst:
+        if _passes(twin, found.alpha, certificate) or certificate.worst <= raw.certificate.worst:
             return found.alpha, found.multipliers, certificate, found.active, True
     near = 1e-9
     active = (twin.movable & (raw.unknowns >= twin.upper - near)).astype(np.int8)

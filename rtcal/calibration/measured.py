@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.measurement import SUMMARY, Measurement, fingerprint
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.types import Array
@@ -20,7 +21,8 @@ class Measured:
 
     ``reverberation_time`` and ``uncertainty`` in s, (n_bands,), NaN where missing or unknown;
     ``parameter`` per band ``"t20"``, ``"t30"`` or ``""``; ``ignored`` the measured bands in Hz that
-    the room lacks; ``fingerprint`` names the data.
+    the room lacks; ``fingerprint`` names the data; ``caution`` is a sentence where T was measured in
+    bands of another width, else empty.
     """
 
     reverberation_time: Array
@@ -28,6 +30,7 @@ class Measured:
     parameter: tuple[str, ...]
     ignored: tuple[float, ...]
     fingerprint: str
+    caution: str
 
 
 def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> Measured:
@@ -49,15 +52,20 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
             for f in measured.centre_frequencies
             if bands.index(room.centre_frequencies, f) is None
         )
-        if not np.isfinite(mean).any():
+        if all(p is None for p in places):
             have = ", ".join(bands.label(f) for f in measured.centre_frequencies)
+            raise DataError(f"the measurement ({have}) and the room have no band in common")
+        if not np.isfinite(mean).any():
+            given = ", ".join(p.upper() for p in measured.values)
             raise DataError(
-                f"the measurement (T20 or T30 at {have}) and the room have no band in common"
+                f"the measurement has {given}, but no T20 and no T30 in any band of the room"
             )
-        return Measured(mean, spread, used, ignored, measured.fingerprint)
+        return Measured(
+            mean, spread, used, ignored, _fingerprint(room, mean), _other_bandwidth(room, measured)
+        )
     try:
         times = np.array(measured, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"measured is not a list of T in s: {error}") from error
     if times.shape != (room.n_bands,):
         raise DataError(f"measured T has shape {times.shape}; the room asks for ({room.n_bands},)")
@@ -72,14 +80,43 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         np.full(times.shape, np.nan),
         tuple("t20" if here else "" for here in np.isfinite(times)),
         (),
-        fingerprint(room.centre_frequencies, ((SUMMARY, SUMMARY),), {"t20": times[np.newaxis]}),
+        _fingerprint(room, times),
+        "",
     )
+
+
+def _fingerprint(room: Room, times: Array) -> str:
+    """A short name of the T that a calibration uses, however they were written down."""
+    digest = hashlib.sha256()
+    for frequency, value in zip(room.centre_frequencies, times, strict=True):
+        if np.isfinite(value):
+            digest.update(f"{frequency:g} Hz {value:.9g} s;".encode())
+    return digest.hexdigest()[:16]
+
+
+def _other_bandwidth(room: Room, measured: Measurement) -> str:
+    """A sentence where T and coefficients share their centres, but are not of the same bands."""
+    if min(room.n_bands, len(measured.centre_frequencies)) < 2:
+        return ""
+    kinds = [
+        "octaves" if bands.bandwidth_factor(f) > 0.5 else "third-octaves"
+        for f in (measured.centre_frequencies, room.centre_frequencies)
+    ]
+    if kinds[0] == kinds[1]:
+        return ""
+    return f"T was measured in {kinds[0]}, the coefficients are in {kinds[1]}: not the same bands"
 
 
 def refuse_twice(room: Room, data: Measured) -> None:
     """Raise DataError if the room was calibrated on exactly these data already."""
-    if room.calibration is not None and room.calibration.measured == data.fingerprint:
+    if room.calibration is not None and data.fingerprint in room.calibration.measured.split():
         raise DataError(
             f'room "{room.name}" was already calibrated on exactly these data; doing so again would '
             "count them twice. Calibrate the room as it was before, or on other data"
         )
+
+
+def history(room: Room, data: Measured) -> str:
+    """Return the fingerprints of all data that a room is calibrated on after this."""
+    before = [] if room.calibration is None else [room.calibration.measured]
+    return " ".join([*before, data.fingerprint])

@@ -18,7 +18,7 @@ from rtcal.calibration.terms import (
     PriorDeviation,
     SoftMatch,
 )
-from rtcal.errors import MissingAirWarning, ModelError
+from rtcal.errors import DataError, MissingAirWarning, ModelError
 
 _RELATIVE = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""
@@ -53,7 +53,7 @@ def preset(method: str, room: Room | None = None) -> Calibration:
     ``lse`` leaves them out as it leaves sigma out. Raises ModelError for an unknown name, and for
     ``robust`` with correlations: it treats every coefficient apart.
     """
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')
     prior = PriorDeviation()
     if room is not None and (room.band_correlation or room.material_correlation):
@@ -152,6 +152,8 @@ def calibrate(
     >>> bool(abs(result.gap_after).max() < 1e-9)
     True
     """
+    if not isinstance(room, (Room, Configurations)):
+        raise DataError(f"room = {room!r} is not a rtcal.Room (Room.from_file reads one)")
     rooms = [room] if isinstance(room, Room) else room.rooms
     airless = [r.name for r in rooms if r.air is None]
     if airless:

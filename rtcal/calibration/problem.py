@@ -97,6 +97,8 @@ class Calibration:
 def _compiled(
     calibration: Calibration, configurations: Configurations, equation: Equation
 ) -> tuple[Assembler, Core]:
+    if not isinstance(equation, Equation) or isinstance(equation, type):
+        raise ModelError(f"equation = {equation!r} is not an equation such as rtcal.Eyring()")
     if not isinstance(equation, LinearEquation):
         raise ModelError(
             f"{equation.name} is not a function of the mean absorption coefficient, so it gives "

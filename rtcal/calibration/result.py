@@ -26,7 +26,7 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.core import RawAnswer, Solution
 from rtcal.calibration.feasibility import Unreachable
 from rtcal.calibration.instance import Instance
-from rtcal.calibration.measured import Measured
+from rtcal.calibration.measured import Measured, history
 from rtcal.types import Array
 
 
@@ -78,7 +78,7 @@ class CalibrationResult:
 
     @property
     def target(self) -> Array:
-        """B in m², (n_bands,), NaN where missing."""
+        """b in m², (n_bands,), NaN where missing."""
         return np.asarray(self._instance.target[self.configuration])
 
     @property
@@ -171,7 +171,7 @@ class CalibrationResult:
 
     @property
     def shift(self) -> Array:
-        """Alpha - mu, (n_materials, n_bands)."""
+        """alpha - mu, (n_materials, n_bands)."""
         return self.alpha - self.prior.alpha
 
     @property
@@ -227,7 +227,7 @@ class CalibrationResult:
         record = CalibrationRecord(
             method=self.method,
             equation=self.equation.name,
-            measured=self.measured_data.fingerprint,
+            measured=history(self.prior, self.measured_data),
             solver=self.solver,
             version=rtcal.__version__,
         )

@@ -116,6 +116,10 @@ def run(
     SolverError
         If it returns no values.
     """
+    if not isinstance(solver, str):
+        raise ModelError(f'solver = {solver!r} is not a name such as "clarabel"')
+    if not isinstance(settings, (Mapping, type(None))):
+        raise ModelError(f"settings = {settings!r} is not a mapping of name to value")
     name = solver.lower()
     chosen = {**SETTINGS.get(name.upper(), {}), **(settings or {})}
     if start is not None and name != "osqp":
@@ -131,7 +135,7 @@ def run(
 
 @functools.cache
 def _installed() -> dict[str, str]:
-    """Cvxpy's installed solvers by capital name; asking costs milliseconds."""
+    """cvxpy's installed solvers by capital name; asking costs milliseconds."""
     return {str(s).upper(): str(s) for s in cp.installed_solvers()}
 
 
@@ -152,10 +156,17 @@ def _cvxpy(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answer:
             problem.solve(solver=known[name], warm_start=False, **settings)
         except cp.SolverError as error:
             raise SolverError(f'solver "{name.lower()}" failed: {error}') from error
+        except (TypeError, ValueError, AttributeError, KeyError) as error:
+            raise _refused(name.lower(), settings, error) from error
     stats = problem.solver_stats
     return _collect(
         compiled, str(problem.status), int(stats.num_iters or 0), float(stats.solve_time or np.nan)
     )
+
+
+def _refused(name: str, settings: Mapping[str, Any], error: Exception) -> ModelError:
+    stated = ", ".join(f"{key}={value!r}" for key, value in settings.items())
+    return ModelError(f'solver "{name}" refuses the settings {stated}: {error}')
 
 
 def _clarabel(compiled: Compiled, settings: dict[str, Any]) -> Answer:
@@ -167,7 +178,10 @@ def _clarabel(compiled: Compiled, settings: dict[str, Any]) -> Answer:
     for key, value in settings.items():
         if not hasattr(chosen, key):
             raise ModelError(f'solver "clarabel" has no setting "{key}"')
-        setattr(chosen, key, value)
+        try:
+            setattr(chosen, key, value)
+        except (TypeError, OverflowError) as error:
+            raise _refused("clarabel", settings, error) from error
     cones = [clarabel.ZeroConeT(qp.n_equal), clarabel.NonnegativeConeT(len(qp.b) - qp.n_equal)]
     quadratic = sp.triu(qp.P, format="csc")
     result = clarabel.DefaultSolver(quadratic, qp.q, qp.A, qp.b, cones, chosen).solve()
@@ -186,7 +200,12 @@ def _osqp(
     low = qp.b.copy()
     low[qp.n_equal :] = -np.inf
     solver = osqp.OSQP()
-    solver.setup(sp.triu(qp.P, format="csc"), qp.q, qp.A, low, qp.b, verbose=False, **settings)
+    try:
+        solver.setup(
+            sp.triu(qp.P, format="csc"), qp.q, qp.A, low, qp.b, **{"verbose": False, **settings}
+        )
+    except Exception as error:  # TypeError, ValueError or osqp's own, by version
+        raise _refused("osqp", settings, error) from error
     if start is not None:
         x, duals = start
         if len(x) != compiled.size or compiled.column != 0:

@@ -30,6 +30,9 @@ def table(result: CalibrationResult) -> str:
         return line(label, [format(v, form) if np.isfinite(v) else "-" for v in values])
 
     parameters = sorted({p.upper() for p in result.measured_data.parameter if p})
+    mixed = []
+    if len(parameters) > 1:
+        mixed = [line("matched", [p.upper() or "-" for p in result.measured_data.parameter])]
     air = "no air stated"
     if room.air is not None:
         air = f"air {room.air.temperature:g} °C, {room.air.humidity:g} %"
@@ -39,6 +42,7 @@ def table(result: CalibrationResult) -> str:
         f"{' and '.join(parameters)} matched, solver {result.solver}",
         "",
         line("", [bands.label(f) for f in room.centre_frequencies]),
+        *mixed,
         numbers("measured T / s", result.measured, ".3f"),
         numbers("  its uncertainty / s", result.measured_uncertainty, ".3f"),
         numbers("T before / s", result.reverberation_time_before, ".3f"),
@@ -84,6 +88,8 @@ def _believe(result: CalibrationResult) -> list[str]:
     else:
         out = [text + f", p = {plausibility.p_value:.2g}: in keeping with what was stated."]
     out += [f"  {u} (nearest end taken)" for u in result.unreachable]
+    if result.measured_data.caution:
+        out.append(f"  {result.measured_data.caution}")
     if result.measured_data.ignored:
         ignored = ", ".join(bands.label(f) for f in result.measured_data.ignored)
         out.append(f"  measured, but no band of the room: {ignored}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,9 +70,20 @@ def reverberation_time(result: CalibrationResult) -> Any:
     axes.set_xlabel(f"Octave or third-octave band centre frequency / Hz{key}")
     axes.set_ylabel("Reverberation time T / s")
     axes.set_ylim(bottom=0)
-    axes.set_title(f"{room.name}: {result.method}, {result.equation.name}")
+    # A name is a name, also with dollars in it.
+    axes.set_title(f"{room.name}: {result.method}, {result.equation.name}", parse_math=False)
     axes.legend()
     return figure
+
+
+def rendered(figure: Any, kind: str) -> bytes:
+    """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file."""
+    stream = io.BytesIO()
+    with warnings.catch_warnings():
+        # A name in a script that the font lacks is shown as boxes; it stops nothing.
+        warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
+        figure.savefig(stream, format=kind, dpi=150)
+    return stream.getvalue()
 
 
 def save(figure: Any, path: str | os.PathLike[str]) -> None:
@@ -79,6 +91,4 @@ def save(figure: Any, path: str | os.PathLike[str]) -> None:
     kind = os.path.splitext(os.fspath(path))[1].lstrip(".").lower()
     if kind not in ("png", "svg", "pdf"):
         raise DataError(f'{path}: a figure ends with .png, .svg or .pdf, not ".{kind}"')
-    stream = io.BytesIO()
-    figure.savefig(stream, format=kind, dpi=150)
-    write_bytes(path, stream.getvalue())
+    write_bytes(path, rendered(figure, kind))

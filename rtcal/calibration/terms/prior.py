@@ -46,7 +46,7 @@ class PriorDeviation(Sums):
     Parameters
     ----------
     sigma : float, optional
-        One standard deviation for every coefficient in place of the room's, above 0.
+        One standard deviation for every coefficient in place of the room's (but 0 stays 0), above 0.
     band_correlation : float, matrix (n_bands, n_bands), or a mapping of material to either
         A number r below 1 is the correlation of two bands an octave apart: r ** octaves. Materials
         that a mapping lacks are uncorrelated.

@@ -1,0 +1,125 @@
+"""Materials and surfaces, what a room is put together from; and checks of what is put in."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material and what is known of it.
+
+    Parameters
+    ----------
+    name : str
+    alpha : sequence (n_bands,)
+        Random-incidence absorption coefficients, 0 to 1.
+    sigma : sequence (n_bands,)
+        Standard deviation of each coefficient, 0 or more; 0 is known exactly.
+    alpha_min : float or sequence (n_bands,)
+        The least coefficient that calibration may give it.
+    scattering : sequence (n_bands,), optional
+        Random-incidence scattering coefficients, 0 to 1 (simulators read them; equations do not).
+    source : str
+        Where the coefficients come from.
+    """
+
+    name: str
+    alpha: Sequence[float]
+    sigma: Sequence[float]
+    alpha_min: float | Sequence[float] = 0.0
+    scattering: Sequence[float] | None = None
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One surface of a room: its material, its area in m² and the axis it stands across.
+
+    ``axis`` is ``"x"``, ``"y"`` or ``"z"``: the direction of its normal. Only equations that treat
+    the axes apart (Fitzroy, Arau-Puchades) need it.
+    """
+
+    name: str
+    material: str
+    area: float
+    axis: str | None = None
+
+    def __post_init__(self) -> None:
+        text_name("surface name", self.name)
+        text_name("surface material", self.material)
+        object.__setattr__(self, "area", number(f'surface["{self.name}"].area', self.area, " m²"))
+        if self.axis is not None and self.axis not in AXES:
+            raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
+
+
+@dataclass(frozen=True)
+class CalibrationRecord:
+    """What a calibrated room says of its calibration.
+
+    ``measured`` names the T, band by band, that the coefficients were calibrated to (one name after
+    the other where it was done repeatedly): calibrating again on the same would count them twice and
+    is refused.
+    """
+
+    method: str
+    equation: str
+    measured: str
+    solver: str = ""
+    version: str = ""
+
+
+def frozen(array: Array) -> Array:
+    """Return a copy that cannot be written to."""
+    array = array.copy()
+    array.setflags(write=False)
+    return array
+
+
+def text_name(place: str, value: object) -> str:
+    """Names are printed and written to files: text without control characters."""
+    if not isinstance(value, str):
+        raise DataError(f"{place} has {value!r}, which is not a text")
+    if any(unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") for c in value):
+        raise DataError(f"{place} has {value!r}; a name has no control characters")
+    return value
+
+
+def number(name: str, value: object, unit: str) -> float:
+    """Return a finite number above 0, or raise DataError naming it."""
+    try:
+        found = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError) as error:
+        raise DataError(f"{name} = {str(value)[:40]!r} is not a number") from error
+    if not (np.isfinite(found) and found > 0):
+        raise DataError(f"{name} = {found:g}{unit} is not finite and above 0")
+    return found
+
+
+def array_of(name: str, value: object) -> Array:
+    """Return an array of numbers, or raise DataError naming it."""
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise DataError(f"{name} is not an array of numbers: {error}") from error
+
+
+def rows_of(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) -> Array:
+    """Return one row a material, (n_materials, n_bands), or raise DataError naming the material."""
+    for material, row in rows:
+        if np.ndim(row) != 1:
+            raise DataError(f'{name}["{material}"] is not a list of one number a band')
+        if len(row) != n_bands:
+            raise DataError(
+                f'{name}["{material}"] has {len(row)} values; the room has {n_bands} bands'
+            )
+    return array_of(name, [list(row) for _, row in rows])
