@@ -154,24 +154,38 @@ def test_the_direct_sound_of_both_is_the_inverse_square_law():
 @pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "scattering", "seconds", "n_rays"),
-    [("lecture_hall", 1.0, 1.6, 40000), ("lecture_hall", 0.3, 1.6, 40000),
-     ("corridor", 0.0, 3.0, 40000), ("corridor", 0.1, 2.5, 60000)],
-)  # fmt: skip
+    [
+        ("lecture_hall", 1.0, 1.6, 16000),
+        ("lecture_hall", 0.3, 1.6, 40000),
+        ("corridor", 1.0, 2.5, 20000),
+        ("corridor", 0.1, 2.5, 60000),
+    ],
+)
 def test_both_engines_agree_where_they_mean_the_same(name, scattering, seconds, n_rays):
+    # 3 %, and one standard error of the difference for the noise that is left (.4 to 2 %).
     hall = getattr(halls, name)()
     points = {
         "sources": {"S1": hall.sources["S1"]},
         "receivers": {**hall.receivers, **hall.held_out},
     }
     common = {"geometry": hall.geometry, "room": hall.room, "scattering": scattering, **points}
-    ours = PathTracing(**common, n_paths=4 * n_rays, meaning="vector")
-    theirs = RayTracing(**common, n_rays=n_rays, n_batches=16)
-    alpha = np.full_like(hall.room.alpha, 0.2)
-    times = [
-        decay_time(tracer.energy(alpha, seconds, seed=3).mean(axis=0), 0.002).mean(axis=(0, 1))
-        for tracer in (ours, theirs)
-    ]
-    assert times[1] == pytest.approx(times[0], rel=0.03)
+    times, errors = [], []
+    for tracer in (
+        PathTracing(**common, n_paths=4 * n_rays, meaning="vector"),
+        RayTracing(**common, n_rays=n_rays, n_batches=16),
+    ):
+        energy = tracer.energy(hall.room.alpha, seconds, seed=3)
+        times.append(mean_t20(energy.mean(axis=0)))
+        errors.append(energies.jackknife(mean_t20, energy) / times[-1])
+    deviation = times[1] / times[0] - 1
+    noise = np.hypot(*errors)
+    print(name, scattering, "deviation", deviation.round(3), "noise", noise.round(3))
+    assert noise.max() < 0.03
+    assert (np.abs(deviation) < 0.03 + noise).all()
+
+
+def mean_t20(energy):
+    return decay_time(energy, 0.002).mean(axis=(0, 1))
 
 
 @pytest.mark.parametrize("make", [path_tracer, ray_tracer])

@@ -1,0 +1,227 @@
+"""Ways to calibrate a simulator, compared: `python benchmarks/comparators.py`.
+
+One simulator with a call counter (path tracing of the invented lecture hall at 1 kHz, nine
+materials, four receivers, one seed: deterministic), one search box (prior ± 3 sigma within .01 to
+.99), two tasks: (T) mean T20 within one JND; (P) T20, EDT and C80 within one JND at every position.
+The truth is drawn from the prior, again where the prior is within two JND of its T20; "measured" is
+the same simulator with it, so that every task can be met. Runs start from the prior (seeded) or from
+a random point of the box.
+
+Printed: simulations to the goal, median (worst; - where the budget ended first), and the mean
+absolute error of alpha at the goal, or of the best when the budget ended. Christensen et al. used a
+genetic algorithm, Pilch gradient and evolutionary methods, Martellotta et al. and Postma & Katz
+changed the largest areas by hand; pymoo's genetic algorithm runs where pymoo is installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import optimize
+
+import rtcal as rt
+from rtcal.acoustics.decay import clarity, decay_time
+from rtcal.datasets import halls
+from rtcal.simulators.path_tracing import PathTracing
+
+BAND = 3  # 1 kHz
+JND = np.array([0.05, 0.05, 1.0])  # T20, EDT relative; C80 in dB
+
+
+class BudgetSpent(Exception):
+    """The simulations allowed are used up, or the goal is met."""
+
+
+@dataclass
+class Counter:
+    """The simulator, counting: what every method calls, and nothing else."""
+
+    tracer: PathTracing
+    truth: np.ndarray
+    task: str
+    budget: int
+    calls: int = 0
+    best: tuple[float, np.ndarray] = (np.inf, np.zeros(0))
+    met: int | None = None
+    target: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.target = self.observe(self.truth)
+
+    def observe(self, alpha: np.ndarray) -> np.ndarray:
+        """T20, EDT and C80 by receiver, (3, n_receivers)."""
+        energy = self.tracer.energy(alpha[:, np.newaxis], 3.0).mean(axis=0)[0, :, 0]
+        dt = self.tracer.bin_width
+        return np.stack(
+            [decay_time(energy, dt), decay_time(energy, dt, "edt"), clarity(energy, dt, 0.08)]
+        )
+
+    def times(self, alpha: np.ndarray) -> float:
+        """Mean T20 in s; counts."""
+        return float(self.simulate(alpha)[0].mean())
+
+    def simulate(self, alpha: np.ndarray) -> np.ndarray:
+        if self.calls >= self.budget or self.met is not None:
+            raise BudgetSpent
+        self.calls += 1
+        found = self.observe(alpha)
+        loss = float(np.abs(self.gaps(found)).max())
+        if loss < self.best[0]:
+            self.best = (loss, np.array(alpha))
+        if loss <= 1:
+            self.met = self.calls
+        return found
+
+    def gaps(self, found: np.ndarray) -> np.ndarray:
+        """What the task asks to be small, in JND; a decay without T20 counts as 100."""
+        if self.task == "T":
+            gap = (found[0].mean() / self.target[0].mean() - 1) / JND[0]
+        else:
+            relative = (found[:2] / self.target[:2] - 1) / JND[:2, np.newaxis]
+            gap = np.concatenate([relative.ravel(), (found[2] - self.target[2]) / JND[2]])
+        return np.nan_to_num(np.atleast_1d(gap), nan=100.0)
+
+    def residuals(self, alpha: np.ndarray) -> np.ndarray:
+        return self.gaps(self.simulate(alpha))
+
+    def loss(self, alpha: np.ndarray) -> float:
+        return float(np.sum(self.residuals(alpha) ** 2))
+
+
+Method = Callable[[Counter, rt.Room, np.ndarray, np.ndarray, np.ndarray, np.random.Generator], None]
+
+
+def closed_form_secant(
+    counter: Counter, room: rt.Room, start: np.ndarray, lo: np.ndarray, hi: np.ndarray, rng: object
+) -> None:
+    """The paper: calibrate Eyring's equation, move its target rate until the simulator agrees."""
+    wanted = 1 / counter.target[0].mean()
+    room = room.replace(alpha=start[:, np.newaxis], alpha_min=lo[:, np.newaxis])
+    targets, rates = [wanted], []
+    while True:
+        result = rt.calibrate(room, np.array([1 / targets[-1]]), unreachable="nearest")
+        rates.append(1 / counter.times(result.alpha[:, 0]))
+        step = wanted - rates[-1]
+        if len(rates) > 1 and rates[-1] != rates[-2]:
+            step *= (targets[-1] - targets[-2]) / (rates[-1] - rates[-2])
+        targets.append(float(np.clip(targets[-1] + step, targets[-1] / 2, 2 * targets[-1])))
+
+
+def largest_area_first(
+    counter: Counter, room: rt.Room, start: np.ndarray, lo: np.ndarray, hi: np.ndarray, rng: object
+) -> None:
+    """By hand: change the largest area by what Eyring asks for, by 25 % at most, then the next."""
+    alpha, order = start.copy(), np.argsort(-room.areas)
+    for turn in range(counter.budget):
+        t = counter.times(alpha)
+        equation = rt.Eyring()
+        own = equation.time(room, np.array([room.areas @ alpha]))
+        needed = equation.target(room, own * counter.target[0].mean() / t)[0] - room.areas @ alpha
+        k = order[turn % len(order)]
+        change = np.clip(needed / room.areas[k], -0.25 * alpha[k], 0.25 * alpha[k])
+        alpha[k] = np.clip(alpha[k] + change, lo[k], hi[k])
+
+
+def least_squares(counter, room, start, lo, hi, rng) -> None:  # type: ignore[no-untyped-def]
+    # Steps of .02: smaller ones would differentiate the bins of the histogram.
+    optimize.least_squares(
+        counter.residuals, start, bounds=(lo, hi), diff_step=0.02, x_scale=hi - lo
+    )
+
+
+def differential_evolution(counter, room, start, lo, hi, rng) -> None:  # type: ignore[no-untyped-def]
+    optimize.differential_evolution(
+        counter.loss, list(zip(lo, hi, strict=True)), popsize=3, rng=rng, x0=start, polish=False,
+        maxiter=counter.budget,
+    )  # fmt: skip
+
+
+def genetic(counter, room, start, lo, hi, rng) -> None:  # type: ignore[no-untyped-def]
+    from pymoo.algorithms.soo.nonconvex.ga import GA
+    from pymoo.core.problem import ElementwiseProblem
+    from pymoo.optimize import minimize
+
+    class Task(ElementwiseProblem):
+        def __init__(self) -> None:
+            super().__init__(n_var=len(lo), n_obj=1, xl=lo, xu=hi)
+
+        def _evaluate(self, x, out, *args, **kwargs) -> None:  # type: ignore[no-untyped-def]
+            out["F"] = counter.loss(x)
+
+    first = np.vstack([start, rng.uniform(lo, hi, (29, len(lo)))])
+    minimize(
+        Task(), GA(pop_size=30, sampling=first), ("n_gen", 1000), seed=int(rng.integers(2**31))
+    )
+
+
+METHODS: dict[str, Method] = {
+    "closed form + secant": closed_form_secant,
+    "largest area first": largest_area_first,
+    "least squares": least_squares,
+    "differential evolution": differential_evolution,
+    "genetic algorithm": genetic,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--trials", type=int, default=6)
+    parser.add_argument("--budget", type=int, default=300)
+    parser.add_argument("--paths", type=int, default=4000)
+    arguments = parser.parse_args()
+    hall = halls.lecture_hall()
+    room = hall.room.replace(
+        alpha=hall.room.alpha[:, BAND : BAND + 1], sigma=hall.room.sigma[:, BAND : BAND + 1],
+        scattering=hall.room.scattering[:, BAND : BAND + 1],
+        centre_frequencies=hall.room.centre_frequencies[BAND : BAND + 1],
+    )  # fmt: skip
+    tracer = PathTracing(
+        geometry=hall.geometry, room=room, sources={"S1": hall.sources["S1"]},
+        receivers=hall.receivers, n_paths=arguments.paths,
+    )  # fmt: skip
+    mu, sigma = room.alpha[:, 0], room.sigma[:, 0]
+    lo, hi = np.clip(mu - 3 * sigma, 0.01, 0.99), np.clip(mu + 3 * sigma, 0.01, 0.99)
+    prior_t = Counter(tracer, mu, "T", 0).target[0].mean()
+
+    def draw(rng: np.random.Generator) -> np.ndarray:
+        while True:
+            truth = np.clip(mu + sigma * rng.standard_normal(len(mu)), lo, hi)
+            t = Counter(tracer, truth, "T", 0).target[0].mean()
+            if abs(prior_t / t - 1) > 2 * JND[0]:
+                return truth
+
+    prior_error = []
+    print(f"{arguments.trials} trials, at most {arguments.budget} simulations each")
+    print(f"{'method':24}{'task':5}{'start':8}{'simulations to the goal':26}{'mean |alpha error|'}")
+    for task in ("T", "P"):
+        for label, method in METHODS.items():
+            for start in ("prior", "random"):
+                needed, errors = [], []
+                for trial in range(arguments.trials):
+                    rng = np.random.default_rng([1, trial])
+                    truth = draw(rng)
+                    prior_error.append(np.abs(truth - mu).mean())
+                    counter = Counter(tracer, truth, task, arguments.budget)
+                    x0 = mu if start == "prior" else rng.uniform(lo, hi)
+                    try:
+                        method(counter, room, np.clip(x0, lo, hi), lo, hi, rng)
+                    except BudgetSpent:
+                        pass
+                    except ImportError as error:
+                        print(f"{label:24}{task:5}{start:8}left out: {error}")
+                        break
+                    needed.append(counter.met or np.inf)
+                    errors.append(np.abs(counter.best[1] - truth).mean())
+                if not needed:
+                    continue
+                middle, worst = np.median(needed), max(needed)
+                shown = f"{middle:.0f} ({worst:.0f})".replace("inf", "-")
+                print(f"{label:24}{task:5}{start:8}{shown:26}{np.mean(errors):.4f}", flush=True)
+    print(f"{'(the prior itself)':24}{'':39}{np.mean(prior_error):.4f}")
+
+
+if __name__ == "__main__":
+    main()
