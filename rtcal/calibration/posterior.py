@@ -251,11 +251,17 @@ def miss(result: JointResult) -> tuple[Array, Array]:
 
     b - S'mu in m², (n_configurations * n_bands,), NaN where nothing was matched; and S'KS + U, K the
     prior's covariance with the room's own sigma and the stated correlations, U that of b (0 where
-    unknown). An effect counts with its own prior.
+    unknown). An effect counts with its own prior. An unreachable band counts with the b that its T
+    asks for, not with the end that was taken (but with the end where no b has that T).
     """
     instance = result.solution.twin.instance
     *_, covariance = _known(result)
-    return instance.target.ravel() - match_matrix(instance) @ instance.mu, covariance
+    target = instance.target.copy()
+    for beyond in result.solution.unreachable:
+        band = instance.layout.centre_frequencies.index(beyond.frequency)
+        if np.isfinite(beyond.target):
+            target[beyond.configuration, band] = beyond.target
+    return target.ravel() - match_matrix(instance) @ instance.mu, covariance
 
 
 def _known(result: JointResult) -> tuple[Array, Array, Array]:

@@ -190,7 +190,7 @@ class CalibrationResult:
             self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
         )
         further = self._instance.further(self.joint.solution.active.astype(float))
-        at_bound = bool(self.active.any() or further.any())
+        at_bound = bool(self.active[:, self.matched].any() or further.any())
         return plausibility(found[own], covariance[own, own], at_bound)
 
     @cached_property

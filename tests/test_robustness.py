@@ -1,0 +1,272 @@
+"""Ways in which an outsider broke an earlier version; each stays mended."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
+from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
+
+AIR = rt.Air()
+
+
+def room(**changes) -> rt.Room:
+    values = {
+        "name": "x", "volume": 200, "materials": ["a", "b"], "areas": [100, 120],
+        "alpha": [[0.1, 0.2], [0.3, 0.2]], "sigma": [[0.1, 0.1], [0.1, 0.1]],
+        "centre_frequencies": [500, 1000], "air": AIR,
+    }  # fmt: skip
+    return rt.Room(**{**values, **changes})
+
+
+def test_z_is_of_what_t_asks_not_of_the_nearest_end() -> None:
+    known = room(sigma=[[0.01, 0.01], [0.01, 0.01]], alpha_min=[[0.09, 0.19], [0.29, 0.19]])
+    result = rt.calibrate(known, [5.0, 0.75], unreachable="nearest")
+    asked = rt.Eyring().target(known, np.array([5.0, 0.75]))
+    spread = np.sqrt(known.areas**2 @ known.sigma**2)
+    expected = (asked - known.absorption_area) / spread
+    np.testing.assert_allclose(result.plausibility.z, expected, rtol=1e-9)
+    assert result.plausibility.z[0] < -10
+    assert {"unreachable", "implausible"} <= {m.kind for m in result.trust_marks}
+
+
+def test_a_stated_uncertainty_counts_band_by_band() -> None:
+    measured = rt.Measurement(
+        centre_frequencies=[500, 1000], pairs=[("S", "R")], values={"t20": [[0.8, 0.75]]},
+        uncertainty={"t20": [[0.3, np.nan]]},
+    )  # fmt: skip
+    found = measured.decay_time().uncertainty
+    assert found[0] == 0.3
+    assert 0 < found[1] < 0.1
+
+
+def test_areas_and_surfaces_cannot_part() -> None:
+    walls = [rt.Surface("s", "a", 100.0), rt.Surface("t", "b", 120.0)]
+    known = room(surfaces=walls)
+    with pytest.raises(DataError, match=r'areas\["a"\] = 200 m², but its surfaces sum to 100 m²'):
+        known.replace(areas=known.areas * 2)
+    assert known.replace(areas=known.areas * 2, surfaces=()).areas[0] == 200
+
+
+def test_lse_leaves_alone_what_is_known_exactly() -> None:
+    known = room(sigma=[[0, 0], [0.1, 0.1]])
+    result = rt.calibrate(known, [0.8, 0.9], method="lse")
+    np.testing.assert_array_equal(result.alpha[0], known.alpha[0])
+    assert np.abs(result.gap_after).max() < 1e-9
+    np.testing.assert_array_equal(result.posterior_sigma[0], 0)
+
+
+def test_a_prior_below_its_own_floor_is_refused() -> None:
+    with pytest.raises(DataError, match=r'alpha\["a", 1000 Hz\] = 0.05 is below its own alpha_min'):
+        room(alpha=[[0.1, 0.05], [0.3, 0.2]], alpha_min=[[0.1, 0.1], [0.1, 0.1]])
+
+
+@pytest.mark.parametrize("t", [0.0047, 0.001, 1e-6])
+def test_a_t_too_short_to_be_told_is_unreachable(t: float) -> None:
+    with pytest.raises(InfeasibleError, match=r"T\[500 Hz\] = .* s is beyond reach"):
+        rt.calibrate(room(air=None), [t, 0.7])
+    result = rt.calibrate(room(air=None), [t, 0.7], unreachable="nearest")
+    assert len(result.unreachable) == 1
+    assert result.reverberation_time_after[0] == pytest.approx(result.unreachable[0].shortest)
+    assert 0 < result.unreachable[0].shortest < 0.01
+
+
+def test_the_same_t_is_not_counted_twice_however_it_is_written() -> None:
+    pairs = [("S1", "R1"), ("S1", "R2")]
+    values = np.array([[0.8, 0.7], [0.9, 0.75]])
+    first = rt.Measurement(centre_frequencies=[500, 1000], pairs=pairs, values={"t20": values})
+    once = rt.calibrate(room(), first).room
+    again = [
+        rt.Measurement(
+            centre_frequencies=[500, 1000], pairs=pairs[::-1], values={"t20": values[::-1]}
+        ),
+        rt.Measurement(
+            centre_frequencies=[500, 1000, 2000], pairs=[("X", "1"), ("X", "2")],
+            values={"t20": np.column_stack([values, [1, 1]]), "c80": np.ones((2, 3))},
+        ),
+        values.mean(axis=0),
+    ]  # fmt: skip
+    for data in again:
+        with pytest.raises(DataError, match="already calibrated on exactly these data"):
+            rt.calibrate(once, data)
+    twice = rt.calibrate(once, [0.7, 0.65]).room
+    with pytest.raises(DataError, match="already calibrated on exactly these data"):
+        rt.calibrate(twice, first)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"standard_deviation": {"t20": [0.1, 0.1]}}, "needs the numbers of sources and receivers"),
+        ({"n_sources": 0, "n_receivers": 1}, "sources = 0 is not a whole number above 0"),
+        ({"pairs": [("S", "R")], "n_sources": 2}, "belong to a summary"),
+        ({"pairs": [("S", "R", "x")]}, r"a pair is \(source, receiver\)"),
+        ({"pairs": [("#S", "R")]}, "# begins a note"),
+        ({"pairs": [("S\n", "R")]}, "a name has no control characters"),
+        ({"values": {"t20": [["a", "b"]]}}, r"values\[t20\]"),
+        ({"values": [1]}, "not a mapping"),
+        ({"uncertainty": {"c80": [[1, 1]]}}, r"uncertainty\[c80\] has no values beside it"),
+    ],
+)
+def test_measurement(changes: dict, message: str) -> None:
+    values = {"centre_frequencies": [500, 1000], "values": {"t20": [[0.8, 0.7]]}}
+    with pytest.raises(DataError, match=message):
+        rt.Measurement(**{**values, **changes})
+
+
+def test_third_octave_t_on_octave_coefficients_is_said() -> None:
+    thirds = rt.Measurement.from_values([400, 500, 630, 800, 1000, 1250], t20=[0.8] * 6)
+    page = str(rt.calibrate(room(), thirds))
+    assert "T was measured in third-octaves, the coefficients are in octaves" in page
+    octaves = rt.Measurement.from_values([250, 500, 1000], t20=[0.8] * 3)
+    assert "not the same bands" not in str(rt.calibrate(room(), octaves))
+
+
+def test_t20_and_t30_in_one_measurement_are_told_apart() -> None:
+    mixed = rt.Measurement.from_values([500, 1000], t20=[0.8, np.nan], t30=[0.8, 0.75])
+    line = next(x for x in str(rt.calibrate(room(), mixed)).splitlines() if x.startswith("matched"))
+    assert line.split()[1:] == ["T20", "T30"]
+
+
+BAD_CALLS = [
+    (lambda: rt.calibrate("room.toml", "t.csv"), "is not a rtcal.Room"),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], equation="sabine"), "is not an equation such as"),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], equation=rt.Sabine), "is not an equation such as"),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], solver=None), "solver = None is not a name"),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], settings="x"), "is not a mapping"),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], warm_start="x"), "warm_start = 'x' is not"),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], unreachable="x"), 'unreachable = "x" is not'),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], settings={"nonsense": 1}), 'no setting "nonsense"'),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], settings={"max_iter": "x"}), "refuses the settings"),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], solver="osqp", settings={"nonsense": 1}), "refuses"),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], solver="scs", settings={"nonsense": 1}), "refuses"),
+    (lambda: room(alpha=None), "alpha is missing"),
+    (lambda: room(materials=None), "materials is missing"),
+    (lambda: room(surfaces=["x"]), "no rtcal.Surface"),
+    (lambda: room(air="x"), "air = 'x' is not a rtcal Air"),
+    (lambda: room(calibration="x"), "calibration = 'x' is not"),
+    (lambda: room(name=None), "name has None, which is not a text"),
+    (lambda: room(materials=["a", "b\x1b[31m"]), "a name has no control characters"),
+    (lambda: room(centre_frequencies=[500, 501]), "501 Hz after 500 Hz"),
+    (lambda: room().replace(foo=1), "cannot be changed so"),
+    (lambda: rt.Surface("s", "a", "x"), "is not a number"),
+    (lambda: rt.Surface("s", "a", float("nan")), "nan m² is not finite and above 0"),
+    (lambda: rt.Room.from_file(None), "not a path"),
+    (lambda: rt.Room.from_file("a\0b"), "not a path"),
+    (lambda: room().save("/nowhere/at/all.toml"), "cannot be written"),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), BAD_CALLS, ids=[m for _, m in BAD_CALLS])
+def test_misuse_raises_typed_errors(call, message: str) -> None:
+    with pytest.raises(RtcalError, match=message):
+        call()
+
+
+def test_from_surfaces_refuses_what_it_cannot_use() -> None:
+    wall = rt.Material("wall", [0.1], [0.1])
+
+    def build(*materials: rt.Material) -> rt.Room:
+        return rt.Room.from_surfaces(
+            name="r", volume=100, centre_frequencies=[500], materials=materials,
+            surfaces=[rt.Surface("s", "wall", 10)],
+        )  # fmt: skip
+
+    assert build(wall).areas.tolist() == [10]
+    with pytest.raises(DataError, match='material "wall" is given twice'):
+        build(wall, rt.Material("wall", [0.2], [0.1]))
+    with pytest.raises(DataError, match=r'sigma\["wall"\] is not a list'):
+        build(rt.Material("wall", [0.1], 0.1))
+    with pytest.raises(DataError, match="alpha_min"):
+        build(rt.Material("wall", [0.1], [0.1], alpha_min=[0, 0]))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("volume = 100", "volume = 1" + "0" * 400, "is not a number"),
+        ("volume = 100", "volume = " + "9" * 5000, "not valid TOML"),
+        ("volume = 100", "volume = " + "[" * 5000, "not valid TOML"),
+        ("area = 80", "area = 1" + "0" * 400, "is not a number"),
+        ("sigma = 0.05", "sigma = 1" + "0" * 400, "too large a number"),
+        ('name = "r"', 'name = "r"\ndimensions = 5', "dimensions = 5 is not a list"),
+        ('name = "r"', 'name = "r"\ndimensions = ["1", "2", "3"]', "which is not a number"),
+        ('name = "r"', "name = [1, 2]", "is of the wrong kind"),
+        ("[air]", '[calibration]\nmethod = "mle"\n[air]', "[calibration] lacks equation"),
+        ("[air]", "[calibration]\n[air]", "[calibration] lacks method"),
+        ("[500, 1000]", '["500", 1000]', "which is not a number"),
+        ("[500, 1000]", "[true, 1000]", "which is not a number"),
+    ],
+)
+def test_room_files(run, old: str, new: str, message: str) -> None:  # noqa: F811
+    done = run(ROOM.replace(old, new, 1), TIMES)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("band,value", "band,value,value", 'column "value" is given twice'),
+        ("S1,R1,T20,1000,0.8", 'S1,"R1,T20,1000,0.8', "not a line of comma-separated values"),
+        ("0.8", "1_0.8", '"1_0.8" is not a number'),
+        ("0.8", "٠.٨", "is not a number"),
+        ("S1,R1,T20,1000", "S\0,R1,T20,1000", "a name has no control characters"),
+        ("0.8", "0" * 200_000, "not a line of comma-separated values"),
+    ],
+)
+def test_measurement_files(run, old: str, new: str, message: str) -> None:  # noqa: F811
+    done = run(ROOM, TIMES.replace(old, new, 1))
+    assert done.returncode == 2, done.stdout
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_names_are_only_names(run, tmp_path) -> None:  # noqa: F811
+    """Dollars are no formula, a CJK name stops nothing, and both come back from the file."""
+    for name in ("$\\\\frac$", "a $x_{$ b", "講堂", 'quo"te'):
+        shown = name.replace('"', '\\"')
+        done = run(ROOM.replace('name = "r"', f'name = "{shown}"'), TIMES, "--out", "made")
+        assert done.returncode == 0, done.stderr
+        assert done.stderr == ""
+        read = rt.Room.from_file(tmp_path / "made" / "room.toml")
+        assert read.name == name.replace("\\\\", "\\")
+
+
+def test_output_is_all_or_none(run, tmp_path) -> None:  # noqa: F811
+    (tmp_path / "made" / "result.json").mkdir(parents=True)
+    done = run(ROOM, TIMES, "--out", "made")
+    assert done.returncode == 2
+    assert "result.json: cannot be written: Is a directory" in done.stderr
+    assert [p.name for p in (tmp_path / "made").iterdir()] == ["result.json"]
+
+
+def test_usage_errors_are_one_line(run) -> None:  # noqa: F811
+    done = run(ROOM, TIMES, "--equation", "nonsense")
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_tiny_sigmas_pass_the_certificate() -> None:
+    for scale in (1e-9, 1e-12):
+        known = room(sigma=np.full((2, 2), scale))
+        result = rt.calibrate(known, [0.8, 0.75])
+        assert np.abs(result.gap_after).max() < 1e-6
+        oracle = rt.closed_form.maximum_likelihood(
+            known.alpha, known.sigma, known.areas, result.target
+        )
+        np.testing.assert_allclose(result.alpha, oracle, atol=1e-9)
+
+
+def test_a_bound_in_a_band_without_t_does_not_withhold_the_p_value() -> None:
+    known = room(alpha=[[0.1, 0.0], [0.3, 0.0]])
+    result = rt.calibrate(known, [0.8, np.nan])
+    assert result.plausibility.p_value is not None
+
+
+def test_a_model_error_is_no_data_error() -> None:
+    assert not issubclass(ModelError, ValueError)
+    assert issubclass(DataError, ValueError)
