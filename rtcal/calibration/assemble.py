@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -49,8 +50,7 @@ class Assembler:
                 raise DataError(f"weights[{term!r}] = {weight:g} is not finite and 0 or more")
             chosen[self.objective.terms.index(term)] = float(weight)
         prior = chosen[self.prior]
-        own = [w for w, t in zip(chosen, self.objective.terms, strict=True)
-               if isinstance(t, FurtherUnknown)]  # fmt: skip
+        own = [chosen[self.objective.terms.index(t)] for t in self._further]
         if prior == 0 or 0 in own:
             raise DataError("a prior has weight 0; the answer would not be unique")
         return tuple(w / prior for w in chosen)
@@ -71,11 +71,12 @@ class Assembler:
         upper = np.ones(shape)
         for box in self.boxes:
             lower, upper = box.box(room, lower, upper)
-        self._check_shared(room)
+        if self._shares:
+            self._check_shared(room)
         lower, upper = self._tightest(lower, np.maximum), self._tightest(upper, np.minimum)
         alpha, sigma = room.alpha[self.layout.first], np.asarray(sigma)[self.layout.first]
         self._check_box(alpha, sigma, lower, upper)
-        further = [t for t in self.objective.terms if isinstance(t, FurtherUnknown)]
+        further = self._further
         c, k = len(data), shape[1]
         gains = np.zeros((c, k, len(further)))
         for p, term in enumerate(further):
@@ -108,9 +109,8 @@ class Assembler:
                 np.where(lower == upper, lower, alpha), [max(t.mean, 0.0) for t in further]
             ),
         )
-        for soft in self.objective.terms:
-            if isinstance(soft, SoftMatch):
-                instance = replace(instance, target_uncertainty=soft.uncertainty(instance))
+        for soft in self._soft:
+            instance = replace(instance, target_uncertainty=soft.uncertainty(instance))
         return instance
 
     def target(self, rooms: Sequence[Room], times: Array) -> Array:
@@ -119,13 +119,29 @@ class Assembler:
             self.equation.target(room, t) for room, t in zip(rooms, times, strict=True)
         ])  # fmt: skip
 
+    @cached_property
+    def _further(self) -> list[FurtherUnknown]:
+        return [t for t in self.objective.terms if isinstance(t, FurtherUnknown)]
+
+    @cached_property
+    def _soft(self) -> list[SoftMatch]:
+        return [t for t in self.objective.terms if isinstance(t, SoftMatch)]
+
+    @cached_property
+    def _shares(self) -> bool:
+        return self.layout.n_rows < len(self.layout.materials)
+
     def _tightest(self, values: Array, narrower: np.ufunc) -> Array:
+        if not self._shares:
+            return values
         out = values[self.layout.first].copy()
         for material, row in enumerate(self.layout.rows):
             out[row] = narrower(out[row], values[material])
         return out
 
     def _summed(self, areas: Array) -> Array:
+        if not self._shares:
+            return areas
         out = np.zeros((len(areas), self.layout.n_rows))
         for material, row in enumerate(self.layout.rows):
             out[:, row] += areas[:, material]

@@ -89,6 +89,7 @@ class Core:
     def __init__(self, layout: Layout, objective: Objective, rows: Sequence[RowConstraint]) -> None:
         self.objective = objective
         self.rows = tuple(rows)
+        self._matches = [row for row in self.rows if isinstance(row, Matching)]
         self._context = context = Context(layout)
         expressions = [t.expression(context, i) for i, t in enumerate(objective.terms)]
         row_constraints: list[Any] = []
@@ -183,7 +184,7 @@ class Core:
         equation: LinearEquation,
         unreachable: str,
     ) -> tuple[Instance, Flags, Flags, tuple[feasibility.Unreachable, ...]]:
-        matches = [row.wanted(instance) for row in self.rows if isinstance(row, Matching)]
+        matches = [row.wanted(instance) for row in self._matches]
         if not matches:
             lost = np.isfinite(instance.time) & ~np.isfinite(instance.target)
             if lost.any():
