@@ -22,9 +22,9 @@ from rtcal.errors import DataError, MissingAirWarning, ModelError
 
 _RELATIVE = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""
-_SMOOTHING = 0.1
-"""Weight of the smoothness: small enough to cost under 2 % where the truth is uncorrelated over
-bands (`python -m rtcal.studies.smoothing`)."""
+_SMOOTHING = 0.3
+"""Weight of the smoothness: small enough to cost under 1 % where the truth is uncorrelated over
+bands (notebooks/studies/smoothing.py)."""
 
 METHODS: dict[str, Callable[[PriorDeviation], Calibration]] = {
     "mle": lambda prior: Calibration(prior, [ExactMatch()]),
