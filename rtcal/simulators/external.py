@@ -1,0 +1,157 @@
+"""Any program as a simulator: a Python callable, or a command that exchanges files."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError, SimulatorError
+from rtcal.simulators.base import check_alpha
+from rtcal.types import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class External:
+    """Calls a function that knows how to run another program.
+
+    Parameters
+    ----------
+    room : Room
+        Whose materials and bands the rows and columns of alpha are.
+    run : callable
+        Alpha (n_materials, n_bands) and a seed in; out comes a `Measurement` in the room's bands,
+        or T20 in s, (n_bands,).
+    name : str
+        Calibrated coefficients belong to the program of this name.
+    deterministic : bool
+        Whether the seed changes nothing.
+    time_limit : float, optional
+        s; beyond it `SimulatorError`. Python cannot end the function: a thread stays behind until
+        it returns. A `command` is ended.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> room = Room(name="box", volume=120, materials=["all"], areas=[158], alpha=[[0.2]],
+    ...             sigma=[[0.1]], centre_frequencies=[1000])
+    >>> program = External(room=room, run=lambda alpha, seed: 0.11 / alpha[0], name="reverb 3000")
+    >>> print(program.simulate(room.alpha).values["t20"])
+    [[0.55]]
+    """
+
+    room: Room
+    run: Callable[[Array, int], Measurement | Array | Sequence[float]]
+    name: str
+    deterministic: bool = True
+    time_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.time_limit is not None and not self.time_limit > 0:
+            raise DataError(f"time_limit = {self.time_limit:g} s is not above 0")
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """The room's materials: rows of alpha."""
+        return tuple(self.room.materials)
+
+    @property
+    def centre_frequencies(self) -> Array:
+        """The room's bands in Hz: columns of alpha."""
+        return self.room.centre_frequencies
+
+    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
+        """Return what the program makes of alpha.
+
+        Raises
+        ------
+        SimulatorError
+            If it outlives the time limit, or returns anything but a `Measurement` or n_bands finite
+            times above 0. What it raises itself is passed on.
+        """
+        alpha = check_alpha(self, alpha)
+        found = self._within_time_limit(lambda: self.run(alpha.copy(), seed))
+        if isinstance(found, Measurement):
+            return found
+        try:
+            times = np.array(found, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise SimulatorError(
+                f"{self.name} returned {type(found).__name__}, neither a Measurement nor times"
+            ) from error
+        if times.shape != (self.room.n_bands,):
+            raise SimulatorError(
+                f"{self.name} returned T20 of shape {times.shape}; the room's bands ask for "
+                f"({self.room.n_bands},)"
+            )
+        if not (np.isfinite(times) & (times > 0)).all():
+            raise SimulatorError(
+                f"{self.name} returned T20 = {times.tolist()} s; each is a finite time above 0"
+            )
+        return Measurement.from_values(self.centre_frequencies, t20=times)
+
+    def _within_time_limit(self, call: Callable[[], object]) -> object:
+        if self.time_limit is None:
+            return call()
+        outcome: list[object] = []
+        failure: list[BaseException] = []
+
+        def work() -> None:
+            try:
+                outcome.append(call())
+            except BaseException as error:  # raised again where the caller can see it
+                failure.append(error)
+
+        thread = threading.Thread(target=work, daemon=True)
+        thread.start()
+        thread.join(self.time_limit)
+        if failure:
+            raise failure[0]
+        if not outcome:
+            raise SimulatorError(f"{self.name} ran for longer than {self.time_limit:g} s")
+        return outcome[0]
+
+
+def command(
+    arguments: Sequence[str], room: Room, time_limit: float | None = None
+) -> Callable[[Array, int], Measurement]:
+    """Return a ``run`` for `External` that starts a program and exchanges files with it.
+
+    The program is started as ``arguments + [room file, measurement file, seed]``: it reads the room
+    with the new coefficients (TOML) and writes the measurement (CSV; both in rtcal's own formats).
+
+    Raises
+    ------
+    SimulatorError
+        From the returned function: if the program cannot be started, ends with another status than
+        0, outlives ``time_limit`` (s; it is ended) or writes no measurement.
+    """
+
+    def run(alpha: Array, seed: int) -> Measurement:
+        with tempfile.TemporaryDirectory(prefix="rtcal-") as folder:
+            given, found = Path(folder, "room.toml"), Path(folder, "measured.csv")
+            room.replace(alpha=alpha, calibration=None).save(str(given))
+            line = [*arguments, str(given), str(found), str(seed)]
+            try:
+                done = subprocess.run(
+                    line, capture_output=True, text=True, timeout=time_limit, check=False
+                )
+            except subprocess.TimeoutExpired as error:
+                raise SimulatorError(f"{line[0]} ran for longer than {time_limit:g} s") from error
+            except OSError as error:
+                raise SimulatorError(f"{line[0]} cannot be started: {error}") from error
+            if done.returncode:
+                said = done.stderr.strip().splitlines()[-1:] or ["nothing on its error output"]
+                raise SimulatorError(f"{line[0]} ended with status {done.returncode}: {said[0]}")
+            if not found.exists():
+                raise SimulatorError(f"{line[0]} wrote no {found.name}")
+            return Measurement.from_file(str(found))
+
+    return run
