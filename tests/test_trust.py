@@ -96,6 +96,8 @@ def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
     page = str(result)
     assert "[s] 125 Hz: below the Schroeder frequency, 233 Hz" in page
     assert "-> the measurement contradicts what was stated" in page
+    assert "125 Hz: T asks for more absorption than was stated, |z| over 2" in page
+    assert "4000 Hz: T asks for less absorption than was stated" in page
     line = next(text for text in page.splitlines() if text.startswith("do not trust"))
     assert line.split()[-6:] == ["sz", ".", ".", ".", ".", "z"]
     content = json.loads(result.to_json())

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import DECAY_TIMES
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -231,16 +230,15 @@ def trust_marks(
         if f in unreachable:
             mark("unreachable", f, "no coefficients within the bounds give this T")
         if air_share[k] > _AIR_SHARE:
-            mark("air", f, f"the air absorbs {100 * air_share[k]:.0f} % of the whole")
+            mark("air", f, "the air absorbs more than the surfaces")
         if uncertainty[k] > JND["t20"] * measured[k]:
-            mark("uncertain", f, f"T is uncertain by {uncertainty[k]:.2g} s, more than one JND")
+            mark("uncertain", f, "T is uncertain by more than one JND")
         for i in np.flatnonzero(active[:, k]).tolist():
             side = "lower" if active[i, k] < 0 else "upper"
             mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound")
         if abs(z[k]) > 2:
             side = "more" if z[k] > 0 else "less"
-            mark("implausible", f, f"T asks for {side} absorption than was stated by {abs(z[k]):.1f} "
-                 "standard deviations (z, over 2)")  # fmt: skip
+            mark("implausible", f, f"T asks for {side} absorption than was stated, |z| over 2")
     return tuple(found)
 
 
@@ -256,8 +254,8 @@ def explained(marks: Sequence[TrustMark]) -> list[str]:
         of_kind = [mark for mark in marks if mark.kind == kind]
         letter = f"[{of_kind[0].letter}] " if of_kind[0].letter else ""
         told = []
-        for mark in of_kind:
-            where = "" if mark.frequency is None else f"{bands.label(mark.frequency)}: "
-            told.append(where + mark.text)
+        for text in dict.fromkeys(mark.text for mark in of_kind):
+            where = [f"{m.frequency:g}" for m in of_kind if m.text == text and m.frequency]
+            told.append(f"{', '.join(where)} Hz: {text}" if where else text)
         lines += [f"{letter}{'; '.join(told)}", f"    -> {of_kind[0].advice}"]
     return lines

@@ -59,11 +59,9 @@ def reverberation_time(result: CalibrationResult) -> Any:
         markerfacecolor="none", label="after calibration",
     )  # fmt: skip
     axes.set_xscale("log")
-    axes.set_xticks(
-        f,
-        [f"{v:g}\n{letters(result.trust_marks, v)}" for v in f],
-        rotation=45 if len(f) > 10 else 0,
-    )
+    many = len(f) > 10
+    marked = [f"{v:g}{' ' if many else chr(10)}{letters(result.trust_marks, v)}" for v in f]
+    axes.set_xticks(f, marked, rotation=90 if many else 0)
     axes.minorticks_off()
     found = [f"{m.letter} {m.title}".strip() for m in result.trust_marks]
     key = f"\ndo not trust: {', '.join(dict.fromkeys(found))}" if found else ""
