@@ -11,12 +11,27 @@ from typing import Any
 from rtcal.errors import DataError
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
-    """Return a file's text; DataError if it is missing, unreadable or not UTF-8."""
+def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
+    """Return a file's bytes; DataError if it is missing, no regular file, or above ``limit``."""
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from error
+        if Path(path).exists() and not Path(path).is_file():
+            raise DataError(f"{path}: not a file")
+        with open(path, "rb") as stream:
+            content = stream.read(limit + 1)
+    except DataError:
+        raise
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    if len(content) > limit:
+        raise DataError(f"{path}: more than {limit} bytes; a file of this kind has at most that")
+    return content
+
+
+def read_text(path: str | os.PathLike[str], limit: int) -> str:
+    """Return a file's text; DataError if it cannot be read, is above ``limit`` bytes or no UTF-8."""
+    content = read_bytes(path, limit)
+    try:
+        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: not UTF-8 text: byte {error.start} ({error.reason})") from error
     except (ValueError, TypeError) as error:  # a path with a NUL, or no path

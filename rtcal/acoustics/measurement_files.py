@@ -16,6 +16,7 @@ import csv
 import io
 import os
 import re
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -31,11 +32,15 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _COLUMNS = ("source", "receiver", "parameter", "band", "value")
 _OPTIONAL_COLUMNS = ("uncertainty", "standard_deviation", "sources", "receivers")
 
+MAX_BYTES = 2**21
+MAX_CELLS = 2**20
+"""Pairs times bands times parameters that a file may have: it may leave most of them empty."""
+
 
 def read_measurement(path: str | os.PathLike[str]) -> Measurement:
     """Read a measurement from CSV. DataError names file, line, value and rule."""
     # Not splitlines: it would also split at separators that may stand in a name.
-    lines = read_text(path).replace("\r\n", "\n").split("\n")
+    lines = read_text(path, MAX_BYTES).split("\n")
     numbered = [
         (number, line)
         for number, line in enumerate(lines, start=1)
@@ -44,7 +49,7 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement:
     if not numbered:
         raise DataError(f"{path}: no rows; the first must name the columns {', '.join(_COLUMNS)}")
     header = [c.strip().lower() for c in _cells(numbered[0][1], f"{path}, line {numbered[0][0]}")]
-    if repeated := next((c for c in header if header.count(c) > 1), None):
+    if repeated := next((c for c, times in Counter(header).items() if times > 1), None):
         raise DataError(f'{path}, line {numbered[0][0]}: column "{repeated}" is given twice')
     for column in _COLUMNS:
         if column not in header:
@@ -114,18 +119,23 @@ def _cell(cell: Mapping[str, str], column: str, place: str) -> float:
 
 
 def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) -> Measurement:
-    frequencies = sorted({key[3] for key in rows})
-    pairs = list(dict.fromkeys(key[:2] for key in rows))
+    frequencies = {f: k for k, f in enumerate(sorted({key[3] for key in rows}))}
+    pairs = {pair: i for i, pair in enumerate(dict.fromkeys(key[:2] for key in rows))}
     parameters = list(dict.fromkeys(key[2] for key in rows))
     if (SUMMARY, SUMMARY) in pairs and len(pairs) > 1:
         raise DataError(f'summary rows (source and receiver "{SUMMARY}") stand beside single pairs')
     shape = (len(pairs), len(frequencies))
+    if shape[0] * shape[1] * len(parameters) > MAX_CELLS:
+        raise DataError(
+            f"{shape[0]} pairs, {shape[1]} bands and {len(parameters)} parameters are more than "
+            f"{MAX_CELLS} values"
+        )
     values = {p: np.full(shape, np.nan) for p in parameters}
     uncertainty: dict[str, Array] = {}
     deviation: dict[str, Array] = {}
     counts: dict[str, set[float]] = {"sources": set(), "receivers": set()}
     for (source, receiver, parameter, band), numbers in rows.items():
-        where = pairs.index((source, receiver)), frequencies.index(band)
+        where = pairs[source, receiver], frequencies[band]
         values[parameter][where] = numbers["value"]
         if np.isfinite(numbers.get("uncertainty", np.nan)):
             uncertainty.setdefault(parameter, np.full(shape, np.nan))[where] = numbers[
@@ -141,8 +151,8 @@ def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) 
         if len(seen) > 1:
             raise DataError(f"column {name} has several values; all rows must be over the same")
     return Measurement(
-        centre_frequencies=np.array(frequencies),
-        pairs=pairs,
+        centre_frequencies=np.array(list(frequencies)),
+        pairs=tuple(pairs),
         values=values,
         uncertainty=uncertainty,
         standard_deviation=deviation,

@@ -321,7 +321,8 @@ class Room:
                     f'surface["{surface.name}"].material = "{surface.material}" is not among the '
                     f"materials: {', '.join(known)}"
                 )
-        used = [m for m in known.values() if any(s.material == m.name for s in surfaces)]
+        covered = {s.material for s in surfaces}
+        used = [m for m in known.values() if m.name in covered]
         centre_frequencies = bands.as_bands(centre_frequencies)
         k = len(centre_frequencies)
         scattering = [m.scattering for m in used]

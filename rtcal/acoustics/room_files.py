@@ -72,16 +72,25 @@ _ROOM_KEYS = {
 _NEEDED = ("method", "equation", "measured")
 _RECORD = (*_NEEDED, "solver", "version")
 
+MAX_BYTES = 2**18
+"""Bytes that a room's file may have: thirty times a usual one."""
+_MAX_ENTRIES = {"material": 500, "surface": 5000, "correlation": 5000}
+_MAX_DOTS = 500
+
 
 def read_room(path: str | os.PathLike[str]) -> Room:
     """Read a room from TOML. DataError names the file, the place, the value and the rule."""
-    text = read_text(path)
+    text = read_text(path, MAX_BYTES)
+    if any(line.count(".") > _MAX_DOTS for line in text.split("\n") if "=" not in line[:_MAX_DOTS]):
+        raise DataError(f"{path}: a key of more than {_MAX_DOTS} parts")
     try:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: not valid TOML: {error}") from error
     try:
         return _room(content)
+    except OverflowError as error:
+        raise DataError(f"{path}: a number is too large: {error}") from error
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
 
@@ -103,13 +112,16 @@ def _room(content: Mapping[str, Any]) -> Room:
         )
         for i, entry in enumerate(_entries(content, "surface"))
     ]
+    covered = {s.material for s in surfaces}
+    names: set[str] = set()
     materials: list[Material] = []
     for i, entry in enumerate(_entries(content, "material")):
         material = _material(entry, f"[[material]] {i + 1}", frequencies, prior)
-        if material.name in (m.name for m in materials):
+        if material.name in names:
             raise DataError(f'material "{material.name}" is given twice')
+        names.add(material.name)
         materials.append(material)
-        drawn = any(s.material == material.name for s in surfaces)
+        drawn = material.name in covered
         if "area" in entry and drawn:
             raise DataError(f'area["{material.name}"] is given, and its surfaces too; give one')
         if "area" in entry:
@@ -220,6 +232,8 @@ def _entries(content: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
     entries = content.get(key, [])
     if not (isinstance(entries, list) and all(isinstance(e, dict) for e in entries)):
         raise DataError(f"[[{key}]] must be a list of tables")
+    if len(entries) > _MAX_ENTRIES[key]:
+        raise DataError(f"{len(entries)} [[{key}]]; a room has at most {_MAX_ENTRIES[key]}")
     for i, entry in enumerate(entries):
         _known(entry, key, f"[[{key}]] {i + 1}")
     return entries

@@ -1,0 +1,165 @@
+"""BRAS CSV: absorption coefficients of the Benchmark for Room Acoustical Simulation.
+
+Either one material a file, named as the file is, as the data base publishes them (frequencies, the
+absorption, the scattering if known)::
+
+    20, 25, 31.5, 40
+    0.069, 0.055, 0.04, 0.023
+    0.1, 0.1, 0.1, 0.1
+
+or a table with a header: a column ``material``, one column a band, further columns to select by::
+
+    room,set,material,20,25,31.5
+    CR2,initial,ceiling,0.069,0.055,0.04
+
+Source: Aspoeck, Brinkmann, Ackermann, Weinzierl, Vorlaender, "BRAS - Benchmark for Room Acoustical
+Simulation", doi 10.14279/depositonce-6726.3 (surface descriptions).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.files import read_bytes
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.io import materials
+from rtcal.io.materials import ListedMaterial, MaterialList, Written
+from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
+
+DECIMALS = 3
+MAX_BANDS = 100
+
+Cell = tuple[str, int, int]
+
+
+def read(path: str | os.PathLike[str], *, where: Mapping[str, str] | None = None) -> MaterialList:
+    """Read one material, or the rows of a table; DataError names file, line and rule.
+
+    ``where`` selects rows of a table: ``where={"room": "CR2", "set": "initial"}``.
+    """
+    return parse(read_bytes(path, MAX_TEXT), os.fspath(path), where=where)
+
+
+def write(
+    room: Room,
+    path: str | os.PathLike[str],
+    *,
+    template: str | os.PathLike[str] | None = None,
+    equation: LinearEquation | None = None,
+    where: Mapping[str, str] | None = None,
+) -> Written:
+    """Write the room's coefficients into ``template``, else into ``path`` if it is there.
+
+    Without either a table is made. Returns what the rounding does to T, as `catt.write`.
+    """
+    return materials.write(
+        room, path, read=lambda p: read(p, where=where), fresh=_fresh, template=template,
+        equation=equation,
+    )  # fmt: skip
+
+
+def parse(
+    content: bytes, path: str = "BRAS file", *, where: Mapping[str, str] | None = None
+) -> MaterialList:
+    """Return the materials of a file's content; see `read`."""
+    rows: list[tuple[int, list[Cell]]] = []
+    start = 0
+    for line, raw in enumerate(as_text(content).split("\n"), start=1):
+        if raw.strip():
+            cells, begin = [], start
+            for text in raw.split(","):
+                lead = len(text) - len(text.lstrip())
+                cells.append((text.strip(), begin + lead, begin + lead + len(text.strip())))
+                begin += len(text) + 1
+            rows.append((line, cells))
+        start += len(raw) + 1
+    if not rows:
+        raise DataError(f"{path}, line 1: empty; frequencies, or the names of columns, are needed")
+    line, header = rows[0]
+    if len(header) > MAX_BANDS:
+        raise DataError(f"{path}, line {line}: {len(header)} columns; at most {MAX_BANDS} are read")
+    if re.match(r"[\d.]", header[0][0]):
+        return MaterialList(path=path, content=content, materials=(_one(rows, path, where),))
+    return MaterialList(path=path, content=content, materials=_table(rows, path, where or {}))
+
+
+def _one(
+    rows: list[tuple[int, list[Cell]]], path: str, where: Mapping[str, str] | None
+) -> ListedMaterial:
+    if where:
+        raise DataError(f"{path}: holds one material and no columns to select by")
+    if not 2 <= len(rows) <= 3:
+        raise DataError(
+            f"{path}, line {rows[-1][0]}: {len(rows)} rows; there are frequencies, absorption and, "
+            "if known, scattering"
+        )
+    values = [[number(c[0], f"{path}, line {line}") for c in cells] for line, cells in rows]
+    for (line, cells), name in zip(rows[1:], ("alpha", "scattering"), strict=False):
+        if len(cells) != len(rows[0][1]):
+            raise DataError(
+                f"{path}, line {line}: {len(cells)} values for {len(rows[0][1])} frequencies"
+            )
+        row = values[1] if name == "alpha" else values[2]
+        materials.checked(row, 1.0, f"{path}, line {line}", name)
+    frequencies = bands.as_bands(values[0], f"{path}, line {rows[0][0]}: frequencies")
+    return ListedMaterial(
+        name=Path(path).stem,
+        line=rows[1][0],
+        alpha=tuple(values[1]),
+        centre_frequencies=tuple(float(f) for f in frequencies),
+        spans=tuple((b, e) for _, b, e in rows[1][1]),
+        decimals=DECIMALS,
+        scattering=tuple(values[2]) if len(rows) == 3 else None,
+    )
+
+
+def _table(
+    rows: list[tuple[int, list[Cell]]], path: str, where: Mapping[str, str]
+) -> tuple[ListedMaterial, ...]:
+    line, header = rows[0]
+    names = [readable(c[0]) for c in header]
+    for wanted in ("material", *where):
+        if names.count(wanted) != 1:
+            raise DataError(f'{path}, line {line}: column "{shown(wanted)}" is not there once')
+    columns = [i for i, n in enumerate(names) if re.match(r"[\d.]", n)]
+    place = f"{path}, line {line}"
+    frequencies = bands.as_bands(
+        [number(header[i][0], place) for i in columns], f"{place}: the bands' columns"
+    )
+    found = []
+    for line, cells in rows[1:]:
+        place = f"{path}, line {line}"
+        if len(cells) != len(header):
+            raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
+        if any(readable(cells[names.index(c)][0]) != v for c, v in where.items()):
+            continue
+        values = [number(cells[i][0], place) for i in columns]
+        materials.checked(values, 1.0, place)
+        found.append(
+            ListedMaterial(
+                name=readable(cells[names.index("material")][0]),
+                line=line,
+                alpha=tuple(values),
+                centre_frequencies=tuple(float(f) for f in frequencies),
+                spans=tuple(cells[i][1:] for i in columns),
+                decimals=DECIMALS,
+            )
+        )
+    if not found:
+        raise DataError(f"{path}, line {line}: no row is selected")
+    return tuple(found)
+
+
+def _fresh(room: Room) -> MaterialList:
+    lines = ["material," + ",".join(f"{f:g}" for f in room.centre_frequencies)]
+    for i, name in enumerate(room.materials):
+        if "," in name or not name.isprintable() or name.strip() != name or not name:
+            raise DataError(f"material {name!r}: a name in this table has no comma, on one line")
+        lines.append(name + "," + ",".join(f"{a:.{DECIMALS}f}" for a in room.alpha[i]))
+    return parse(("\n".join(lines) + "\n").encode("utf-8"))

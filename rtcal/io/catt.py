@@ -1,0 +1,183 @@
+"""CATT-Acoustic: the ``ABS`` statements of a geometry file (.GEO) or of a material list.
+
+::
+
+    ABS carpet   = <2 4 8 20 35 40> {98 209 44}           ; percent, 125 Hz to 4 kHz
+    ABS audience = <68 75 82 85 86 86> L <30 40 50 60 70 80> {128 128 0}
+    ABS drape    = <3 4 11 17 24 35 : 40 45>              ; with 8 and 16 kHz
+    ABS1 panel   = <.28 .22 .17 .09 .10 .11>              ; fractions
+    ABS floorabs = carpet                                 ; another name for carpet
+
+Sources: the syntax in the examples of CATT's manual (CATT-Acoustic v8.0 User's Manual, CATT 2007,
+the shoebox and the tutorial hall) and the lists that I-Simpa's documentation reads; `docs/io.md`
+says what could not be checked in the program.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.files import read_bytes
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.io import materials
+from rtcal.io.materials import ListedMaterial, MaterialList, Written
+from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
+
+BANDS = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
+DECIMALS = 1
+"""Decimals of a percentage that is written; fractions (ABS1) get two more."""
+
+_NAME = r"[^\s=<>{};:]+"
+_STATEMENT = re.compile(rf"[ \t]*(?:(ABS1?)[ \t]+)?({_NAME})[ \t]*=[ \t]*(.*)", re.I | re.S)
+_LIST = re.compile(r"<([^<>]*)>[ \t]*")
+_COLOUR = re.compile(r"\{[ \t]*\d{1,3}[ \t]+\d{1,3}[ \t]+\d{1,3}[ \t]*\}[ \t]*", re.ASCII)
+
+
+def read(path: str | os.PathLike[str]) -> MaterialList:
+    """Read the materials of a CATT-Acoustic file; DataError names file, line and rule."""
+    return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
+
+
+def write(
+    room: Room,
+    path: str | os.PathLike[str],
+    *,
+    template: str | os.PathLike[str] | None = None,
+    equation: LinearEquation | None = None,
+) -> Written:
+    """Write the room's coefficients into ``template``, else into ``path`` if it is there.
+
+    Only numbers that change are written; everything else keeps its bytes. Without either file a
+    new list is made, of the octaves 125 Hz to 4 kHz and up to 16 kHz if the room has them. The
+    report that is returned prints what the rounding does to T (by Eyring if not said otherwise).
+    """
+    return materials.write(
+        room, path, read=read, fresh=_fresh, template=template, equation=equation
+    )
+
+
+def parse(content: bytes, path: str = "CATT file") -> MaterialList:
+    """Return the materials of a file's content; see `read`."""
+    found: list[ListedMaterial] = []
+    aliases: dict[str, tuple[str, int]] = {}
+    start = 0
+    for line, raw in enumerate(as_text(content).split("\n"), start=1):
+        code = raw.split(";", 1)[0].rstrip()
+        match = _STATEMENT.fullmatch(code)
+        keyword, name, value = match.groups() if match else (None, "", "")
+        place = f"{path}, line {line}"
+        if keyword is None and re.match(r"[ \t]*ABS1?(?![^\s=<>])", code, re.I):
+            raise DataError(
+                f'{place}: "{shown(code)}" is no ABS statement: ABS name = <6 to 8 values>'
+            )
+        if match and (keyword is not None or value.startswith("<")):
+            name = readable(name)
+            if value.startswith("<"):
+                offset = start + match.start(3)
+                fraction = keyword is not None and keyword.upper() == "ABS1"
+                found.append(_material(name, value, offset, fraction, place, line))
+            elif re.fullmatch(_NAME, value):
+                if name in aliases:
+                    raise DataError(f'{place}: "{name}" is given twice')
+                aliases[name] = (readable(value), line)
+            else:
+                raise DataError(
+                    f'{place}: "{shown(value)}" is neither <6 to 8 values> nor another name'
+                )
+        start += len(raw) + 1
+    names = {m.name for m in found}
+    for name, (target, line) in aliases.items():
+        if name in names:
+            raise DataError(f'{path}, line {line}: "{name}" is given twice')
+        if target not in names:
+            raise DataError(
+                f'{path}, line {line}: "{target}", which "{name}" stands for, is no material of '
+                "the file with values of its own"
+            )
+    return MaterialList(
+        path=path,
+        content=content,
+        materials=tuple(found),
+        aliases={name: target for name, (target, _) in aliases.items()},
+    )
+
+
+def _material(
+    name: str, text: str, offset: int, fraction: bool, place: str, line: int
+) -> ListedMaterial:
+    unit = 1.0 if fraction else 0.01
+    match = _LIST.match(text)
+    if not match:
+        raise DataError(f'{place}: "{shown(text)}" lacks the closing >')
+    values, spans = _numbers(match.group(1), offset + match.start(1), place)
+    materials.checked(values, unit, place)
+    rest, scattering = text[match.end() :], None
+    if rest[:1] in ("L", "l"):
+        listed = _LIST.match(rest[1:].lstrip(" \t"))
+        if not listed:
+            raise DataError(f"{place}: L, the scattering, lacks its <6 to 8 values>")
+        diffuse, _ = _numbers(listed.group(1), 0, place)
+        if len(diffuse) != len(values):
+            raise DataError(
+                f"{place}: {len(values)} absorption and {len(diffuse)} scattering values; as many "
+                "of either are needed"
+            )
+        materials.checked(diffuse, unit, place, "scattering")
+        scattering = tuple(materials.coefficient(v, unit) for v in diffuse)
+        rest = rest[1:].lstrip(" \t")[listed.end() :]
+    if rest and not _COLOUR.fullmatch(rest):
+        raise DataError(f'{place}: "{shown(rest)}" after the values is no colour {{r g b}}')
+    return ListedMaterial(
+        name=name,
+        line=line,
+        alpha=tuple(materials.coefficient(v, unit) for v in values),
+        centre_frequencies=BANDS[: len(values)],
+        spans=spans,
+        unit=unit,
+        decimals=DECIMALS + 2 if fraction else DECIMALS,
+        scattering=scattering,
+    )
+
+
+def _numbers(text: str, offset: int, place: str) -> tuple[list[float], tuple[tuple[int, int], ...]]:
+    values: list[float] = []
+    spans: list[tuple[int, int]] = []
+    for token in re.finditer(r"[^\s:]+|:", text):
+        if token.group() == ":":
+            if len(values) != 6:
+                raise DataError(f"{place}: the : stands after {len(values)} values; it parts 6 "
+                                "octaves to 4 kHz from 8 and 16 kHz")  # fmt: skip
+            continue
+        values.append(number(token.group(), place))
+        spans.append((offset + token.start(), offset + token.end()))
+    if not 6 <= len(values) <= 8:
+        raise DataError(f"{place}: {len(values)} values; 6 to 8 octaves from 125 Hz are needed")
+    return values, tuple(spans)
+
+
+def _fresh(room: Room) -> MaterialList:
+    columns = materials.octaves(room, BANDS[:6], "CATT-Acoustic")
+    for f in BANDS[6:]:
+        if f not in room.centre_frequencies:
+            break
+        columns.append(list(room.centre_frequencies).index(f))
+    lines = ["; Absorption, %, in octaves from 125 Hz; written by rtcal"]
+    for i, name in enumerate(room.materials):
+        if not re.fullmatch(_NAME, name) or not name.isascii():
+            raise DataError(
+                f'material "{name}": a name for CATT-Acoustic is ASCII, without spaces and none '
+                "of = < > { } ; :"
+            )
+        groups = [f"ABS {name} = <{_percents(room.alpha[i], columns)}>"]
+        if room.scattering is not None:
+            groups.append(f"L <{_percents(room.scattering[i], columns)}>")
+        lines.append(" ".join(groups))
+    return parse(("\r\n".join(lines) + "\r\n").encode("ascii"))
+
+
+def _percents(row: object, columns: list[int]) -> str:
+    texts = [f"{100 * row[c]:.{DECIMALS}f}" for c in columns]  # type: ignore[index]
+    return " ".join(texts[:6]) + (" : " + " ".join(texts[6:]) if texts[6:] else "")

@@ -1,0 +1,382 @@
+"""Impulse responses (WAV, or pyfar ``Signal``) to T20, T30, EDT, C50, C80, D50 and Ts by band.
+
+Each band is filtered backwards in time (Jacobsen & Rindel 1987): what the filter rings comes before
+the sound, so a decay keeps its slope as long as B T is above 4, where the forward filter needs 16.
+The noise is subtracted, the decay curve ended where Lundeby et al. (1995) find the noise and the
+rest added (Guski & Vorlaender 2014), and the curve divided by its start. A parameter is given only
+where the impulse-to-noise ratio
+
+    INR = 10 lg(E 6 ln(10) / (EDT N)) dB,   E the energy, N the noise's energy in a second,
+
+reaches what ISO 3382 asks: the noise 10 dB below the range that is evaluated. This module is the only
+one that imports pyfar and pyrato (``rtcal[measurement]``).
+
+References: ISO 3382-1:2009; ISO 3382-2:2008, 5.3.3; Jacobsen and Rindel, J. Sound Vib. 117 (1987);
+Lundeby, Vigran, Bietz, Vorlaender, Acustica 81 (1995); Guski and Vorlaender, Acta Acust. united Ac.
+100 (2014).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands as _bands
+from rtcal.acoustics.measurement import Measurement
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.types import Array
+
+MINIMUM_RANGE: dict[str, float] = {
+    "t30": 45.0, "t20": 35.0, "edt": 20.0, "c50": 20.0, "c80": 20.0, "d50": 20.0, "ts": 20.0,
+}  # fmt: skip
+"""Impulse-to-noise ratio in dB that each parameter needs: its range, 10 dB more, and T's -5 dB."""
+
+LEAST_BT = 4.0
+"""Bandwidth times T from which a backward filter leaves the decay alone (Jacobsen & Rindel 1987)."""
+
+PARAMETERS = ("edt", "t20", "t30", "c50", "c80", "d50", "ts")
+_LAST_LEVEL = {"edt": -10.1, "t20": -25.0, "t30": -35.0}  # dB, where pyrato's regression ends
+_ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for third-octaves
+_MAX_SAMPLES, _MAX_CHANNEL = 2**22, 900_000  # 18 s at 48 kHz in a channel
+_NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+)", re.I | re.ASCII)
+_FORMATS = {1: (16, 24, 32), 3: (32, 64)}  # PCM and float: 8 bits hold less than a T20 needs
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """What impulse responses tell, and what they do not.
+
+    ``impulse_to_noise_ratio`` in dB, (n_pairs, n_bands); ``missing`` gives the reason for each value
+    that is missing, ``notes`` doubts about values that are given.
+    """
+
+    measurement: Measurement
+    impulse_to_noise_ratio: Array
+    missing: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        lines = []
+        for parameter in ("t20", "t30", "edt"):
+            mean = self.measurement.mean(parameter)
+            for f, value in zip(self.measurement.centre_frequencies, mean, strict=True):
+                shown = f"{value:.3f} s" if np.isfinite(value) else "missing"
+                lines.append(f"{parameter.upper():4} {_bands.label(f):>9} {shown}")
+        lines += [f"missing: {m}" for m in self.missing] + [f"note: {n}" for n in self.notes]
+        return "\n".join(lines)
+
+
+def read(
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    bands: str | Sequence[float] = "octave",
+    minimum_range: Mapping[str, float] | None = None,
+) -> Analysis:
+    """Read one or more WAV files (PCM or float, 18 s at 48 kHz at most) and analyse them.
+
+    A name like ``LS1_MP3`` or ``S1-R2`` in the file's name is its source and receiver; else the
+    source is ``S1`` and the receiver the file's name; more channels are more receivers. For the
+    other arguments see `analyse`. Raises DataError with file and rule.
+    """
+    paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
+    if not paths:
+        raise DataError("no file of an impulse response is given")
+    signals: dict[tuple[str, str], Any] = {}
+    pyfar, _ = _libraries()
+    for file in paths:
+        _check_wav(file)
+        try:
+            signal = pyfar.io.read_audio(os.fspath(file))
+        except (OSError, RuntimeError, ValueError, TypeError) as error:
+            raise DataError(f"{file}: cannot be read as WAV: {error}") from error
+        stem = Path(file).stem
+        match = _NAMES.search(stem)
+        source, receiver = match.groups() if match else ("S1", stem)
+        for channel in range(signal.time.shape[0]):
+            called = receiver if signal.time.shape[0] == 1 else f"{receiver}-{channel + 1}"
+            if (source, called) in signals:
+                raise DataError(f"{file}: source {source}, receiver {called} is given twice")
+            signals[source, called] = signal[channel]
+    return analyse(signals, bands=bands, minimum_range=minimum_range)
+
+
+def analyse(
+    signals: Any,
+    *,
+    bands: str | Sequence[float] = "octave",
+    minimum_range: Mapping[str, float] | None = None,
+) -> Analysis:
+    """Return the room-acoustic parameters of impulse responses.
+
+    Parameters
+    ----------
+    signals : pyfar.Signal, or mapping of (source, receiver) to pyfar.Signal
+        Room impulse responses, one channel each.
+    bands : "octave", "third-octave" or sequence of float
+        All octaves from 63 Hz to 8 kHz, all third-octaves from 50 Hz to 10 kHz, as far as the
+        sampling rate holds them; or centre frequencies in Hz.
+    minimum_range : mapping of str to float, optional
+        dB, in place of `MINIMUM_RANGE` for the parameters named.
+
+    Raises
+    ------
+    DataError
+        For a silent or broken response, or a band above half the sampling rate.
+    MissingDependencyError
+        If pyfar or pyrato is not installed.
+    """
+    _libraries()
+    needed = _ranges(minimum_range)
+    signals = dict(signals) if isinstance(signals, Mapping) else {("S1", "R1"): signals}
+    if not signals:
+        raise DataError("no impulse response is given")
+    rate = min(float(s.sampling_rate) for s in signals.values())
+    centres, fractions = _centres(bands, rate)
+    values = {p: np.full((len(signals), len(centres)), np.nan) for p in PARAMETERS}
+    ratios = np.full((len(signals), len(centres)), np.nan)
+    missing: list[str] = []
+    notes: list[str] = []
+    for i, (pair, signal) in enumerate(signals.items()):
+        time, onset = _checked(signal, "/".join(pair))
+        for k, centre in enumerate(centres):
+            bandwidth = centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
+            energy = _filtered(time, float(signal.sampling_rate), float(centre), fractions)
+            lead = min(onset, int(4 / bandwidth * signal.sampling_rate))
+            found, ratios[i, k], reasons = of_energy(
+                energy[onset:], signal.sampling_rate, minimum_range=needed, centre_frequency=centre,
+                early=float(energy[onset - lead : onset].sum()), early_samples=lead,
+            )  # fmt: skip
+            place = f"{pair[0]}, {pair[1]}, {_bands.label(centre)}"
+            missing += [f"{place}: {reason}" for reason in reasons]
+            for parameter, value in found.items():
+                values[parameter][i, k] = value
+            t = found.get("t20", found.get("t30", found.get("edt", np.inf)))
+            if bandwidth * t < LEAST_BT:
+                notes.append(
+                    f"{place}: B T = {bandwidth * t:.1f} is below {LEAST_BT:g}: the filter's own "
+                    "decay is a part of what is measured, T is too long"
+                )
+    return Analysis(
+        measurement=Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values),
+        impulse_to_noise_ratio=ratios,
+        missing=tuple(missing),
+        notes=tuple(notes),
+    )
+
+
+def of_energy(
+    energy: Array,
+    sampling_rate: float,
+    *,
+    minimum_range: Mapping[str, float] | None = None,
+    centre_frequency: float | None = None,
+    early: float = 0.0,
+    early_samples: int = 0,
+) -> tuple[dict[str, float], float, tuple[str, ...]]:
+    """Return parameters, the INR in dB and the reasons for what is missing, of one squared response.
+
+    ``energy``, (n_samples,), begins with the direct sound; ``early`` is what the filter has moved
+    before it (over ``early_samples``), which counts as early sound in C50, C80, D50 and Ts.
+    """
+    pyfar, pyrato = _libraries()
+    needed = _ranges(minimum_range)
+    total = float(np.sum(energy))
+    if not (np.isfinite(total) and total > 0 and len(energy) >= sampling_rate / 20):
+        return {}, -np.inf, ("no decay: the response is silent or shorter than 50 ms",)
+    energy = np.asarray(energy, dtype=float) / energy.max()
+    early = early * float(np.sum(energy)) / total
+    smoothing = centre_frequency or "broadband"
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")  # a failure shows in what is returned, and is told there
+        signal = pyfar.Signal(energy, sampling_rate)
+        options = {"smoothing_parameter": smoothing, "is_energy": True, "time_shift": False}
+        try:
+            _, _, noise = pyrato.edc.intersection_time_lundeby(
+                signal, failure_policy="error", **options
+            )
+            level = float(np.ravel(noise)[0])
+            curve = pyrato.edc.energy_decay_curve_chu_lundeby(signal, normalize=False, **options)
+        except (ArithmeticError, ValueError, IndexError, TypeError):
+            return {}, -np.inf, ("no decay stands out of the noise",)
+        decay = np.ravel(curve.time)
+        decay = decay[: int(np.argmax(~(decay > 0))) if not (decay > 0).all() else len(decay)]
+        if len(decay) < 10 or not level >= 0:
+            return {}, -np.inf, ("no decay stands out of the noise",)
+        curve = _curve(pyfar, decay / decay[0], sampling_rate)
+        reached = 10 * np.log10(decay[-1] / decay[0])
+        times = {
+            p: float(np.ravel(pyrato.parameters.reverberation_time_linear_regression(
+                curve, p.upper()))[0])
+            for p, last in _LAST_LEVEL.items() if reached <= last
+        }  # fmt: skip
+        times = {p: t for p, t in times.items() if np.isfinite(t) and t > 0}
+        if "edt" not in times:
+            return (
+                {},
+                -np.inf,
+                (f"no decay of 10 dB stands out of the noise ({-reached:.0f} dB do)",),
+            )
+        density = decay[0] * 6 * np.log(10) / (times["edt"] * sampling_rate)
+        inr = float(10 * np.log10(density / level)) if level > 0 else np.inf
+        lead = max(early - level * early_samples, 0.0)
+        whole = np.concatenate([[decay[0] + lead], decay[1:]])
+        found = {**times, **_energy_ratios(pyfar, pyrato, whole / whole[0], sampling_rate)}
+    reasons = [
+        f"{p.upper()} needs {needed[p]:g} dB between sound and noise (ISO 3382); there are {inr:.1f} dB"
+        for p in PARAMETERS if inr < needed[p]
+    ] + [
+        f"{p.upper()}: the decay curve ends at {reached:.1f} dB"
+        for p in PARAMETERS if inr >= needed[p] and p not in found
+    ]  # fmt: skip
+    return {p: v for p, v in found.items() if inr >= needed[p]}, inr, tuple(reasons)
+
+
+def _energy_ratios(pyfar: Any, pyrato: Any, decay: Array, rate: float) -> dict[str, float]:
+    # Above the limit nothing is left of a short decay: the ratio is not known then, not infinite.
+    curve = _curve(pyfar, decay, rate)
+    found = {}
+    for name, function, limit in (
+        ("c50", pyrato.parameters.clarity, 50), ("c80", pyrato.parameters.clarity, 80),
+        ("d50", pyrato.parameters.definition, 50),
+    ):  # fmt: skip
+        if len(decay) / rate > limit / 1000:
+            found[name] = float(np.ravel(function(curve, limit))[0])
+    found["ts"] = float(np.ravel(pyrato.parameters.center_time(curve))[0])
+    return {name: value for name, value in found.items() if np.isfinite(value)}
+
+
+def _curve(pyfar: Any, decay: Array, rate: float) -> Any:
+    return pyfar.TimeData(decay, np.arange(len(decay)) / rate)
+
+
+def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
+    """Square of the response in one band, filtered backwards in time."""
+    pyfar, _ = _libraries()
+    filtered = pyfar.dsp.filter.fractional_octave_bands(
+        pyfar.Signal(time[::-1], rate), fractions, order=_ORDER,
+        frequency_range=(centre * 0.97, centre * 1.03),
+    )  # fmt: skip
+    return np.asarray(np.ravel(filtered.time)[::-1] ** 2)
+
+
+def _checked(signal: Any, place: str) -> tuple[Array, int]:
+    """Samples scaled to a peak of 1, and the sample of the direct sound (20 dB below the peak)."""
+    time = np.asarray(signal.time, dtype=float)
+    if time.ndim != 2 or time.shape[0] != 1:
+        raise DataError(f"impulse response {place}: shape {time.shape}; one channel is needed")
+    time = time[0]
+    if len(time) > _MAX_CHANNEL:
+        raise DataError(f"impulse response {place}: {len(time)} samples; at most {_MAX_CHANNEL}")
+    peak = float(np.max(np.abs(time))) if len(time) else 0.0
+    if not np.isfinite(time).all() or not 0 < peak < 1e150:
+        raise DataError(f"impulse response {place}: silent, or a sample is not finite")
+    time = time / peak
+    return time, int(np.argmax(np.abs(time) >= 0.1))  # ISO 3382-1, 5.3.2: the onset
+
+
+def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
+    if isinstance(bands, str):
+        if bands not in ("octave", "third-octave"):
+            raise DataError(f'bands = "{bands}" is neither "octave" nor "third-octave"')
+        fractions = 1 if bands == "octave" else 3
+        listed = _bands.octaves(63, 8000) if fractions == 1 else _bands.third_octaves(50, 10000)
+        listed = tuple(f for f in listed if f * 2 ** (0.5 / fractions) * 1.01 < rate / 2)
+        if not listed:
+            raise DataError(f"sampling rate {rate:g} Hz: no band lies below half of it")
+        return _bands.as_bands(listed), fractions
+    centres = _bands.as_bands(bands, "bands")
+    fractions = 1 if _bands.bandwidth_factor(centres) > 0.5 else 3
+    for f in centres:
+        known = _bands.OCTAVES if fractions == 1 else _bands.THIRD_OCTAVES
+        if f not in known or f * 2 ** (0.5 / fractions) * 1.01 >= rate / 2:
+            raise DataError(
+                f"bands has {_bands.label(f)}; it is no {'' if fractions == 1 else 'third-'}octave "
+                f"below half the sampling rate of {rate:g} Hz"
+            )
+    return centres, fractions
+
+
+def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
+    chosen = dict(MINIMUM_RANGE)
+    for parameter, value in (minimum_range or {}).items():
+        if parameter.lower() not in chosen or not np.isfinite(value):
+            raise DataError(
+                f"minimum_range[{parameter}] = {value:g} dB; known are {', '.join(chosen)}"
+            )
+        chosen[parameter.lower()] = float(value)
+    return chosen
+
+
+def _check_wav(path: str | os.PathLike[str]) -> None:
+    """Check a WAV file's head before a library reads it: format, channels, rate and length."""
+    try:
+        if not Path(path).is_file():
+            raise DataError(f"{path}: no such file")
+        with open(path, "rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            head = stream.read(12)
+            if head[:4] != b"RIFF" or head[8:] != b"WAVE":
+                raise DataError(f"{path}, byte 0: not a WAV file (RIFF ... WAVE)")
+            block, position = None, 12
+            for _ in range(1000):
+                stream.seek(position)
+                chunk = stream.read(8)
+                if len(chunk) < 8:
+                    break
+                name, length = struct.unpack("<4sI", chunk)
+                if position + 8 + length > size:
+                    raise DataError(f"{path}, byte {position}: {name!r} is longer than the file")
+                if name == b"fmt ":
+                    block = _block(stream.read(min(length, 40)), f"{path}, byte {position}")
+                elif name == b"data" and block is not None:
+                    samples = length // block[0]
+                    if not (samples <= _MAX_SAMPLES and samples // block[1] <= _MAX_CHANNEL):
+                        raise DataError(
+                            f"{path}, byte {position}: {samples // block[1]} samples in "
+                            f"{block[1]} channels; at most {_MAX_CHANNEL}, {_MAX_SAMPLES} in all"
+                        )
+                    return
+                position += 8 + length + length % 2
+    except (OSError, ValueError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    raise DataError(f"{path}: no samples (chunk 'data' after 'fmt ') in it")
+
+
+def _block(head: bytes, place: str) -> tuple[int, int]:
+    """Bytes of one sample and number of channels, of a format chunk."""
+    if len(head) < 16:
+        raise DataError(f"{place}: the format chunk has {len(head)} bytes; 16 are needed")
+    tag, channels, rate, _, _, bits = struct.unpack("<HHIIHH", head[:16])
+    if tag == 0xFFFE and len(head) >= 26:
+        tag = struct.unpack("<H", head[24:26])[0]
+    if bits not in _FORMATS.get(tag, ()):
+        raise DataError(
+            f"{place}: format {tag} of {bits} bits is none of PCM of 16, 24, 32 and float"
+        )
+    if not (1 <= channels <= 64 and 2000 <= rate <= 400_000):
+        raise DataError(
+            f"{place}: {channels} channels at {rate} Hz; 1 to 64 at 2 kHz to 400 kHz are read"
+        )
+    return bits // 8, channels
+
+
+def _libraries() -> tuple[Any, Any]:
+    """The one door to pyfar and pyrato."""
+    try:
+        import pyfar
+        import pyrato
+    except ImportError as error:
+        raise MissingDependencyError(
+            "impulse responses need pyfar and pyrato: pip install 'rtcal[measurement]'"
+        ) from error
+    return pyfar, pyrato

@@ -1,0 +1,201 @@
+"""pyroomacoustics: its material dictionaries, and its JSON data base of them.
+
+A material is an object with ``coeffs``; its name is the key that leads to it. Its bands are its own
+``center_freqs``, else those of the file's outermost object::
+
+    {"center_freqs": [125, 250, 500, 1000, 2000, 4000],
+     "absorption": {"Walls": {"brick": {"description": "", "coeffs": [.02, .03, .03, .04, .05, .07]}}},
+     "scattering": {"diffuser": {"coeffs": [.1, .2, .3, .4, .5, .6]}}}
+
+A single object, ``{"description": ..., "coeffs": [...], "center_freqs": [...]}``, is the material
+"material". What stands below an outermost ``scattering`` is kept and not read as absorption.
+Nothing of pyroomacoustics is imported: `dictionaries` makes what its ``Material`` takes.
+
+Source: pyroomacoustics 0.10.1, ``data/materials.json`` and ``parameters.Material``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.files import read_bytes
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.io import materials
+from rtcal.io.materials import ListedMaterial, MaterialList, Written
+from rtcal.io.source import MAX_TEXT, as_text, line_of, number, readable, shown
+
+MAX_DEPTH = 32
+
+_TOKEN = re.compile(r'[ \t\r\n]*("(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s{}\[\]:,"]+)', re.S)
+Path = tuple[str | int, ...]
+
+
+def read(path: str | os.PathLike[str]) -> MaterialList:
+    """Read the materials of a JSON file; DataError names file, line and rule."""
+    return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
+
+
+def write(
+    room: Room,
+    path: str | os.PathLike[str],
+    *,
+    template: str | os.PathLike[str] | None = None,
+    equation: LinearEquation | None = None,
+) -> Written:
+    """Write the room's coefficients into ``template``, else into ``path`` if it is there.
+
+    Without either a data base of the room's materials is made. All digits are written, so T does
+    not change; the report says so.
+    """
+    return materials.write(
+        room, path, read=read, fresh=_fresh, template=template, equation=equation
+    )
+
+
+def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
+    """Return, by material, the arguments of ``pyroomacoustics.Material``.
+
+    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[.1, .2]],
+    ...             sigma=[[.01, .02]], centre_frequencies=[500, 1000])
+    >>> dictionaries(room)["wall"]["energy_absorption"]["coeffs"]
+    [0.1, 0.2]
+    """
+    frequencies = [float(f) for f in room.centre_frequencies]
+    result: dict[str, dict[str, Any]] = {}
+    for i, name in enumerate(room.materials):
+        absorption = {"description": name, "coeffs": [float(a) for a in room.alpha[i]]}
+        result[name] = {"energy_absorption": {**absorption, "center_freqs": frequencies}}
+        if room.scattering is not None:
+            result[name]["scattering"] = {
+                "description": name, "coeffs": [float(s) for s in room.scattering[i]],
+                "center_freqs": frequencies,
+            }  # fmt: skip
+    return result
+
+
+def parse(content: bytes, path: str = "JSON file") -> MaterialList:
+    """Return the materials of a JSON file's content; see `read`."""
+    text = as_text(content)
+    start = 3 if text.startswith("\xef\xbb\xbf") else 0
+    lists: dict[Path, list[tuple[str, int, int]]] = {}
+    for where, token, begin, end in _scalars(text, start, path):
+        if (
+            len(where) > 1
+            and isinstance(where[-1], int)
+            and where[-2] in ("coeffs", "center_freqs")
+        ):
+            lists.setdefault(where[:-1], []).append((token, begin, end))
+    try:
+        json.loads(content[start:])
+    except (ValueError, RecursionError) as error:
+        line = getattr(error, "lineno", 1)
+        raise DataError(f"{path}, line {line}: not valid JSON: {error}") from error
+    found = []
+    for where, numbers in lists.items():
+        if where[-1] != "coeffs" or where[0] == "scattering":
+            continue
+        line = line_of(text, numbers[0][1])
+        place = f"{path}, line {line}"
+        values = [number(t, place) for t, _, _ in numbers]
+        materials.checked(values, 1.0, place)
+        own = (*where[:-1], "center_freqs")
+        listed = lists.get(own) or lists.get(("center_freqs",))
+        if listed is None:
+            raise DataError(f"{place}: these coefficients have no center_freqs")
+        frequencies = bands.as_bands(
+            [number(t, place) for t, _, _ in listed], f"{place}: center_freqs"
+        )
+        if len(values) != len(frequencies) and not (
+            own not in lists and len(values) < len(frequencies)
+        ):
+            raise DataError(
+                f"{place}: {len(values)} coefficients for {len(frequencies)} center_freqs"
+            )
+        found.append(
+            ListedMaterial(
+                name=str(where[-2]) if len(where) > 1 else "material",
+                line=line,
+                alpha=tuple(values),
+                # A data base's shorter lists begin at its lowest band, as pyroomacoustics takes them.
+                centre_frequencies=tuple(float(f) for f in frequencies[: len(values)]),
+                spans=tuple((b, e) for _, b, e in numbers),
+            )
+        )
+    return MaterialList(path=path, content=content, materials=tuple(found))
+
+
+def _scalars(text: str, start: int, path: str) -> Iterator[tuple[Path, str, int, int]]:
+    """Yield each value that is no object or list, with the keys that lead to it and its place."""
+    keys: list[str | int] = []
+    seen: list[set[str]] = []
+    expect_key = False
+    position, end = start, len(text.rstrip(" \t\r\n"))
+    while position < end:
+        match = _TOKEN.match(text, position)
+        if match is None:
+            raise DataError(f"{path}, line {line_of(text, position)}: not valid JSON")
+        token, begin = match.group(1), match.start(1)
+        position = match.end()
+        if token in "{[":
+            keys.append("" if token == "{" else 0)
+            seen.append(set())
+            expect_key = token == "{"
+            if len(keys) > MAX_DEPTH:
+                raise DataError(
+                    f"{path}, line {line_of(text, begin)}: nested deeper than {MAX_DEPTH} levels"
+                )
+        elif token in "}]":
+            if not keys:
+                raise DataError(f"{path}, line {line_of(text, begin)}: {token} closes nothing")
+            keys.pop()
+            seen.pop()
+            expect_key = False
+        elif token == ",":
+            if keys and isinstance(keys[-1], int):
+                keys[-1] += 1
+            expect_key = bool(keys) and isinstance(keys[-1], str)
+        elif token == ":":
+            expect_key = False
+        elif expect_key and token.startswith('"'):
+            key = _key(token, f"{path}, line {line_of(text, begin)}")
+            if key in seen[-1]:
+                raise DataError(
+                    f'{path}, line {line_of(text, begin)}: the key "{shown(token[1:-1])}" is given '
+                    "twice"
+                )
+            seen[-1].add(key)
+            keys[-1] = key
+        else:
+            yield tuple(keys), token, begin, match.end(1)
+
+
+def _key(token: str, place: str) -> str:
+    try:
+        return str(json.loads(readable(token)))
+    except ValueError as error:
+        raise DataError(f'{place}: "{shown(token)}" is not a JSON text') from error
+
+
+def _fresh(room: Room) -> MaterialList:
+    columns = range(room.n_bands)
+
+    def table(values: Any) -> dict[str, Any]:
+        return {
+            name: {"description": name, "coeffs": [float(values[i, c]) for c in columns]}
+            for i, name in enumerate(room.materials)
+        }
+
+    content = {
+        "center_freqs": [float(f) for f in room.centre_frequencies],
+        "absorption": {"Calibrated": table(room.alpha)},
+    }
+    if room.scattering is not None:
+        content["scattering"] = {"Calibrated": table(room.scattering)}
+    return parse((json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode("utf-8"))

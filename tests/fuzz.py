@@ -1,0 +1,172 @@
+"""Broken files for every reader: what they are made from, and what must hold of each."""
+
+from __future__ import annotations
+
+import re
+import struct
+import time
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, tables
+from rtcal.io.materials import MaterialList
+
+
+@dataclass(frozen=True)
+class Reader:
+    read: Callable[[str], Any]
+    suffix: str
+    seeds: tuple[bytes, ...]
+
+
+CATT = (
+    b";PROJECT:hall\r\nGLOBAL h = 8 ; height\r\nABS wood   = <12 10 8 7 5 4>  {213 220 160}\r\n"
+    b"ABS audience = < 68 75 82 85 86 86 > L <30 40 50 60 70 80> {128 128 0}  ; Beranek\r\n"
+    b"\tabs drape = <3 4.5 11 17 24 35 : 40 45>\r\nABS1 panel = <.28 .22 .17 .09 .10 .11 .12>\r\n"
+    b"ABS floorabs = wood\r\nCORNERS\r\n1 0 0 0\r\n\r\nPLANES\r\n[1 floor / 4 3 2 1 / wood ]\r\n",
+    b"panelwalls = < 21 12 9 6 9 13 > L < 15 13 11 9 7 5 >\nb\xe9ton = < 20 12 6 4 7 10 >\n",
+)
+ODEON = (
+    b"100\tTransparent\r\n\t0.00000\t0.00000\t0.00000\t0\t0.5\t1\t1.0\t1.0\r\n\r\n"
+    b"103 Rough concrete (Bobran, 1973)\r\n 0.02 0.03 0.03 0.03 0.04 0.07 0.07 0.07 \r\n",
+)
+PRA = (
+    b'{"center_freqs": [125, 250, 500],\n "absorption": {"Walls": {"brick": {"description": "a", '
+    b'"coeffs": [0.02, 3e-2, 0.03]},\n "felt": {"coeffs": [0.1, 0.2], "center_freqs": [500, 1000]}'
+    b'}},\n "scattering": {"s": {"coeffs": [0.1, 0.2, 0.3]}}}\n',
+    b'{"description": "b\xc3\xa9ton", "coeffs": [0.1, 0.2], "center_freqs": [500, 1000]}',
+)
+BRAS = (
+    b"20, 25, 31.5, 40\r\n0.069, 0.055, 0.04, 0.023\r\n0.1, 0.1, 0.1, 0.1\r\n",
+    b"room,set,material,100,125,160\nCR2,initial,ceiling,0.069,0.055,0.04\nCR2,fitted,floor,0,1,.5\n",
+)
+OBJ = (
+    b"# box\no hall\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 2\nv 1 0 2\nv 1 1 2\nv 0 1 2\n"
+    b"usemtl wood\ns off\nf 1 2 3 4\nf 5//1 6//1 7//1 8//1\nusemtl brick\nf 1/1 2/2 6/3 5/4\n"
+    b"f 2 3 \\\n7 6\nf 3 4 8 7\nf -5 -8 -4 -1\n",
+)
+TABLES = (
+    "Frequenz [Hz];T20 (s);D50 [%];Ts [ms]\r\n125;1,5;50;80\r\n250;1,4;55;-\r\n".encode("cp1252"),
+    b"Source,Receiver,Parameter,125 Hz,1 kHz,2k\nS1,R1,T20,1.5,1.4,1.3\nS1,R1,EDT,1.2,,1e0\n",
+    b'position\tparameter\tfrequency\tvalue\tunit\nR1\tC80\t500\t2,5\tdB\n"R 2"\tTs\t1k\t90\tms\n',
+)
+ROOM = (Path(str(rt.datasets.path("bras_cr2/room.toml"))).read_bytes(),)
+MEASURED = (Path(str(rt.datasets.path("bras_cr2/measured.csv"))).read_bytes(),)
+
+
+def wav(samples: np.ndarray, rate: int = 8000) -> bytes:
+    """A WAV file of 16 bits, one channel."""
+    data = np.round(samples * 32767).astype("<i2").tobytes()
+    head = struct.pack("<4sIHHIIHH", b"fmt ", 16, 1, 1, rate, 2 * rate, 2, 16)
+    body = b"WAVE" + head + struct.pack("<4sI", b"data", len(data)) + data
+    return struct.pack("<4sI", b"RIFF", len(body)) + body
+
+
+def _decay() -> bytes:
+    t = np.arange(4000) / 8000
+    rng = np.random.default_rng(1)
+    return wav(0.9 * np.exp(-6.9 * t / 0.3) * rng.uniform(-1, 1, len(t)))
+
+
+READERS: dict[str, Reader] = {
+    "catt": Reader(catt.read, ".geo", CATT),
+    "odeon": Reader(odeon.read, ".Li8", ODEON),
+    "pyroomacoustics": Reader(pyroomacoustics.read, ".json", PRA),
+    "bras": Reader(bras.read, ".csv", BRAS),
+    "obj": Reader(obj.read, ".obj", OBJ),
+    "tables": Reader(tables.read, ".csv", TABLES),
+    "room": Reader(rt.Room.from_file, ".toml", ROOM),
+    "measurement": Reader(rt.Measurement.from_file, ".csv", MEASURED),
+    "wav": Reader(lambda p: impulse_responses.read(p, bands=[1000]), ".wav", (_decay(),)),
+}
+
+LINES = ("bras", "catt", "odeon", "pyroomacoustics", "tables")
+"""Readers whose messages always name a line; a mesh that does not close has none."""
+
+TOKENS = (
+    b"", b" ", b"\n", b"\r", b"\x00", b"\xff", b"\xef\xbb\xbf", b"1e999", b"-1", b"nan", b"inf", b"1_0",
+    b"9" * 400, b"0x1", b"1,5", b"1.5", b"<", b">", b"{", b"}", b"[" * 2000, b'"', b"\\", b"=", b";",
+    b":", b",", b"\t", b"#", b"1e-400", b"true", b"[]", b"{}", b"''", b"null", b"a.b.c=1\n", b"*",
+    b"RT60", "\u0661\u0662".encode(), "\u2028".encode(), b"2020-01-01",
+    b"v 1e308 0 0\n", b"f 1 1 1\n", b"\\\n",
+    struct.pack("<I", 2**32 - 1), struct.pack("<I", 0),
+)  # fmt: skip
+
+
+@st.composite
+def broken(draw: st.DrawFn) -> tuple[str, bytes]:
+    """A reader's name and a file for it: a good one with up to five things done to it."""
+    name = draw(st.sampled_from(sorted(READERS)))
+    content = bytearray(draw(st.sampled_from(READERS[name].seeds)))
+    for _ in range(draw(st.integers(0, 5))):
+        kind = draw(st.integers(0, 6))
+        n = len(content)
+        a = draw(st.integers(0, n))
+        b = min(n, a + draw(st.integers(0, 40)))
+        if kind == 0 and a < n:
+            content[a] = draw(st.integers(0, 255))
+        elif kind == 1:
+            del content[a:b]
+        elif kind == 2:
+            content[a:b] = draw(st.sampled_from(TOKENS))
+        elif kind == 3:
+            content[a:a] = content[a:b] * draw(st.sampled_from((1, 2, 50)))
+        elif kind == 4:
+            content = content[:a] if a > n // 2 else content
+        elif kind == 5:
+            numbers = list(re.finditer(rb"\d+(\.\d+)?", bytes(content[:4000])))
+            if numbers:
+                chosen = draw(st.sampled_from(numbers))
+                content[chosen.start() : chosen.end()] = draw(st.sampled_from(TOKENS))
+        else:
+            lines = bytes(content).split(b"\n")
+            i, j = draw(st.integers(0, len(lines) - 1)), draw(st.integers(0, len(lines) - 1))
+            lines[i], lines[j] = lines[j], lines[i]
+            content = bytearray(b"\n".join(lines))
+    return name, bytes(content)
+
+
+def check(name: str, content: bytes, folder: Path) -> bool:
+    """Return whether the file was read; AssertionError unless it was refused as it must be."""
+    path = folder / f"file{READERS[name].suffix}"
+    path.write_bytes(content)
+    start = time.perf_counter()
+    try:
+        result = READERS[name].read(str(path))
+    except DataError as error:
+        message = str(error)
+        assert str(path) in message or name == "wav", message
+        if name in LINES:
+            assert re.search(r"line \d+", message), message
+        return False
+    finally:
+        assert time.perf_counter() - start < 20, "a reader hangs"
+    if isinstance(result, MaterialList):
+        for material in result.materials:
+            assert all(0 <= a <= 1 for a in material.alpha)
+            for a, (begin, end) in zip(material.alpha, material.spans, strict=True):
+                number = float(content[begin:end])
+                assert abs(number * material.unit - a) <= 1e-12
+        if set.intersection(*(set(m.centre_frequencies) for m in result.materials)):
+            room = result.room(name="", volume=1, areas=dict.fromkeys(result.names, 1.0))
+            assert result.with_alpha(room)[0] == content
+    return True
+
+
+def peak_memory(name: str, content: bytes, folder: Path) -> int:
+    """Bytes that a reader has in use at most."""
+    check(name, READERS[name].seeds[0], folder)  # so that no library is imported below
+    tracemalloc.start()
+    try:
+        check(name, content, folder)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()

@@ -1,0 +1,160 @@
+"""Impulse responses to parameters: exact decays, noise, range, filters, files."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtcal.errors import DataError
+from rtcal.io import impulse_responses as ir
+from tests.fuzz import wav
+
+pyfar = pytest.importorskip("pyfar")
+pytest.importorskip("pyrato")
+
+RATE = 44100
+
+
+def decay(t: float, rate: int = RATE, length: float = 3.0) -> np.ndarray:
+    """Energy of an exact exponential decay that falls 60 dB in t."""
+    return np.exp(-6 * np.log(10) / t * np.arange(int(length * t * rate)) / rate)
+
+
+@pytest.mark.parametrize("t", [0.3, 1.0, 2.5])
+def test_exact_decays(t: float) -> None:
+    found, inr, missing = ir.of_energy(decay(t), RATE)
+    for parameter in ("edt", "t20", "t30"):
+        assert found[parameter] == pytest.approx(t, rel=1e-6)
+    ratio = 10 ** (6 * 0.05 / t) - 1  # energy before over energy after 50 ms
+    assert found["c50"] == pytest.approx(10 * np.log10(ratio), abs=2e-3)
+    assert found["d50"] == pytest.approx(ratio / (1 + ratio), rel=1e-3)
+    assert found["ts"] == pytest.approx(t / (6 * np.log(10)), rel=1e-3)
+    assert inr > 100
+    assert missing == ()
+
+
+@pytest.mark.parametrize("t", [0.5, 1.0, 2.0])
+def test_noise_floors(t: float) -> None:
+    e = decay(t)
+    found, inr, missing = ir.of_energy(e + 1e-5, RATE)
+    assert found["t30"] == pytest.approx(t, rel=0.01)
+    assert found["t20"] == pytest.approx(t, rel=0.01)
+    assert inr == pytest.approx(50, abs=0.1)
+    assert missing == ()
+    found, inr, missing = ir.of_energy(e + 1e-4, RATE)
+    assert found["t20"] == pytest.approx(t, rel=0.01)
+    assert "t30" not in found
+    assert inr == pytest.approx(40, abs=0.1)
+    assert missing == ("T30 needs 45 dB between sound and noise (ISO 3382); there are 40.0 dB",)
+    lowered, _, _ = ir.of_energy(e + 1e-4, RATE, minimum_range={"t30": 38})
+    assert lowered["t30"] == pytest.approx(t, rel=0.01)
+    found, inr, missing = ir.of_energy(e + 10**-2.5, RATE)
+    assert "t20" not in found
+    assert "t30" not in found
+    assert inr == pytest.approx(25, abs=0.1)
+    assert len(missing) == 2
+
+
+def test_nothing_above_the_noise() -> None:
+    rng = np.random.default_rng(0)
+    found, _, missing = ir.of_energy(rng.standard_normal(RATE) ** 2, RATE)
+    assert found == {}
+    assert len(missing) == 1
+    assert ir.of_energy(np.zeros(RATE), RATE)[2][0].startswith("no decay: the response is silent")
+
+
+def response(t: float, rng: np.random.Generator, rate: int = 16000) -> np.ndarray:
+    e = decay(t, rate)
+    noise = 1e-4 * rng.standard_normal(len(e) + 800)
+    noise[800:] += np.sqrt(e) * rng.choice([-1.0, 1.0], len(e))
+    return noise
+
+
+def test_bands_of_noise_like_responses() -> None:
+    rng = np.random.default_rng(3)
+    t = 0.8
+    signals = {("S1", f"R{i}"): pyfar.Signal(response(t, rng), 16000) for i in range(10)}
+    analysis = ir.analyse(signals, bands=[500, 1000, 2000])
+    mean = analysis.measurement.mean("t20")
+    f = analysis.measurement.centre_frequencies
+    # One response scatters by .88 / sqrt(B T); four standard deviations of the mean of ten.
+    limit = 4 * 0.88 / np.sqrt(0.71 * f * t) / np.sqrt(10)
+    assert (np.abs(mean / t - 1) < limit).all()
+    assert analysis.notes == ()
+    assert np.isfinite(analysis.measurement.values["c80"]).all()
+    assert "T20     500 Hz 0." in str(analysis)
+
+
+def test_the_backward_filter_keeps_a_short_decay() -> None:
+    # The energy that a filter's response h makes of white noise with a decay e, exactly: the decay
+    # of conv(h², e) forwards, of the correlation backwards.
+    t, rate, n = 0.1, 16000, 16000
+    e = np.concatenate([decay(t, rate), np.zeros(n)])[:n]
+    pulse = np.zeros(n)
+    pulse[0] = 1
+    h2 = ir._filtered(pulse[::-1], rate, 125.0, 1)[::-1]
+    size = 2 * n
+    spectrum = np.fft.rfft(h2, size)
+    forward = np.fft.irfft(spectrum * np.fft.rfft(e, size), size)[:n]
+    backward = np.fft.irfft(spectrum.conj() * np.fft.rfft(e, size), size)[:n]
+    forwards = ir.of_energy(np.maximum(forward, 0)[int(np.argmax(forward)) :], rate)[0]["t20"]
+    backwards = ir.of_energy(np.maximum(backward, 1e-16), rate)[0]["t20"]
+    assert abs(backwards / t - 1) < 0.02  # B T = 8.9
+    assert forwards / t - 1 > 0.05
+
+
+def test_short_decays_are_noted() -> None:
+    rng = np.random.default_rng(5)
+    analysis = ir.analyse(pyfar.Signal(response(0.04, rng)[:4000], 16000), bands=[63, 125, 1000])
+    assert any("125 Hz: B T = " in note and "below 4" in note for note in analysis.notes)
+    assert not any("1000 Hz" in note for note in analysis.notes)
+
+
+def test_files(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    for name in ("room_LS1_MP2", "room_LS1_MP3", "other"):
+        samples = response(0.5, rng)
+        (tmp_path / f"{name}.wav").write_bytes(wav(0.5 * samples / np.abs(samples).max(), 16000))
+    paths = sorted(tmp_path.iterdir())
+    analysis = ir.read(paths, bands=[1000, 2000])
+    assert analysis.measurement.pairs == (("S1", "other"), ("LS1", "MP2"), ("LS1", "MP3"))
+    assert analysis.measurement.mean("t20") == pytest.approx(0.5, rel=0.15)
+    with pytest.raises(DataError, match="source LS1, receiver MP2 is given twice"):
+        ir.read([paths[1], paths[1]])
+
+
+def test_bad_input(tmp_path: Path) -> None:
+    path = tmp_path / "a.wav"
+    good = wav(np.exp(-np.arange(8000) / 800))
+    for content, rule in (
+        (b"", "byte 0: not a WAV file"),
+        (good[:100], "byte 36: b'data' is longer than the file"),
+        (good[:36], "no samples"),
+        (
+            good.replace(struct.pack("<HH", 1, 1), struct.pack("<HH", 2, 1), 1),
+            "format 2 of 16 bits",
+        ),
+        (good[:34] + struct.pack("<H", 8) + good[36:], "format 1 of 8 bits"),
+        (good[:22] + struct.pack("<H", 0) + good[24:], "0 channels"),
+        (wav(np.zeros(8000)), "silent"),
+        (wav(np.ones(900_001)), "900001 samples in 1 channels; at most 900000"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match=rule):
+            ir.read(path)
+    path.write_bytes(good)
+    for arguments, rule in (
+        ({"bands": "half"}, 'bands = "half"'),
+        ({"bands": [8000]}, "8000 Hz; it is no octave below half"),
+        ({"bands": [440]}, "440 Hz; it is no octave"),
+        ({"minimum_range": {"t99": 3.0}}, r"minimum_range\[t99\]"),
+    ):
+        with pytest.raises(DataError, match=rule):
+            ir.read(path, **arguments)  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="no such file"):
+        ir.read(tmp_path / "none.wav")
+    with pytest.raises(DataError, match="no file of an impulse response"):
+        ir.read([])

@@ -1,0 +1,224 @@
+"""Material lists of CATT, ODEON, pyroomacoustics and BRAS: bytes kept, values put in, T told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.io import bras, catt, odeon, pyroomacoustics
+from tests import fuzz
+
+FORMATS: dict[str, Any] = {
+    "catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics, "bras": bras,
+}  # fmt: skip
+FILES = [(name, i) for name in FORMATS for i in range(len(fuzz.READERS[name].seeds))]
+
+
+def room_of(listed: Any) -> rt.Room:
+    return listed.room(
+        name="hall", volume=500, areas={n: 40.0 + i for i, n in enumerate(listed.names)}
+    )
+
+
+@pytest.mark.parametrize(("name", "i"), FILES)
+def test_nothing_changed_is_the_same_bytes(name: str, i: int, tmp_path: Path) -> None:
+    content = fuzz.READERS[name].seeds[i]
+    path, copy = tmp_path / "a", tmp_path / "b"
+    path.write_bytes(content)
+    module = FORMATS[name]
+    for listed in (module.read(path),):
+        used = listed.names[:2] if name == "pyroomacoustics" else listed.names
+        areas = dict.fromkeys(used[:1] if name == "pyroomacoustics" else used, 30.0)
+        room = listed.room(name="hall", volume=500, areas=areas)
+        report = module.write(room, copy, template=path)
+        assert copy.read_bytes() == content
+        assert not report.change.any()
+        module.write(room, path)  # into the file itself
+        assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize(("name", "i"), FILES)
+def test_only_calibrated_values_change(name: str, i: int, tmp_path: Path) -> None:
+    content = fuzz.READERS[name].seeds[i]
+    path = tmp_path / "a"
+    path.write_bytes(content)
+    module = FORMATS[name]
+    listed = module.read(path)
+    first = listed.materials[0]
+    room = listed.room(name="hall", volume=500, areas={first.name: 200.0})
+    alpha = np.array(room.alpha)
+    alpha[0, 1] = 0.123456789
+    report = module.write(room.replace(alpha=alpha), path)
+    begin, end = first.spans[1]
+    written = path.read_bytes()
+    assert written[:begin] == content[:begin]
+    tail = content[end:]
+    assert written[len(written) - len(tail) :] == tail
+    number = float(written[begin : len(written) - len(tail)]) * first.unit
+    step = 0 if first.decimals is None else 0.5 * first.unit * 10**-first.decimals
+    assert abs(number - 0.123456789) <= step + 1e-15
+    again = module.read(path).materials[0].alpha
+    assert again[1] == pytest.approx(number, rel=1e-14)
+    assert again[:1] + again[2:] == first.alpha[:1] + first.alpha[2:]
+    assert report.room.alpha[0, 1] == pytest.approx(number, rel=1e-14)
+
+
+def test_rounding_is_told_as_a_change_of_t(tmp_path: Path) -> None:
+    path = tmp_path / "hall.geo"
+    path.write_bytes(b"ABS wall = <2 2 2 2 2 2>\r\n")
+    room = catt.read(path).room(name="hall", volume=1000, areas={"wall": 700.0})
+    report = catt.write(room.replace(alpha=np.full((1, 6), 0.0204)), path)
+    assert path.read_bytes() == b"ABS wall = <2 2 2 2 2 2>\r\n"  # 2.0 % is what stands there
+    # By hand: Eyring without air, T ~ 1 / -ln(1 - alpha); .0204 is read as .020.
+    ratio = np.log(1 - 0.0204) / np.log(1 - 0.020)
+    assert report.change == pytest.approx((ratio - 1) / 0.05, rel=1e-9)
+    assert "500 Hz" in str(report)
+    assert "+0.4042" in str(report)
+    fine = catt.write(room.replace(alpha=np.full((1, 6), 0.0213)), path)
+    assert path.read_bytes() == b"ABS wall = <2.1 2.1 2.1 2.1 2.1 2.1>\r\n"
+    assert fine.room.alpha == pytest.approx(0.021)
+
+
+def test_catt_constructs() -> None:
+    listed = catt.parse(fuzz.CATT[0])
+    assert listed.names == ("wood", "audience", "drape", "panel")
+    assert listed.materials[1].scattering == (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+    assert listed.materials[2].alpha[1] == 0.045
+    assert listed.materials[2].centre_frequencies[-1] == 16000
+    assert listed.materials[3].alpha[0] == 0.28
+    assert len(listed.materials[3].alpha) == 7
+    assert dict(listed.aliases) == {"floorabs": "wood"}
+    assert catt.parse(fuzz.CATT[1]).names == ("panelwalls", "béton")
+
+
+def test_an_alias_stands_for_its_material(tmp_path: Path) -> None:
+    path = tmp_path / "a.geo"
+    path.write_bytes(b"ABS wood = <1 2 3 4 5 6>\nABS floor = wood\n")
+    room = catt.read(path).room(name="", volume=9, areas={"floor": 3.0})
+    assert room.materials == ("floor",)
+    catt.write(room.replace(alpha=np.full((1, 6), 0.5)), path)
+    assert path.read_bytes().startswith(b"ABS wood = <50.0 50.0 50.0 50.0 50.0 50.0>\n")
+    both = catt.read(path).room(name="", volume=9, areas={"floor": 3.0, "wood": 4.0})
+    with pytest.raises(DataError, match="stands for the same material"):
+        catt.write(both.replace(alpha=[[0.5] * 6, [0.4] * 6]), path)
+
+
+def octave_room(**changes: Any) -> rt.Room:
+    frequencies = [63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000]
+    rng = np.random.default_rng(4)
+    return rt.Room(
+        name="hall", volume=400, materials=["brick", "7 felt"], areas=[90, 150],
+        alpha=rng.uniform(0.01, 0.99, (2, 9)), sigma=np.full((2, 9), 0.1),
+        scattering=rng.uniform(0, 1, (2, 9)), centre_frequencies=np.array(frequencies),
+    ).replace(**changes)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "step"), [("catt", 5e-4), ("odeon", 5e-6), ("pyroomacoustics", 0), ("bras", 5e-4)]
+)
+def test_a_new_file_reads_back(name: str, step: float, tmp_path: Path) -> None:
+    room = octave_room(materials=["brick", "felt"]) if name == "catt" else octave_room()
+    report = FORMATS[name].write(room, tmp_path / "new")
+    listed = FORMATS[name].read(tmp_path / "new")
+    back = listed.room(
+        name="hall", volume=400, areas=dict(zip(room.materials, room.areas, strict=True))
+    )
+    columns = [list(room.centre_frequencies).index(f) for f in back.centre_frequencies]
+    assert back.n_bands >= 8
+    assert np.abs(back.alpha - room.alpha[:, columns]).max() <= step + 1e-12
+    assert np.array_equal(report.room.alpha[:, columns], back.alpha)
+    if name == "catt":
+        assert report.bands_not_written == (63.0,)
+        assert "63 Hz" in str(report)
+
+
+def test_pyroomacoustics_takes_the_dictionaries() -> None:
+    library = pytest.importorskip("pyroomacoustics")
+    room = octave_room()
+    for i, arguments in enumerate(pyroomacoustics.dictionaries(room).values()):
+        material = library.Material(**arguments)
+        assert material.absorption_coeffs == room.alpha[i].tolist()
+        assert material.scattering_coeffs == room.scattering[i].tolist()  # type: ignore[index]
+    database = Path(library.__file__).parent / "data" / "materials.json"
+    listed = pyroomacoustics.read(database)
+    expected = json.loads(database.read_text())["absorption"]
+    names = [n for category in expected.values() for n in category]
+    assert sorted(listed.names) == sorted(names)
+    assert listed.with_alpha(listed.room(name="", volume=1, areas={names[0]: 1.0}))[0] == (
+        database.read_bytes()
+    )
+
+
+def test_bras_table_of_the_benchmark(shared_data: Path) -> None:
+    path = shared_data / "bras" / "absorption_third_octave.csv"
+    listed = bras.read(path, where={"room": "CR2", "set": "initial"})
+    ceiling = next(m for m in listed.materials if m.name == "ceiling")
+    assert ceiling.alpha[:3] == (0.069, 0.055, 0.04)
+    room = listed.room(name="CR2", volume=146.1, areas=dict.fromkeys(listed.names, 40.0))
+    assert listed.with_alpha(room)[0] == path.read_bytes()
+
+
+BAD = [
+    (catt, b"ABS a = <1 2 3 4 5>", "line 1: 5 values; 6 to 8"),
+    (catt, b"\nABS a = <1 2 3 4 5 101>", r"line 2: alpha 101 is not in \[0, 100\]"),
+    (catt, b"ABS1 a = <1 2 3 4 5 6>", r"line 1: alpha 2 is not in \[0, 1\]"),
+    (catt, b"ABS a = <1 2 3 4 5 six>", 'line 1: "six" is not a finite number'),
+    (catt, b"ABS a = <1 2 3 4 5 6", "line 1: .* lacks the closing >"),
+    (catt, b"ABS a = <1 2 3 4 5 6> L <1 2 3>", "line 1: 3 values"),
+    (catt, b"ABS a = <1 2 3 4 5 6> {red}", "line 1: .* is no colour"),
+    (catt, b"ABS a = <1 2 3 : 4 5 6>", "line 1: the : stands after 3 values"),
+    (catt, b"ABS a = b", 'line 1: "b", which "a" stands for'),
+    (catt, b"ABS a = <1 2 3 4 5 6>\nABS a = <1 2 3 4 5 6>", "line 2: .* given twice, first on line 1"),
+    (catt, b"ABS\n", "line 1: .* is no ABS statement"),
+    (catt, b"PLANES\n", "line 1: no material"),
+    (odeon, b"1 a\n.1 .1 .1 .1 .1 .1 .1\n", "line 2: 7 values; there are 8"),
+    (odeon, b"1 a", "line 1: its 8 coefficients are missing"),
+    (odeon, b"1 a\n\n", "line 2: empty"),
+    (odeon, b"concrete\n", "line 1: .* is not a number"),
+    (odeon, b"1 a\n0 0 0 0 0 0 0 0\n1 b\n0 0 0 0 0 0 0 0\n", "line 3: number 1 is given twice"),
+    (odeon, b"1 a\n0 0 0 0 0 0 0 1.1\n", r"line 2: alpha 1.1 is not in \[0, 1\]"),
+    (pyroomacoustics, b'{"a": {"coeffs": [0.1]}}', "line 1: these .* have no center_freqs"),
+    (pyroomacoustics, b'{"coeffs": [0.1, 2], "center_freqs": [1, 2]}', "line 1: alpha 2 is not"),
+    (pyroomacoustics, b'{"coeffs": [0.1, true], "center_freqs": [1, 2]}', '"true" is not'),
+    (pyroomacoustics, b'{"coeffs": [0.1], \n"center_freqs": [500, 250]}', "line 1: .* has 250"),
+    (pyroomacoustics, b'{"a": 1, "a": 2}', 'line 1: the key "a" is given twice'),
+    (pyroomacoustics, b'{"a": 1', "line 1: not valid JSON"),
+    (bras, b"20,25\n.1\n", "line 2: 1 values for 2 frequencies"),
+    (bras, b"20,25\n.1,1.5\n", r"line 2: alpha 1.5 is not in \[0, 1\]"),
+    (bras, b"room,20\nCR2,.1\n", 'line 1: column "material" is not there once'),
+    (bras, b"material,20\na,.1,.2\n", "line 2: 3 cells; the header has 2"),
+    (bras, b"", "line 1: empty"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("module", "content", "rule"), BAD)
+def test_bad_input_names_the_line_and_the_rule(module: Any, content: bytes, rule: str) -> None:
+    with pytest.raises(DataError, match=rule):
+        module.parse(content)
+
+
+def test_refused_writes_leave_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "hall.geo"
+    path.write_bytes(b"ABS brick = <1 2 3 4 5 6>\n")
+    with pytest.raises(DataError, match='"7 felt" is no material of'):
+        catt.write(octave_room(), path)
+    path.write_bytes(b"not a list of materials\n")
+    with pytest.raises(DataError, match="no material in it"):
+        catt.write(octave_room(), path)
+    assert path.read_bytes() == b"not a list of materials\n"
+    with pytest.raises(DataError, match="without spaces"):
+        catt.write(octave_room(), tmp_path / "new.geo")
+    low = rt.Room(
+        name="", volume=9, materials=["a"], areas=[9], alpha=[[0.1]], sigma=[[0.1]],
+        centre_frequencies=[500],
+    )  # fmt: skip
+    for module in (catt, odeon):
+        with pytest.raises(DataError, match="which the room has not"):
+            module.write(low, tmp_path / "new")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["hall.geo"]

@@ -1,0 +1,149 @@
+"""Meshes with material names, and tables of measured values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.io import catt, obj, tables
+from rtcal.simulators.geometry import Polyhedron
+from tests import fuzz
+
+
+def test_a_box_is_read() -> None:
+    box = obj.parse(fuzz.OBJ[0])
+    assert box.volume == pytest.approx(2, rel=1e-12)
+    assert box.areas == pytest.approx({"wood": 2.0, "brick": 8.0}, rel=1e-12)
+    assert obj.parse(fuzz.OBJ[0], unit=0.001).volume == pytest.approx(2e-9, rel=1e-9)
+
+
+def test_a_room_of_a_mesh_and_a_list() -> None:
+    box = obj.parse(fuzz.OBJ[0])
+    listed = catt.parse(b"ABS wood = <10 10 10 10 10 10>\nABS brick = <2 2 2 2 2 2>\n")
+    room = listed.room(name="box", volume=box.volume, areas=box.surfaces)
+    assert room.absorption_area == pytest.approx([0.36] * 6, rel=1e-12)
+    assert {s.axis for s in room.surfaces} == {"x", "y", "z"}
+
+
+def test_a_written_mesh_reads_back(tmp_path: Path) -> None:
+    first = Polyhedron.shoebox((5.1, 7.3, 3.7), "plaster")
+    obj.write(first, tmp_path / "a.obj")
+    again = obj.read(tmp_path / "a.obj")
+    assert again.volume == first.volume
+    assert again.areas == first.areas
+    assert np.array_equal(again.vertices, first.vertices)
+
+
+MESHES = [
+    (b"v 0 0 0\nf 1 1 1\n", "line 2: a face without a material"),
+    (b"v 0 0\n", "line 1: v has 2 numbers"),
+    (b"v 0 0 nan\n", 'line 1: "nan" is not'),
+    (b"v 0 0 0\nusemtl a\nf 1 2 3\n", "line 3: the corner 2 is no vertex; 1 stand above"),
+    (b"v 0 0 0\nusemtl a\nf 0 1 1\n", "line 3: the corner 0"),
+    (b"usemtl\n", "line 1: usemtl lacks"),
+    (b"wall 1 2\n", 'line 1: "wall" is no keyword'),
+    (b"usemtl a\nv 0 0 0\nf 1\\\n 1\n", "line 4: a face of 2 corners"),
+    (fuzz.OBJ[0].replace(b"f 3 4 8 7\n", b""), "do not close"),
+    (b"", "there is no face"),
+]
+
+
+@pytest.mark.parametrize(("content", "rule"), MESHES)
+def test_bad_meshes(content: bytes, rule: str) -> None:
+    with pytest.raises(DataError, match=rule):
+        obj.parse(content)
+
+
+def test_bands_down_with_decimal_commas() -> None:
+    table = tables.parse(fuzz.TABLES[0])
+    m = table.measurement
+    assert m.centre_frequencies.tolist() == [125, 250]
+    assert m.values["t20"].tolist() == [[1.5, 1.4]]
+    assert m.values["d50"] == pytest.approx(np.array([[0.5, 0.55]]), rel=1e-12)
+    assert m.values["ts"][0, 0] == pytest.approx(0.08, rel=1e-12)
+    assert np.isnan(m.values["ts"][0, 1])
+    assert str(table).splitlines() == [
+        "columns parted by ';', decimal comma", '"Frequenz [Hz]": band', '"T20 (s)": T20',
+        '"D50 [%]": D50, times 0.01', '"Ts [ms]": TS, times 0.001',
+    ]  # fmt: skip
+
+
+def test_bands_across() -> None:
+    table = tables.parse(fuzz.TABLES[1])
+    m = table.measurement
+    assert m.centre_frequencies.tolist() == [125, 1000, 2000]
+    assert m.values["t20"].tolist() == [[1.5, 1.4, 1.3]]
+    assert m.values["edt"][0, [0, 2]].tolist() == [1.2, 1.0]
+    assert np.isnan(m.values["edt"][0, 1])
+    assert '"1 kHz": the row\'s parameter at 1000 Hz' in str(table)
+
+
+def test_long_with_units_and_spellings() -> None:
+    m = tables.parse(fuzz.TABLES[2]).measurement
+    assert m.pairs == (("S1", "R1"), ("S1", "R 2"))
+    assert m.values["c80"][0, 0] == 2.5
+    assert m.values["ts"][1, 1] == pytest.approx(0.09, rel=1e-12)
+
+
+def test_rt60_must_be_said() -> None:
+    content = b"Frequency,RT60\n500,1.5\n"
+    with pytest.raises(DataError, match='line 1: "RT60" does not say which decay time'):
+        tables.parse(content)
+    table = tables.parse(content, decay_time="t30")
+    assert table.measurement.values["t30"].tolist() == [[1.5]]
+    bare = b"position,500,1k\nA,1.5,1.4\n"
+    with pytest.raises(DataError, match="state parameter"):
+        tables.parse(bare)
+    assert tables.parse(bare, parameter="t20").measurement.pairs == (("S1", "A"),)
+
+
+def test_a_written_table_is_the_native_file(tmp_path: Path) -> None:
+    m = tables.parse(fuzz.TABLES[1]).measurement
+    tables.write(m, tmp_path / "t.csv")
+    again = rt.Measurement.from_file(str(tmp_path / "t.csv"))
+    assert again.fingerprint == m.fingerprint
+    assert tables.read(tmp_path / "t.csv").measurement.fingerprint == m.fingerprint
+
+
+TABLES = [
+    (b"Frequency,T20\n500,1.5\n500,1.6\n", "line 3: T20 of S1, R1 at 500 Hz is given twice"),
+    (b"Frequency;T20\n500;1,5\n1000;1.5\n", "line 3: decimal commas and decimal points"),
+    (b"Frequency,T20\n500,0\n", "line 2: T20 = 0 s is not above 0"),
+    (b"Frequency,T20\n500,long\n", 'line 2: "long" is not a finite number'),
+    (b"Frequency,T20 [min]\n500,1\n", 'line 1: T20 in "min"'),
+    (b"Frequency,Volume\n500,1\n", 'line 1: column "Volume" is no parameter'),
+    (b"Frequency,D50\n500,55\n", "line 2: D50 = 55 is not in"),
+    (b"Frequency,T20\n500\n", "line 2: 1 cells; the header has 2"),
+    (b"Frequency,T20\nlow,1\n", 'line 2: band "low" is no frequency'),
+    (b"Frequency,T20\n", "line 1: a header and at least one row"),
+    (b"Frequency,band,T20\n5,5,1\n", "line 1: two columns are the band"),
+    (b"Parameter,500\nT99,1\n", 'line 2: parameter "T99" is unknown'),
+]
+
+
+@pytest.mark.parametrize(("content", "rule"), TABLES)
+def test_bad_tables(content: bytes, rule: str) -> None:
+    with pytest.raises(DataError, match=rule):
+        tables.parse(content)
+
+
+def test_native_files_are_bounded(tmp_path: Path) -> None:
+    path = tmp_path / "room.toml"
+    path.write_text("a = " + "[" * 100_000)
+    with pytest.raises(DataError, match=r"room.toml: not valid TOML"):
+        rt.Room.from_file(str(path))
+    path.write_text('volume = 1e3\ncentre_frequencies = [500]\n[[material]]\nname = "a"\narea = 1'
+                    + "0" * 400 + "\nalpha = [0.1]\nsigma = 0.1\n")  # fmt: skip
+    with pytest.raises(DataError, match="a number is too large"):
+        rt.Room.from_file(str(path))
+    path.write_text("source,receiver,parameter,band,value\n" + "".join(
+        f"S{i},R,T20,{20 + i},1\n" for i in range(2000)))  # fmt: skip
+    with pytest.raises(DataError, match="2000 pairs, 1745 bands"):
+        rt.Measurement.from_file(str(path))
+    path.write_bytes(b"#" * (2**21 + 1))
+    with pytest.raises(DataError, match="more than 2097152 bytes"):
+        rt.Measurement.from_file(str(path))
