@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint study bench clean
+.PHONY: demo test lint study fuzz bench clean
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -24,6 +24,9 @@ lint: $(STAMP)  ## style and types
 
 study: $(STAMP)  ## the long studies
 	$(BIN)/python -m pytest -m study
+
+fuzz: $(STAMP)  ## 10,000 broken files into every reader
+	$(BIN)/python benchmarks/fuzz_files.py 10000
 
 bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python benchmarks/resolve.py

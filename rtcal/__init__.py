@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtcal import datasets, errors, priors
+    from rtcal import datasets, errors, io, priors
     from rtcal.acoustics.air import Air
     from rtcal.acoustics.equations import Eyring, Kuttruff, Sabine
     from rtcal.acoustics.measurement import Measurement
@@ -47,6 +47,7 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "datasets": ("rtcal.datasets", None),
     "errors": ("rtcal.errors", None),
     "exact": ("rtcal.calibration.exact", None),
+    "io": ("rtcal.io", None),
     "studies": ("rtcal.studies", None),
     "terms": ("rtcal.calibration.terms", None),
 }
@@ -69,6 +70,7 @@ __all__ = [
     "datasets",
     "errors",
     "exact",
+    "io",
     "priors",
     "studies",
     "terms",

@@ -25,6 +25,7 @@ from rtcal.errors import (
     RtcalError,
     SolverError,
 )
+from rtcal.io_commands import export, import_room, measure, table
 from rtcal.study_command import study
 
 if TYPE_CHECKING:
@@ -123,7 +124,8 @@ def _write(result: CalibrationResult, folder: Path) -> list[Path]:
     return list(contents)
 
 
-cli.add_command(study)
+for command in (study, measure, table, import_room, export):
+    cli.add_command(command)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -161,8 +161,8 @@ def analyse(
             t = found.get("t20", found.get("t30", found.get("edt", np.inf)))
             if bandwidth * t < LEAST_BT:
                 notes.append(
-                    f"{place}: B T = {bandwidth * t:.1f} is below {LEAST_BT:g}: the filter's own "
-                    "decay is a part of what is measured, T is too long"
+                    f"{place}: B T = {bandwidth * t:.1f} is below {LEAST_BT:g}: the band filter's "
+                    "own decay is a part of what is measured"
                 )
     return Analysis(
         measurement=Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values),
