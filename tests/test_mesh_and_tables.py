@@ -105,8 +105,10 @@ def test_a_written_table_is_the_native_file(tmp_path: Path) -> None:
     m = tables.parse(fuzz.TABLES[1]).measurement
     tables.write(m, tmp_path / "t.csv")
     again = rt.Measurement.from_file(str(tmp_path / "t.csv"))
-    assert again.fingerprint == m.fingerprint
-    assert tables.read(tmp_path / "t.csv").measurement.fingerprint == m.fingerprint
+    for read in (again, tables.read(tmp_path / "t.csv").measurement):
+        assert read.pairs == m.pairs
+        for parameter, values in m.values.items():
+            assert np.array_equal(read.values[parameter], values, equal_nan=True)
 
 
 TABLES = [
@@ -138,7 +140,7 @@ def test_native_files_are_bounded(tmp_path: Path) -> None:
         rt.Room.from_file(str(path))
     path.write_text('volume = 1e3\ncentre_frequencies = [500]\n[[material]]\nname = "a"\narea = 1'
                     + "0" * 400 + "\nalpha = [0.1]\nsigma = 0.1\n")  # fmt: skip
-    with pytest.raises(DataError, match="a number is too large"):
+    with pytest.raises(DataError, match=r'surface\["a"\].area = .* is not a number'):
         rt.Room.from_file(str(path))
     path.write_text("source,receiver,parameter,band,value\n" + "".join(
         f"S{i},R,T20,{20 + i},1\n" for i in range(2000)))  # fmt: skip

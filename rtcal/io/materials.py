@@ -18,6 +18,7 @@ from rtcal.acoustics import bands, quality
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.files import write_bytes
+from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.room import Material, Room, Surface
 from rtcal.errors import DataError
 from rtcal.types import Array
@@ -82,6 +83,7 @@ class MaterialList:
     def __post_init__(self) -> None:
         first: dict[str, int] = {}
         for material in self.materials:
+            text_name(f"{self.path}, line {material.line}: a material's name", material.name)
             if material.name in first:
                 raise DataError(
                     f'{self.path}, line {material.line}: "{material.name}" is given twice, first '

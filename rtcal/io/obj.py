@@ -14,6 +14,7 @@ import os
 import re
 
 from rtcal.acoustics.files import read_bytes, write_text
+from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError
 from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
 from rtcal.simulators.geometry import Polyhedron
@@ -73,11 +74,11 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
             materials.append(material)
             names.append(f"{group or 'face'} {len(faces)}")
         elif keyword == "usemtl":
-            material = readable(rest)
+            material = text_name(f"{place}: usemtl", readable(rest))
             if not material:
                 raise DataError(f"{place}: usemtl lacks the material's name")
         elif keyword in ("o", "g"):
-            group = readable(rest)
+            group = text_name(f"{place}: {keyword}", readable(rest))
         elif keyword and keyword not in _PASSED:
             raise DataError(f'{place}: "{shown(keyword)}" is no keyword of an OBJ file')
     if not faces:

@@ -19,6 +19,7 @@ import numpy as np
 
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics.files import read_bytes
+from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import DECAY_TIMES, UNITS, Measurement
 from rtcal.errors import DataError
 from rtcal.io.source import MAX_TEXT, number, shown
@@ -231,6 +232,7 @@ def _row(
 ) -> list[tuple[tuple[str, str, str, float], float]]:  # fmt: skip
     held = {c.kind: cell for c, cell in zip(columns, cells, strict=True) if c.kind != "of"}
     source, receiver = held.get("source") or "S1", held.get("receiver") or "R1"
+    text_name(f"{place}: a position", source + receiver)
     row_parameter, row_band = stated, None
     if "parameter" in held:
         row_parameter = _parameter(held["parameter"], place, decay_time)
