@@ -30,6 +30,7 @@ fuzz: $(STAMP)  ## 10,000 broken files into every reader
 
 bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python benchmarks/resolve.py
+	$(BIN)/python benchmarks/composed.py
 	$(BIN)/python benchmarks/path_tracing.py
 
 clean:

@@ -32,7 +32,7 @@ def room_of(n: int, rng: np.random.Generator) -> tuple[rt.Room, np.ndarray]:
     room = rt.Room(
         name="bench", volume=100.0 * n, materials=[f"m{i}" for i in range(n)],
         areas=rng.uniform(5, 60, n), alpha=rng.uniform(0.1, 0.6, shape),
-        sigma=rng.uniform(0.02, 0.1, shape), centre_frequencies=THIRDS,
+        sigma=rng.uniform(0.02, 0.1, shape), centre_frequencies=THIRDS, air=rt.Air(),
     )  # fmt: skip
     drawn = room.alpha + room.sigma * rng.standard_normal(shape)
     return room, rt.Eyring().time(room, room.areas @ np.clip(drawn, 0.01, 0.99))

@@ -38,7 +38,7 @@ def drawn(
         rooms.append(rt.Room(
             name=name, volume=100, materials=used, areas=[*areas, area],
             alpha=[[mu[m]] for m in used], sigma=[[sigma[m]] for m in used],
-            centre_frequencies=FREQUENCY,
+            centre_frequencies=FREQUENCY, air=rt.Air(),
         ))  # fmt: skip
     return (rooms[0], rooms[1]), truth
 

@@ -50,7 +50,7 @@ def drawn_room(rng: np.random.Generator, kind: int) -> tuple[rt.Room, np.ndarray
     mu, sigma, truth = (np.stack(part, axis=1) for part in zip(*chosen[:K], strict=True))
     room = rt.Room(
         name="drawn", volume=200, materials=[f"m{i}" for i in range(N)], areas=areas, alpha=mu,
-        sigma=sigma, centre_frequencies=BANDS,
+        sigma=sigma, centre_frequencies=BANDS, air=rt.Air(),
     )  # fmt: skip
     return room, truth
 

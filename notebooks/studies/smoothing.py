@@ -32,7 +32,7 @@ def drawn(
     room = rt.Room(
         name="drawn", volume=200, materials=[f"m{i}" for i in range(N)],
         areas=rng.uniform(5, 60, N), alpha=rng.uniform(0.35, 0.6, (N, K)), sigma=sigma,
-        centre_frequencies=BANDS,
+        centre_frequencies=BANDS, air=rt.Air(),
     )  # fmt: skip
     octaves = np.abs(np.subtract.outer(np.arange(K), np.arange(K)))
     own = correlation if isinstance(correlation, dict) else dict.fromkeys(OWN, correlation)
