@@ -46,7 +46,9 @@ def cli() -> None:
 @cli.command()
 @click.argument("room", type=click.Path())
 @click.argument("measured", type=click.Path())
-@click.option("--method", default="mle", show_default=True, help="mle, lse, soft, smooth or robust.")
+@click.option(
+    "--method", default="mle", show_default=True, help="mle, lse, soft, smooth or robust."
+)
 @click.option(
     "--equation", type=click.Choice(tuple(EQUATIONS)), default="eyring", show_default=True,
     help="The reverberation equation; the last three only predict, and are calibrated in the loop.",
