@@ -71,8 +71,15 @@ class Instance:
 
     @cached_property
     def scale(self) -> Array:
-        """D u / d x, (size,)."""
+        """d u / d x, (size,)."""
         return np.where(self.pinned, 0.0, self.sigma)
+
+    @cached_property
+    def inverse_sigma(self) -> Array:
+        """1 / sigma, 0 where sigma = 0, (size,)."""
+        inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
+        inverse.setflags(write=False)
+        return inverse
 
     def alpha(self, u: Array) -> Array:
         """Return the absorption coefficients among the unknowns, (n_rows, n_bands)."""

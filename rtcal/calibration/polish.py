@@ -86,8 +86,10 @@ def polish(
                 alpha = trial
                 continue
             rows = _undetermined(twin, trial, rows, starved, at_lower, at_upper)
-        balance = twin.stationarity(trial, rows) * sigma
-        tolerance = _ROUNDING * (1 + np.max(np.abs(twin.gradient(trial) * sigma), initial=0.0))
+        gradient = twin.gradient(trial)
+        force = np.asarray(gradient + twin.matrix.T @ rows)
+        balance = force * sigma
+        tolerance = _ROUNDING * (1 + np.max(np.abs(gradient * sigma), initial=0.0))
         free_lower = at_lower & (balance < -tolerance)
         free_upper = at_upper & (balance > tolerance)
         free_row = ~fixed_row & (side * rows < 0)
@@ -101,7 +103,6 @@ def polish(
             # A piecewise quadratic objective changed its piece, or rounding is all that is left.
             worst, patience = min(worst, unbalanced), patience - (unbalanced > 0.5 * worst)
             continue
-        force = twin.stationarity(trial, rows)
         found = Multipliers(
             rows,
             np.where(at_lower, np.maximum(force, 0.0), 0.0),

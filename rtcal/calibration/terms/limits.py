@@ -50,19 +50,19 @@ class BandSmoothness(Sums):
 
     def value(self, u: Array, instance: Instance) -> float:
         """Return ½ sum (x_k+1 - x_k)² / d_k."""
-        x = (u - instance.mu) * reciprocal(instance.sigma)
+        x = (u - instance.mu) * instance.inverse_sigma
         return 0.5 * float(np.sum((self._differences(instance) @ x) ** 2))
 
     def gradient(self, u: Array, instance: Instance) -> Array:
         """Return D'D x / sigma."""
-        inverse = reciprocal(instance.sigma)
+        inverse = instance.inverse_sigma.copy()
         differences = self._differences(instance)
         x = (u - instance.mu) * inverse
         return np.asarray(differences.T @ (differences @ x) * inverse)
 
     def curvature(self, u: Array, instance: Instance) -> Any:
         """Return D'D over sigma sigma': a sparse matrix."""
-        scaled = self._differences(instance) @ sp.diags_array(reciprocal(instance.sigma))
+        scaled = self._differences(instance) @ sp.diags_array(instance.inverse_sigma)
         return sp.csr_array(scaled.T @ scaled)
 
     def _differences(self, instance: Instance) -> Any:

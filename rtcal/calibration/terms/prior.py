@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
-from rtcal.calibration.terms.base import Sums, half_squares, reciprocal
+from rtcal.calibration.terms.base import Sums, half_squares
 from rtcal.errors import ModelError
 from rtcal.types import Array
 
@@ -26,7 +26,7 @@ def _positive(what: str, value: float | None) -> None:
 
 def _deviation(u: Array, instance: Instance) -> Array:
     """(u - mu) / sigma of the coefficients, 0 where sigma = 0 and for further unknowns."""
-    x = (u - instance.mu) * reciprocal(instance.sigma)
+    x = (u - instance.mu) * instance.inverse_sigma
     x[instance.layout.n_alpha :] = 0.0
     return np.asarray(x)
 
@@ -138,11 +138,11 @@ class PriorDeviation(Sums):
 
     def gradient(self, u: Array, instance: Instance) -> Array:
         """Return R⁻¹x / sigma, 0 where sigma = 0."""
-        return self._apply(_deviation(u, instance), instance) * reciprocal(instance.sigma)
+        return self._apply(_deviation(u, instance), instance) * instance.inverse_sigma
 
     def curvature(self, u: Array, instance: Instance) -> Any:
         """Return R⁻¹ over sigma sigma': 1 / sigma² on a diagonal without correlations."""
-        inverse = reciprocal(instance.sigma)
+        inverse = instance.inverse_sigma.copy()
         inverse[instance.layout.n_alpha :] = 0.0
         if not self.correlated():
             return inverse**2
@@ -314,12 +314,12 @@ class HuberDeviation(Sums):
         x = _deviation(u, instance)
         clipped = np.clip(x, -self.threshold, self.threshold)
         pull = self.convex * x + (1 - self.convex) * clipped
-        return np.asarray(pull * reciprocal(instance.sigma))
+        return np.asarray(pull * instance.inverse_sigma)
 
     def curvature(self, u: Array, instance: Instance) -> Any:
         """Return 1 / sigma² within the threshold, e / sigma² beyond: a diagonal."""
         x = _deviation(u, instance)
-        inverse = reciprocal(instance.sigma)
+        inverse = instance.inverse_sigma.copy()
         inverse[instance.layout.n_alpha :] = 0.0
         return np.where(np.abs(x) <= self.threshold, 1.0, self.convex) * inverse**2
 
