@@ -25,13 +25,21 @@ _OSQP_SOLVED = 1
 
 @dataclass(frozen=True)
 class Matrices:
-    """The matrices of one QP, ``P`` in full; its first ``n_equal`` rows are equalities."""
+    """The matrices of one QP; its first ``n_equal`` rows are equalities.
 
-    P: Any
+    ``P_upper`` is the upper triangle of P, sparse by columns, as Clarabel and OSQP want it.
+    """
+
+    P_upper: Any
     q: Array
     A: Any
     b: Array
     n_equal: int
+
+    @property
+    def P(self) -> Any:
+        """P in full, sparse by columns."""
+        return sp.csc_matrix(self.P_upper + sp.triu(self.P_upper, 1).T)
 
 
 class Compiled:
@@ -66,6 +74,11 @@ class Compiled:
         sign = np.where(np.arange(self._n_rows) < self._n_equal, 1.0, -1.0)
         self._sign = sign
         self._entry_sign = sign[self._index[0]]
+        indices, indptr, _ = program.reduced_P.problem_data_index
+        columns = np.repeat(np.arange(self._size), np.diff(indptr))
+        self._upper = indices <= columns
+        counts = np.bincount(columns[self._upper], minlength=self._size)
+        self._upper_index = (indices[self._upper], np.concatenate([[0], np.cumsum(counts)]))
 
     @property
     def size(self) -> int:
@@ -92,8 +105,8 @@ class Compiled:
         matrix = sp.csc_matrix(
             (values[: self._last] * self._entry_sign, *self._index), (self._n_rows, self._size)
         )
-        indices, indptr, shape = program.reduced_P.problem_data_index
-        quadratic = sp.csc_matrix((program.reduced_P.reduced_mat @ theta, indices, indptr), shape)
+        upper = (program.reduced_P.reduced_mat @ theta)[self._upper]
+        quadratic = sp.csc_matrix((upper, *self._upper_index), (self._size, self._size))
         linear = np.asarray(program.q @ theta).ravel()[: self._size]
         return Matrices(quadratic, linear, matrix, -self._sign * offset, self._n_equal)
 

@@ -183,8 +183,7 @@ def _clarabel(compiled: Compiled, settings: dict[str, Any]) -> Answer:
         except (TypeError, OverflowError) as error:
             raise _refused("clarabel", settings, error) from error
     cones = [clarabel.ZeroConeT(qp.n_equal), clarabel.NonnegativeConeT(len(qp.b) - qp.n_equal)]
-    quadratic = sp.triu(qp.P, format="csc")
-    result = clarabel.DefaultSolver(quadratic, qp.q, qp.A, qp.b, cones, chosen).solve()
+    result = clarabel.DefaultSolver(qp.P_upper, qp.q, qp.A, qp.b, cones, chosen).solve()
     return _own(
         compiled, "clarabel", np.array(result.x), np.array(result.z), str(result.status),
         int(result.iterations), float(result.solve_time),
