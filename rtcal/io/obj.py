@@ -19,7 +19,7 @@ from rtcal.errors import DataError
 from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
 from rtcal.simulators.geometry import Polyhedron
 
-MAX_FACES = 4000
+MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; closing more takes too long."""
 
 _PASSED = {
