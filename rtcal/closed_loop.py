@@ -1,0 +1,436 @@
+"""Calibrate a simulator: calibrate an equation, and move its target until the simulator agrees.
+
+The equation's absorption coefficients give the simulator another T than the equation's, but T moves
+with the target (Bellows & Katz 2025, Sects. 4.2 and 4.3). So the target rate is moved, band by band,
+by one of the rules of `rtcal.loop_rules`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.files import write_text
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.quality import JND, gap_jnd
+from rtcal.acoustics.room import Room
+from rtcal.calibration.measured import times_in_room
+from rtcal.calibration.presets import preset
+from rtcal.calibration.result import CalibrationResult
+from rtcal.errors import DataError
+from rtcal.loop_rules import RULES, Rule
+from rtcal.simulators.base import Simulator, run
+from rtcal.types import Array
+
+STATUSES = ("converged", "no measured T", "unreachable", "not converging")
+"""What is said of a band at the end."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """One simulation: targets (s) and simulated T20 (s), (n_bands,), alpha as it was simulated."""
+
+    target: Array
+    alpha: Array
+    simulated: Array
+    noise: Array
+
+
+_FIELDS = ("target", "alpha", "simulated", "noise")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Loop:
+    """A closed loop between two simulations: what is known, and what to simulate next.
+
+    Immutable: `record` returns the loop after a simulation. `start` makes one; `save` and `load`
+    keep it between runs of a program.
+
+    Attributes
+    ----------
+    room : Room
+    wanted : array (n_bands,)
+        Measured T in s, NaN where there is none.
+    rule : "secant", "safeguarded" or "regression"
+    method : str
+        Of the equation's calibration; see `rtcal.calibrate`.
+    equation : LinearEquation or None
+    decimals : int, optional
+        Decimals of alpha that the program reads; simulated is what it will read.
+    tolerance : float
+        JND.
+    steps : tuple of Step
+    """
+
+    room: Room
+    wanted: Array
+    measured: str
+    rule: Rule
+    method: str = "mle"
+    equation: LinearEquation | None = None
+    decimals: int | None = None
+    tolerance: float = 1.0
+    steps: tuple[Step, ...] = ()
+
+    def calibrated(self, target: Array) -> CalibrationResult:
+        """Return the equation's calibration to a target T in s, (n_bands,); the nearest it can."""
+        problem = preset(self.method, self.room).build(self.room, self.equation)
+        return problem.solve(target, unreachable="nearest", method=self.method)
+
+    def rounded(self, alpha: Array) -> Array:
+        """Return alpha as the program reads it."""
+        return alpha if self.decimals is None else np.round(alpha, self.decimals)
+
+    @property
+    def gap(self) -> Array:
+        """Gap of the best step of each band in JND, (n_bands,), NaN without a measured T."""
+        gaps = np.array([gap_jnd(step.simulated, self.wanted) for step in self.steps])
+        return np.asarray(gaps[self.best, np.arange(gaps.shape[1])])
+
+    @property
+    def best(self) -> NDArray[np.int64]:
+        """Which step came nearest, by band, (n_bands,)."""
+        gaps = np.array([gap_jnd(step.simulated, self.wanted) for step in self.steps])
+        return np.asarray(np.argmin(np.nan_to_num(np.abs(gaps)), axis=0))
+
+    @property
+    def goal(self) -> Array:
+        """The gap in JND to stop at, (n_bands,): the tolerance less the simulator's noise.
+
+        At least half the tolerance, since no simulator with more noise could be shown to be there.
+        """
+        noise = np.nan_to_num(self.steps[-1].noise) / (JND["t20"] * self.wanted)
+        return np.maximum(self.tolerance - noise, self.tolerance / 2)
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """One of `STATUSES` for each band, as things stand."""
+        ends = self._ends()
+        found = []
+        for k, (gap, goal) in enumerate(zip(self.gap, self.goal, strict=True)):
+            if np.isnan(gap):
+                found.append("no measured T")
+            elif abs(gap) <= goal:
+                found.append("converged")
+            else:
+                target = self.steps[-1].target[k]
+                short = gap < 0 and target >= ends[1][k] * (1 - 1e-9)
+                long = gap > 0 and target <= ends[0][k] * (1 + 1e-9)
+                found.append("unreachable" if short or long else "not converging")
+        return tuple(found)
+
+    @property
+    def finished(self) -> bool:
+        """Whether no band is left that another simulation could bring nearer."""
+        return bool(self.steps) and "not converging" not in self.status
+
+    @property
+    def next_target(self) -> Array:
+        """The T in s to calibrate the equation to next, (n_bands,); NaN where there is none."""
+        if not self.steps:
+            return self.wanted.copy()
+        shortest, longest = self._ends()
+        target = np.array([self.steps[b].target[k] for k, b in enumerate(self.best)])
+        for k, status in enumerate(self.status):
+            if status != "not converging":
+                continue
+            targets = np.array([1 / step.target[k] for step in self.steps])
+            rates = np.array([1 / step.simulated[k] for step in self.steps])
+            low, high = 1 / longest[k], 1 / shortest[k]
+            rate = RULES[self.rule](targets, rates, 1 / self.wanted[k], low, high)
+            if self.rule == "secant" and rate <= 0:
+                rate = targets[-1]  # the paper's rule has no next target
+            target[k] = 1 / np.clip(rate, low, high)
+        return target
+
+    @property
+    def next_alpha(self) -> Array:
+        """The coefficients to simulate next, (n_materials, n_bands), as the program reads them."""
+        alpha = self.rounded(self.calibrated(self.next_target).alpha)
+        if self.steps:  # a band that is done keeps what did it
+            for k, status in enumerate(self.status):
+                if status == "converged":
+                    alpha[:, k] = self.steps[self.best[k]].alpha[:, k]
+        return alpha
+
+    def record(self, alpha: Array, found: Measurement) -> Loop:
+        """Return the loop after ``alpha``, its `next_alpha`, was simulated with this outcome."""
+        step = Step(
+            target=self.next_target,
+            alpha=alpha,
+            simulated=found.mean("t20"),
+            noise=found.mean_uncertainty("t20") if "t20" in found.uncertainty
+            else np.zeros(self.room.n_bands),
+        )  # fmt: skip
+        return replace(self, steps=(*self.steps, step))
+
+    def _ends(self) -> tuple[Array, Array]:
+        """Shortest and longest T in s that the equation can give within the bounds."""
+        equation = self.equation or Eyring()
+        room = self.room
+        floor = np.zeros(room.alpha.shape) if room.alpha_min is None else room.alpha_min
+        fixed = room.sigma == 0
+        least = np.where(fixed, room.alpha, floor)
+        most = np.where(fixed, room.alpha, 1.0)
+        # Not the ends themselves: there T is 0 or, without air, infinite.
+        share = 1e-3
+        low = room.areas @ least + share * (room.areas @ (most - least))
+        high = room.areas @ most - share * (room.areas @ (most - least))
+        high = np.minimum(high, 0.999 * equation.largest_mean_alpha * room.total_area)
+        return equation.time(room, high), equation.time(room, low)
+
+    def save(self, path: str) -> None:
+        """Write the loop's steps to a JSON file, whole or not at all."""
+        write_text(path, json.dumps({
+            "rtcal": "loop 1", "room": fingerprint(self.room), "measured": self.measured,
+            "wanted": _plain(self.wanted), "rule": self.rule, "method": self.method,
+            "decimals": self.decimals, "tolerance": self.tolerance,
+            "steps": [
+                {name: _plain(getattr(step, name)) for name in _FIELDS}
+                for step in self.steps
+            ],
+        }, indent=1))  # fmt: skip
+
+    @classmethod
+    def load(cls, path: str, room: Room, equation: LinearEquation | None = None) -> Loop:
+        """Read a loop of this room; DataError if the file is of another room, or is no loop."""
+        try:
+            with open(path, encoding="utf-8") as file:
+                data = json.load(file)
+            if data["rtcal"] != "loop 1":
+                raise KeyError("rtcal")
+            if data["room"] != fingerprint(room):
+                raise DataError(
+                    f'{path} is the state of another room, or room "{room.name}" was changed since'
+                )
+            if data["rule"] not in RULES:
+                raise KeyError("rule")
+            steps = tuple(
+                Step(**{name: _array(step[name]) for name in _FIELDS}) for step in data["steps"]
+            )
+            loop = cls(
+                room=room, wanted=_array(data["wanted"]), measured=str(data["measured"]),
+                rule=data["rule"], method=str(data["method"]), equation=equation,
+                decimals=data["decimals"], tolerance=float(data["tolerance"]), steps=steps,
+            )  # fmt: skip
+        except OSError as error:
+            raise DataError(f"{path} cannot be read: {error.strerror}") from error
+        except (ValueError, KeyError, TypeError) as error:
+            if isinstance(error, DataError):
+                raise
+            raise DataError(f"{path} is no state of a loop: {error}") from error
+        shapes = {(room.n_bands,)} ^ {x.shape for x in (loop.wanted, *(s.target for s in steps))}
+        if shapes or any(s.alpha.shape != room.alpha.shape for s in steps):
+            raise DataError(f"{path} is no state of a loop: its shapes are not the room's")
+        return loop
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopResult:
+    """A calibrated simulator.
+
+    Attributes
+    ----------
+    room : Room
+        With the coefficients to give to the simulator, and the record of which simulator.
+    simulator : str
+        The coefficients belong to it and to no other.
+    loop : Loop
+        Every step, and the `status` and `gap` of every band.
+    simulations : int
+        Calls of the simulator until the loop ended.
+    before, after : Measurement
+        Simulated with the equation's calibration alone, and with the last coefficients; of these,
+        T20 was fitted, EDT, C50, C80 and the rest were not.
+    confirmation : Measurement or None
+        The last coefficients with a fresh seed; None for a deterministic simulator.
+    """
+
+    room: Room
+    simulator: str
+    loop: Loop
+    simulations: int
+    before: Measurement
+    after: Measurement
+    confirmation: Measurement | None
+
+    @property
+    def alpha(self) -> Array:
+        """The calibrated coefficients, (n_materials, n_bands)."""
+        return self.room.alpha
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """What is said of each band, one of `STATUSES`."""
+        return self.loop.status
+
+    @property
+    def gap(self) -> Array:
+        """Gap of T20 in JND with fresh random numbers where there are any, (n_bands,)."""
+        found = self.confirmation or self.after
+        return gap_jnd(found.mean("t20"), self.loop.wanted)
+
+    def __str__(self) -> str:
+        lines = [f"Coefficients for {self.simulator} only; {self.simulations} simulations"]
+        lines.append(
+            f"{'Hz':>7}{'T20 wanted':>12}{'found':>8}{'JND':>7}  EDT, C50, C80 before/after"
+        )
+        final = self.confirmation or self.after
+        for k, f in enumerate(self.room.centre_frequencies):
+            others = "  ".join(
+                f"{self.before.mean(p)[k]:.2f}/{final.mean(p)[k]:.2f}"
+                for p in ("edt", "c50", "c80")
+            )
+            lines.append(
+                f"{f:7g}{self.loop.wanted[k]:12.3f}{final.mean('t20')[k]:8.3f}{self.gap[k]:7.2f}"
+                f"  {others}  {self.status[k]}"
+            )
+        return "\n".join(lines)
+
+
+def start(
+    room: Room,
+    measured: Measurement,
+    *,
+    rule: Rule = "safeguarded",
+    method: str = "mle",
+    equation: LinearEquation | None = None,
+    decimals: int | None = None,
+    tolerance: float = 1.0,
+) -> Loop:
+    """Return a loop that nothing has been simulated in yet; see `Loop`."""
+    if rule not in RULES:
+        raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
+    if not tolerance > 0:
+        raise DataError(f"tolerance = {tolerance:g} JND is not above 0")
+    data = times_in_room(room, measured)
+    return Loop(
+        room=room, wanted=data.reverberation_time, measured=data.fingerprint, rule=rule,
+        method=method, equation=equation, decimals=decimals, tolerance=tolerance,
+    )  # fmt: skip
+
+
+def calibrate_simulator(
+    simulator: Simulator,
+    room: Room,
+    measured: Measurement,
+    rule: Rule | None = None,
+    *,
+    method: str = "mle",
+    equation: LinearEquation | None = None,
+    decimals: int | None = None,
+    tolerance: float = 1.0,
+    max_simulations: int = 12,
+    seed: int = 0,
+    after_step: Callable[[Loop], None] | None = None,
+) -> LoopResult:
+    """Calibrate a room's coefficients so that a simulator has the measured T20.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    room : Room
+        Its alpha and sigma are the prior. In large hard rooms let sigma be proportional to alpha:
+        equal sigmas drive large hard walls to alpha = 0.
+    measured : Measurement
+    rule : {"secant", "safeguarded", "regression"}, optional
+        `rtcal.loop_rules`; "safeguarded" for a deterministic simulator, "regression" for a noisy
+        one if not given.
+    method, equation
+        Of the equation's calibration; see `rtcal.calibrate`.
+    decimals : int, optional
+        Decimals of alpha that the program reads.
+    tolerance : float
+        JND; a band is done when its gap is within it less the simulator's noise.
+    max_simulations : int
+    seed : int
+        All steps share it, so that they differ by alpha alone; the confirmation uses the next.
+    after_step : callable, optional
+        Called with the loop after every simulation, for example to `Loop.save` it: what was
+        simulated is then kept if the simulator fails later.
+
+    Returns
+    -------
+    LoopResult
+        Its ``status`` says of every band whether it converged.
+
+    Raises
+    ------
+    SimulatorError, TooShortError
+        From the simulator.
+    DataError
+        If simulator and room differ in materials or bands.
+
+    References
+    ----------
+    Bellows & Katz 2025, Sects. 4.2 and 4.3, Eqs. 38 to 40.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> from rtcal.simulators.equation import EquationSimulator
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> result = calibrate_simulator(EquationSimulator(rt.Kuttruff(), room), room, measured)
+    >>> set(result.status), result.simulations <= 3
+    ({'converged'}, True)
+    """
+    if tuple(simulator.materials) != tuple(room.materials) or not np.array_equal(
+        simulator.centre_frequencies, room.centre_frequencies
+    ):
+        raise DataError(f'{simulator.name} has other materials or bands than room "{room.name}"')
+    if max_simulations < 1:
+        raise DataError(f"max_simulations = {max_simulations} is not at least 1")
+    rule = rule or ("safeguarded" if simulator.deterministic else "regression")
+    loop = start(
+        room, measured, rule=rule, method=method, equation=equation, decimals=decimals,
+        tolerance=tolerance,
+    )  # fmt: skip
+    found: list[Measurement] = []
+    while not loop.finished and len(found) < max_simulations:
+        alpha = loop.next_alpha
+        found.append(run(simulator, alpha, seed=seed))
+        loop = loop.record(alpha, found[-1])
+        if after_step is not None:
+            after_step(loop)
+    alpha = np.stack([loop.steps[b].alpha[:, k] for k, b in enumerate(loop.best)], axis=1)
+    target = np.array([loop.steps[b].target[k] for k, b in enumerate(loop.best)])
+    calibrated = loop.calibrated(target).room
+    record = calibrated.calibration and replace(
+        calibrated.calibration,
+        measured=loop.measured,
+        equation=f"{calibrated.calibration.equation}, in the loop with {simulator.name}",
+    )
+    return LoopResult(
+        room=calibrated.replace(alpha=alpha, calibration=record),
+        simulator=simulator.name,
+        loop=loop,
+        simulations=len(found),
+        before=found[0],
+        after=found[-1],
+        confirmation=None if simulator.deterministic else run(simulator, alpha, seed=seed + 1),
+    )
+
+
+def fingerprint(room: Room) -> str:
+    """Return a short name of a room's materials, areas, bands and prior."""
+    digest = hashlib.sha256(repr((tuple(room.materials), room.volume)).encode())
+    for values in (room.areas, room.centre_frequencies, room.alpha, room.sigma):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _plain(values: Array) -> list[object]:
+    """JSON has no NaN."""
+    return [
+        _plain(v) if v.ndim else (None if np.isnan(v) else float(v)) for v in np.asarray(values)
+    ]
+
+
+def _array(values: object) -> Array:
+    return np.array(values, dtype=float)
