@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rtcal.calibration import closed_form, exact, terms
     from rtcal.calibration.presets import calibrate
     from rtcal.calibration.problem import Calibration
+    from rtcal.closed_loop import calibrate_simulator
 
 __version__ = "0.1.0"
 
@@ -43,6 +44,7 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "Sabine": ("rtcal.acoustics.equations", "Sabine"),
     "Surface": ("rtcal.acoustics.room", "Surface"),
     "calibrate": ("rtcal.calibration.presets", "calibrate"),
+    "calibrate_simulator": ("rtcal.closed_loop", "calibrate_simulator"),
     "closed_form": ("rtcal.calibration.closed_form", None),
     "datasets": ("rtcal.datasets", None),
     "errors": ("rtcal.errors", None),
@@ -66,6 +68,7 @@ __all__ = [
     "Sabine",
     "Surface",
     "calibrate",
+    "calibrate_simulator",
     "closed_form",
     "datasets",
     "errors",
