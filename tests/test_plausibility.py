@@ -10,6 +10,7 @@ from scipy import stats
 
 import rtcal as rt
 from rtcal import terms
+from rtcal.acoustics.bands import third_octaves
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.presets import METHODS
 from rtcal.cli import main
@@ -177,3 +178,20 @@ def test_the_figure_says_where_not_to_believe_it(cr2) -> None:
         warnings.simplefilter("ignore", rt.errors.MissingAirWarning)
         bare = rt.calibrate(room.with_air(None), measured)
     assert "do not trust: no air, s below" in figures.reverberation_time(bare).axes[0].get_xlabel()
+
+
+def test_many_bands_are_printed_in_blocks_that_fit_a_page() -> None:
+    thirds = third_octaves(100, 5000)
+    n = len(thirds)
+    room = rt.Room(
+        name="r", volume=120, materials=["wall", "floor"], areas=[100, 60], air=rt.Air(),
+        alpha=np.full((2, n), 0.2), sigma=np.full((2, n), 0.05), centre_frequencies=thirds,
+    )  # fmt: skip
+    t = np.linspace(0.5, 0.6, n)
+    page = str(rt.calibrate(room, t)).splitlines()
+    tables = page[: next(i for i, text in enumerate(page) if text.startswith("Plausibility"))]
+    assert max(len(text) for text in tables) <= 100
+    measured = [text.split()[4:] for text in tables if text.startswith("measured T / s")]
+    assert [len(block) for block in measured] == [8, 8, 2]
+    assert [float(v) for block in measured for v in block] == [round(float(v), 3) for v in t]
+    assert sum(text.split()[:2] == ["100", "Hz"] for text in tables) == 2  # bands and materials

@@ -13,59 +13,82 @@ from rtcal.types import Array
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
+Row = tuple[str, list[str]]
+
 _WIDTH = 9
+_COLUMNS = 8  # bands side by side: a page of about 100 characters
 _P_LIMIT = 0.05
 
 
 def table(result: CalibrationResult) -> str:
     """Return the tables that ``print(result)`` shows: bands, materials, plausibility."""
     room = result.prior
-    plausibility = result.plausibility
-    name = max(22, *(len(m) + 11 for m in room.materials))
-
-    def line(label: str, cells: list[str]) -> str:
-        return label.ljust(name) + "".join(c.rjust(_WIDTH) for c in cells)
-
-    def numbers(label: str, values: Array, form: str) -> str:
-        return line(label, [format(v, form) if np.isfinite(v) else "-" for v in values])
-
     parameters = sorted({p.upper() for p in result.measured_data.parameter if p})
-    mixed = []
-    if len(parameters) > 1:
-        mixed = [line("matched", [p.upper() or "-" for p in result.measured_data.parameter])]
     air = "no air stated"
     if room.air is not None:
         air = f"air {room.air.temperature:g} °C, {room.air.humidity:g} %"
-    out = [
+    header = ("", [bands.label(f) for f in room.centre_frequencies])
+    alphas = _material_rows(result)
+    width = max(24, *(len(label) for label, _ in alphas))
+    if room.n_bands > _COLUMNS:
+        alphas.insert(0, header)
+    return "\n".join([
         f"{room.name}: {room.volume:g} m³, {room.total_area:g} m², {air}",
         f"method {result.method}, {result.equation.name}'s equation, "
         f"{' and '.join(parameters)} matched, solver {result.solver}",
         "",
-        line("", [bands.label(f) for f in room.centre_frequencies]),
-        *mixed,
+        *_blocks([header, *_band_rows(result, mixed=len(parameters) > 1)], width),
+        "alpha after (shift in sigmas of the prior; * at a bound)",
+        *_blocks(alphas, width),
+        *_believe(result),
+    ])  # fmt: skip
+
+
+def _blocks(rows: list[Row], width: int) -> list[str]:
+    """The rows as lines, so many bands side by side, and an empty line after each block."""
+    out = []
+    for start in range(0, len(rows[0][1]), _COLUMNS):
+        for label, cells in rows:
+            shown = cells[start : start + _COLUMNS]
+            out.append(label.ljust(width) + "".join(c.rjust(_WIDTH) for c in shown))
+        out.append("")
+    return out
+
+
+def _band_rows(result: CalibrationResult, mixed: bool) -> list[Row]:
+    """One row for each thing told of the bands; with ``mixed``, which parameter was matched."""
+
+    def numbers(label: str, values: Array, form: str) -> Row:
+        return label, [format(v, form) if np.isfinite(v) else "-" for v in values]
+
+    marks = [letters(result.trust_marks, f) or "." for f in result.prior.centre_frequencies]
+    matched = [p.upper() or "-" for p in result.measured_data.parameter]
+    return [
+        *([("matched", matched)] if mixed else []),
         numbers("measured T / s", result.measured, ".3f"),
         numbers("  its uncertainty / s", result.measured_uncertainty, ".3f"),
         numbers("T before / s", result.reverberation_time_before, ".3f"),
         numbers("T after / s", result.reverberation_time_after, ".3f"),
         numbers("gap before / JND", result.gap_before, "+.1f"),
         numbers("gap after / JND", _cleaned(result.gap_after), "+.1f"),
-        numbers("z", plausibility.z, "+.1f"),
+        numbers("z", result.plausibility.z, "+.1f"),
         numbers("air's share / %", 100 * result.air_share, ".0f"),
-        line(
-            "do not trust, see below",
-            [letters(result.trust_marks, f) or "." for f in room.centre_frequencies],
-        ),
-        "",
-        "alpha after (shift in sigmas of the prior; * at a bound)",
+        ("do not trust, see below", marks),
     ]
+
+
+def _material_rows(result: CalibrationResult) -> list[Row]:
+    """Three rows a material: alpha, its shift in sigmas, its shift."""
+    room, rows = result.prior, []
     for i, material in enumerate(room.materials):
         marks = ["*" if bound else " " for bound in result.active[i]]
-        cells = [f"{a:.3f}{m}" for a, m in zip(result.alpha[i], marks, strict=True)]
-        out.append(line(f"{material}, {room.areas[i]:g} m²", cells))
-        out.append(line("", [f"({s:+.1f}) " for s in _cleaned(result.shift_in_sigmas[i])]))
-        out.append(line("  shift of alpha", [f"{s:+.3f} " for s in _cleaned(result.shift[i])]))
-    out += ["", *_believe(result)]
-    return "\n".join(out)
+        alphas = [f"{a:.3f}{m}" for a, m in zip(result.alpha[i], marks, strict=True)]
+        rows += [
+            (f"{material}, {room.areas[i]:g} m²", alphas),
+            ("", [f"({s:+.1f}) " for s in _cleaned(result.shift_in_sigmas[i])]),
+            ("  shift of alpha", [f"{s:+.3f} " for s in _cleaned(result.shift[i])]),
+        ]
+    return rows
 
 
 def _cleaned(values: Array) -> Array:
