@@ -32,6 +32,7 @@ bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python benchmarks/resolve.py
 	$(BIN)/python benchmarks/composed.py
 	$(BIN)/python benchmarks/path_tracing.py
+	$(BIN)/python benchmarks/exact_batch.py
 
 clean:
 	rm -rf $(VENV) demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -103,7 +103,7 @@ def _scores(sigma_r: float, table: Table, paper: dict[str, float] | None) -> str
     from rtcal.studies.sampling import redrawn_share
 
     lines = [
-        f"\nsigma_R = {sigma_r:g} ({100 * redrawn_share(sigma_r):.2g} % of sigma drawn again)",
+        f"\nsigma_R = {sigma_r:g} ({100 * redrawn_share(sigma_r):.4f} % of sigma drawn again)",
         f"{'method':<8}{'bounds':<8}{'AACE':>9}{'score':>9}{'± s.e.':>9}{'paper':>8}",
     ]
     for row in table:
@@ -120,8 +120,8 @@ def _bounds(done: Study) -> str:
     lines = ["What exact bounds change, in points (unbounded as control variate):"]
     for row in done.bound_effects():
         lines.append(
-            f"{NAMES[str(row.method)]:<8}{100 * row.difference:>+10.4f} ± "
-            f"{100 * row.standard_error:.4f}   active in "
+            f"{NAMES[str(row.method)]:<8}{100 * row.difference:>+11.5f} ± "
+            f"{100 * row.standard_error:.5f}   active in "
             f"{100 * row.active_share:.3f} % of trials"
         )
     return "\n".join(lines)

@@ -362,7 +362,7 @@ def test_command(tmp_path: Path) -> None:
                  "halls", "--out", str(tmp_path)]  # fmt: skip
     done = CliRunner().invoke(cli, arguments, catch_exceptions=False)
     assert done.exit_code == 0
-    assert "4.4 % of sigma drawn again" in done.output
+    assert "4.3937 % of sigma drawn again" in done.output
     line = next(x for x in done.output.splitlines() if x.startswith("MLE"))
     score, paper_value = float(line.split()[3]), float(line.split()[5])
     assert paper_value == 14.8

@@ -13,6 +13,7 @@ from rtcal.types import Array
 
 EPS = float(np.finfo(float).eps)
 OK, BELOW, ABOVE, BAD_INPUT, UNSETTLED = 0, 1, 2, 3, -1
+STRIP = 64  # rows
 LARGEST = float(np.finfo(float).max)
 ROUNDING = 1e-13  # of alpha, below which sums are as they come
 SPLIT = 134217729.0  # 2^27 + 1: halves of 26 bits, whose products do not round
@@ -44,46 +45,51 @@ def solve_rows(
     step_lower, step_upper, step_target = lower.shape[0] > 1, upper.shape[0] > 1, target.size > 1
     step_tolerance, step_uncertainty = tolerance.size > 1, uncertainty.size > 1
     largest = 0.0
-    # The closed form inline, without a call: handing a row on costs as much as solving it.
-    for r in range(rows):
-        m, g, s = mu[r * step_mu], sigma[r * step_sigma], areas[r * step_areas]
-        low, high, a = lower[r * step_lower], upper[r * step_upper], alpha[r]
-        u = uncertainty[r * step_uncertainty]
-        if r == 0 or step_lower or step_upper:
-            largest = 0.0
+    # First the closed form, inline: handing a row on costs as much as solving it. Then, while the
+    # strip is still in the cache, the rows that it does not settle.
+    for start in range(0, rows, STRIP):
+        stop = min(start + STRIP, rows)
+        for r in range(start, stop):
+            m, g, s = mu[r * step_mu], sigma[r * step_sigma], areas[r * step_areas]
+            low, high, a = lower[r * step_lower], upper[r * step_upper], alpha[r]
+            u = uncertainty[r * step_uncertainty]
+            if r == 0 or step_lower or step_upper:
+                largest = 0.0
+                for i in range(n):
+                    largest = max(largest, abs(low[i]), abs(high[i]))
+            base = spread = area = variance = 0.0
             for i in range(n):
-                largest = max(largest, abs(low[i]), abs(high[i]))
-        base = spread = area = variance = 0.0
-        for i in range(n):
-            v = g[i] * g[i]
-            w = s[i] * v
-            weight[i] = w
-            base += s[i] * m[i]
-            spread += s[i] * w
-            area += s[i]
-            variance += v
-        d = (base - target[r * step_target]) / (spread + u * u)
-        violations = 0
-        room = 0.0
-        for i in range(n):
-            x = m[i] - d * weight[i]
-            a[i] = x
-            # Written so that NaN counts as a violation.
-            violations += not ((x >= low[i]) & (x <= high[i]) & (s[i] >= 0) & (g[i] >= 0))
-            room += weight[i] * (x - low[i]) * (high[i] - x)
-        # Were b so near to an end that it is the end, `room` would be less than this.
-        least_room = 32 * n * EPS * area * largest * largest * variance
-        settled = violations == 0 and room > least_room
-        multiplier[r] = d
-        status[r] = OK if settled and u >= 0 and tolerance[r * step_tolerance] == 0 else UNSETTLED
-    for r in range(rows):
-        if status[r] == UNSETTLED:
-            status[r], multiplier[r] = careful(
-                mu[r * step_mu], sigma[r * step_sigma], areas[r * step_areas],
-                lower[r * step_lower], upper[r * step_upper], target[r * step_target],
-                tolerance[r * step_tolerance], uncertainty[r * step_uncertainty],
-                weight, free, base_of, alpha[r],
-            )  # fmt: skip
+                v = g[i] * g[i]
+                w = s[i] * v
+                weight[i] = w
+                base += s[i] * m[i]
+                spread += s[i] * w
+                area += s[i]
+                variance += v
+            d = (base - target[r * step_target]) / (spread + u * u)
+            violations = 0
+            room = 0.0
+            for i in range(n):
+                x = m[i] - d * weight[i]
+                a[i] = x
+                # Written so that NaN counts as a violation.
+                violations += not ((x >= low[i]) & (x <= high[i]) & (s[i] >= 0) & (g[i] >= 0))
+                room += weight[i] * (x - low[i]) * (high[i] - x)
+            # Were b so near to an end that it is the end, `room` would be less than this.
+            least_room = 32 * n * EPS * area * largest * largest * variance
+            settled = violations == 0 and room > least_room
+            multiplier[r] = d
+            status[r] = (
+                OK if settled and u >= 0 and tolerance[r * step_tolerance] == 0 else UNSETTLED
+            )
+        for r in range(start, stop):
+            if status[r] == UNSETTLED:
+                status[r], multiplier[r] = careful(
+                    mu[r * step_mu], sigma[r * step_sigma], areas[r * step_areas],
+                    lower[r * step_lower], upper[r * step_upper], target[r * step_target],
+                    tolerance[r * step_tolerance], uncertainty[r * step_uncertainty],
+                    weight, free, base_of, alpha[r],
+                )  # fmt: skip
 
 
 @compiled(reorder=True)
@@ -93,17 +99,20 @@ def careful(
 ) -> tuple[int, float]:  # fmt: skip
     """Solve a row that the closed form does not settle; return status and multiplier."""
     n = m.size
+    for i in range(n):
+        w[i] = s[i] * g[i] * g[i]
     least = most = size = total = 0.0
     bad = 0
     for i in range(n):
-        w[i] = s[i] * g[i] * g[i]
-        bottom = m[i] if g[i] == 0 else low[i]
-        top = m[i] if g[i] == 0 else high[i]
-        least += s[i] * bottom
-        most += s[i] * top
-        size += s[i] * (abs(bottom) if abs(bottom) > abs(top) else abs(top))
-        total += s[i] * m[i] + s[i] * w[i]
-        sound = (s[i] >= 0) & (g[i] >= 0) & (low[i] <= bottom) & (bottom <= top) & (top <= high[i])
+        # Into locals first: a choice between values becomes a vector instruction, between loads not.
+        mean, spread, area, floor, ceiling = m[i], g[i], s[i], low[i], high[i]
+        bottom = mean if spread == 0 else floor
+        top = mean if spread == 0 else ceiling
+        least += area * bottom
+        most += area * top
+        size += area * (abs(bottom) if abs(bottom) > abs(top) else abs(top))
+        total += area * mean + area * area * spread * spread
+        sound = (area >= 0) & (spread >= 0) & (floor <= bottom) & (bottom <= top) & (top <= ceiling)
         bad += not sound
     # A NaN or an infinity anywhere makes this NaN or infinite (isfinite would be optimised away).
     total += least + most + b + u * u + give
@@ -162,49 +171,54 @@ def fix(
     """
     n = m.size
     for i in range(n):
-        held = low[i] if m[i] < low[i] else (high[i] if m[i] > high[i] else m[i])
         free[i] = w[i]
-        base[i] = m[i] if w[i] > 0 else held
-    d = spread = largest = 0.0
+        base[i] = m[i]
+        if w[i] == 0:
+            base[i] = min(max(m[i], low[i]), high[i])
+    d = spread = 0.0
     for _ in range(n + 1):
-        excess, spread, largest = -b, slack, 0.0
+        excess, spread = -b, slack
         for i in range(n):
             excess += s[i] * base[i]
             spread += s[i] * free[i]
-            largest = free[i] if free[i] > largest else largest
         if spread == 0:
             break
         d = excess / spread
         under = over = 0.0
         for i in range(n):
-            x = base[i] - d * free[i]
-            a[i] = x
-            under += s[i] * (low[i] - x if x < low[i] else 0.0)
-            over += s[i] * (x - high[i] if x > high[i] else 0.0)
+            x, floor, ceiling = base[i] - d * free[i], low[i], high[i]
+            under += s[i] * (floor - x if x < floor else 0.0)
+            over += s[i] * (x - ceiling if x > ceiling else 0.0)
         if under == 0 and over == 0:
             break
         # Clipped, S'a is too large: D must rise, and what is at its lower bound stays there.
         if under >= over:
             for i in range(n):
-                base[i] = low[i] if a[i] < low[i] else base[i]
-                free[i] = 0.0 if a[i] < low[i] else free[i]
+                kept, weight, floor = base[i], free[i], low[i]
+                outside = kept - d * weight < floor
+                base[i] = floor if outside else kept
+                free[i] = 0.0 if outside else weight
         if under <= over:
             for i in range(n):
-                base[i] = high[i] if a[i] > high[i] else base[i]
-                free[i] = 0.0 if a[i] > high[i] else free[i]
+                kept, weight, ceiling = base[i], free[i], high[i]
+                outside = kept - d * weight > ceiling
+                base[i] = ceiling if outside else kept
+                free[i] = 0.0 if outside else weight
     if spread == 0:
         for i in range(n):
             a[i] = base[i]
         return meeting(m, w, low, high, a)
     # What the free ones make up may be a small difference of large areas: then once more, compensated.
-    size = abs(b)
+    size, largest = abs(b), 0.0
     for i in range(n):
+        weight = free[i]
         size += s[i] * abs(base[i])
+        largest = weight if weight > largest else largest
     if n * EPS * size * largest > ROUNDING * spread:
         d = excess_of(s, base, b) / spread
     for i in range(n):
-        x = base[i] - d * free[i]
-        a[i] = low[i] if x < low[i] else (high[i] if x > high[i] else x)
+        x, floor, ceiling = base[i] - d * free[i], low[i], high[i]
+        a[i] = floor if x < floor else (ceiling if x > ceiling else x)
     return d
 
 
