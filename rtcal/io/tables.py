@@ -133,7 +133,7 @@ def parse(
     try:
         return Table(_assembled(values), tuple(report))
     except DataError as error:
-        raise DataError(f"{path}: {error}") from error
+        raise DataError(f"{path}, from line {line} on: {error}") from error
 
 
 def _rows(content: bytes, path: str) -> tuple[list[tuple[int, list[str]]], str]:
