@@ -175,6 +175,45 @@ def test_theorem_separable_sigma_exact_match_no_bound(seed: int) -> None:
         assert np.abs(calibration.build(where).solve(t).alpha - base.alpha).max() > 1e-5
 
 
+@given(
+    st.integers(0, 10_000),
+    st.lists(st.sampled_from(list(INGREDIENTS)), min_size=2, max_size=4, unique=True),
+    st.sampled_from([0.0, 0.25, 0.35]),
+    st.sampled_from([0.7, 1.0, 1.5]),
+)
+@settings(max_examples=25)
+def test_random_compositions_are_certified_by_two_solvers(
+    seed: int, names: list[str], shift: float, factor: float
+) -> None:
+    """Also near the box and far from the prior; or the contradiction is named."""
+    if {"correlated", "huber"} <= set(names):
+        names.remove("huber")
+    rng = np.random.default_rng(seed)
+    room = a_room(rng)
+    room = room.replace(alpha=np.clip(room.alpha - shift, 0.06, 1))
+    t = true_times(rng, room, EYRING) * factor
+    problem = composed(*names).build(room)
+    found, refused = [], []
+    for solver in ("clarabel", "osqp"):
+        try:
+            found.append(problem.solve(t, solver=solver))
+        except rt.errors.InfeasibleError as error:
+            refused.append(str(error))
+    assert len(found) != 1
+    assert all("relaxation" in text or "beyond reach" in text for text in refused)
+    if found:
+        assert all(r.certificate.worst < 1e-9 for r in found)
+        np.testing.assert_allclose(found[0].alpha, found[1].alpha, rtol=0, atol=1e-6)
+
+
+def test_osqp_is_silent_where_nothing_is_active(capfd) -> None:
+    room = a_room(np.random.default_rng(0))
+    t = EYRING.time(room, room.absorption_area)
+    result = rt.Calibration(PRIOR, [terms.MatchWithin(1.0)]).build(room).solve(t, solver="osqp")
+    np.testing.assert_allclose(result.alpha, room.alpha, atol=1e-9)
+    assert capfd.readouterr().out == ""
+
+
 def test_soft_match_is_the_gaussian_posterior_mean() -> None:
     rng = np.random.default_rng(1)
     room = random_room(rng, 5, 3)

@@ -198,6 +198,9 @@ def _osqp(
     qp = compiled.matrices()
     low = qp.b.copy()
     low[qp.n_equal :] = -np.inf
+    if qp.n_equal == 0 and settings.get("polishing"):
+        # With nothing active OSQP's polish has nothing to do, and says so on stdout even when silent.
+        settings = {**settings, "polishing": False}
     solver = osqp.OSQP()
     try:
         solver.setup(
