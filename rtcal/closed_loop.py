@@ -20,7 +20,7 @@ from rtcal.acoustics.files import write_text
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import JND, gap_jnd
 from rtcal.acoustics.room import Room
-from rtcal.calibration.measured import times_in_room
+from rtcal.calibration.measured import history, refuse_twice, times_in_room
 from rtcal.calibration.presets import preset
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
@@ -57,6 +57,8 @@ class Loop:
     room : Room
     wanted : array (n_bands,)
         Measured T in s, NaN where there is none.
+    measured : str
+        Fingerprints of the data, for the calibrated room's record.
     rule : "secant", "safeguarded" or "regression"
     method : str
         Of the equation's calibration; see `rtcal.calibrate`.
@@ -310,8 +312,9 @@ def start(
     if not tolerance > 0:
         raise DataError(f"tolerance = {tolerance:g} JND is not above 0")
     data = times_in_room(room, measured)
+    refuse_twice(room, data)
     return Loop(
-        room=room, wanted=data.reverberation_time, measured=data.fingerprint, rule=rule,
+        room=room, wanted=data.reverberation_time, measured=history(room, data), rule=rule,
         method=method, equation=equation, decimals=decimals, tolerance=tolerance,
     )  # fmt: skip
 

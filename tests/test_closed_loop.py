@@ -60,6 +60,8 @@ def test_a_simulator_is_calibrated(cr2, rule):
     assert result.confirmation is None
     assert "bent" in result.room.calibration.equation
     assert "Coefficients for bent only" in str(result)
+    with pytest.raises(DataError, match="count them twice"):
+        calibrate_simulator(bent(room, 0.85, 1.1), result.room, measured, rule)
     again = bent(room, 0.85, 1.1).simulate(result.alpha)
     assert again.mean("t20") == pytest.approx(result.after.mean("t20"), rel=0.05)
 

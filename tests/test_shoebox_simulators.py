@@ -1,0 +1,230 @@
+"""The scattering delay network and the image sources of a shoebox."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal import jit
+from rtcal.errors import DataError, TooShortError
+from rtcal.simulators import base
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.image_source import ImageSource, lattice
+from rtcal.simulators.sdn import ScatteringDelayNetwork, _blocks
+
+SOURCE, RECEIVER = {"S": (4.5, 3.5, 2.0)}, {"R": (2.0, 2.0, 1.5)}
+APART = {"R": (2.1, 2.3, 1.4)}  # no two first reflections arrive in one sample
+DIMENSIONS = (5.0, 7.0, 3.0)
+ALPHA = np.array([[0.1, 0.2], [0.2, 0.3], [0.3, 0.1], [0.15, 0.25], [0.4, 0.5], [0.05, 0.6]])
+
+
+def box(air: rt.Air | None = None) -> rt.Room:
+    """A shoebox of six materials, in two bands."""
+    geometry = Polyhedron.shoebox(DIMENSIONS, {w: w for w in SHOEBOX_WALLS})
+    return rt.Room.from_surfaces(
+        name="box", volume=105, surfaces=geometry.surfaces,
+        materials=[rt.Material(w, [0.3, 0.3], [0.1, 0.1]) for w in SHOEBOX_WALLS],
+        centre_frequencies=[500, 4000], air=air, dimensions=DIMENSIONS,
+    )  # fmt: skip
+
+
+def first_order(air: np.ndarray, alpha: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """Length in m and amplitude (n_bands,) of the direct sound and the six first reflections."""
+    source, receiver = np.array(SOURCE["S"]), np.array(APART["R"])
+    found = [(float(np.linalg.norm(source - receiver)), np.ones(2))]
+    for wall in range(6):
+        image = source.copy()
+        image[wall // 2] = 2 * (DIMENSIONS[wall // 2] if wall % 2 else 0.0) - image[wall // 2]
+        found.append((float(np.linalg.norm(image - receiver)), np.sqrt(1 - alpha[wall])))
+    return [(d, beta * np.exp(-air * d / 2) / d) for d, beta in found]
+
+
+@pytest.mark.parametrize("air", [None, rt.Air(20, 50)])
+def test_sdn_first_order_arrivals_are_the_image_sources(air: rt.Air | None) -> None:
+    room = box(air)
+    sdn = ScatteringDelayNetwork(room=room, sources=SOURCE, receivers=APART)
+    response = sdn.impulse_responses(ALPHA, 0.05)[0]
+    for length, amplitude in first_order(room.air_attenuation, ALPHA):
+        position = length / room.speed_of_sound * sdn.sampling_rate
+        sample = round(position)  # the nearest sample: within half a sample
+        assert response[:, sample] == pytest.approx(amplitude, rel=1e-6)
+        assert (response[:, sample - 1] == 0).all()
+        assert (response[:, sample + 1] == 0).all()
+
+
+def test_sdn_keeps_its_energy_without_absorption() -> None:
+    sdn = ScatteringDelayNetwork(
+        room=box(), sources=SOURCE, receivers=RECEIVER, line_of_sight=False
+    )
+    response = sdn.impulse_responses(np.zeros((6, 2)), 4.0)[0, 0]
+    quarters = np.array_split(response[44100:] ** 2, 4)
+    energies = np.array([q.mean() for q in quarters])
+    assert energies.min() > 0
+    assert energies.max() / energies.min() < 1.02
+
+
+def test_sdn_numba_and_numpy_are_one_network() -> None:
+    if not jit.available():
+        pytest.skip("needs numba")
+    from rtcal.simulators.sdn_numba import blocks
+
+    sdn = ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER, sampling_rate=8000)
+    network, rng = sdn.networks[0], np.random.default_rng(1)
+    gains = [rng.uniform(0.9, 1, shape) for shape in ((6, 5, 3), (6, 3), (6, 3), (6, 3))]
+    delays = (network.lines, network.source_delays, network.tap_delays)
+    one, two = (run(*delays, *gains, 16000) for run in (_blocks, blocks))
+    assert np.abs(one).max() > 0.1
+    assert one == pytest.approx(two, rel=0, abs=1e-12 * np.abs(one).max())
+
+
+def test_sdn_bands_do_not_mix() -> None:
+    sdn = ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER)
+    together = sdn.impulse_responses(ALPHA, 0.2)[0, 1]
+    alone = sdn.impulse_responses(ALPHA[:, [1, 1]], 0.2)[0, 0]
+    assert np.abs(together).max() > 0
+    assert together == pytest.approx(alone)
+
+
+def test_sdn_is_as_long_as_it_has_to_be() -> None:
+    sdn = ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER, longest=1.5)
+    assert (sdn.simulate(ALPHA).values["t20"] > 0.1).all()
+    with pytest.raises(TooShortError, match=r"S to R, 500 Hz is too short to hold T20: 1\.49 s"):
+        sdn.simulate(np.full((6, 2), 0.01))
+
+
+def test_sdn_and_image_sources_decay_alike() -> None:
+    """De Sena et al. 2015, Sect. V: the two agree in a room of usual absorption (10 % here)."""
+    room = box(rt.Air(20, 50))
+    alpha = np.full((6, 2), 0.3)
+    receivers = {"A": (2.0, 2.0, 1.5), "B": (1.0, 5.0, 1.2), "C": (3.2, 5.6, 1.8)}
+    sdn = ScatteringDelayNetwork(room=room, sources=SOURCE, receivers=receivers)
+    images = ImageSource(room=room, sources=SOURCE, receivers=receivers, duration=0.5)
+    one, two = (base.run(s, alpha).mean("t20") for s in (sdn, images))
+    assert one == pytest.approx(two, rel=0.15)
+    assert two[1] < two[0]  # the air
+
+
+def test_image_sources_are_pyroomacoustics() -> None:
+    pra = pytest.importorskip("pyroomacoustics")
+    alpha, c = 0.2, 343.0
+    other = pra.ShoeBox(DIMENSIONS, fs=8000, materials=pra.Material(alpha), max_order=14)
+    other.set_sound_speed(c)
+    other.add_source(SOURCE["S"])
+    other.add_microphone(RECEIVER["R"])
+    other.image_source_model()
+    theirs = other.sources[0].images.T
+    order = other.sources[0].orders_xyz.T
+    order = order if order.shape[1] == 3 else order.T
+    places, hits = lattice(np.array(DIMENSIONS), np.array(SOURCE["S"]), 100.0)
+    radius = 25.0  # within it, no image is of an order above 14
+    near = np.linalg.norm(theirs - RECEIVER["R"], axis=1) < radius
+    ours = {}
+    for (i, x), (j, y), (k, z) in _triples(places):
+        if np.linalg.norm(np.array([x, y, z]) - RECEIVER["R"]) < radius:
+            ours[tuple(np.round((x, y, z), 6) + 0.0)] = (
+                hits[0][i].sum(), hits[1][j].sum(), hits[2][k].sum(),
+            )  # fmt: skip
+    assert len(ours) == near.sum() > 500
+    for place, count in zip(theirs[near], order[near], strict=True):
+        assert ours[tuple(np.round(place, 6) + 0.0)] == tuple(abs(count))
+    room = rt.Room(
+        name="box", volume=105, materials=["all"], areas=[142], alpha=[[alpha]], sigma=[[0.1]],
+        centre_frequencies=[1000], dimensions=DIMENSIONS,
+    )  # fmt: skip
+    images = ImageSource(room=room, sources=SOURCE, receivers=RECEIVER, duration=0.06)
+    length = np.linalg.norm(theirs - RECEIVER["R"], axis=1)
+    direct = length.min()
+    bins = np.floor((length - direct) / (room.speed_of_sound * 0.001) + 1e-9).astype(int)
+    energy = (1 - alpha) ** other.sources[0].orders / (4 * np.pi * length**2)
+    expected = np.bincount(bins, energy)[:60]
+    assert images.energy(room.alpha)[0, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_image_sources_by_hand() -> None:
+    """Few images, one by one, six materials, with air."""
+    room = box(rt.Air(20, 50))
+    images = ImageSource(room=room, sources=SOURCE, receivers=RECEIVER, duration=0.004)
+    places, hits = lattice(np.array(DIMENSIONS), np.array(SOURCE["S"]), 30.0)
+    source, receiver = np.array(SOURCE["S"]), np.array(RECEIVER["R"])
+    direct = np.linalg.norm(source - receiver)
+    expected = np.zeros((2, 4))
+    for (i, x), (j, y), (k, z) in _triples(places):
+        d = np.linalg.norm(np.array([x, y, z]) - receiver)
+        b = int((d - direct) / room.speed_of_sound / 0.001 + 1e-9)
+        if b < 4:
+            counts = np.concatenate([hits[0][i], hits[1][j], hits[2][k]])
+            loss = np.prod((1 - ALPHA) ** counts[:, np.newaxis], axis=0)
+            expected[:, b] += loss * np.exp(-room.air_attenuation * d) / (4 * np.pi * d**2)
+    # A bin's images share the mean of their lengths in the air's term: 8e-3/m times half of .34 m.
+    assert images.energy(ALPHA)[0] == pytest.approx(expected, rel=1.4e-3)
+    assert (expected[:, 1:] > 0).any()
+
+
+def test_a_black_wall_reflects_nothing() -> None:
+    alpha = ALPHA.copy()
+    alpha[:, 1] = 1.0
+    energy = ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=0.1).energy(
+        alpha
+    )[0]
+    assert energy[1, 0] > 0
+    assert (energy[1, 1:] == 0).all()
+    assert energy[0, 50:].sum() > 0
+
+
+def test_too_short_images_are_refused() -> None:
+    images = ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=0.1)
+    with pytest.raises(TooShortError, match="simulate longer"):
+        images.simulate(ALPHA)
+
+
+@pytest.mark.parametrize("simulator", [ScatteringDelayNetwork, ImageSource])
+def test_bad_input(simulator: type) -> None:
+    more = {"duration": 0.05} if simulator is ImageSource else {}
+
+    def build(room: rt.Room, source: tuple = (4.5, 3.5, 2), receiver: tuple = (2, 2, 1)) -> None:
+        simulator(room=room, sources={"S": source}, receivers={"R": receiver}, **more)
+
+    with pytest.raises(DataError, match=r'source "S" = \(6, 1, 1\) m is outside the room'):
+        build(box(), (6, 1, 1))
+    with pytest.raises(DataError, match=r'receiver "R" = \(5, 1, 1\) m is outside the room'):
+        build(box(), receiver=(5, 1, 1))
+    with pytest.raises(DataError, match="at the same place"):
+        build(box(), receiver=(4.5, 3.5, 2.0))
+    with pytest.raises(DataError, match="states no dimensions"):
+        build(box().replace(dimensions=None))
+    with pytest.raises(DataError, match='has no surface "west"'):
+        build(box().replace(surfaces=()))
+    with pytest.raises(DataError, match=r'areas\["west"\] = 40 m²'):
+        build(box().replace(areas=[40, *box().areas[1:]]))
+    good = simulator(room=box(), sources=SOURCE, receivers=RECEIVER, **more)
+    with pytest.raises(DataError, match=r'alpha\["east", 4000 Hz\] = 1.2 is not in'):
+        bad = ALPHA.copy()
+        bad[1, 1] = 1.2
+        good.simulate(bad)
+    with pytest.raises(DataError, match="alpha has shape"):
+        good.simulate(ALPHA[:, :1])
+
+
+def test_too_many_images_are_refused() -> None:
+    with pytest.raises(DataError, match="million image sources"):
+        ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=8.0)
+
+
+def test_the_protocol() -> None:
+    for simulator in (
+        ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER),
+        ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=0.5),
+    ):
+        assert isinstance(simulator, base.Simulator)
+        found = base.run(simulator, ALPHA)
+        assert found.pairs == (("S", "R"),)
+        again = base.run(simulator, ALPHA, seed=5)
+        for name, values in found.values.items():
+            assert np.array_equal(values, again.values[name], equal_nan=True)
+        assert set(found.values) >= {"t20", "edt", "c50", "c80"}
+
+
+def _triples(places: list[np.ndarray]) -> list[tuple]:
+    x, y, z = (list(enumerate(p)) for p in places)
+    return [(a, b, c) for a in x for b in y for c in z]
