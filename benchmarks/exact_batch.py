@@ -174,14 +174,20 @@ def piece(areas: tuple[float, ...], level: float, realisations: int, trials: int
 
 
 def scaling() -> None:
-    """Wall-clock time of one study with one and with two threads."""
-    seconds = []
+    """One study with one and with two threads: time on the clock, and CPU time spent.
+
+    The first shows what a second core brought, if one was free; the second, which should stay the
+    same, what sharing the work cost.
+    """
+    clock, cpu = [], []
     for workers in (1, 2):
-        began = time.perf_counter()
+        began = time.perf_counter(), time.process_time()
         studies.run(studies.rooms.SHOEBOX, 0.1, 1200, 10_000, workers=workers)
-        seconds.append(time.perf_counter() - began)
+        clock.append(time.perf_counter() - began[0])
+        cpu.append(time.process_time() - began[1])
     print(
-        f"one / two workers: {seconds[0] / seconds[1]:.2f} ({seconds[0]:.1f} s, {seconds[1]:.1f} s)"
+        f"one / two workers: clock {clock[0] / clock[1]:.2f} ({clock[0]:.1f} s, {clock[1]:.1f} s), "
+        f"CPU {cpu[0] / cpu[1]:.2f}; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     )
 
 

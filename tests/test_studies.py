@@ -390,6 +390,8 @@ def test_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         studies.calibration_scores(SHOEBOX, 0.1, 1, 0)
     with pytest.raises(DataError, match="realisations = -1"):
         studies.analytic_scores(SHOEBOX, 0.1, -1)
+    with pytest.raises(DataError, match=r"realisations = 10\.0"):
+        studies.analytic_scores(SHOEBOX, 0.1, 10.0)  # type: ignore[arg-type]
     with pytest.raises(DataError, match="workers = 0"):
         studies.run(SHOEBOX, 0.1, 1, 1, workers=0)
     blocked = tmp_path / "file"

@@ -295,5 +295,5 @@ def _check(sigma_r: float, **numbers: int) -> None:
     if not (np.isfinite(sigma_r) and sigma_r > 0):
         raise DataError(f"sigma_r = {sigma_r:g} is not above 0")
     for name, value in numbers.items():
-        if value < 1 or value != int(value):
+        if not isinstance(value, int | np.integer) or value < 1:
             raise DataError(f"{name} = {value} is not a whole number of at least 1")
