@@ -26,6 +26,7 @@ from rtcal.errors import (
     SolverError,
 )
 from rtcal.io_commands import export, import_room, measure, table
+from rtcal.loop_command import loop
 from rtcal.study_command import study
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ def _write(result: CalibrationResult, folder: Path) -> list[Path]:
     return list(contents)
 
 
-for command in (study, measure, table, import_room, export):
+for command in (study, measure, table, import_room, export, loop):
     cli.add_command(command)
 
 
