@@ -59,7 +59,12 @@ def study(
     from rtcal import studies
     from rtcal.studies import paper
 
-    target = None if out is None else _folder(out)
+    target = None
+    if out is not None:
+        from rtcal.report import figures
+
+        figures.new_figure()  # without matplotlib, stop here and not after the study
+        target = _folder(out)
     areas = {"shoebox": list(studies.rooms.SHOEBOX),
              "lecture-hall": list(studies.rooms.LECTURE_HALL.values())}  # fmt: skip
     for name in dict.fromkeys(rooms):
