@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.equations import LinearEquation
 from rtcal.calibration.presets import preset
 from rtcal.errors import InfeasibleError, SolverError
 from tests import rational
@@ -21,7 +20,7 @@ OFFSET = 1e4
 
 
 @dataclass(frozen=True)
-class Shifted(LinearEquation):
+class Shifted(rt.Sabine):
     """T = b + an offset: lets any b, also one below 0, be asked for by a T above 0."""
 
     name = "Shifted"

@@ -20,8 +20,10 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
             content = stream.read(limit + 1)
     except DataError:
         raise
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, TypeError) as error:  # a path with a NUL, or no path
+        raise DataError(f"{path!r}: not a path: {error}") from error
     if len(content) > limit:
         raise DataError(f"{path}: more than {limit} bytes; a file of this kind has at most that")
     return content
@@ -34,8 +36,6 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: not UTF-8 text: byte {error.start} ({error.reason})") from error
-    except (ValueError, TypeError) as error:  # a path with a NUL, or no path
-        raise DataError(f"{path!r}: not a path: {error}") from error
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

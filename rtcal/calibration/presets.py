@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, overload
 
@@ -18,7 +17,7 @@ from rtcal.calibration.terms import (
     PriorDeviation,
     SoftMatch,
 )
-from rtcal.errors import DataError, MissingAirWarning, ModelError
+from rtcal.errors import DataError, ModelError
 
 _RELATIVE = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""
@@ -154,15 +153,6 @@ def calibrate(
     """
     if not isinstance(room, (Room, Configurations)):
         raise DataError(f"room = {room!r} is not a rtcal.Room (Room.from_file reads one)")
-    rooms = [room] if isinstance(room, Room) else room.rooms
-    airless = [r.name for r in rooms if r.air is None]
-    if airless:
-        warnings.warn(
-            f'room "{airless[0]}" states no air: its surfaces are made to absorb what the air does. '
-            "Give it air=rtcal.Air(temperature, humidity)",
-            MissingAirWarning,
-            stacklevel=2,
-        )
     calibration = preset(method, room if isinstance(room, Room) else room.union)
     if isinstance(room, Configurations):
         return calibration.build(room, equation).solve(

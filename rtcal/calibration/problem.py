@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, overload
@@ -23,7 +24,7 @@ from rtcal.calibration.terms import (
     SharedMaterials,
     as_objective,
 )
-from rtcal.errors import DataError, ModelError
+from rtcal.errors import DataError, MissingAirWarning, ModelError
 from rtcal.types import Array
 
 Constraint = RowConstraint | BoundConstraint | SharedMaterials
@@ -88,7 +89,20 @@ class Calibration:
         ModelError
             If the problem is not DPP (then every solve would compile anew), or the equation is
             not a function of the mean absorption coefficient.
+
+        Warns
+        -----
+        MissingAirWarning
+            If a room states no air.
         """
+        rooms = [room] if isinstance(room, Room) else room.rooms
+        if airless := [r.name for r in rooms if r.air is None]:
+            warnings.warn(
+                f'room "{airless[0]}" states no air: its surfaces are made to absorb what the air '
+                "does. Give it air=rtcal.Air(temperature, humidity)",
+                MissingAirWarning,
+                stacklevel=2,
+            )
         if isinstance(room, Configurations):
             return JointProblem(self, room, equation or Eyring())
         return CalibrationProblem(self, room, equation or Eyring())
