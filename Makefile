@@ -32,6 +32,7 @@ bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python benchmarks/resolve.py
 	$(BIN)/python benchmarks/composed.py
 	$(BIN)/python benchmarks/path_tracing.py
+	$(BIN)/python benchmarks/shoebox_simulators.py
 	$(BIN)/python benchmarks/exact_batch.py
 
 clean:

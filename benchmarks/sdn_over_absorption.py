@@ -15,6 +15,7 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.closed_loop import calibrate_simulator
+from rtcal.errors import DataError
 from rtcal.loop_rules import Rule
 from rtcal.simulators.sdn import ScatteringDelayNetwork
 
@@ -73,11 +74,18 @@ def main() -> None:
         print(f"{alpha:5.2f}  {paper[0, k]:11.1f}{paper[1, k]:7.1f}{paper[2, k]:7.1f}"
               f"{own[np.argmin(np.abs(own[:, k])), k]:14.1f}  {corrections}")  # fmt: skip
     missed: dict[Rule, int] = {"secant": 0, "safeguarded": 0}
+    refused = 0
     for _ in range(arguments.singly):
         one = {"R": position()}
         for rule in missed:
-            best = np.abs(errors(rule, one, arguments.rate)).min(axis=0)
+            try:
+                best = np.abs(errors(rule, one, arguments.rate)).min(axis=0)
+            except DataError:  # the decay has no T20: the direct sound is all of it
+                refused += 1
+                continue
             missed[rule] += int(np.count_nonzero(best > 5))
+    if refused:
+        print(f"{refused} runs at single positions refused: a decay there has no T20")
     for rule, count in missed.items():
         if arguments.singly:
             print(f"{rule}: {count} of {arguments.singly * len(ALPHAS)} single positions and alphas "
