@@ -71,7 +71,8 @@ def next_(room: str, simulated: str, state: str, out: str) -> None:
     for frequency, gap, status in zip(
         going.room.centre_frequencies, going.gap, going.status, strict=True
     ):
-        click.echo(f"{frequency:7g} Hz  {gap:+6.2f} JND  {status}")
+        open_still = not going.finished and status == "not converging"
+        click.echo(f"{frequency:7g} Hz  {gap:+6.2f} JND  {'not yet' if open_still else status}")
     click.echo("Done." if going.finished else f"Simulate {out} next.")
     _write(going, state, out)
 
