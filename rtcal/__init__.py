@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtcal import datasets, errors, io, priors
+    from rtcal import datasets, errors, io, priors, simulators
     from rtcal.acoustics.air import Air
     from rtcal.acoustics.equations import Eyring, Kuttruff, Sabine
     from rtcal.acoustics.measurement import Measurement
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rtcal.calibration.presets import calibrate
     from rtcal.calibration.problem import Calibration
     from rtcal.closed_loop import calibrate_simulator
+    from rtcal.simulators.sdn import ScatteringDelayNetwork
 
 __version__ = "0.1.0"
 
@@ -42,6 +43,7 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "Measurement": ("rtcal.acoustics.measurement", "Measurement"),
     "Room": ("rtcal.acoustics.room", "Room"),
     "Sabine": ("rtcal.acoustics.equations", "Sabine"),
+    "ScatteringDelayNetwork": ("rtcal.simulators.sdn", "ScatteringDelayNetwork"),
     "Surface": ("rtcal.acoustics.room", "Surface"),
     "calibrate": ("rtcal.calibration.presets", "calibrate"),
     "calibrate_simulator": ("rtcal.closed_loop", "calibrate_simulator"),
@@ -51,6 +53,7 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "exact": ("rtcal.calibration.exact", None),
     "io": ("rtcal.io", None),
     "studies": ("rtcal.studies", None),
+    "simulators": ("rtcal.simulators", None),
     "terms": ("rtcal.calibration.terms", None),
 }
 
@@ -66,6 +69,7 @@ __all__ = [
     "Millington",
     "Room",
     "Sabine",
+    "ScatteringDelayNetwork",
     "Surface",
     "calibrate",
     "calibrate_simulator",
@@ -75,6 +79,7 @@ __all__ = [
     "exact",
     "io",
     "priors",
+    "simulators",
     "studies",
     "terms",
 ]
