@@ -7,6 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal import jit
+from rtcal.acoustics import decay
 from rtcal.errors import DataError, TooShortError
 from rtcal.simulators import base
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -107,17 +108,17 @@ def test_sdn_and_image_sources_decay_alike() -> None:
 
 def test_image_sources_are_pyroomacoustics() -> None:
     pra = pytest.importorskip("pyroomacoustics")
-    alpha, c = 0.2, 343.0
-    other = pra.ShoeBox(DIMENSIONS, fs=8000, materials=pra.Material(alpha), max_order=14)
-    other.set_sound_speed(c)
+    alpha, duration = 0.5, 0.2
+    # Within .2 s of the direct sound (72 m) no image is of an order above 33.
+    other = pra.ShoeBox(DIMENSIONS, fs=8000, materials=pra.Material(alpha), max_order=33)
     other.add_source(SOURCE["S"])
     other.add_microphone(RECEIVER["R"])
     other.image_source_model()
     theirs = other.sources[0].images.T
     order = other.sources[0].orders_xyz.T
     order = order if order.shape[1] == 3 else order.T
-    places, hits = lattice(np.array(DIMENSIONS), np.array(SOURCE["S"]), 100.0)
-    radius = 25.0  # within it, no image is of an order above 14
+    radius = 25.0
+    places, hits = lattice(np.array(DIMENSIONS), np.array(SOURCE["S"]), radius + 10)
     near = np.linalg.norm(theirs - RECEIVER["R"], axis=1) < radius
     ours = {}
     for (i, x), (j, y), (k, z) in _triples(places):
@@ -132,13 +133,16 @@ def test_image_sources_are_pyroomacoustics() -> None:
         name="box", volume=105, materials=["all"], areas=[142], alpha=[[alpha]], sigma=[[0.1]],
         centre_frequencies=[1000], dimensions=DIMENSIONS,
     )  # fmt: skip
-    images = ImageSource(room=room, sources=SOURCE, receivers=RECEIVER, duration=0.06)
+    images = ImageSource(room=room, sources=SOURCE, receivers=RECEIVER, duration=duration)
     length = np.linalg.norm(theirs - RECEIVER["R"], axis=1)
     direct = length.min()
     bins = np.floor((length - direct) / (room.speed_of_sound * 0.001) + 1e-9).astype(int)
     energy = (1 - alpha) ** other.sources[0].orders / (4 * np.pi * length**2)
-    expected = np.bincount(bins, energy)[:60]
+    expected = np.bincount(bins, energy)[:200]
     assert images.energy(room.alpha)[0, 0] == pytest.approx(expected, rel=1e-9)
+    t20 = float(decay.decay_time(expected, images.bin_width))
+    assert 0.1 < t20 < 0.5
+    assert images.simulate(room.alpha).mean("t20")[0] == pytest.approx(t20, rel=1e-9)
 
 
 def test_image_sources_by_hand() -> None:
@@ -159,6 +163,17 @@ def test_image_sources_by_hand() -> None:
     # A bin's images share the mean of their lengths in the air's term: 8e-3/m times half of .34 m.
     assert images.energy(ALPHA)[0] == pytest.approx(expected, rel=1.4e-3)
     assert (expected[:, 1:] > 0).any()
+
+
+def test_image_numba_and_numpy_weigh_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not jit.available():
+        pytest.skip("needs numba")
+    images = ImageSource(room=box(rt.Air()), sources=SOURCE, receivers=RECEIVER, duration=0.2)
+    compiled = images.energy(ALPHA)
+    monkeypatch.setattr(jit, "available", lambda: False)
+    assert compiled.min() >= 0
+    assert compiled.sum() > 0
+    assert images.energy(ALPHA) == pytest.approx(compiled, rel=1e-12, abs=0)
 
 
 def test_a_black_wall_reflects_nothing() -> None:

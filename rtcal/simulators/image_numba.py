@@ -12,18 +12,21 @@ from rtcal.types import Array
 @compiled(reorder=True)
 def weigh(
     x: Array,
-    yz: Array,
-    along: NDArray[np.int64],
-    across: NDArray[np.int64],
-    weights: Array,
+    y: Array,
+    z: Array,
+    rows: NDArray[np.int64],
     starts: NDArray[np.int64],
+    bins: NDArray[np.uint32],
+    weights: Array,
+    n_bins: int,
 ) -> Array:
     """Return the energy of each bin, (n_bins,); arguments as in the NumPy twin."""
-    out = np.zeros(len(starts))
-    for b in range(len(starts)):
-        end = starts[b + 1] if b + 1 < len(starts) else len(along)
-        total = 0.0
-        for i in range(starts[b], end):
-            total += x[along[i]] * yz[across[i]] * weights[i]
-        out[b] = total
+    out = np.zeros(n_bins)
+    for run in range(len(rows)):
+        begin, end = starts[run], starts[run + 1]
+        left = x[rows[run, 0]] * y[rows[run, 1]]
+        last = z[rows[run, 2] : rows[run, 2] + end - begin]
+        when, weight = bins[begin:end], weights[begin:end]
+        for i in range(len(last)):
+            out[when[i]] += left * last[i] * weight[i]
     return out

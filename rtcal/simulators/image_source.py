@@ -1,7 +1,7 @@
 """Image sources of a shoebox: counted once, weighed for any absorption afterwards.
 
 Where an image source stands and which walls it was mirrored in does not depend on what the walls
-absorb. So the images are counted once and kept by time, with their hits per wall, and weighed by
+absorb. So the images are counted once and kept, with their hits per wall, and weighed by
 
     E = product over walls (1 - alpha)^hits exp(-m d) / (4 pi d²)
 
@@ -33,20 +33,19 @@ _MOST_IMAGES = 50_000_000
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """The images of one source as one receiver hears them, by time.
+    """The images of one source as one receiver hears them, in the order of their lattice.
 
-    ``hits`` by axis, (n_lattice, 2), of the near and the far wall; ``along`` (n_images,) an image's
-    row in the first axis' hits, ``across`` (n_images,) its row times n_lattice of the third axis plus
-    its row there; ``weights`` (n_images,) 1 / (4 pi d²) in 1/m². ``bins`` are those that are not
-    empty, ``starts`` the first image of each, ``lengths`` their images' mean d in m.
+    ``hits`` by axis, (n_lattice, 2), of the near and the far wall. Images that differ along the last
+    axis alone are a run: ``rows`` (n_runs, 3) its first image's row in each axis' hits, ``starts``
+    (n_runs + 1,) where its images begin. By image, (n_images,): its time bin in ``bins`` and
+    1 / (4 pi d²) in 1/m² in ``weights``. ``lengths`` (n_bins,) is the mean d of a bin's images in m.
     """
 
     hits: tuple[NDArray[np.int64], ...]
-    along: NDArray[np.int64]
-    across: NDArray[np.int64]
-    weights: Array
-    bins: NDArray[np.int64]
+    rows: NDArray[np.int64]
     starts: NDArray[np.int64]
+    bins: NDArray[np.uint32]
+    weights: Array
     lengths: Array
 
 
@@ -146,13 +145,8 @@ class ImageSource:
                     for r, h in zip(reflection, found.hits, strict=True)
                 )
                 air = np.exp(-self.room.air_attenuation[band] * found.lengths)
-                to[band, found.bins] = air * weigh(
-                    x,
-                    np.outer(y, z).ravel(),
-                    found.along,
-                    found.across,
-                    found.weights,
-                    found.starts,
+                to[band] = air * weigh(
+                    x, y, z, found.rows, found.starts, found.bins, found.weights, self._n_bins
                 )
         return out
 
@@ -180,42 +174,47 @@ class ImageSource:
         places, hits = lattice(self.box.dimensions, source, direct + self._n_bins * width * c)
         square = [(p - r) ** 2 for p, r in zip(places, receiver, strict=True)]
         beside = square[1][:, np.newaxis] + square[2]
-        rows = np.arange(beside.size).reshape(beside.shape)
-        bins, along, across, lengths = [], [], [], []
+        bins, lengths, rows, sizes = [], [], [], []
         for i, x2 in enumerate(square[0]):
             length = np.sqrt(x2 + beside)
-            when = np.floor((length - direct) / (c * width) + 1e-9).astype(np.int64)
+            when = (length - direct) / (c * width) + 1e-9
+            # The last axis is in order, so those near enough are one stretch of each row.
             inside = when < self._n_bins
-            bins.append(when[inside])
+            size = inside.sum(axis=1)
+            here = np.flatnonzero(size)
+            rows.append(
+                np.stack([np.full(here.size, i), here, inside[here].argmax(axis=1)], axis=1)
+            )
+            sizes.append(size[here])
+            bins.append(when[inside].astype(np.uint32))
             lengths.append(length[inside])
-            across.append(rows[inside])
-            along.append(np.full(len(bins[-1]), i))
-        order = np.argsort(np.concatenate(bins), kind="stable")
-        length = np.concatenate(lengths)[order]
-        filled, starts, number = np.unique(
-            np.concatenate(bins)[order], return_index=True, return_counts=True
-        )
+        bin_, length = np.concatenate(bins), np.concatenate(lengths)
+        number = np.bincount(bin_, minlength=self._n_bins)
         return Images(
             hits=tuple(hits),
-            along=np.concatenate(along)[order],
-            across=np.concatenate(across)[order],
+            rows=np.concatenate(rows),
+            starts=np.concatenate([[0], np.cumsum(np.concatenate(sizes))]),
+            bins=bin_,
             weights=1 / (4 * np.pi * length**2),
-            bins=filled,
-            starts=starts,
-            lengths=np.add.reduceat(length, starts) / number,
+            lengths=np.bincount(bin_, length, self._n_bins) / np.maximum(number, 1),
         )
 
 
 def _weigh(
     x: Array,
-    yz: Array,
-    along: NDArray[np.int64],
-    across: NDArray[np.int64],
-    weights: Array,
+    y: Array,
+    z: Array,
+    rows: NDArray[np.int64],
     starts: NDArray[np.int64],
+    bins: NDArray[np.uint32],
+    weights: Array,
+    n_bins: int,
 ) -> Array:
-    """Return the energy of each bin, (n_bins,): the sum of x[along] yz[across] weights."""
-    return np.asarray(np.add.reduceat(x[along] * yz[across] * weights, starts))
+    """Return the energy of each bin, (n_bins,), from each axis' table of what its hits leave."""
+    size = np.diff(starts)
+    last = np.arange(len(bins)) + np.repeat(rows[:, 2] - starts[:-1], size)
+    left = np.repeat(x[rows[:, 0]] * y[rows[:, 1]], size) * z[last]
+    return np.asarray(np.bincount(bins, left * weights, n_bins))
 
 
 def lattice(
@@ -223,14 +222,16 @@ def lattice(
 ) -> tuple[list[Array], list[NDArray[np.int64]]]:
     """Return, by axis, where images within ``radius`` m stand and how often both walls are hit.
 
-    Coordinates (n_images,) in m and hits (n_images, 2) of the near and the far wall: the image
-    (-1)^u x + 2 n L was mirrored |n - u| times in the wall at 0 and |n| times in that at L (Allen &
-    Berkley 1979, Eq. 10).
+    Coordinates (n_images,) in m, increasing, and hits (n_images, 2) of the near and the far wall:
+    the image (-1)^u x + 2 n L was mirrored |n - u| times in the wall at 0 and |n| times in that at L
+    (Allen & Berkley 1979, Eq. 10).
     """
     places, hits = [], []
     for length, x in zip(dimensions, source, strict=True):
         most = int(np.ceil(radius / (2 * length))) + 1
         n, u = (v.ravel() for v in np.meshgrid(np.arange(-most, most + 1), [0, 1], indexing="ij"))
-        places.append(np.asarray(np.where(u, -x, x) + 2 * n * length))
-        hits.append(np.stack([np.abs(n - u), np.abs(n)], axis=1))
+        place = np.asarray(np.where(u, -x, x) + 2 * n * length)
+        order = np.argsort(place)
+        places.append(place[order])
+        hits.append(np.stack([np.abs(n - u), np.abs(n)], axis=1)[order])
     return places, hits
