@@ -248,10 +248,10 @@ class LoopResult:
     simulations : int
         Calls of the simulator until the loop ended.
     before, after : Measurement
-        Simulated with the equation's calibration alone, and with the last coefficients; of these,
-        T20 was fitted, EDT, C50, C80 and the rest were not.
+        Simulated with the equation's calibration alone, and with the coefficients returned; of
+        these, T20 was fitted, EDT, C50, C80 and the rest were not.
     confirmation : Measurement or None
-        The last coefficients with a fresh seed; None for a deterministic simulator.
+        The same coefficients with a fresh seed; None for a deterministic simulator.
     """
 
     room: Room
@@ -403,6 +403,9 @@ def calibrate_simulator(
             after_step(loop)
     alpha = np.stack([loop.steps[b].alpha[:, k] for k, b in enumerate(loop.best)], axis=1)
     target = np.array([loop.steps[b].target[k] for k, b in enumerate(loop.best)])
+    # Bands that did not converge may have been nearest at different steps: never simulated together.
+    together = np.array_equal(alpha, loop.steps[-1].alpha)
+    after = found[-1] if together else run(simulator, alpha, seed=seed)
     calibrated = loop.calibrated(target).room
     record = calibrated.calibration and replace(
         calibrated.calibration,
@@ -415,7 +418,7 @@ def calibrate_simulator(
         loop=loop,
         simulations=len(found),
         before=found[0],
-        after=found[-1],
+        after=after,
         confirmation=None if simulator.deterministic else run(simulator, alpha, seed=seed + 1),
     )
 

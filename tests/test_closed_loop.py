@@ -90,6 +90,23 @@ def test_what_cannot_be_reached_is_said(cr2):
     assert set(calibrate_simulator(dead, room, measured).status) == {"unreachable"}
 
 
+def test_after_is_simulated_with_the_coefficients_returned(cr2):
+    """The first step stays the nearest: what is reported is its gap, not the last step's."""
+    room, measured = cr2
+    wanted, first = measured.mean("t30"), []
+
+    def run(alpha, seed):
+        first.append(alpha)
+        return wanted * (1.1 if np.array_equal(alpha, first[0]) else 1.4)
+
+    astray = External(room=room, run=run, name="astray")
+    result = calibrate_simulator(astray, room, measured, max_simulations=3)
+    assert set(result.status) == {"not converging"}
+    assert result.alpha == pytest.approx(first[0])
+    assert result.gap == pytest.approx(2.0)  # 10 % in JND of 5 %
+    assert gap_jnd(result.after.mean("t20"), wanted) == pytest.approx(2.0)
+
+
 def test_a_band_without_t_keeps_its_prior(cr2):
     room, measured = cr2
     values = np.array(measured.mean("t30"))
