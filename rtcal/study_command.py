@@ -30,7 +30,7 @@ NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
     "--trials", type=click.IntRange(0), default=10_000, show_default=True,
     help="0: the analytic study only.",
 )  # fmt: skip
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--workers", type=click.IntRange(1), help="Threads; default: all cores.")
 @click.option(
     "--folder", type=click.Path(file_okay=False),

@@ -267,6 +267,28 @@ def test_a_bound_in_a_band_without_t_does_not_withhold_the_p_value() -> None:
     assert result.plausibility.p_value is not None
 
 
+def test_a_soft_match_is_not_made_exact_behind_ones_back() -> None:
+    """Without constraints an exact match is added only where nothing else matches T."""
+    room_, measured = rt.datasets.bras_cr2()
+    prior, soft = rt.terms.PriorDeviation(), rt.terms.SoftMatch()
+    default = rt.Calibration(prior + soft).build(room_).solve(measured)
+    stated = rt.Calibration(prior + soft, []).build(room_).solve(measured)
+    exact = rt.Calibration(prior).build(room_).solve(measured)
+    np.testing.assert_allclose(default.alpha, stated.alpha, rtol=0, atol=1e-12)
+    assert np.abs(default.gap_after).max() > 1
+    assert np.abs(exact.gap_after).max() < 1e-9
+
+
+@pytest.mark.parametrize("seed", [None, -1, 1.5, "a"])
+def test_a_study_has_a_seed_of_its_own(seed) -> None:
+    from rtcal import studies
+
+    with pytest.raises(DataError, match="is not a whole number of at least 0"):
+        studies.calibration_scores([35, 20], 0.05, 3, 3, seed)
+    with pytest.raises(DataError, match="is not a whole number of at least 0"):
+        studies.analytic_scores([35, 20], 0.05, 3, seed)
+
+
 def test_a_model_error_is_no_data_error() -> None:
     assert not issubclass(ModelError, ValueError)
     assert issubclass(DataError, ValueError)

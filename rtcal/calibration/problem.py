@@ -22,6 +22,7 @@ from rtcal.calibration.terms import (
     ObjectiveTerm,
     RowConstraint,
     SharedMaterials,
+    SoftMatch,
     as_objective,
 )
 from rtcal.errors import DataError, MissingAirWarning, ModelError
@@ -41,8 +42,9 @@ class Calibration:
     objective : term or sum of terms
         It holds one prior (`rtcal.terms.PriorDeviation` or `rtcal.terms.HuberDeviation`), which
         makes the answer unique.
-    constraints : sequence
-        Constraints of `rtcal.terms`.
+    constraints : sequence, optional
+        Constraints of `rtcal.terms`. If not given, `ExactMatch`, unless the objective has a
+        `SoftMatch`: an exact match beside it would leave it nothing to do.
 
     Raises
     ------
@@ -51,7 +53,7 @@ class Calibration:
     """
 
     objective: ObjectiveTerm | Objective
-    constraints: Sequence[Constraint] = (ExactMatch(),)
+    constraints: Sequence[Constraint] | None = None
 
     def __post_init__(self) -> None:
         objective = as_objective(self.objective)
@@ -65,11 +67,15 @@ class Calibration:
             raise ModelError(
                 "the prior deviation has weight 0; without it the answer is not unique"
             )
-        for constraint in self.constraints:
+        constraints = self.constraints
+        if constraints is None:
+            soft = any(isinstance(t, SoftMatch) for t in objective.terms)
+            constraints = () if soft else (ExactMatch(),)
+        for constraint in constraints:
             if not isinstance(constraint, (RowConstraint, BoundConstraint, SharedMaterials)):
                 raise ModelError(f"{constraint!r} is no constraint of rtcal.terms")
         object.__setattr__(self, "objective", objective)
-        object.__setattr__(self, "constraints", tuple(self.constraints))
+        object.__setattr__(self, "constraints", tuple(constraints))
 
     @overload
     def build(self, room: Room, equation: Equation | None = None) -> CalibrationProblem: ...
@@ -119,9 +125,10 @@ def _compiled(
             "no linear target; calibrate it in the closed loop with calibrate_simulator"
         )
     objective = as_objective(calibration.objective)
-    rows = [c for c in calibration.constraints if isinstance(c, RowConstraint)]
-    boxes = [c for c in calibration.constraints if isinstance(c, BoundConstraint)]
-    shared = [c for c in calibration.constraints if isinstance(c, SharedMaterials)]
+    constraints = calibration.constraints or ()
+    rows = [c for c in constraints if isinstance(c, RowConstraint)]
+    boxes = [c for c in constraints if isinstance(c, BoundConstraint)]
+    shared = [c for c in constraints if isinstance(c, SharedMaterials)]
     layout = layout_of(configurations, objective, shared)
     place, prior = next((i, t) for i, t in enumerate(objective.terms) if t.is_prior)
     sigma: float | None = getattr(prior, "sigma", None)

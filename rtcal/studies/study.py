@@ -146,7 +146,7 @@ def run(
         If an area, sigma_r or a number is not positive, or the folder holds another study.
     """
     s = _areas(areas)
-    _check(sigma_r, realisations=realisations, trials=trials)
+    _check(sigma_r, seed, realisations=realisations, trials=trials)
     identity = {"areas": s.tolist(), "sigma_r": sigma_r, "realisations": realisations,
                 "trials": trials, "seed": seed}  # fmt: skip
     compute = functools.partial(_piece, s, sigma_r, realisations, trials, seed)
@@ -208,7 +208,7 @@ def analytic_scores(areas: ArrayLike, sigma_r: float, realisations: int, seed: i
     8.8 %, theory 8.7 %
     """
     s = _areas(areas)
-    _check(sigma_r, realisations=realisations)
+    _check(sigma_r, seed, realisations=realisations)
     study = Study(s, sigma_r, realisations, 0, seed, _analytic(s, sigma_r, realisations, seed))
     return _table(study.controlled_scores().tolist()[: len(METHODS)], _SCORES)
 
@@ -291,9 +291,14 @@ def _areas(areas: ArrayLike) -> Array:
     return s
 
 
-def _check(sigma_r: float, **numbers: int) -> None:
+def _check(sigma_r: float, seed: int, **numbers: int) -> None:
+    if not isinstance(sigma_r, int | float | np.number):
+        raise DataError(f"sigma_r = {sigma_r!r} is not a number")
     if not (np.isfinite(sigma_r) and sigma_r > 0):
         raise DataError(f"sigma_r = {sigma_r:g} is not above 0")
+    # Without a seed of its own a study could not be resumed, nor told from another.
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise DataError(f"seed = {seed!r} is not a whole number of at least 0")
     for name, value in numbers.items():
         if not isinstance(value, int | np.integer) or value < 1:
             raise DataError(f"{name} = {value} is not a whole number of at least 1")
