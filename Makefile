@@ -34,6 +34,7 @@ bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python benchmarks/path_tracing.py
 	$(BIN)/python benchmarks/shoebox_simulators.py
 	$(BIN)/python benchmarks/exact_batch.py
+	$(BIN)/python -m benchmarks.solvers run --short
 
 clean:
 	rm -rf $(VENV) demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -17,6 +17,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
+from rtcal.calibration.layout import Layout
 from rtcal.types import Array
 
 # SOLVED, for cvxpy's reading of an OSQP answer.
@@ -40,6 +41,26 @@ class Matrices:
     def P(self) -> Any:
         """P in full, sparse by columns."""
         return sp.csc_matrix(self.P_upper + sp.triu(self.P_upper, 1).T)
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """One calibration as a QP in the whitened unknowns, for those who want to solve it themselves.
+
+    The unknowns of the calibration are ``centre + scale * x[first : first + len(centre)]``; other
+    entries of x are helper variables.
+    """
+
+    matrices: Matrices
+    centre: Array
+    scale: Array
+    first: int
+    layout: Layout
+
+    def alpha(self, x: Array) -> Array:
+        """Return the absorption coefficients of a point x, (n_materials, n_bands)."""
+        inner = x[self.first : self.first + len(self.centre)]
+        return self.layout.expand(self.centre + self.scale * inner)
 
 
 class Compiled:

@@ -16,7 +16,7 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration import contradiction, feasibility, solvers
 from rtcal.calibration.certificate import Certificate, certify
-from rtcal.calibration.compiled import Compiled
+from rtcal.calibration.compiled import Compiled, Whitened
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Flags, Instance
 from rtcal.calibration.layout import Layout
@@ -176,6 +176,14 @@ class Core:
             )
         return Solution(
             twin, unknowns, multipliers, active, certificate, raw, polished, tuple(beyond)
+        )
+
+    def whitened(self, instance: Instance) -> Whitened:
+        """Return the QP of the instance's numbers as they are, whether it has an answer or not."""
+        self._context.update(instance)
+        matrices = self._compiled.matrices()
+        return Whitened(
+            matrices, instance.centre, instance.scale, self._compiled.column, instance.layout
         )
 
     def _settle(

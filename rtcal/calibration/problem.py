@@ -11,6 +11,7 @@ from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.assemble import Assembler, fitting, layout_of
+from rtcal.calibration.compiled import Whitened
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.core import Core
 from rtcal.calibration.measured import refuse_twice, times_in_room
@@ -200,6 +201,11 @@ class CalibrationProblem:
             method=method,
         ).results[0]
 
+    def whitened(self, measured: Times, room: Room | None = None) -> Whitened:
+        """Return the QP of one measurement, as `JointProblem.whitened` does."""
+        given = Configurations([self.room if room is None else room])
+        return self._joint.whitened([measured], given)
+
 
 class JointProblem:
     """A calibration that is compiled for several configurations of one room."""
@@ -260,3 +266,24 @@ class JointProblem:
             data=tuple(data),
             assemble=lambda new: assembler.instance(given, new, weights),
         )
+
+    def whitened(
+        self, measured: Sequence[Times], configurations: Configurations | None = None
+    ) -> Whitened:
+        """Return the QP of the measurements, unsolved and unchecked: it may have no answer.
+
+        minimise ½ x'Px + q'x  subject to  A x = b (the first n_equal rows), A x <= b (the others);
+        x = (alpha - mu) / sigma. For whoever wants to hold another solver against `solve`.
+
+        Raises
+        ------
+        DataError
+            If a measurement or a room does not fit.
+        """
+        given = self.configurations
+        if configurations is not None:
+            given = fitting(self.configurations, configurations)
+        if len(measured) != len(given.rooms):
+            raise DataError(f"{len(measured)} measurements for {len(given.rooms)} configurations")
+        data = [times_in_room(r, t) for r, t in zip(given.rooms, measured, strict=True)]
+        return self._core.whitened(self._assembler.instance(given, data, None))

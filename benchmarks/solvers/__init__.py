@@ -1,0 +1,1 @@
+"""Solvers compared on calibrations with known answers: `python -m benchmarks.solvers`."""

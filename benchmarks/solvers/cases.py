@@ -1,0 +1,244 @@
+"""The problems: each a qpbenchmark problem in the whitened unknowns that carries its exact answer."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import qpbenchmark
+import scipy.sparse as sp
+
+import rtcal as rt
+from rtcal import terms
+from rtcal.calibration.compiled import Whitened
+from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.presets import preset
+from rtcal.calibration.problem import CalibrationProblem, JointProblem
+from rtcal.studies.paper import TABLE_1_MU, TABLE_1_SIGMA
+from rtcal.studies.rooms import SHOEBOX
+from rtcal.types import Array
+from tests import problems
+
+OCTAVES = [63, 125, 250, 500, 1000, 2000, 4000, 8000]
+THIRDS = [50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000,
+          2500, 3150, 4000, 5000, 6300, 8000, 10000]  # fmt: skip
+RUNTIME = 2.0  # s allowed a solve, for the solvers that take a limit
+RANDOM = 10  # random rooms of each size in a full run
+COMPOSED = {
+    "tolerance": lambda: rt.Calibration(terms.PriorDeviation(), [terms.MatchWithin()]),
+    "soft": lambda: preset("soft"),
+    "correlated": lambda: rt.Calibration(terms.PriorDeviation(band_correlation=0.5)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Separable:
+    """The numbers of a problem that `rtcal.exact` solves: (n, bands), areas (n,), target (bands,)."""
+
+    mu: Array
+    sigma: Array
+    areas: Array
+    target: Array
+    lower: Array
+
+    def solve(self) -> rt.exact.Answer:
+        return rt.exact.solve(self.mu.T, self.sigma.T, self.areas, self.target, self.lower.T)
+
+
+class Case(qpbenchmark.Problem):
+    """A problem with its exact answer.
+
+    ``alpha`` is None where no answer exists; ``alpha_within`` bounds the error of ``alpha`` itself.
+    """
+
+    def __init__(
+        self, name: str, family: str, built: CalibrationProblem | JointProblem, measured: object,
+        room: object, separable: Separable | None,
+    ) -> None:  # fmt: skip
+        self.family, self.built, self.measured, self.room = family, built, measured, room
+        self.separable = separable
+        self.whitened: Whitened = built.whitened(measured, room)
+        qp = self.whitened.matrices
+        rows = sp.csr_matrix(qp.A)
+        n = qp.n_equal
+        super().__init__(
+            qp.P, qp.q, sp.csc_matrix(rows[n:]), qp.b[n:],
+            sp.csc_matrix(rows[:n]) if n else None, qp.b[:n] if n else None, None, None, name,
+        )  # fmt: skip
+        self.alpha: Array | None = None
+        if separable is not None:
+            answer = separable.solve()
+            if (answer.status == rt.exact.OK).all():
+                self.alpha = answer.alpha.T
+            self.alpha_within = 1e-11  # tests/test_exact.py, against rational arithmetic
+        else:
+            # No closed answer: the polished one, with the bound that its certificate proves.
+            result = built.solve(measured, room)
+            solution = result.solution if isinstance(built, JointProblem) else result.joint.solution
+            self.alpha = solution.twin.instance.layout.expand(solution.unknowns)
+            self.alpha_within = float(np.max(solution.certificate.alpha_error_bound))
+
+    @property
+    def unknowns(self) -> int:
+        return len(self.whitened.centre)
+
+
+def _single(
+    name: str, family: str, built: CalibrationProblem, room: rt.Room, times: Array,
+    sigma: Array | None = None,
+) -> Case:  # fmt: skip
+    lower = np.zeros(room.alpha.shape) if room.alpha_min is None else room.alpha_min
+    separable = Separable(
+        room.alpha, room.sigma if sigma is None else sigma, room.areas,
+        built.equation.target(room, np.asarray(times)), lower,
+    )  # fmt: skip
+    return Case(name, family, built, times, room, separable)
+
+
+def room_of(n: int, frequencies: list[int], rng: np.random.Generator) -> tuple[rt.Room, Array]:
+    """A random room and T of coefficients drawn from its prior."""
+    shape = (n, len(frequencies))
+    room = rt.Room(
+        name="random", volume=100.0 * n, materials=[f"m{i}" for i in range(n)],
+        areas=rng.uniform(5, 60, n), alpha=rng.uniform(0.02, 0.6, shape),
+        sigma=rng.uniform(0.01, 0.1, shape), centre_frequencies=frequencies, air=rt.Air(),
+    )  # fmt: skip
+    drawn = np.clip(room.alpha + room.sigma * rng.standard_normal(shape), 0.01, 0.99)
+    return room, rt.Eyring().time(room, room.areas @ drawn)
+
+
+def _one_band(mu: Array, sigma: Array, areas: Array, lower: Array | None = None) -> rt.Room:
+    return rt.Room(
+        name="one band", volume=200.0, materials=[f"m{i}" for i in range(len(mu))], areas=areas,
+        alpha=np.reshape(mu, (-1, 1)), sigma=np.reshape(sigma, (-1, 1)), centre_frequencies=[1000],
+        alpha_min=None if lower is None else np.reshape(lower, (-1, 1)),
+    )  # fmt: skip
+
+
+def _hard(kind: str, n: int, rng: np.random.Generator) -> tuple[rt.Room, Array]:
+    """One of the kinds of tests/problems.py as a room; Sabine's equation reaches any b > 0."""
+    drawn = problems.problem(kind, n, rng)
+    target, lower = drawn.target, None
+    if kind in ("at an end", "beyond an end"):
+        # A positive least alpha, so that the low end has a T too.
+        lower = 0.3 * drawn.mu
+        low, high = float(drawn.areas @ lower), float(drawn.areas.sum())
+        beyond = 10 ** rng.uniform(-6, -0.5) if kind == "beyond an end" else 0.0
+        target = high * (1 + beyond) if rng.integers(2) else low * (1 - beyond)
+    room = _one_band(drawn.mu, drawn.sigma, drawn.areas, lower)
+    return room, rt.Sabine().time(room, np.array([target]))
+
+
+class Rooms(qpbenchmark.TestSet):
+    """Calibrations of rooms, from the shipped real one to those that have tripped a solver."""
+
+    def __init__(self, size: str = "short", seed: int = 20250412) -> None:
+        self.size, self.seed = size, seed
+        super().__init__()
+
+    @property
+    def description(self) -> str:
+        return "Calibrations of room-acoustic models, with exact answers."
+
+    @property
+    def sparse_only(self) -> bool:
+        return False
+
+    @property
+    def title(self) -> str:
+        return "rtcal rooms"
+
+    def define_tolerances(self, runtime: float = RUNTIME) -> None:
+        super().define_tolerances(runtime)
+
+    def __iter__(self) -> Iterator[Case]:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rt.errors.MissingAirWarning)
+            yield from self._real()
+            yield from self._paper()
+            yield from self._random()
+            yield from self._hard()
+            yield from self._composed()
+            if self.size != "tiny":
+                yield from self._sizes()
+
+    def _real(self) -> Iterator[Case]:
+        room, measured = rt.datasets.bras_cr2()
+        for method in ("mle", "lse"):
+            built = preset(method).build(room)
+            # As rtcal places T in the room's bands: where there is none, the prior stays.
+            times = _times(built, measured, room)
+            sigma = np.where(room.sigma > 0, 1.0, 0.0) if method == "lse" else None
+            yield _single(f"CR2 {method}", "real", built, room, times, sigma)
+
+    def _paper(self) -> Iterator[Case]:
+        # Two walls of 47 m² as in Figs. 1 and 3, and Table 1's shoebox.
+        rows = [
+            ("Fig 1", (0.6, 0.5), (0.1, 0.1), (47.0, 47.0)),
+            ("Fig 3", (0.6, 0.5), (0.05, 0.1), (47.0, 47.0)),
+            ("Table 1", TABLE_1_MU, TABLE_1_SIGMA, tuple(float(s) for s in SHOEBOX)),
+        ]
+        for name, mu, sigma, areas in rows:
+            room = _one_band(np.array(mu), np.array(sigma), np.array(areas))
+            built = preset("mle").build(room, rt.Sabine())
+            for share in (0.1, 0.4, 0.8):
+                times = rt.Sabine().time(room, np.array([share * sum(areas)]))
+                yield _single(f"{name} mean {share}", "paper", built, room, times)
+
+    def _random(self) -> Iterator[Case]:
+        count = {"tiny": 1, "short": 3, "full": RANDOM}[self.size]
+        for n in (6, 23, 40):
+            rng = np.random.default_rng([self.seed, n])
+            built = None
+            for i in range(count):
+                room, times = room_of(n, OCTAVES, rng)
+                built = built or preset("mle").build(room)
+                yield _single(f"random {n} x 8 no {i}", "random", built, room, times)
+
+    def _hard(self) -> Iterator[Case]:
+        count = {"tiny": 1, "short": 2, "full": 8}[self.size]
+        for n in (6,) if self.size == "tiny" else (6, 23, 40):
+            rng = np.random.default_rng([self.seed, n, 1])
+            built = None
+            for kind in problems.KINDS:
+                family = "infeasible" if kind == "beyond an end" else "hard"
+                for i in range(count):
+                    room, times = _hard(kind, n, rng)
+                    built = built or preset("mle").build(room, rt.Sabine())
+                    yield _single(f"{kind} {n} no {i}", family, built, room, times)
+
+    def _composed(self) -> Iterator[Case]:
+        sizes = {"tiny": (6,), "short": (6, 23), "full": (6, 23, 40)}[self.size]
+        for n in sizes:
+            for name, make in COMPOSED.items():
+                rng = np.random.default_rng([self.seed, n, 2])
+                room, times = room_of(n, OCTAVES, rng)
+                built = make().build(room)
+                yield Case(f"{name} {n} x 8", "composed", built, times, room, None)
+            yield self._two(n)
+
+    def _two(self, n: int) -> Case:
+        rng = np.random.default_rng([self.seed, n, 3])
+        room, times = room_of(n, OCTAVES, rng)
+        other = room.replace(areas=room.areas * rng.uniform(0.5, 1.5, n))
+        pair = Configurations([room, other])
+        seen = rt.Eyring().time(other, other.areas @ np.clip(room.alpha * 1.02, 0.01, 0.99))
+        return Case(
+            f"two configurations {n} x 8", "composed", preset("joint").build(pair),
+            [times, seen], pair, None,
+        )  # fmt: skip
+
+    def _sizes(self) -> Iterator[Case]:
+        for n in (5, 20) if self.size == "short" else (5, 10, 20, 40, 80, 208):
+            rng = np.random.default_rng([self.seed, n, 4])
+            room, times = room_of(n, THIRDS, rng)
+            yield _single(f"mle {n} x 24", "sizes", preset("mle").build(room), room, times)
+            for name in ("soft", "correlated"):
+                built = COMPOSED[name]().build(room)
+                yield Case(f"{name} {n} x 24", "sizes", built, times, room, None)
+
+
+def _times(built: CalibrationProblem, measured: rt.Measurement, room: rt.Room) -> Array:
+    return np.array(built.solve(measured).joint.data[0].reverberation_time)

@@ -1,0 +1,167 @@
+"""The solver comparison: each broken solver is caught by the metric meant for it, and runs resume."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtcal import exact
+from tests import rational
+
+pytest.importorskip("qpbenchmark")
+
+from benchmarks.solvers import measure, render, results, routes
+from benchmarks.solvers.cases import Case, Rooms
+
+
+@pytest.fixture(scope="module")
+def test_set() -> Rooms:
+    return Rooms("tiny")
+
+
+@pytest.fixture(scope="module")
+def cases(test_set: Rooms) -> dict[str, Case]:
+    return {case.name: case for case in test_set}
+
+
+@pytest.fixture
+def feasible(cases: dict[str, Case]) -> Case:
+    return cases["random 6 x 8 no 0"]
+
+
+@pytest.fixture
+def impossible(cases: dict[str, Case]) -> Case:
+    return next(c for c in cases.values() if c.family == "infeasible")
+
+
+def right(case: Case, test_set: Rooms) -> routes.Found:
+    return routes.by_clarabel(case, test_set.solver_settings["high_accuracy"], "high_accuracy")
+
+
+def judged(case: Case, test_set: Rooms, **broken: object) -> measure.Row:
+    found = dataclasses.replace(right(case, test_set), **broken)
+    return measure.judge(case, "broken", "mid_accuracy", found, test_set.tolerances["mid_accuracy"])
+
+
+def test_a_right_answer_is_caught_by_nothing(feasible: Case, test_set: Rooms) -> None:
+    row = judged(feasible, test_set)
+    assert not row.failed
+    assert not row.wrong
+    assert not row.off(1e-6)
+    assert row.passes
+    assert 0 <= row.error < 1e-7
+
+
+def test_infeasible_point_called_solved(feasible: Case, test_set: Rooms) -> None:
+    """The primal residual sees it even where the error in alpha is not known."""
+    x = right(feasible, test_set).x + 0.5
+    row = judged(feasible, test_set, x=x)
+    assert row.primal > 1e-3
+    assert row.wrong
+    assert not row.passes
+
+
+def test_feasible_point_that_is_not_optimal(feasible: Case, test_set: Rooms) -> None:
+    """It meets every constraint, so only error, dual residual and gap can see it."""
+    good = right(feasible, test_set)
+    rows = feasible.A.toarray()
+    step = np.random.default_rng(0).standard_normal(len(good.x))
+    inside = np.abs(good.z[: len(step)]) + np.abs(good.z[len(step) :]) < 1e-6
+    step = np.where(inside, step, 0)
+    free = rows[:, inside]
+    step[inside] -= np.linalg.pinv(free) @ (rows @ step)
+    x = good.x + 0.05 * step / np.abs(step).max()
+    row = judged(feasible, test_set, x=x)
+    assert row.primal < 1e-8
+    assert row.error > 1e-4
+    assert row.dual > 1e-3
+    assert row.wrong
+
+
+def test_wrong_duals(feasible: Case, test_set: Rooms) -> None:
+    row = judged(feasible, test_set, y=-right(feasible, test_set).y)
+    assert row.error < 1e-7
+    assert row.dual > 1e-3
+    assert row.gap > 1e-3
+    assert not row.passes
+
+
+def test_missing_duals_do_not_pass(feasible: Case, test_set: Rooms) -> None:
+    row = judged(feasible, test_set, z=None)
+    assert np.isnan(row.dual)
+    assert not row.passes
+
+
+def test_nan_called_solved(feasible: Case, test_set: Rooms) -> None:
+    row = judged(feasible, test_set, x=np.full(len(right(feasible, test_set).x), np.nan))
+    assert row.wrong
+    assert not row.passes
+
+
+def test_infeasible_claimed_of_a_feasible_problem(feasible: Case, test_set: Rooms) -> None:
+    row = judged(feasible, test_set, status="infeasible")
+    assert row.failed
+    assert not row.wrong
+    assert not row.detected
+
+
+def test_solved_claimed_of_an_infeasible_problem(impossible: Case, test_set: Rooms) -> None:
+    row = judged(impossible, test_set, status="solved")
+    assert not row.feasible
+    assert row.wrong
+    assert not row.detected
+    assert judged(impossible, test_set, status="infeasible").detected
+
+
+def test_the_truth_is_that_of_rational_arithmetic(cases: dict[str, Case]) -> None:
+    seen = 0
+    for case in cases.values():
+        given = case.separable
+        if given is None or given.mu.shape[1] > 1:
+            continue
+        end = exact.solve(given.mu.T, given.sigma.T, given.areas, given.target, given.lower.T)
+        want = rational.solve(
+            given.mu[:, 0].tolist(), given.sigma[:, 0].tolist(), given.areas.tolist(),
+            float(given.target[0]), given.lower[:, 0].tolist(),
+        )  # fmt: skip
+        if isinstance(want, str):
+            # Past the end by rounding only counts as the end.
+            assert case.alpha is None or "at an end" in case.name
+        else:
+            assert end.status[0] == exact.OK
+            np.testing.assert_allclose(case.alpha[:, 0], [float(v) for v in want], atol=1e-11)
+            seen += 1
+    assert seen >= 10
+
+
+def test_a_tiny_run_resumes_and_renders(tmp_path: Path, cases: dict[str, Case]) -> None:
+    known = routes.available()
+    chosen = {n: known[n] for n in ("own:clarabel", "own:osqp", "rtcal:clarabel", "rtcal.exact")}
+    rows = results.run(tmp_path, "tiny", chosen)
+    assert {r.problem for r in rows} == set(cases)
+    default = [r for r in rows if r.route == "rtcal:clarabel"]
+    assert not any(r.failed or r.off(1e-6) for r in default)
+    assert all(r.detected for r in default if not r.feasible)
+    path = tmp_path / "tiny.csv"
+    whole = path.read_text()
+    # Stopped in the middle of a line: only what is missing is run again.
+    path.write_text(whole[: 2 * len(whole) // 3])
+    kept = results.read(path)
+    again = results.run(tmp_path, "tiny", chosen)
+    assert 0 < len(kept) < len(rows) == len(again)
+    assert str(again[: len(kept)]) == str(kept)  # as text: NaN is not equal to itself
+    assert [(r.problem, r.route, r.settings) for r in again] == [
+        (r.problem, r.route, r.settings) for r in rows
+    ]
+    assert "rtcal:clarabel" in render.accuracy(again)
+
+
+def test_the_page_is_that_of_the_table() -> None:
+    """The committed page has the committed table's numbers."""
+    root = Path(__file__).resolve().parents[1]
+    folder = root / "benchmarks" / "solvers" / "results"
+    text = render.text(folder, "full")
+    assert (root / "docs" / "solver_comparison.md").read_text(encoding="utf-8") == text
