@@ -190,8 +190,9 @@ def by_rtcal(
     c = given.certificate
     own = tuple(float(np.max(r)) for r in (c.primal_residual, c.dual_residual, c.duality_gap))
     word = "solved" if polished else joint.solution.raw.status.lower()
+    status = word if word == "solved" else "infeasible" if "infeasible" in word else "failed"
     return Found(
-        word if word == "solved" else "infeasible" if "infeasible" in word else "failed", seconds if polished else given.seconds,
+        status, seconds if polished else given.seconds,
         alpha=case.whitened.layout.expand(given.unknowns), own=own,
         iterations=joint.solution.raw.iterations,
     )  # fmt: skip
