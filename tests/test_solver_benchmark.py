@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import qpsolvers
 
 from rtcal import exact
-from tests import rational
 
 pytest.importorskip("qpbenchmark")
+pytest.importorskip("piqp")
 
-from benchmarks.solvers import measure, render, results, routes
+from benchmarks.solvers import cases as solver_cases
+from benchmarks.solvers import measure, render, results, routes, truth
 from benchmarks.solvers.cases import Case, Rooms
 
 
@@ -116,25 +118,94 @@ def test_solved_claimed_of_an_infeasible_problem(impossible: Case, test_set: Roo
     assert judged(impossible, test_set, status="infeasible").detected
 
 
+def test_duals_that_balance_but_are_not_complementary(feasible: Case, test_set: Rooms) -> None:
+    """As much on both sides of the box: stationarity holds, and only the gap can see it."""
+    good = right(feasible, test_set)
+    n = len(good.x)
+    z = good.z + np.tile(np.eye(n)[0], 2)
+    row = judged(feasible, test_set, z=z)
+    assert row.error < 1e-7
+    assert row.primal < 1e-8
+    assert row.dual < 1e-8
+    assert row.gap > 1e-3
+    assert not row.passes
+
+
+def test_a_warm_start_that_is_ignored(feasible: Case, test_set: Rooms) -> None:
+    """The count of iterations tells a start that was used from one that was not."""
+    settings = test_set.solver_settings["mid_accuracy"]
+    settings.set_param("osqp", "check_termination", 1)
+    good = right(feasible, test_set)
+    start = (good.x, np.concatenate([good.y, good.z]))
+    cold = routes.by_osqp(feasible, settings, "", None)
+    used = routes.by_osqp(feasible, settings, "", start)
+    assert used.iterations < 0.2 * cold.iterations
+    assert used.status == cold.status == "solved"
+
+
+def test_a_slow_solver_is_seen_in_the_mean(feasible: Case, test_set: Rooms) -> None:
+    """Hundredfold on every third problem: a mean with a shift of seconds would not show it."""
+    row = dataclasses.replace(judged(feasible, test_set), microseconds=20.0)
+    slow = dataclasses.replace(row, microseconds=2000.0)
+    assert float(render._mean([row] * 3)) == pytest.approx(20, abs=0.5)
+    assert float(render._mean([row, row, slow])) > 60
+
+
 def test_the_truth_is_that_of_rational_arithmetic(cases: dict[str, Case]) -> None:
+    """Two ways to it that share nothing: band by band, and from the matrices of all bands."""
+    case = cases["random 6 x 8 no 0"]
+    found = truth.of_matrices(case.to_sparse())
+    assert found.residual < 1e-20
+    assert found.error < 1e-20
+    np.testing.assert_allclose(case.whitened.alpha(found.x), case.alpha, rtol=0, atol=1e-15)
     seen = 0
     for case in cases.values():
         given = case.separable
-        if given is None or given.mu.shape[1] > 1:
+        if given is None:
             continue
-        end = exact.solve(given.mu.T, given.sigma.T, given.areas, given.target, given.lower.T)
-        want = rational.solve(
-            given.mu[:, 0].tolist(), given.sigma[:, 0].tolist(), given.areas.tolist(),
-            float(given.target[0]), given.lower[:, 0].tolist(),
-        )  # fmt: skip
-        if isinstance(want, str):
-            # Past the end by rounding only counts as the end.
-            assert case.alpha is None or "at an end" in case.name
-        else:
-            assert end.status[0] == exact.OK
-            np.testing.assert_allclose(case.alpha[:, 0], [float(v) for v in want], atol=1e-11)
+        answer = given.solve()
+        assert (case.alpha is not None) == (answer.status == exact.OK).all()
+        if case.alpha is not None:
+            np.testing.assert_allclose(answer.alpha.T, case.alpha, rtol=0, atol=1e-11)
             seen += 1
-    assert seen >= 10
+    assert seen >= 15
+
+
+def test_the_truth_of_a_problem_solved_by_hand() -> None:
+    """Least |x|² with x1 + x2 + x3 = 3 and x1 <= 1/2: x = (1/2, 5/4, 5/4)."""
+    x = np.array([0.5, 1.25, 1.25])
+    problem = qpsolvers.Problem(
+        np.eye(3), np.zeros(3), np.array([[1.0, 0, 0], [0, -1, 0]]), np.array([0.5, 0]),
+        np.ones((1, 3)), np.array([3.0]),
+    )  # fmt: skip
+    np.testing.assert_allclose(truth.of_matrices(problem).x, x, rtol=0, atol=1e-16)
+    problem.h = np.array([0.5, -2.0])  # and x2 >= 2
+    np.testing.assert_allclose(truth.of_matrices(problem).x, [0.5, 2, 0.5], rtol=0, atol=1e-16)
+
+
+def test_a_wrong_active_set_does_not_become_the_truth(monkeypatch) -> None:
+    """Named nothing, or everything, the conditions mend the set or refuse it."""
+    problem = qpsolvers.Problem(
+        np.eye(2), np.zeros(2), np.vstack([np.eye(2), -np.eye(2)]), np.array([1, 1, 1.0, -0.25]),
+        np.array([[1.0, 1]]), np.array([1.0]),
+    )  # fmt: skip
+    for claimed in (np.zeros(4), np.array([0, 0, 0, 9.0]), np.array([9.0, 0, 0, 0])):
+        said = qpsolvers.Solution(problem, found=True, x=np.array([0.4, 0.6]), z=claimed)
+        monkeypatch.setattr(qpsolvers, "solve_problem", lambda *a, said=said, **k: said)
+        np.testing.assert_allclose(truth.of_matrices(problem).x, [0.5, 0.5], rtol=0, atol=1e-16)
+
+
+def test_the_real_rooms_that_are_not_there_are_said(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(solver_cases, "BRAS", tmp_path / "none")
+    short = Rooms("short")
+    assert "their data are not here" in short.left_out
+    assert [c.name for c in short._real()] == ["CR2 mle", "CR2 lse"]
+
+
+def test_the_real_rooms_that_are_there(shared_data: Path) -> None:
+    found = {c.name: c for c in Rooms("short")._real()}
+    assert found["CR3 thirds mle"].unknowns == 7 * 24
+    assert found["CR3 thirds lse"].alpha is not None
 
 
 def test_a_tiny_run_resumes_and_renders(tmp_path: Path, cases: dict[str, Case]) -> None:

@@ -28,7 +28,9 @@ from rtcal.types import Array
 
 EPS = {"low_accuracy": 1e-3, "mid_accuracy": 1e-6, "high_accuracy": 1e-9}
 NAMES = ("clarabel", "osqp", "highs", "daqp", "piqp", "proxqp", "scs", "quadprog")
-DENSE_LIMIT = 400  # unknowns: dense matrices and SLSQP beyond that only cost time
+# Unknowns, beyond which a route only costs time or memory.
+DENSE_LIMIT = 2000  # qpsolvers' dense solvers
+CVXPY_LIMIT = 400  # its rows are one dense parameter here
 SLSQP_LIMIT = 50
 
 
@@ -140,7 +142,7 @@ def by_cvxpy(name: str, case: Case, settings: SolverSettings, setting: str) -> F
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            problem.solve(solver=name, warm_start=False)
+            problem.solve(solver=name, warm_start=False, **settings[name.lower()])
     except Exception:  # cvxpy's and the backends' own kinds
         return Found("failed", time.perf_counter() - began)
     seconds = time.perf_counter() - began
@@ -177,9 +179,12 @@ def by_slsqp(case: Case, settings: SolverSettings, setting: str) -> Found:
 def by_rtcal(
     name: str, polished: bool, case: Case, settings: SolverSettings, setting: str
 ) -> Found:
+    own = setting == "default"  # rtcal's own settings, not the solver's
     began = time.perf_counter()
     try:
-        result: Any = case.built.solve(case.measured, case.room, solver=name)
+        result: Any = case.built.solve(
+            case.measured, case.room, solver=name, settings=None if own else settings[name]
+        )
     except rt.errors.InfeasibleError:
         return Found("infeasible", time.perf_counter() - began)
     except rt.errors.SolverError:
@@ -188,12 +193,13 @@ def by_rtcal(
     joint = result if isinstance(case.built, JointProblem) else result.joint
     given = joint.solution if polished else joint.solution.raw
     c = given.certificate
-    own = tuple(float(np.max(r)) for r in (c.primal_residual, c.dual_residual, c.duality_gap))
+    residuals = (c.primal_residual, c.dual_residual, c.duality_gap)
     word = "solved" if polished else joint.solution.raw.status.lower()
     status = word if word == "solved" else "infeasible" if "infeasible" in word else "failed"
     return Found(
         status, seconds if polished else given.seconds,
-        alpha=case.whitened.layout.expand(given.unknowns), own=own,
+        alpha=case.whitened.layout.expand(given.unknowns),
+        own=tuple(float(np.max(r)) for r in residuals),
         iterations=joint.solution.raw.iterations,
     )  # fmt: skip
 
@@ -235,10 +241,8 @@ def available() -> dict[str, Route]:
 
 
 def settings_of(route: str) -> tuple[str, ...]:
-    """The settings a route is run at: cvxpy and rtcal are run at their own."""
-    if route.startswith(("cvxpy:", "rtcal")):
-        return ("default",)
-    return ("default", *EPS)
+    """The settings a route is run at; ``rtcal.exact`` has none."""
+    return ("default",) if route == "rtcal.exact" else ("default", *EPS)
 
 
 def fits(route: str, case: Case) -> bool:
@@ -248,7 +252,7 @@ def fits(route: str, case: Case) -> bool:
     if route == "scipy:slsqp":
         return case.unknowns <= SLSQP_LIMIT
     if route.startswith("cvxpy:"):
-        return case.separable is not None and case.unknowns <= DENSE_LIMIT
+        return case.separable is not None and case.unknowns <= CVXPY_LIMIT
     name = route.removeprefix("qpsolvers:")
     dense = route.startswith("qpsolvers:") and name not in qpsolvers.sparse_solvers
-    return case.unknowns <= DENSE_LIMIT or not dense
+    return len(case.q) <= DENSE_LIMIT or not dense

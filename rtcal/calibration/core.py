@@ -20,7 +20,7 @@ from rtcal.calibration.compiled import Compiled, Whitened
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Flags, Instance
 from rtcal.calibration.layout import Layout
-from rtcal.calibration.polish import polish
+from rtcal.calibration.polish import polish, undetermined
 from rtcal.calibration.terms import Matching, Objective, RowConstraint
 from rtcal.calibration.twin import Multipliers, Twin
 from rtcal.calibration.warm_start import from_closed_form
@@ -213,20 +213,28 @@ class Core:
     def _multipliers(
         self, settled: Instance, twin: Twin, u: Array, answer: solvers.Answer
     ) -> Multipliers:
-        """The solver's duals in the unknowns' units; those of pinned ends from stationarity."""
+        """The solver's duals in the unknowns' units.
+
+        A target at an end pins its coefficients before the solver runs. Those multipliers the
+        solver is never asked for: they follow from stationarity.
+        """
         duals = iter(answer.row_duals)
+        scales = [term.row_scale(settled) for term in self.rows]
         rows = [
-            sum(sign * next(duals) for sign in signs) * term.row_scale(settled)
-            for term, signs in zip(self.rows, self._signs, strict=True)
+            sum(sign * next(duals) for sign in signs) * scale
+            for scale, signs in zip(scales, self._signs, strict=True)
         ]
         row_values = np.concatenate(rows) if rows else np.zeros(0)
         lower, upper = answer.lower_dual, np.zeros_like(answer.lower_dual)
         upper[: len(answer.upper_dual)] = answer.upper_dual
         ends = twin.movable & (settled.scale == 0)
         if ends.any():
+            at_lower, at_upper = ends & (u == twin.lower), ends & (u == twin.upper)
+            starved = (np.concatenate([*scales, np.zeros(0)]) == 0) & (twin.row_norm > 0)
+            row_values = undetermined(twin, u, row_values, starved, at_lower, at_upper)
             force = twin.stationarity(u, row_values)
-            lower = np.where(ends & (u == twin.lower), np.maximum(force, 0.0), lower)
-            upper = np.where(ends & (u == twin.upper), np.maximum(-force, 0.0), upper)
+            lower = np.where(at_lower, np.maximum(force, 0.0), lower)
+            upper = np.where(at_upper, np.maximum(-force, 0.0), upper)
         return Multipliers(row_values, lower, upper)
 
 

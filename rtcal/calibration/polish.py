@@ -85,7 +85,7 @@ def polish(
                 at_lower, at_upper = at_lower & ~release, at_upper & ~release
                 alpha = trial
                 continue
-            rows = _undetermined(twin, trial, rows, starved, at_lower, at_upper)
+            rows = undetermined(twin, trial, rows, starved, at_lower, at_upper)
         gradient = twin.gradient(trial)
         force = np.asarray(gradient + twin.matrix.T @ rows)
         balance = force * sigma
@@ -220,7 +220,7 @@ def _line(twin: Twin, row: int) -> Array:
     return np.asarray(line.toarray() if sp.issparse(line) else line).ravel()
 
 
-def _undetermined(
+def undetermined(
     twin: Twin, alpha: Array, rows: Array, starved: Flags, at_lower: Flags, at_upper: Flags
 ) -> Array:
     """Give rows without a free coefficient their multiplier.
