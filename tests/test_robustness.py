@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal import studies
+from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.posterior import posterior, sensitivity
 from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
 from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
 
@@ -281,12 +284,164 @@ def test_a_soft_match_is_not_made_exact_behind_ones_back() -> None:
 
 @pytest.mark.parametrize("seed", [None, -1, 1.5, "a"])
 def test_a_study_has_a_seed_of_its_own(seed) -> None:
-    from rtcal import studies
-
     with pytest.raises(DataError, match="is not a whole number of at least 0"):
         studies.calibration_scores([35, 20], 0.05, 3, 3, seed)
     with pytest.raises(DataError, match="is not a whole number of at least 0"):
         studies.analytic_scores([35, 20], 0.05, 3, seed)
+
+
+def two_rooms() -> Configurations:
+    return Configurations([room(), room(name="y")])
+
+
+def solved(*more, **given) -> rt.calibration.result.CalibrationResult:
+    """A composed calibration of the room, with these constraints beside the match."""
+    terms = given.pop("objective", rt.terms.PriorDeviation())
+    return rt.Calibration(terms, [rt.terms.ExactMatch(), *more]).build(room()).solve([0.8, 0.75])
+
+
+def study(**given):
+    return studies.calibration_scores([35, 20, 11], 0.05, 3, 3, 1, **given)
+
+
+HIDDEN = np.ma.array([0.1, 0.2], mask=[False, True])
+READ_ONLY = np.zeros(2)
+READ_ONLY.setflags(write=False)
+SMALL = ([0.1, 0.2], [0.1, 0.1], [10, 10], 3.0)
+PRIOR = rt.terms.PriorDeviation()
+
+WRONG_KINDS = [
+    (lambda: rt.exact.solve(HIDDEN, *SMALL[1:]), "mu is a masked array with hidden entries"),
+    (lambda: rt.exact.solve(*SMALL[:3], HIDDEN), "target is a masked array with hidden entries"),
+    (lambda: rt.exact.solve(*SMALL, out=[0, 0]), "out is not an array that can be written to"),
+    (lambda: rt.exact.solve(*SMALL, out=READ_ONLY), "out is read-only"),
+    (lambda: rt.closed_form.least_squares(HIDDEN, [10, 10], 3.0), "mu is a masked array"),
+    (lambda: room(areas=HIDDEN), "areas is a masked array with hidden entries"),
+    (lambda: rt.calibrate(room(), HIDDEN), "measured is a masked array with hidden entries"),
+    (lambda: studies.analytic_scores(HIDDEN, 0.1, 3), "areas is a masked array"),
+    (lambda: study(workers="a"), "workers = 'a' is not a whole number of at least 1"),
+    (lambda: study(workers=1.5), "workers = 1.5 is not a whole number of at least 1"),
+    (lambda: study(folder=5), "folder = 5 is not a path"),
+    (lambda: study(executor=5), "executor = 5 is not a concurrent.futures.Executor"),
+    (lambda: studies.write_table(5, "x.csv"), "table is not a table of named columns"),
+    (lambda: studies.write_table(np.zeros(3), "x.csv"), "table is not a table of named columns"),
+    (lambda: studies.write_table(study(), 5), "path = 5 is not a path"),
+    (lambda: rt.terms.Bounds([0, 0], 1), r"Bounds: lower = \[0, 0\] is not a number"),
+    (lambda: rt.terms.Bounds(0, 1, material=5), "Bounds: 5 is not the name of a material"),
+    (lambda: rt.terms.Bounds(0, 1, band="a"), "Bounds: band = 'a' is not a number"),
+    (lambda: rt.terms.Fixed("a", "x"), "Fixed: value = 'x' is not a number"),
+    (lambda: rt.terms.Shared(["a", "b"]), "Shared: .* is not the name of a material"),
+    (lambda: rt.terms.AtMost(5, "a"), "AtMost: 5 is not the name of a material"),
+    (lambda: rt.terms.SoftMatch(relative="a"), "SoftMatch: relative = 'a' is not a number"),
+    (lambda: rt.terms.MatchWithin("a"), "MatchWithin: jnd = 'a' is not a number"),
+    (lambda: rt.terms.HuberDeviation("a"), "HuberDeviation: threshold = 'a' is not a number"),
+    (lambda: rt.terms.PriorDeviation("a"), "PriorDeviation: sigma = 'a' is not a number"),
+    (lambda: rt.terms.PriorDeviation(band_correlation="a"), "band_correlation is not an array"),
+    (lambda: rt.terms.PriorDeviation(band_correlation=None), "band_correlation = None is not"),
+    (lambda: rt.terms.PriorDeviation(material_correlation={"a": 1}), "'a' is not a pair of mat"),
+    (lambda: rt.terms.AddedAbsorption("x", ["a"], 1), r'AddedAbsorption\("x"\): gain is not'),
+    (lambda: rt.terms.AddedAbsorption("x", [1], "a"), "sigma = 'a' is not a number"),
+    (lambda: rt.terms.GroupAbsorption("floor", 1), "materials = 'floor' is not a list of names"),
+    (lambda: rt.terms.GroupAbsorption(["a"], "x"), "least = 'x' is not a number"),
+    (lambda: "a" * PRIOR, "weight = 'a' is not a number"),
+    (lambda: rt.Calibration(PRIOR, 5), "constraints = 5 is not a list of constraints"),
+    (lambda: rt.Calibration(PRIOR).build(5), "room = 5 is not a rtcal.Room"),
+    (lambda: rt.Calibration(PRIOR).build(room()).solve([0.8, 0.7], 5), "5 is not a rtcal.Room"),
+    (lambda: rt.Calibration(PRIOR).build(room()).solve([0.8, 0.7], weights=5), "weights = 5 is not"),
+    (lambda: Configurations([5]), r"rooms\[0\] = 5 is not a rtcal.Room"),
+    (lambda: Configurations(5), "rooms = 5 is not a list of rtcal.Room"),
+    (lambda: rt.calibrate(two_rooms(), 5), "measured = 5 is not a list of measurements"),
+    (lambda: posterior(5), "result = 5 is not the result of a calibration"),
+    (lambda: posterior(solved(), "a"), "n_samples = 'a' is not a whole number of at least 1"),
+    (lambda: posterior(solved()).interval("a"), "level = 'a' is not a number"),
+    (lambda: posterior(solved()).quantile(None), "probability = None is not a number"),
+    (lambda: sensitivity(5), "result = 5 is not the result of a calibration"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "message"), WRONG_KINDS, ids=[m for _, m in WRONG_KINDS])
+def test_things_of_the_wrong_kind_are_named(call, message: str) -> None:
+    with pytest.raises(RtcalError, match=message):
+        call()
+
+
+def test_a_mask_that_hides_nothing_is_an_array() -> None:
+    answer = rt.exact.solve(np.ma.array(SMALL[0]), *SMALL[1:], out=np.empty(2))
+    np.testing.assert_allclose(answer.alpha, [0.1, 0.2], rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b'{"areas": [35', "study.json is damaged"), (b"\xff\xfe", "study.json is damaged"),
+     (b"{}", "holds another study")],
+)  # fmt: skip
+def test_a_damaged_record_of_a_study_is_not_another_study(tmp_path, content, message) -> None:
+    first = study(folder=tmp_path)
+    np.testing.assert_array_equal(study(folder=tmp_path), first)
+    (tmp_path / "study.json").write_bytes(content)
+    with pytest.raises(DataError, match=message):
+        study(folder=tmp_path)
+
+
+def test_a_room_of_one_surface_is_calibrated_exactly() -> None:
+    """One unknown and one equation: no error is left, and none of rounding is reported."""
+    done = studies.run([35.0], 0.05, 200, 30, seed=1)
+    for table in (done.scores(), done.controlled_scores(), studies.analytic_scores([35], 0.05, 99)):
+        calibrated = table[table["method"] != "none"]
+        np.testing.assert_array_equal(calibrated["aace"], 0)
+        np.testing.assert_array_equal(calibrated["score"], 1)
+        np.testing.assert_array_equal(table["standard_error"], 0)
+        assert table["aace"][0] > 0.04
+    spread = done.spread()
+    np.testing.assert_array_equal(spread["most"][spread["method"] != "none"], 0)
+    two = studies.run([35.0, 0.01], 0.05, 200, 30, seed=1).scores()
+    assert (two["aace"] > 0.01).all()
+
+
+def test_bounds_that_contradict_name_the_terms_that_set_them() -> None:
+    first, second = rt.terms.Fixed("a", 0.1), rt.terms.Bounds(0.2, 0.9)
+    with pytest.raises(DataError) as raised:
+        solved(first, second, rt.terms.Fixed("b", 0.3))
+    message = str(raised.value)
+    assert "the bounds contradict each other" in message
+    assert repr(first) in message
+    assert repr(second) in message
+    assert "'b'" not in message
+
+
+def test_an_effect_of_weight_0_is_named() -> None:
+    effect = rt.terms.AddedAbsorption("door", [1, 1], 1.0)
+    with pytest.raises(DataError, match=r'AddedAbsorption\("door"\) has weight 0'):
+        solved(objective=PRIOR + 0 * effect)
+
+
+def test_a_calibration_that_ignores_t_says_so() -> None:
+    said = "Nothing in this calibration asks for the measured T"
+    ignoring = rt.Calibration(PRIOR, []).build(room()).solve([0.8, 0.75])
+    assert said in str(ignoring)
+    assert "T20 NOT matched" in str(ignoring)
+    assert not ignoring.matched.any()
+    np.testing.assert_array_equal(ignoring.alpha, room().alpha)
+    for asking in (
+        solved(),
+        rt.calibrate(room(), [0.8, 0.75], method="soft"),
+        rt.Calibration(PRIOR, [rt.terms.MatchWithin()]).build(room()).solve([0.8, 0.75]),
+    ):
+        assert said not in str(asking)
+        assert asking.matched.all()
+    unweighted = rt.Calibration(PRIOR + 0 * rt.terms.SoftMatch(0.05)).build(room())
+    assert said in str(unweighted.solve([0.8, 0.75]))
+
+
+def test_a_raw_answer_at_an_end_is_not_charged_with_what_was_never_asked() -> None:
+    """Its coefficients are pinned before the solver runs; their multipliers follow from them."""
+    known = room(alpha_min=[[0.05, 0.05], [0.1, 0.05]])
+    end = rt.Eyring().time(known, known.areas @ known.alpha_min)
+    result = rt.calibrate(known, end)
+    np.testing.assert_array_equal(result.alpha, known.alpha_min)
+    assert result.raw.certificate.worst < 1e-9
+    assert np.all(result.raw.multipliers.lower >= 0)
+    assert result.raw.multipliers.rows.max() > 1e-3
 
 
 def test_a_model_error_is_no_data_error() -> None:

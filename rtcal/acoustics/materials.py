@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.errors import DataError
 from rtcal.types import Array
 
@@ -107,10 +108,7 @@ def number(name: str, value: object, unit: str) -> float:
 
 def array_of(name: str, value: object) -> Array:
     """Return an array of numbers, or raise DataError naming it."""
-    try:
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise DataError(f"{name} is not an array of numbers: {error}") from error
+    return checks.array(name, value).copy()
 
 
 def rows_of(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) -> Array:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
@@ -43,16 +44,24 @@ class Assembler:
     def weights(self, given: Mapping[ObjectiveTerm, float] | None) -> tuple[float, ...]:
         """Return the terms' weights, scaled so that the prior's is 1, which changes no answer."""
         chosen = list(self.objective.weights)
+        if not isinstance(given, Mapping | None):
+            raise DataError(f"weights = {given!r} is not a mapping of terms to weights")
         for term, weight in (given or {}).items():
             if term not in self.objective.terms:
                 raise DataError(f"weights has {term!r}, which is no term of the objective")
+            checks.number(f"weights[{term!r}]", weight)
             if not (np.isfinite(weight) and weight >= 0):
                 raise DataError(f"weights[{term!r}] = {weight:g} is not finite and 0 or more")
             chosen[self.objective.terms.index(term)] = float(weight)
         prior = chosen[self.prior]
-        own = [chosen[self.objective.terms.index(t)] for t in self._further]
-        if prior == 0 or 0 in own:
-            raise DataError("a prior has weight 0; the answer would not be unique")
+        if prior == 0:
+            raise DataError("the prior deviation has weight 0; the answer would not be unique")
+        for further in self._further:
+            if chosen[self.objective.terms.index(further)] == 0:
+                raise DataError(
+                    f'{type(further).__name__}("{further.name}") has weight 0: then nothing keeps '
+                    "its size, and the answer would not be unique. Leave the term out instead"
+                )
         return tuple(w / prior for w in chosen)
 
     def instance(
@@ -75,7 +84,7 @@ class Assembler:
             self._check_shared(room)
         lower, upper = self._tightest(lower, np.maximum), self._tightest(upper, np.minimum)
         alpha, sigma = room.alpha[self.layout.first], np.asarray(sigma)[self.layout.first]
-        self._check_box(alpha, sigma, lower, upper)
+        self._check_box(room, alpha, sigma, lower, upper)
         further = self._further
         c, k = len(data), shape[1]
         gains = np.zeros((c, k, len(further)))
@@ -160,7 +169,9 @@ class Assembler:
                         "share their coefficients have one prior"
                     )
 
-    def _check_box(self, alpha: Array, sigma: Array, lower: Array, upper: Array) -> None:
+    def _check_box(
+        self, room: Room, alpha: Array, sigma: Array, lower: Array, upper: Array
+    ) -> None:
         outside = (alpha < lower) | (alpha > upper)
         for bad, rule in (
             (lower > upper, "the bounds contradict each other"),
@@ -168,10 +179,24 @@ class Assembler:
         ):
             if bad.any():
                 i, k = (int(v) for v in np.argwhere(bad)[0])
+                set_by = self._set_by(room, i, k, lower[i, k], upper[i, k])
                 raise DataError(
                     f"{self.layout.place(i * alpha.shape[1] + k)} = {alpha[i, k]:g}, bounds "
-                    f"{lower[i, k]:g} to {upper[i, k]:g}: {rule}"
+                    f"{lower[i, k]:g} to {upper[i, k]:g}: {rule}; they come from {set_by}"
                 )
+
+    def _set_by(self, room: Room, row: int, band: int, lower: float, upper: float) -> str:
+        """Name the terms that set a coefficient's bounds."""
+        materials = [m for m, r in enumerate(self.layout.rows) if r == row]
+        zeros, ones = np.zeros(room.alpha.shape), np.ones(room.alpha.shape)
+        names = []
+        if room.alpha_min is not None and room.alpha_min[materials, band].max() == lower > 0:
+            names.append("the room's alpha_min")
+        for box in self.boxes:
+            low, high = (b[materials, band] for b in box.box(room, zeros, ones))
+            if low.max() == lower > 0 or high.min() == upper < 1:
+                names.append(repr(box))
+        return " and ".join(names)
 
 
 def layout_of(
@@ -207,6 +232,9 @@ def layout_of(
 
 def fitting(built: Configurations, given: Configurations) -> Configurations:
     """Return ``given`` if it has the shape that the problem was built with, else DataError."""
+    for room in given.rooms:
+        if not isinstance(room, Room):
+            raise DataError(f"room = {room!r} is not a rtcal.Room")
     if len(built.rooms) != len(given.rooms):
         raise DataError(
             f"{len(given.rooms)} configurations; the problem was built with {len(built.rooms)}"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.errors import DataError
 from rtcal.types import Array
 
@@ -25,7 +26,7 @@ def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
     >>> print(least_squares([0.4, 0.6], [20, 74], 33.6).round(2))
     [0.34 0.36]
     """
-    return maximum_likelihood(mu, np.ones_like(np.asarray(mu, dtype=float)), areas, target)
+    return maximum_likelihood(mu, np.ones_like(checks.array("mu", mu)), areas, target)
 
 
 def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
@@ -53,7 +54,7 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
     [0.54 0.26]
     """
     mu, areas, target = _checked(mu, areas, target)
-    sigma = np.asarray(sigma, dtype=float)
+    sigma = checks.array("sigma", sigma)
     if sigma.shape != mu.shape:
         raise DataError(f"sigma has shape {sigma.shape}; mu has {mu.shape}")
     weight = _along(areas, mu) * sigma**2
@@ -66,7 +67,7 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
 def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
     """Return D = (S'mu - b) / sum S² sigma² in 1/m², a scalar or (n_bands,) (Eqs. 23 to 25)."""
     mu, areas, target = _checked(mu, areas, target)
-    spread = areas**2 @ np.asarray(sigma, dtype=float) ** 2
+    spread = areas**2 @ checks.array("sigma", sigma) ** 2
     return np.asarray((areas @ mu - target) / spread)
 
 
@@ -91,8 +92,8 @@ def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
 
 
 def _checked(mu: Array, areas: Array, target: Array | float) -> tuple[Array, Array, Array]:
-    mu, areas = np.asarray(mu, dtype=float), np.asarray(areas, dtype=float)
-    target = np.asarray(target, dtype=float)
+    mu, areas = checks.array("mu", mu), checks.array("areas", areas)
+    target = checks.array("target", target)
     if mu.ndim not in (1, 2) or areas.shape != mu.shape[:1] or target.shape != mu.shape[1:]:
         raise DataError(
             f"mu {mu.shape}, areas {areas.shape} and target {target.shape} do not fit: "

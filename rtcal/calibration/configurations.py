@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,9 +45,16 @@ class Configurations:
     names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
+        if not isinstance(self.rooms, Iterable):
+            raise DataError(f"rooms = {self.rooms!r} is not a list of rtcal.Room")
         rooms = tuple(self.rooms)
         if not rooms:
             raise DataError("rooms is empty; there is at least one configuration")
+        for i, room in enumerate(rooms):
+            if not isinstance(room, Room):
+                raise DataError(f"rooms[{i}] = {room!r} is not a rtcal.Room")
+        if isinstance(self.names, str) or not isinstance(self.names, Iterable):
+            raise DataError(f"names = {self.names!r} is not a list of texts")
         names = tuple(str(n) for n in self.names) or tuple(r.name for r in rooms)
         if len(names) != len(rooms):
             raise DataError(f"{len(names)} names for {len(rooms)} configurations")

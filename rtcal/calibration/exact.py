@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtcal import jit
+from rtcal import checks, jit
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.types import Array
 
@@ -88,9 +88,10 @@ def solve(
     Raises
     ------
     DataError
-        If shapes do not fit, something is not a number, or both ``tolerance`` and ``uncertainty``
-        are given. A row with NaN, a negative area, a negative sigma, lower above upper or a held mu
-        outside the bounds raises nothing: its status is 3.
+        If shapes do not fit, something is not a number or hidden by a mask, ``out`` cannot be
+        written to, or both ``tolerance`` and ``uncertainty`` are given. A row with NaN, a negative
+        area, a negative sigma, lower above upper or a held mu outside the bounds raises nothing:
+        its status is 3.
     MissingDependencyError
         With ``engine="numba"`` where numba is not installed.
 
@@ -110,10 +111,10 @@ def solve(
     >>> print(status)
     [0 0]
     """
-    vectors = [_numbers(x, name) for x, name in (
+    vectors = [checks.array(name, x) for x, name in (
         (mu, "mu"), (sigma, "sigma"), (areas, "areas"), (lower, "lower"), (upper, "upper"),
     )]  # fmt: skip
-    scalars = [_numbers(x, name) for x, name in (
+    scalars = [checks.array(name, x) for x, name in (
         (target, "target"), (tolerance, "tolerance"), (uncertainty, "uncertainty"),
     )]  # fmt: skip
     if any(x.ndim == 0 for x in vectors[:3]):
@@ -130,8 +131,12 @@ def solve(
             f"uncertainty (...) do not fit: {shapes}"
         ) from error
     alpha = np.empty((*batch, n)) if out is None else out
+    if not isinstance(alpha, np.ndarray) or np.ma.isMaskedArray(alpha):
+        raise DataError("out is not an array that can be written to")
     if alpha.shape != (*batch, n) or alpha.dtype != float or not alpha.flags.c_contiguous:
         raise DataError(f"out must be C-contiguous float64 of shape {(*batch, n)}")
+    if not alpha.flags.writeable:
+        raise DataError("out is read-only; the answer is written to it")
     multiplier, status = np.empty(batch), np.empty(batch, np.int8)
     rows = int(np.prod(batch, dtype=int))
     m, g, s, low, high = (_rows(x, batch, n) for x in vectors)
@@ -156,13 +161,6 @@ def _engine(name: str) -> str:
     if name == "numba" and not jit.available():
         raise MissingDependencyError('engine="numba" needs numba: pip install "rtcal[fast]"')
     return "numpy" if name == "numpy" or not jit.available() else "numba"
-
-
-def _numbers(x: ArrayLike, name: str) -> Array:
-    try:
-        return np.asarray(x, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{name} is not an array of real numbers") from error
 
 
 def _rows(x: Array, batch: tuple[int, ...], n: int) -> Array:

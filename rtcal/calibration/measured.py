@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -64,8 +65,8 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
             mean, spread, used, ignored, _fingerprint(room, mean), _other_bandwidth(room, measured)
         )
     try:
-        times = np.array(measured, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
+        times = checks.array("measured", measured).copy()
+    except DataError as error:
         raise DataError(f"measured is not a list of T in s: {error}") from error
     if times.shape != (room.n_bands,):
         raise DataError(f"measured T has shape {times.shape}; the room asks for ({room.n_bands},)")

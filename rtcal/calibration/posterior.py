@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.sparse as sp
 
+from rtcal import checks
 from rtcal.calibration.instance import Flags, Instance
 from rtcal.calibration.marginals import POINTS, marginals, unmatched
 from rtcal.calibration.result import CalibrationResult, JointResult
@@ -55,6 +56,7 @@ class Posterior:
 
     def quantile(self, probability: float) -> Array:
         """Return the quantile of every coefficient, (n_materials, n_bands)."""
+        checks.number("probability", probability)
         if not 0 < probability < 1:
             raise DataError(f"probability = {probability:g} is not between 0 and 1")
         out = np.empty_like(self.mean)
@@ -64,6 +66,7 @@ class Posterior:
 
     def interval(self, level: float = 0.9) -> tuple[Array, Array]:
         """Return the ends of the central credible interval, both (n_materials, n_bands)."""
+        checks.number("level", level)
         if not 0 < level < 1:
             raise DataError(f"level = {level:g} is not between 0 and 1")
         return self.quantile((1 - level) / 2), self.quantile((1 + level) / 2)
@@ -103,6 +106,8 @@ def posterior(
         (`lse`), or a `HuberDeviation`.
     SolverError
         If sampling was needed and its chains disagree.
+    DataError
+        If ``result`` is none, or ``n_samples`` or ``seed`` no whole number.
 
     Examples
     --------
@@ -112,7 +117,9 @@ def posterior(
     >>> bool(((low < result.alpha) & (result.alpha < high)).all())
     True
     """
-    joint = result.joint if isinstance(result, CalibrationResult) else result
+    joint = _joint(result)
+    checks.whole("n_samples", n_samples, 1)
+    checks.whole("seed", seed, 0)
     twin = joint.solution.twin
     prior = next(t for t in twin.objective.terms if t.is_prior)
     if not isinstance(prior, PriorDeviation) or prior.sigma is not None:
@@ -123,6 +130,12 @@ def posterior(
     if not _one_row_a_band(twin, prior):
         return _sampled(joint, n_samples, seed)
     return _by_fft(joint)
+
+
+def _joint(result: CalibrationResult | JointResult) -> JointResult:
+    if not isinstance(result, CalibrationResult | JointResult):
+        raise DataError(f"result = {result!r} is not the result of a calibration")
+    return result.joint if isinstance(result, CalibrationResult) else result
 
 
 def _one_row_a_band(twin: Twin, prior: PriorDeviation) -> bool:
@@ -286,14 +299,15 @@ def _known(result: JointResult) -> tuple[Array, Array, Array]:
     return sigma, spread, np.asarray(match @ spread + np.diag(noise))
 
 
-def sensitivity(result: JointResult) -> Array:
+def sensitivity(result: CalibrationResult | JointResult) -> Array:
     """Return d alpha / d T in 1/s, (n_materials, n_bands, n_configurations, n_bands).
 
     For an independent prior matched exactly: d alpha_F / db = S_F sigma_F² / sum over free of
     S² sigma², times db/dT. Coefficients at a bound stay there: it is valid until the next bound.
     """
-    layout = result.solution.twin.instance.layout
-    by_time = _by_time(result, bounds=True)[: layout.n_alpha]
+    joint = _joint(result)
+    layout = joint.solution.twin.instance.layout
+    by_time = _by_time(joint, bounds=True)[: layout.n_alpha]
     shape = (layout.n_rows, layout.n_bands, layout.n_configurations, layout.n_bands)
     return np.asarray(by_time.reshape(shape)[list(layout.rows)])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, overload
 
@@ -14,7 +14,7 @@ from rtcal.calibration.assemble import Assembler, fitting, layout_of
 from rtcal.calibration.compiled import Whitened
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.core import Core
-from rtcal.calibration.measured import refuse_twice, times_in_room
+from rtcal.calibration.measured import Measured, refuse_twice, times_in_room
 from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.calibration.terms import (
     BoundConstraint,
@@ -72,6 +72,8 @@ class Calibration:
         if constraints is None:
             soft = any(isinstance(t, SoftMatch) for t in objective.terms)
             constraints = () if soft else (ExactMatch(),)
+        if not isinstance(constraints, Iterable):
+            raise ModelError(f"constraints = {constraints!r} is not a list of constraints")
         for constraint in constraints:
             if not isinstance(constraint, (RowConstraint, BoundConstraint, SharedMaterials)):
                 raise ModelError(f"{constraint!r} is no constraint of rtcal.terms")
@@ -102,6 +104,8 @@ class Calibration:
         MissingAirWarning
             If a room states no air.
         """
+        if not isinstance(room, Room | Configurations):
+            raise DataError(f"room = {room!r} is not a rtcal.Room, nor Configurations of one")
         rooms = [room] if isinstance(room, Room) else room.rooms
         if airless := [r.name for r in rooms if r.air is None]:
             warnings.warn(
@@ -135,6 +139,20 @@ def _compiled(
     sigma: float | None = getattr(prior, "sigma", None)
     assembler = Assembler(layout, equation, objective, tuple(boxes), place, sigma)
     return assembler, Core(layout, objective, rows)
+
+
+def _data(given: Configurations, measured: Sequence[Times]) -> list[Measured]:
+    """One measurement a configuration, each in its room's bands."""
+    if isinstance(measured, str | Measurement) or not isinstance(measured, Iterable):
+        raise DataError(
+            f"measured = {measured!r} is not a list of measurements, one a configuration"
+        )
+    measured = list(measured)
+    if len(measured) != len(given.rooms):
+        raise DataError(
+            f"{len(measured)} measurements for {len(given.rooms)} configurations; each needs one"
+        )
+    return [times_in_room(r, t) for r, t in zip(given.rooms, measured, strict=True)]
 
 
 class CalibrationProblem:
@@ -239,12 +257,7 @@ class JointProblem:
         given = self.configurations
         if configurations is not None:
             given = fitting(self.configurations, configurations)
-        if len(measured) != len(given.rooms):
-            raise DataError(
-                f"{len(measured)} measurements for {len(given.rooms)} configurations; each needs "
-                "one"
-            )
-        data = [times_in_room(r, t) for r, t in zip(given.rooms, measured, strict=True)]
+        data = _data(given, measured)
         for room, own in zip(given.rooms, data, strict=True):
             refuse_twice(room, own)
         assembler = self._assembler
@@ -283,7 +296,5 @@ class JointProblem:
         given = self.configurations
         if configurations is not None:
             given = fitting(self.configurations, configurations)
-        if len(measured) != len(given.rooms):
-            raise DataError(f"{len(measured)} measurements for {len(given.rooms)} configurations")
-        data = [times_in_room(r, t) for r, t in zip(given.rooms, measured, strict=True)]
+        data = _data(given, measured)
         return self._core.whitened(self._assembler.instance(given, data, None))

@@ -27,6 +27,7 @@ from rtcal.calibration.core import RawAnswer, Solution
 from rtcal.calibration.feasibility import Unreachable
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.measured import Measured, history
+from rtcal.calibration.terms import Matching, SoftMatch
 from rtcal.types import Array
 
 
@@ -146,8 +147,8 @@ class CalibrationResult:
 
     @property
     def matched(self) -> Array:
-        """Which bands were matched, (n_bands,) of bool."""
-        return np.asarray(np.isfinite(self.target))
+        """Which bands were matched, (n_bands,) of bool; none if no term asks for T."""
+        return np.asarray(np.isfinite(self.target) & self.joint.asks_for_measured_time)
 
     @cached_property
     def reverberation_time_before(self) -> Array:
@@ -350,6 +351,15 @@ class JointResult:
     def certificate(self) -> Certificate:
         """How far the answer is from the optimum."""
         return self.solution.certificate
+
+    @property
+    def asks_for_measured_time(self) -> bool:
+        """Whether a constraint or a term of weight above 0 ties alpha to the measured T."""
+        twin = self.solution.twin
+        terms = zip(twin.objective.terms, twin.instance.weights, strict=True)
+        return any(isinstance(r, Matching) for r in twin.row_constraints) or any(
+            isinstance(t, SoftMatch) and w > 0 for t, w in terms
+        )
 
     @cached_property
     def effects(self) -> dict[str, float]:

@@ -27,6 +27,7 @@ def table(result: CalibrationResult) -> str:
     air = "no air stated"
     if room.air is not None:
         air = f"air {room.air.temperature:g} °C, {room.air.humidity:g} %"
+    matched = "matched" if result.joint.asks_for_measured_time else "NOT matched"
     header = ("", [bands.label(f) for f in room.centre_frequencies])
     alphas = _material_rows(result)
     width = max(24, *(len(label) for label, _ in alphas))
@@ -35,7 +36,7 @@ def table(result: CalibrationResult) -> str:
     return "\n".join([
         f"{room.name}: {room.volume:g} m³, {room.total_area:g} m², {air}",
         f"method {result.method}, {result.equation.name}'s equation, "
-        f"{' and '.join(parameters)} matched, solver {result.solver}",
+        f"{' and '.join(parameters)} {matched}, solver {result.solver}",
         "",
         *_blocks([header, *_band_rows(result, mixed=len(parameters) > 1)], width),
         "alpha after (shift in sigmas of the prior; * at a bound)",
@@ -110,6 +111,11 @@ def _believe(result: CalibrationResult) -> list[str]:
         ]
     else:
         out = [text + f", p = {plausibility.p_value:.2g}: in keeping with what was stated."]
+    if not result.joint.asks_for_measured_time:
+        out.append(
+            "Nothing in this calibration asks for the measured T: the coefficients follow the other "
+            "terms alone. Add terms.ExactMatch(), MatchWithin() or SoftMatch()."
+        )
     out += [f"  {u} (nearest end taken)" for u in result.unreachable]
     if result.measured_data.caution:
         out.append(f"  {result.measured_data.caution}")

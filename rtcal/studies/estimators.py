@@ -28,6 +28,17 @@ def directions(mu: Array, sigma: Array, areas: Array) -> Array:
     return np.stack([mu, np.broadcast_to(areas, mu.shape), areas * sigma**2], axis=-2)
 
 
+_ROUNDING = 64 * float(np.finfo(float).eps)
+"""Of the terms that an EMSE is the sum of: what is left of them below that is rounding, and 0.
+
+A room of one surface has one unknown and one equation, so every calibration is exact there.
+"""
+
+
+def _rounded(value: Array, size: Array) -> Array:
+    return np.where(np.abs(value) <= _ROUNDING * size, 0.0, value)
+
+
 def expected_errors(second_moment: Array, q: Array, areas: Array) -> Array:
     """Return the EMSE of no and of each unbounded calibration, (..., 4), from E ee', (..., n, n).
 
@@ -39,7 +50,8 @@ def expected_errors(second_moment: Array, q: Array, areas: Array) -> Array:
     reach = q @ areas
     cross = (q * along[..., np.newaxis, :]).sum(-1) / reach
     spread = (along @ areas)[..., np.newaxis] * (q**2).sum(-1) / reach**2
-    return np.asarray(np.concatenate([total, total - 2 * cross + spread], axis=-1) / n)
+    left = _rounded(total - 2 * cross + spread, total + 2 * np.abs(cross) + spread)
+    return np.asarray(np.concatenate([total, left], axis=-1) / n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +113,12 @@ class TrialSums:
         reach = room.q @ room.areas
         # |e - D q|² = |e|² - 2 D e'q + D²|q|² with D = delta/(S'q)
         length = (room.q**2).sum(-1)
-        shift = -2 * self.products[1:] / reach + self.products[0] * length / reach**2
-        unbounded = self.squares + shift
-        total = np.concatenate([[self.squares], unbounded, unbounded + self.change])
+        cross = 2 * self.products[1:] / reach
+        spread = self.products[0] * length / reach**2
+        size = self.squares + np.abs(cross) + spread
+        unbounded = _rounded(self.squares - cross + spread, size)
+        bounded = _rounded(unbounded + self.change, size)
+        total = np.concatenate([[self.squares], unbounded, bounded])
         return np.asarray(total / (room.mu.size * trials))
 
 

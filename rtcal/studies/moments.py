@@ -76,6 +76,8 @@ class Moments:
     def score(self, method: dict[str, float], baseline: dict[str, float]) -> tuple[float, Array]:
         """Return 1 - sqrt(mean method / mean baseline) and its gradient by the series' means."""
         top, bottom = self.mean(method), self.mean(baseline)
+        if top == 0:  # exact in every realisation: there is no error to propagate
+            return 1.0, np.zeros(len(SERIES))
         ratio = np.sqrt(top / bottom)
         gradient = -ratio / 2 * (_vector(method) / top - _vector(baseline) / bottom)
         return float(1 - ratio), gradient

@@ -17,6 +17,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+from rtcal import checks
 from rtcal.acoustics.files import write_bytes, write_text
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.studies.moments import Moments
@@ -56,13 +57,18 @@ def run_pieces(
     Raises
     ------
     DataError
-        If the folder cannot be written or holds another study.
+        If the folder cannot be written, is damaged or holds another study, or ``workers``,
+        ``executor`` or ``folder`` is of the wrong kind.
     MissingDependencyError
         With ``progress`` where tqdm is not installed.
     """
-    store = None if folder is None else _open(Path(folder), identity)
-    if workers is not None and workers < 1:
-        raise DataError(f"workers = {workers} is not 1 or more")
+    if workers is not None:
+        checks.whole("workers", workers, 1)
+    if executor is not None and (
+        isinstance(executor, type) or not callable(getattr(executor, "submit", None))
+    ):
+        raise DataError(f"executor = {executor!r} is not a concurrent.futures.Executor")
+    store = None if folder is None else _open(checks.path("folder", folder), identity)
     total: Moments | None = None
     own = ThreadPoolExecutor(workers or os.cpu_count() or 1) if executor is None else None
     with own or nullcontext(), _bar(count, progress) as bar:
@@ -106,7 +112,17 @@ def _open(folder: Path, identity: dict[str, Any]) -> Path:
     record, text = folder / "study.json", json.dumps(identity, sort_keys=True, indent=1) + "\n"
     if not record.exists():
         write_text(record, text)
-    elif record.read_text(encoding="utf-8") != text:
+        return folder
+    try:
+        known = json.loads(record.read_bytes())
+    except OSError as error:
+        raise DataError(f"{record}: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise DataError(
+            f"{record} is damaged, so it does not tell what the pieces beside it are of: remove the "
+            "folder, or choose another"
+        ) from error
+    if known != json.loads(text):
         raise DataError(f"{folder} holds another study (see {record.name}); choose another folder")
     return folder
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtcal import checks
 from rtcal.errors import DataError
 from rtcal.priors import TruncatedNormal
 from rtcal.studies import estimators, sampling
@@ -279,10 +280,7 @@ def _controlled(method: str) -> dict[str, float]:
 
 
 def _areas(areas: ArrayLike) -> Array:
-    try:
-        s = np.asarray(areas, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise DataError("areas is not an array of numbers in m²") from error
+    s = checks.array("areas", areas)
     if s.ndim != 1 or s.size == 0:
         raise DataError(f"areas has shape {s.shape}; one value in m² a surface is needed: (n,)")
     for i, value in enumerate(s):
@@ -292,13 +290,10 @@ def _areas(areas: ArrayLike) -> Array:
 
 
 def _check(sigma_r: float, seed: int, **numbers: int) -> None:
-    if not isinstance(sigma_r, int | float | np.number):
-        raise DataError(f"sigma_r = {sigma_r!r} is not a number")
+    checks.number("sigma_r", sigma_r)
     if not (np.isfinite(sigma_r) and sigma_r > 0):
         raise DataError(f"sigma_r = {sigma_r:g} is not above 0")
     # Without a seed of its own a study could not be resumed, nor told from another.
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise DataError(f"seed = {seed!r} is not a whole number of at least 0")
+    checks.whole("seed", seed, 0)
     for name, value in numbers.items():
-        if not isinstance(value, int | np.integer) or value < 1:
-            raise DataError(f"{name} = {value} is not a whole number of at least 1")
+        checks.whole(name, value, 1)

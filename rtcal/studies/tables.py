@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics.files import write_bytes, write_text
 from rtcal.errors import DataError, MissingDependencyError
 
@@ -19,12 +20,14 @@ def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> N
     Raises
     ------
     DataError
-        If the path ends otherwise or cannot be written.
+        If the path ends otherwise or cannot be written, or ``table`` is no table.
     MissingDependencyError
         For Parquet where pyarrow is not installed (extra ``studies``).
     """
-    ending = os.path.splitext(os.fspath(path))[1].lower()
-    names = list(table.dtype.names or ())
+    ending = checks.path("path", path).suffix.lower()
+    if not isinstance(table, np.ndarray) or table.dtype.names is None or table.ndim != 1:
+        raise DataError("table is not a table of named columns, such as Study.scores returns")
+    names = list(table.dtype.names)
     if ending == ".csv":
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import cvxpy as cp
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics.room import Room
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
@@ -68,6 +69,7 @@ class Objective:
         return Objective(self.terms + other.terms, self.weights + other.weights)
 
     def __rmul__(self, factor: float) -> Objective:
+        checks.number("weight", factor, ModelError)
         if not (np.isfinite(factor) and factor >= 0):
             raise ModelError(f"a weight of {factor:g} is not finite and 0 or more: not convex")
         return Objective(self.terms, tuple(float(factor) * w for w in self.weights))

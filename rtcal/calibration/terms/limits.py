@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from rtcal import checks
 from rtcal.acoustics.room import Room
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
@@ -108,6 +109,9 @@ class Bounds:
     band: float | None = None
 
     def __post_init__(self) -> None:
+        checks.number("Bounds: lower", self.lower)
+        checks.number("Bounds: upper", self.upper)
+        _named("Bounds", self.material, self.band)
         if not 0 <= self.lower <= self.upper <= 1:
             raise DataError(
                 f"Bounds({self.lower:g}, {self.upper:g}) is not within 0 <= lower <= upper <= 1"
@@ -142,7 +146,8 @@ class Fixed:
     band: float | None = None
 
     def __post_init__(self) -> None:
-        if self.value is not None and not 0 <= self.value <= 1:
+        _named("Fixed", self.material, self.band)
+        if self.value is not None and not 0 <= checks.number("Fixed: value", self.value) <= 1:
             raise DataError(f'Fixed("{self.material}", {self.value:g}) is not in [0, 1]')
 
     def box(self, room: Room, lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -166,6 +171,8 @@ class Shared:
     materials: tuple[str, ...]
 
     def __init__(self, *materials: str) -> None:
+        for name in materials:
+            _named("Shared", name)
         if len(set(materials)) < 2:
             raise ModelError("Shared needs two different materials or more")
         object.__setattr__(self, "materials", tuple(materials))
@@ -194,6 +201,8 @@ class AtMost:
     band: float | None = None
 
     def __post_init__(self) -> None:
+        _named("AtMost", self.lesser, self.band)
+        _named("AtMost", self.greater)
         if self.lesser == self.greater:
             raise ModelError(f'AtMost: "{self.lesser}" stands on both sides')
 
@@ -268,8 +277,19 @@ class GroupAbsorption:
     configuration: int = 0
 
     def __post_init__(self) -> None:
+        if isinstance(self.materials, str) or not isinstance(self.materials, Iterable):
+            raise ModelError(
+                f"GroupAbsorption: materials = {self.materials!r} is not a list of names"
+            )
         object.__setattr__(self, "materials", tuple(self.materials))
-        given = [v for v in (self.least, self.most) if v is not None]
+        for name in self.materials:
+            _named("GroupAbsorption", name, self.band)
+        given = [
+            checks.number(f"GroupAbsorption: {name}", v, ModelError)
+            for name, v in (("least", self.least), ("most", self.most))
+            if v is not None
+        ]
+        checks.whole("GroupAbsorption: configuration", self.configuration, 0, ModelError)
         if not given or min(given) < 0 or given != sorted(given) or not np.isfinite(given).all():
             raise ModelError(
                 f"GroupAbsorption: least = {self.least}, most = {self.most} m²; it needs "
@@ -354,6 +374,14 @@ class GroupAbsorption:
         places = layout.index(None, self.band).reshape(layout.n_rows, -1)[members]
         n_rows = places.shape[1]
         return np.tile(np.arange(n_rows), len(members)), places.ravel(), n_rows
+
+
+def _named(term: str, material: object, band: object = None) -> None:
+    """Raise DataError if a material is no text or a band no frequency; None is all of them."""
+    if material is not None and not isinstance(material, str):
+        raise DataError(f"{term}: {material!r} is not the name of a material")
+    if band is not None and not 0 < checks.number(f"{term}: band", band) < np.inf:
+        raise DataError(f"{term}: band = {band} Hz is not finite and above 0")
 
 
 def _selection(

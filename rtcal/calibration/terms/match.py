@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from rtcal import checks
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
@@ -77,6 +78,7 @@ class MatchWithin:
     jnd: float = 1.0
 
     def __post_init__(self) -> None:
+        checks.number("MatchWithin: jnd", self.jnd, ModelError)
         if not 0 <= self.jnd < 1 / _JND:
             raise ModelError(f"MatchWithin({self.jnd:g}): the tolerance must be from 0 to below 20")
 
@@ -149,8 +151,10 @@ class SoftMatch(Sums):
     relative: float | None = None
 
     def __post_init__(self) -> None:
-        if self.relative is not None and not (np.isfinite(self.relative) and self.relative > 0):
-            raise ModelError(f"SoftMatch(relative={self.relative:g}): it must be above 0")
+        if self.relative is not None:
+            relative = checks.number("SoftMatch: relative", self.relative, ModelError)
+            if not (np.isfinite(relative) and relative > 0):
+                raise ModelError(f"SoftMatch(relative={relative:g}): it must be above 0")
 
     def uncertainty(self, instance: Instance) -> Array:
         """Return u_b in m², (n_configurations, n_bands); DataError where it is unknown or 0."""
@@ -229,12 +233,18 @@ class AddedAbsorption(Sums):
     mean: float = 0.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ModelError(f"AddedAbsorption: name = {self.name!r} is not a text")
+        for what in ("sigma", "mean"):
+            checks.number(
+                f'AddedAbsorption("{self.name}"): {what}', getattr(self, what), ModelError
+            )
         if not (np.isfinite(self.sigma) and self.sigma > 0 and np.isfinite(self.mean)):
             raise ModelError(
                 f'AddedAbsorption("{self.name}"): sigma = {self.sigma:g} must be finite and above '
                 f"0, mean = {self.mean:g} finite"
             )
-        gain = np.asarray(self.gain, dtype=float)
+        gain = checks.array(f'AddedAbsorption("{self.name}"): gain', self.gain, ModelError)
         if gain.ndim not in (1, 2) or not np.isfinite(gain).all():
             raise ModelError(f'AddedAbsorption("{self.name}"): gain is not finite numbers by band')
         frozen: Any = tuple(map(tuple, np.atleast_2d(gain).tolist()))

@@ -11,6 +11,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
+from rtcal import checks
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
@@ -20,8 +21,11 @@ from rtcal.types import Array
 
 
 def _positive(what: str, value: float | None) -> None:
-    if value is not None and not (np.isfinite(value) and value > 0):
-        raise ModelError(f"{what}={value:g}): it must be finite and above 0")
+    if value is None:
+        return
+    given = checks.number(what.replace("(", ": "), value, ModelError)
+    if not (np.isfinite(given) and given > 0):
+        raise ModelError(f"{what}={given:g}): it must be finite and above 0")
 
 
 def _deviation(u: Array, instance: Instance) -> Array:
@@ -70,12 +74,14 @@ class PriorDeviation(Sums):
         _positive("PriorDeviation(sigma", self.sigma)
         # Kept as tuples: a term is hashable, so that weights can be given by term.
         given, pairs = self.band_correlation, self.material_correlation
-        frozen: Any = _frozen(given)
+        frozen: Any = _frozen("band_correlation", given)
         if isinstance(given, Mapping):
-            frozen = tuple((str(m), _frozen(r)) for m, r in given.items())
-        between: Any = _frozen(pairs)
+            frozen = tuple(
+                (str(m), _frozen(f'band_correlation of "{m}"', r)) for m, r in given.items()
+            )
+        between: Any = _frozen("material_correlation", pairs)
         if isinstance(pairs, Mapping):
-            between = tuple((str(a), str(b), float(r)) for (a, b), r in pairs.items())
+            between = tuple(_pair(names, r) for names, r in pairs.items())
         object.__setattr__(self, "band_correlation", frozen)
         object.__setattr__(self, "material_correlation", between)
 
@@ -183,11 +189,22 @@ def _held(instance: Instance) -> Array:
     return np.asarray((instance.pinned[:n] & (instance.sigma[:n] > 0)).astype(float))
 
 
-def _frozen(value: Any) -> Any:
+def _frozen(what: str, value: Any) -> Any:
     if isinstance(value, Mapping):
         return ()
-    array = np.asarray(value, dtype=float)
-    return float(array) if array.ndim == 0 else tuple(map(tuple, array.tolist()))
+    array = checks.array(what, value, ModelError)
+    if array.ndim == 0:
+        return float(array)
+    if array.size and array.ndim != 2:
+        raise ModelError(f"{what} has shape {array.shape}; it is a number, a matrix or a mapping")
+    return tuple(map(tuple, array.tolist()))
+
+
+def _pair(names: Any, r: Any) -> tuple[str, str, float]:
+    if not isinstance(names, tuple) or len(names) != 2:
+        raise ModelError(f"material_correlation: {names!r} is not a pair of materials")
+    a, b = str(names[0]), str(names[1])
+    return a, b, checks.number(f'material_correlation["{a}", "{b}"]', r, ModelError)
 
 
 def _named(given: Any) -> bool:
@@ -291,6 +308,7 @@ class HuberDeviation(Sums):
     def __post_init__(self) -> None:
         _positive("HuberDeviation(sigma", self.sigma)
         _positive("HuberDeviation(threshold", self.threshold)
+        checks.number("HuberDeviation: convex", self.convex, ModelError)
         if not 0 < self.convex <= 1:
             raise ModelError(f"HuberDeviation(convex={self.convex:g}): it must be in (0, 1]")
 

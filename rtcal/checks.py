@@ -1,0 +1,67 @@
+"""Checks of what is handed in: a thing of the wrong kind is named, with the rule it breaks."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from rtcal.errors import DataError, RtcalError
+from rtcal.types import Array
+
+
+def number(place: str, value: object, error: type[RtcalError] = DataError) -> float:
+    """Return a real number as a float; ``error`` for anything else, also text and True.
+
+    >>> number("threshold", np.int64(2))
+    2.0
+    """
+    real = (int, float, np.integer, np.floating)
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, real):
+        raise error(f"{place} = {_shown(value)} is not a number")
+    try:
+        return float(value)
+    except OverflowError as cause:
+        raise error(f"{place} = {_shown(value)} is too large a number") from cause
+
+
+def whole(place: str, value: object, least: int, error: type[RtcalError] = DataError) -> int:
+    """Return a whole number of at least ``least``; ``error`` for anything else.
+
+    >>> whole("workers", 4, 1)
+    4
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise error(f"{place} = {_shown(value)} is not a whole number of at least {least}")
+    return int(value)
+
+
+def array(place: str, value: object, error: type[RtcalError] = DataError) -> Array:
+    """Return real numbers as an array, not copied where they are one.
+
+    ``error`` for anything else, and for a masked array with hidden entries: what is below the mask
+    is no datum.
+    """
+    if np.ma.isMaskedArray(value) and np.ma.getmaskarray(value).any():
+        raise error(f"{place} is a masked array with hidden entries; numbers are needed for all")
+    if value is None:
+        raise error(f"{place} = None is not an array of real numbers")
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as cause:
+        raise error(f"{place} is not an array of real numbers: {cause}") from cause
+
+
+def path(place: str, value: object) -> Path:
+    """Return a path; DataError for anything else."""
+    if not isinstance(value, str | os.PathLike):
+        raise DataError(f"{place} = {_shown(value)} is not a path")
+    return Path(value)
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
