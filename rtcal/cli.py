@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import click
 
 import rtcal
+from rtcal.acoustics.files import spare
 from rtcal.errors import (
     DataError,
     MissingAirWarning,
@@ -36,6 +37,9 @@ EQUATIONS = {
     "eyring": "Eyring", "sabine": "Sabine", "kuttruff": "Kuttruff", "millington": "Millington",
     "fitzroy": "Fitzroy", "arau": "ArauPuchades",
 }  # fmt: skip
+
+WRITTEN = ("room.toml", "result.json", "reverberation_time.png")
+"""What `calibrate` writes into its folder."""
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -84,6 +88,10 @@ def calibrate(
 
     Example: rtcal calibrate room.toml t20.csv --out calibrated
     """
+    if out is not None:
+        if not out:
+            raise DataError("--out is empty; it is a folder")
+        spare([Path(out) / name for name in WRITTEN], [room, measured])
     chosen = getattr(rtcal, EQUATIONS[equation])()
     with warnings.catch_warnings():  # the page says it where the user looks
         warnings.simplefilter("ignore", MissingAirWarning)
@@ -110,13 +118,11 @@ def _write(result: CalibrationResult, folder: Path) -> list[Path]:
     from rtcal.acoustics.room_files import room_text
     from rtcal.report import figures
 
-    contents = {
-        folder / "room.toml": room_text(result.room).encode(),
-        folder / "result.json": result.to_json().encode(),
-    }
+    room, numbers, drawing = (folder / name for name in WRITTEN)
+    contents = {room: room_text(result.room).encode(), numbers: result.to_json().encode()}
     try:
         figure = figures.rendered(figures.reverberation_time(result), "png")
-        contents[folder / "reverberation_time.png"] = figure
+        contents[drawing] = figure
     except MissingDependencyError as error:
         click.echo(f"rtcal: no figure: {error}", err=True)
     try:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.bands import label
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.files import write_text
 from rtcal.acoustics.measurement import Measurement
@@ -162,7 +163,23 @@ class Loop:
         return alpha
 
     def record(self, alpha: Array, found: Measurement) -> Loop:
-        """Return the loop after ``alpha``, its `next_alpha`, was simulated with this outcome."""
+        """Return the loop after ``alpha``, its `next_alpha`, was simulated with this outcome.
+
+        Raises DataError if the outcome has other bands, or lacks a T20 where T was measured: a mean
+        over the other pairs would hide it.
+        """
+        bands = self.room.centre_frequencies
+        if not np.array_equal(found.centre_frequencies, bands):
+            raise DataError("what was simulated has other bands than the room")
+        if "t20" not in found.values:
+            raise DataError("what was simulated has no T20")
+        lost = np.isnan(found.values["t20"]) & np.isfinite(self.wanted)
+        if lost.any():
+            pair, k = (int(i) for i in np.argwhere(lost)[0])
+            raise DataError(
+                f"simulated T20[{' to '.join(found.pairs[pair])}, {label(bands[k])}] is missing, "
+                "but T was measured there"
+            )
         step = Step(
             target=self.next_target,
             alpha=alpha,
@@ -187,9 +204,9 @@ class Loop:
         high = np.minimum(high, 0.999 * equation.largest_mean_alpha * room.total_area)
         return equation.time(room, high), equation.time(room, low)
 
-    def save(self, path: str) -> None:
-        """Write the loop's steps to a JSON file, whole or not at all."""
-        write_text(path, json.dumps({
+    def to_json(self) -> str:
+        """Return the loop's steps as JSON text, which `load` reads."""
+        return json.dumps({
             "rtcal": "loop 1", "room": fingerprint(self.room), "measured": self.measured,
             "wanted": _plain(self.wanted), "rule": self.rule, "method": self.method,
             "decimals": self.decimals, "tolerance": self.tolerance,
@@ -197,7 +214,11 @@ class Loop:
                 {name: _plain(getattr(step, name)) for name in _FIELDS}
                 for step in self.steps
             ],
-        }, indent=1))  # fmt: skip
+        }, indent=1)  # fmt: skip
+
+    def save(self, path: str) -> None:
+        """Write the loop's steps to a JSON file, whole or not at all."""
+        write_text(path, self.to_json())
 
     @classmethod
     def load(cls, path: str, room: Room, equation: LinearEquation | None = None) -> Loop:
@@ -205,8 +226,8 @@ class Loop:
         try:
             with open(path, encoding="utf-8") as file:
                 data = json.load(file)
-            if data["rtcal"] != "loop 1":
-                raise KeyError("rtcal")
+            if not isinstance(data, dict) or data.get("rtcal") != "loop 1":
+                raise DataError(f"{path} is no state of a loop: it lacks the mark of one")
             if data["room"] != fingerprint(room):
                 raise DataError(
                     f'{path} is the state of another room, or room "{room.name}" was changed since'
@@ -226,7 +247,8 @@ class Loop:
         except (ValueError, KeyError, TypeError) as error:
             if isinstance(error, DataError):
                 raise
-            raise DataError(f"{path} is no state of a loop: {error}") from error
+            what = f"{error} is missing or unknown" if isinstance(error, KeyError) else error
+            raise DataError(f"{path} is no state of a loop: {what}") from error
         shapes = {(room.n_bands,)} ^ {x.shape for x in (loop.wanted, *(s.target for s in steps))}
         if shapes or any(s.alpha.shape != room.alpha.shape for s in steps):
             raise DataError(f"{path} is no state of a loop: its shapes are not the room's")

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from rtcal.acoustics.files import spare
 from rtcal.errors import DataError
+
+if TYPE_CHECKING:
+    from rtcal.io.impulse_responses import Analysis
+    from rtcal.io.tables import Table
 
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
@@ -30,13 +36,11 @@ def measure(
     """
     from rtcal.io import impulse_responses
 
+    spare([] if out is None else [out], responses)
     analysis = impulse_responses.read(
-        responses, bands=bands, minimum_range=dict(_assignment(r, "DB") for r in ranges)
+        responses, bands=bands, minimum_range=_assignments(ranges, "DB")
     )
-    click.echo(str(analysis))
-    if out is not None:
-        analysis.measurement.save(out)
-        click.echo(f"Written: {out}")
+    _write_and_print(analysis, out)
 
 
 @click.command()
@@ -48,10 +52,16 @@ def table(path: str, decay_time: str | None, parameter: str | None, out: str | N
     """Read a measuring system's table (CSV) and say how each column was taken."""
     from rtcal.io import tables
 
-    read = tables.read(path, decay_time=decay_time, parameter=parameter)
-    click.echo(str(read))
+    spare([] if out is None else [out], [path])
+    _write_and_print(tables.read(path, decay_time=decay_time, parameter=parameter), out)
+
+
+def _write_and_print(found: Analysis | Table, out: str | None) -> None:
+    """The file first: whoever reads the page may close it half-way (``| head``)."""
     if out is not None:
-        read.measurement.save(out)
+        found.measurement.save(out)
+    click.echo(str(found))
+    if out is not None:
         click.echo(f"Written: {out}")
 
 
@@ -82,6 +92,7 @@ def import_room(
 
     from rtcal.io import obj
 
+    spare([out], [materials] if mesh is None else [materials, mesh])
     listed = import_module(f"rtcal.io.{program}").read(materials)
     name = Path(materials).stem
     if (mesh is None) == (volume is None and not areas):
@@ -92,12 +103,14 @@ def import_room(
     elif volume is None:
         raise DataError("--volume is missing")
     else:
-        stated = dict(_assignment(a, "M2") for a in areas)
+        stated = _assignments(areas, "M2")
         room = listed.room(name=name, volume=volume, areas=stated)
     room.save(out)
     click.echo(f"V = {room.volume:.6g} m³, S = {room.total_area:.6g} m²")
     for material, area in zip(room.materials, room.areas, strict=True):
         click.echo(f"{area:10.3f} m²  {material}")
+    if unused := [m for m in listed.names if m not in room.materials]:
+        click.echo(f"Left out, without area: {', '.join(unused)}")
     click.echo(f"Written: {out}")
 
 
@@ -119,6 +132,15 @@ def export(program: str, room: str, materials: str, template: str | None) -> Non
 
     module = import_module(f"rtcal.io.{program}")
     click.echo(str(module.write(Room.from_file(room), materials, template=template)))
+
+
+def _assignments(texts: tuple[str, ...], unit: str) -> dict[str, float]:
+    pairs = [_assignment(text, unit) for text in texts]
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = next(name for i, (name, _) in enumerate(pairs) if name in dict(pairs[:i]))
+        raise DataError(f'"{twice}" is given twice')
+    return found
 
 
 def _assignment(text: str, unit: str) -> tuple[str, float]:

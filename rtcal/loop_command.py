@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rtcal.acoustics.files import spare
 from rtcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -38,11 +39,16 @@ def start(
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
 
+    spare([state, out], [room, measured])
     begun = closed_loop.start(
         Room.from_file(room), Measurement.from_file(measured), rule=rule,  # type: ignore[arg-type]
         method=method, decimals=decimals,
     )  # fmt: skip
+    first = begun.calibrated(begun.wanted)
     _write(begun, state, out)
+    for beyond in first.unreachable:
+        click.echo(f"{beyond} (the nearest is taken)")
+    click.echo(f"Simulate {out} first.")
 
 
 @loop.command(name="next")
@@ -61,22 +67,26 @@ def next_(room: str, simulated: str, state: str, out: str) -> None:
     from rtcal.acoustics.room import Room
     from rtcal.closed_loop import Loop
 
+    spare([state, out], [room, simulated])
     going = Loop.load(state, Room.from_file(room))
     found = Measurement.from_file(simulated)
-    if list(found.centre_frequencies) != list(going.room.centre_frequencies):
-        raise DataError(f"{simulated} has other bands than {room}")
-    if "t20" not in found.values:
-        raise DataError(f"{simulated} has no t20")
-    going = going.record(going.next_alpha, found)
+    try:
+        going = going.record(going.next_alpha, found)
+    except DataError as error:
+        raise DataError(f"{simulated}: {error}") from error
+    _write(going, state, out)
     for frequency, gap, status in zip(
         going.room.centre_frequencies, going.gap, going.status, strict=True
     ):
         open_still = not going.finished and status == "not converging"
         click.echo(f"{frequency:7g} Hz  {gap:+6.2f} JND  {'not yet' if open_still else status}")
     click.echo("Done." if going.finished else f"Simulate {out} next.")
-    _write(going, state, out)
 
 
 def _write(going: Loop, state: str, out: str) -> None:
-    going.room.replace(alpha=going.next_alpha, calibration=None).save(out)
-    going.save(state)
+    """Both files or none: a state without its room would take in what was not simulated."""
+    from rtcal.acoustics.files import write_all
+    from rtcal.acoustics.room_files import room_text
+
+    room = going.room.replace(alpha=going.next_alpha, calibration=None)
+    write_all({out: room_text(room).encode(), state: going.to_json().encode()})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,18 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: not UTF-8 text: byte {error.start} ({error.reason})") from error
+
+
+def spare(
+    written: Sequence[str | os.PathLike[str]], read: Sequence[str | os.PathLike[str]]
+) -> None:
+    """Raise DataError if a file to be written is one that is read, or if two of them are one."""
+    known = {Path(path).resolve(): path for path in read}
+    for path in written:
+        place = Path(path).resolve()
+        if place in known:
+            raise DataError(f"{path}: would be written over {known[place]}; choose another name")
+        known[place] = path
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

@@ -307,9 +307,13 @@ def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
 def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
     chosen = dict(MINIMUM_RANGE)
     for parameter, value in (minimum_range or {}).items():
-        if parameter.lower() not in chosen or not np.isfinite(value):
+        if parameter.lower() not in chosen:
             raise DataError(
                 f"minimum_range[{parameter}] = {value:g} dB; known are {', '.join(chosen)}"
+            )
+        if not 0 <= value < np.inf:
+            raise DataError(
+                f"minimum_range[{parameter}] = {value:g} dB is not finite and 0 or more"
             )
         chosen[parameter.lower()] = float(value)
     return chosen
@@ -319,7 +323,7 @@ def _check_wav(path: str | os.PathLike[str]) -> None:
     """Check a WAV file's head before a library reads it: format, channels, rate and length."""
     try:
         if not Path(path).is_file():
-            raise DataError(f"{path}: no such file")
+            raise DataError(f"{path}: {'not a file' if Path(path).exists() else 'no such file'}")
         with open(path, "rb") as stream:
             size = os.fstat(stream.fileno()).st_size
             head = stream.read(12)

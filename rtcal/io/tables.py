@@ -26,6 +26,7 @@ from rtcal.io.source import MAX_TEXT, number, shown
 from rtcal.types import Array
 
 MAX_COLUMNS, MAX_PAIRS = 200, 5000
+_LEAST_BAND = 10.0  # Hz: a smaller number at the head of a column is a value
 
 _PARAMETERS = {
     "t20": "t20", "rt20": "t20", "t60(20)": "t20", "t_20": "t20", "t30": "t30", "rt30": "t30",
@@ -191,7 +192,13 @@ def _column(cell: str, place: str, decay_time: str | None) -> _Column:
     name, unit = (match.group(1).strip(), match.group(2)) if match else (cell, "")
     frequency = _frequency(name if not unit or unit.lower() in ("hz", "khz") else cell)
     if frequency is not None:
-        return _Column("of", band=frequency * (1000 if unit.lower() == "khz" else 1))
+        frequency *= 1000 if unit.lower() == "khz" else 1
+        if frequency < _LEAST_BAND:
+            raise DataError(
+                f'{place}: column "{_shown(cell)}" is no band; is the line with the names of the '
+                "columns missing?"
+            )
+        return _Column("of", band=frequency)
     key = re.sub(r"[\s_]+", "", name.lower())
     if key in _COLUMNS:
         if unit and not (_COLUMNS[key] == "band" and unit.lower() == "hz"):
