@@ -59,6 +59,9 @@ def study(
     from rtcal import studies
     from rtcal.studies import paper
 
+    for option, value in (("--out", out), ("--folder", folder)):
+        if value == "":
+            raise DataError(f"{option} is empty; it is a folder")
     target = None
     if out is not None:
         from rtcal.report import figures
@@ -79,6 +82,8 @@ def study(
             if trials == 0:
                 table = studies.analytic_scores(areas[name], level, realisations, seed)
                 click.echo(_scores(level, table, reference))
+                if target is not None:
+                    studies.write_table(table, target / f"{name}-{level:g}-analytic-scores.csv")
                 continue
             place = None if folder is None else Path(folder) / f"{name}-{level:g}"
             done = studies.run(

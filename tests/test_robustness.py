@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal import studies
+from rtcal import cli, studies
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import posterior, sensitivity
 from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
@@ -447,3 +447,29 @@ def test_a_raw_answer_at_an_end_is_not_charged_with_what_was_never_asked() -> No
 def test_a_model_error_is_no_data_error() -> None:
     assert not issubclass(ModelError, ValueError)
     assert issubclass(DataError, ValueError)
+
+
+@pytest.mark.parametrize("sigma_r", [1e-300, 1e9, 1e300])
+def test_a_study_of_no_sense_is_refused(sigma_r: float) -> None:
+    with pytest.raises(DataError, match="is not from 1e-09 to 10"):
+        studies.analytic_scores([35, 20], sigma_r, 3)
+    for end in (1e-9, 10.0):
+        assert 0 < studies.analytic_scores([35, 20], end, 30)["score"][-1] < 1
+
+
+def test_the_study_command_writes_where_it_is_told(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def command(*arguments: str) -> int:
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(["study", "--realisations", "5", "--sigma-r", "0.05", *arguments])
+        return int(stopped.value.code)
+
+    for option in ("--out", "--folder"):
+        assert command(option, "") == 2
+        assert f"{option} is empty" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    pytest.importorskip("matplotlib")
+    assert command("--trials", "0", "--out", "made") == 0
+    text = (tmp_path / "made" / "shoebox-0.05-analytic-scores.csv").read_text()
+    assert text.startswith("method,bounded,aace,score,standard_error\nnone,False,")

@@ -25,7 +25,10 @@ from rtcal.studies import estimators, sampling
 from rtcal.studies.estimators import CALIBRATIONS, METHODS, TrialSums
 from rtcal.studies.moments import SAMPLED, Moments
 from rtcal.studies.runner import run_pieces
+from rtcal.studies.sampling import SIGMA_LIMIT
 from rtcal.types import Array
+
+_LEAST, _MOST = 1e-9, 10.0
 
 Table = np.recarray[Any, Any]
 """Rows with named columns: ``table["score"]``, ``table.score``, ``row.method``."""
@@ -293,6 +296,11 @@ def _check(sigma_r: float, seed: int, **numbers: int) -> None:
     checks.number("sigma_r", sigma_r)
     if not (np.isfinite(sigma_r) and sigma_r > 0):
         raise DataError(f"sigma_r = {sigma_r:g} is not above 0")
+    if not _LEAST <= sigma_r <= _MOST:
+        raise DataError(
+            f"sigma_r = {sigma_r:g} is not from {_LEAST:g} to {_MOST:g}: below that errors are "
+            f"rounding, above it sigma is evenly spread over what is below {SIGMA_LIMIT:g}"
+        )
     # Without a seed of its own a study could not be resumed, nor told from another.
     checks.whole("seed", seed, 0)
     for name, value in numbers.items():
