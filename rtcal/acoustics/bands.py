@@ -27,6 +27,8 @@ _TOLERANCE = 0.015
 def nominal(frequency: float) -> float:
     """Return the nominal third-octave centre within 1.5 % of ``frequency`` (Hz), else itself.
 
+    Examples
+    --------
     >>> nominal(1584.893), nominal(440.0)
     (1600.0, 440.0)
     """
@@ -37,6 +39,8 @@ def nominal(frequency: float) -> float:
 def octaves(lowest: float = 125, highest: float = 4000) -> tuple[float, ...]:
     """Return the nominal octave centres from ``lowest`` to ``highest`` (Hz).
 
+    Examples
+    --------
     >>> octaves(250, 1000)
     (250, 500, 1000)
     """
@@ -46,6 +50,8 @@ def octaves(lowest: float = 125, highest: float = 4000) -> tuple[float, ...]:
 def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ...]:
     """Return the nominal third-octave centres from ``lowest`` to ``highest`` (Hz).
 
+    Examples
+    --------
     >>> third_octaves(400, 630)
     (400, 500, 630)
     """
@@ -55,6 +61,8 @@ def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ..
 def label(frequency: float) -> str:
     """Return the band's name as it stands in tables and messages.
 
+    Examples
+    --------
     >>> label(31.5), label(1000.0)
     ('31.5 Hz', '1000 Hz')
     """
@@ -93,6 +101,8 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
 def index(frequencies: Array, frequency: float) -> int | None:
     """Return where ``frequency`` (Hz) stands in ``frequencies`` (within 1.5 %), or None.
 
+    Examples
+    --------
     >>> index(np.array([500.0, 1000.0]), 1000), index(np.array([500.0]), 125)
     (1, None)
     """

@@ -163,6 +163,8 @@ class LinearEquation(ABC):
 class Sabine(LinearEquation):
     """Sabine's equation: a = mean alpha (Sabine 1922; Bellows & Katz 2025, Eqs. 2 and 5).
 
+    Examples
+    --------
     >>> room = Room(name="box", volume=60, materials=["floor", "rest"], areas=[20, 74],
     ...             alpha=[[0.2], [0.4]], sigma=[[0.1], [0.1]], centre_frequencies=[1000])
     >>> print(Sabine(speed_of_sound=PAPER_SPEED_OF_SOUND).reverberation_time(room).round(2))
@@ -188,6 +190,8 @@ class Sabine(LinearEquation):
 class Eyring(LinearEquation):
     """Eyring's equation: a = -ln(1 - mean alpha) (Eyring 1930; Bellows & Katz 2025, Eqs. 3, 6).
 
+    Examples
+    --------
     >>> room = Room(name="box", volume=120, materials=["all"], areas=[158], alpha=[[0.2]],
     ...             sigma=[[0.1]], centre_frequencies=[1000])
     >>> print(Eyring(speed_of_sound=343).reverberation_time(room).round(4))

@@ -25,6 +25,8 @@ JND: dict[str, float] = {
 def gap_jnd(model: Array, measured: Array, parameter: str = "t20") -> Array:
     """Return (model - measured) in JND, signed, same shape; NaN where either is missing.
 
+    Examples
+    --------
     >>> print(gap_jnd(np.array([1.05, 0.9]), np.array([1.0, 1.0])).round(6))
     [ 1. -2.]
     """
@@ -157,6 +159,8 @@ _AIR_SHARE = 0.5
 def schroeder_frequency(t: Array, volume: float) -> Array:
     """Return 2000 sqrt(T / V) in Hz, T in s and V in m³ (Schroeder & Kuttruff 1962).
 
+    Examples
+    --------
     >>> print(schroeder_frequency(np.array([2.0]), 200.0))
     [200.]
     """
@@ -168,6 +172,8 @@ def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
 
     T in s, (n_bands,), NaN where missing; NaN if every band is.
 
+    Examples
+    --------
     >>> mid_frequency_time(np.array([1.4, 2.0, 1.8]), np.array([125, 500, 1000]))
     1.9
     """

@@ -30,6 +30,8 @@ _ISO_12999_2: dict[float, tuple[float, float]] = {
 def sigma_relative(alpha: Array, fraction: float, minimum: float = 0.0) -> Array:
     """Return max(fraction alpha, minimum), same shape as ``alpha``.
 
+    Examples
+    --------
     >>> print(sigma_relative(np.array([0.02, 0.5]), 0.3, 0.01))
     [0.01 0.15]
     """
@@ -84,6 +86,8 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
 def in_situ(sigma: Array, factor: float) -> Array:
     """Return ``factor`` times ``sigma``: another specimen, mounted otherwise, aged and painted.
 
+    Examples
+    --------
     >>> print(in_situ(np.array([0.02]), 2.0))
     [0.04]
     """

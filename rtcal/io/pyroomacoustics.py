@@ -62,6 +62,8 @@ def write(
 def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
     """Return, by material, the arguments of ``pyroomacoustics.Material``.
 
+    Examples
+    --------
     >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[.1, .2]],
     ...             sigma=[[.01, .02]], centre_frequencies=[500, 1000])
     >>> dictionaries(room)["wall"]["energy_absorption"]["coeffs"]

@@ -15,6 +15,8 @@ def vector_area(polygon: Array) -> Array:
     ½ sum of p_i x p_(i+1) (Newell): right for any plane polygon, convex or not; the normal points
     to where the vertices run counter-clockwise.
 
+    Examples
+    --------
     >>> print(vector_area(np.array([[0.0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]])))
     [0. 0. 6.]
     """
