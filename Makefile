@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint study fuzz bench clean
+.PHONY: demo test lint docs notebooks study fuzz bench clean
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -22,6 +22,14 @@ lint: $(STAMP)  ## style and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: $(STAMP)  ## the documentation site, warnings as errors, in site/
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+notebooks: $(STAMP)  ## run every notebook in full and store its outputs; RTCAL_FAST=1 shortens the studies
+	$(BIN)/jupyter nbconvert --to notebook --execute --inplace \
+		--ExecutePreprocessor.record_timing=False --ExecutePreprocessor.timeout=3600 \
+		notebooks/*/*.ipynb
+
 study: $(STAMP)  ## the long studies
 	$(BIN)/python -m pytest -m study
 
@@ -37,4 +45,4 @@ bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python -m benchmarks.solvers run --short
 
 clean:
-	rm -rf $(VENV) demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) site demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

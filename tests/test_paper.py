@@ -48,7 +48,6 @@ def test_figure_1(solver: str) -> None:
 )
 def test_figure_3(sigma_2: float, printed: tuple[float, float], solver: str) -> None:
     found = calibrated([47, 47], [0.6, 0.5], [0.05, sigma_2], [0.6, 0.2], "mle", solver)
-    # .535294 and .582353 are printed .54 and .58; the first of them rounds to .54 as printed.
     np.testing.assert_array_equal(found.round(2), printed)
 
 

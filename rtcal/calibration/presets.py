@@ -23,7 +23,7 @@ _RELATIVE = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""
 _SMOOTHING = 0.3
 """Weight of the smoothness: small enough to cost under 1 % where the truth is uncorrelated over
-bands (notebooks/studies/smoothing.py)."""
+bands (notebooks/studies/smoothing.ipynb)."""
 
 METHODS: dict[str, Callable[[PriorDeviation], Calibration]] = {
     "mle": lambda prior: Calibration(prior, [ExactMatch()]),

@@ -1,0 +1,158 @@
+"""Every notebook runs, a study by its own rule passes, and what is stored is a clean full run."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TUTORIALS = sorted((ROOT / "notebooks" / "tutorials").glob("*.ipynb"))
+STUDIES = sorted((ROOT / "notebooks" / "studies").glob("*.ipynb"))
+NOTEBOOKS = [*TUTORIALS, *STUDIES]
+SLOW = {"paper_halls"}  # also in their fast mode: run by `make study`
+MOST_BYTES = 300_000
+
+pytestmark = pytest.mark.skipif(not NOTEBOOKS, reason="needs the source tree")
+
+
+def cells(path: Path, kind: str) -> list[dict[str, Any]]:
+    stored = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in stored if cell["cell_type"] == kind]
+
+
+def run(path: Path, monkeypatch: pytest.MonkeyPatch, *, fast: bool = True) -> dict[str, Any]:
+    """Run the code cells one after the other, beside the notebook as its kernel would be."""
+    pytest.importorskip("IPython", reason="needs the extra docs")
+    pytest.importorskip("matplotlib", reason="needs the extra report")
+    monkeypatch.chdir(path.parent)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    if fast:
+        monkeypatch.setenv("RTCAL_FAST", "1")
+    else:
+        monkeypatch.delenv("RTCAL_FAST", raising=False)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    for cell in cells(path, "code"):
+        exec(compile("".join(cell["source"]), path.name, "exec"), names)
+    return names
+
+
+def printed(path: Path) -> str:
+    """What the stored run printed."""
+    outputs = [out for cell in cells(path, "code") for out in cell["outputs"]]
+    return "".join("".join(out.get("text", "")) for out in outputs)
+
+
+def named(paths: list[Path]) -> Any:
+    return pytest.mark.parametrize("path", paths, ids=lambda p: p.stem)
+
+
+@named(TUTORIALS)
+def test_tutorials_run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = run(path, monkeypatch)
+    assert "result" in names
+    if path.stem == "model_by_file_exchange":
+        assert np.abs(names["result"]).max() <= 1  # JND
+        assert names["runs"] <= 4
+
+
+QUICK = [p for p in STUDIES if p.stem not in SLOW]
+
+
+@named(QUICK)
+def test_studies_pass_their_rule_in_fast_mode(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = run(path, monkeypatch)
+    assert bool(names["passed"]) is True
+    # What their rules must be able to see, or they would pass on anything:
+    if path.stem == "coverage":
+        share, error, normal = names["found"][3]
+        assert normal > share + error  # where a bound is active the normal interval is too wide
+    elif path.stem == "smoothing":
+        assert names["found"]["smooth / mle, uncorrelated, 10 % noise"][0] < 1
+        assert names["found"]["own correlation per material, exact"][1] > 1e-4
+    elif path.stem == "configurations":
+        assert names["found"][0.0][0] > 0.05
+    elif path.stem == "paper_examples":
+        assert len(names["rows"]) == 22
+    elif path.stem == "paper_delay_network":
+        assert list(names["statements"].values()) == [True, False, True, True, False]
+
+
+@pytest.mark.study
+@named([p for p in STUDIES if p.stem in SLOW])
+def test_slow_studies_pass_their_rule_in_fast_mode(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert bool(run(path, monkeypatch)["passed"]) is True
+
+
+@pytest.mark.study
+@named(STUDIES)
+def test_studies_pass_their_rule_in_full(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert bool(run(path, monkeypatch, fast=False)["passed"]) is True
+
+
+@named(STUDIES)
+def test_a_study_says_first_what_it_asks_and_when_it_passes(path: Path) -> None:
+    first = "".join(cells(path, "markdown")[0]["source"])
+    stored = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    assert stored[0]["cell_type"] == "markdown"
+    assert first.startswith("# ")
+    assert -1 < first.find("**Question.**") < first.find("**Pass rule.**")
+    assert "passed: True" in printed(path)
+
+
+@named(NOTEBOOKS)
+def test_what_is_stored_is_one_clean_run(path: Path) -> None:
+    code = cells(path, "code")
+    assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
+    outputs = [out for cell in code for out in cell["outputs"]]
+    assert outputs
+    for out in outputs:
+        assert out["output_type"] != "error"
+        assert out.get("name") != "stderr", out.get("text")
+    text = path.read_text(encoding="utf-8")
+    assert len(text.encode()) < MOST_BYTES, f"{len(text.encode())} bytes"
+    assert not re.search(r"(?<![\w.])/(tmp|home|root|work|usr|opt)/|site-packages", text)
+
+
+@pytest.mark.parametrize(
+    ("page", "study"),
+    [
+        ("modelling.md", "smoothing"),
+        ("modelling.md", "configurations"),
+        ("posterior.md", "coverage"),
+    ],
+)
+def test_the_pages_quote_the_stored_run(page: str, study: str) -> None:
+    """Every row of the page's table that the study printed has the numbers that it printed."""
+    lines = {
+        line.split("  ")[0].strip(): line
+        for line in printed(STUDIES[0].with_stem(study)).splitlines()
+    }
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    table = text.split(f"notebooks/studies/{study}.ipynb", 1)[1].split("\n## ", 1)[0]
+    quoted = 0
+    for row in re.findall(r"^\| (.+) \|$", table, re.M):
+        name, *values = (cell.strip() for cell in row.split("|"))
+        if name in lines:
+            quoted += 1
+            for number in re.findall(r"[\d.]+%?", " ".join(values)):
+                assert number in lines[name], f"{page}: {name}: {number}"
+    assert quoted >= 3
+
+
+@pytest.mark.study
+def test_the_benchmark_of_composed_calibrations_runs() -> None:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "benchmarks" / "composed.py"), "--quick"],
+        capture_output=True, text=True, cwd=ROOT, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "slope" in done.stdout
