@@ -7,14 +7,13 @@ by one of the rules of `rtcal.loop_rules`.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal import loop_state
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.files import write_text
@@ -41,9 +40,6 @@ class Step:
     alpha: Array
     simulated: Array
     noise: Array
-
-
-_FIELDS = ("target", "alpha", "simulated", "noise")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -205,54 +201,23 @@ class Loop:
         return equation.time(room, high), equation.time(room, low)
 
     def to_json(self) -> str:
-        """Return the loop's steps as JSON text, which `load` reads."""
-        return json.dumps({
-            "rtcal": "loop 1", "room": fingerprint(self.room), "measured": self.measured,
-            "wanted": _plain(self.wanted), "rule": self.rule, "method": self.method,
-            "decimals": self.decimals, "tolerance": self.tolerance,
-            "steps": [
-                {name: _plain(getattr(step, name)) for name in _FIELDS}
-                for step in self.steps
-            ],
-        }, indent=1)  # fmt: skip
+        """Return the loop, its room included, as JSON text, which `load` reads."""
+        return loop_state.text(self)
 
     def save(self, path: str) -> None:
-        """Write the loop's steps to a JSON file, whole or not at all."""
+        """Write the loop, its room included, to a JSON file, whole or not at all."""
         write_text(path, self.to_json())
 
     @classmethod
-    def load(cls, path: str, room: Room, equation: LinearEquation | None = None) -> Loop:
-        """Read a loop of this room; DataError if the file is of another room, or is no loop."""
-        try:
-            with open(path, encoding="utf-8") as file:
-                data = json.load(file)
-            if not isinstance(data, dict) or data.get("rtcal") != "loop 1":
-                raise DataError(f"{path} is no state of a loop: it lacks the mark of one")
-            if data["room"] != fingerprint(room):
-                raise DataError(
-                    f'{path} is the state of another room, or room "{room.name}" was changed since'
-                )
-            if data["rule"] not in RULES:
-                raise KeyError("rule")
-            steps = tuple(
-                Step(**{name: _array(step[name]) for name in _FIELDS}) for step in data["steps"]
-            )
-            loop = cls(
-                room=room, wanted=_array(data["wanted"]), measured=str(data["measured"]),
-                rule=data["rule"], method=str(data["method"]), equation=equation,
-                decimals=data["decimals"], tolerance=float(data["tolerance"]), steps=steps,
-            )  # fmt: skip
-        except OSError as error:
-            raise DataError(f"{path} cannot be read: {error.strerror}") from error
-        except (ValueError, KeyError, TypeError) as error:
-            if isinstance(error, DataError):
-                raise
-            what = f"{error} is missing or unknown" if isinstance(error, KeyError) else error
-            raise DataError(f"{path} is no state of a loop: {what}") from error
-        shapes = {(room.n_bands,)} ^ {x.shape for x in (loop.wanted, *(s.target for s in steps))}
-        if shapes or any(s.alpha.shape != room.alpha.shape for s in steps):
-            raise DataError(f"{path} is no state of a loop: its shapes are not the room's")
-        return loop
+    def load(
+        cls, path: str, room: Room | None = None, equation: LinearEquation | None = None
+    ) -> Loop:
+        """Read a loop, of this room if one is given; see `rtcal.loop_state.read`.
+
+        DataError if the file is of another room, or is no loop.
+        """
+        fields, steps = loop_state.read(path, room, equation)
+        return cls(**fields, steps=tuple(Step(**step) for step in steps))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -443,22 +408,3 @@ def calibrate_simulator(
         after=after,
         confirmation=None if simulator.deterministic else run(simulator, alpha, seed=seed + 1),
     )
-
-
-def fingerprint(room: Room) -> str:
-    """Return a short name of a room's materials, areas, bands and prior."""
-    digest = hashlib.sha256(repr((tuple(room.materials), room.volume)).encode())
-    for values in (room.areas, room.centre_frequencies, room.alpha, room.sigma):
-        digest.update(np.ascontiguousarray(values).tobytes())
-    return digest.hexdigest()[:16]
-
-
-def _plain(values: Array) -> list[object]:
-    """JSON has no NaN."""
-    return [
-        _plain(v) if v.ndim else (None if np.isnan(v) else float(v)) for v in np.asarray(values)
-    ]
-
-
-def _array(values: object) -> Array:
-    return np.array(values, dtype=float)

@@ -168,7 +168,7 @@ def test_state_files_that_do_not_fit(cr2, tmp_path):
     path.write_text("{")
     with pytest.raises(DataError, match="no state of a loop"):
         closed_loop.Loop.load(str(path), room)
-    with pytest.raises(DataError, match="cannot be read"):
+    with pytest.raises(DataError, match="No such file"):
         closed_loop.Loop.load(str(tmp_path / "none.json"), room)
 
 

@@ -172,6 +172,11 @@ def _whole(seen: set[float], name: str) -> int | None:
 
 def write_measurement(measurement: Measurement, path: str | os.PathLike[str]) -> None:
     """Write a measurement to CSV, whole or not at all; reading it back gives the same numbers."""
+    write_text(path, measurement_text(measurement))
+
+
+def measurement_text(measurement: Measurement) -> str:
+    """Return a measurement as the text of its CSV file."""
     extra = {
         "uncertainty": bool(measurement.uncertainty),
         "standard_deviation": bool(measurement.standard_deviation),
@@ -197,7 +202,7 @@ def write_measurement(measurement: Measurement, path: str | os.PathLike[str]) ->
                 cells["sources"] = measurement.n_sources
                 cells["receivers"] = measurement.n_receivers
                 writer.writerow([cells.get(c, "") for c in columns])
-    write_text(path, stream.getvalue())
+    return stream.getvalue()
 
 
 def _text(value: float) -> str:

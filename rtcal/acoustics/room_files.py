@@ -80,7 +80,11 @@ _MAX_DOTS = 500
 
 def read_room(path: str | os.PathLike[str]) -> Room:
     """Read a room from TOML. DataError names the file, the place, the value and the rule."""
-    text = read_text(path, MAX_BYTES)
+    return parse_room(read_text(path, MAX_BYTES), os.fspath(path))
+
+
+def parse_room(text: str, path: str) -> Room:
+    """Return the room of a TOML text; ``path`` names it in messages."""
     if any(line.count(".") > _MAX_DOTS for line in text.split("\n") if "=" not in line[:_MAX_DOTS]):
         raise DataError(f"{path}: a key of more than {_MAX_DOTS} parts")
     try:

@@ -120,16 +120,25 @@ def posterior(
     joint = _joint(result)
     checks.whole("n_samples", n_samples, 1)
     checks.whole("seed", seed, 0)
-    twin = joint.solution.twin
-    prior = next(t for t in twin.objective.terms if t.is_prior)
+    prior = next(t for t in joint.solution.twin.objective.terms if t.is_prior)
     if not isinstance(prior, PriorDeviation) or prior.sigma is not None:
         raise ModelError(
             f"{prior!r} is no log-density of what is known of alpha: it has no posterior. Use "
             'method "soft" or "mle"'
         )
-    if not _one_row_a_band(twin, prior):
-        return _sampled(joint, n_samples, seed)
-    return _by_fft(joint)
+    return marginal_posterior(joint) or _sampled(joint, n_samples, seed)
+
+
+def marginal_posterior(result: JointResult) -> Posterior | None:
+    """Return the posterior where it takes no sampling, else None: `posterior`'s quick half.
+
+    That is one matched row a band and independent priors with their own sigma.
+    """
+    twin = result.solution.twin
+    prior = next(t for t in twin.objective.terms if t.is_prior)
+    if not isinstance(prior, PriorDeviation) or prior.sigma is not None:
+        return None
+    return _by_fft(result) if _one_row_a_band(twin, prior) else None
 
 
 def _joint(result: CalibrationResult | JointResult) -> JointResult:

@@ -234,67 +234,26 @@ class CalibrationResult:
         )
         return self.prior.replace(alpha=self.alpha, sigma=self.posterior_sigma, calibration=record)
 
+    @cached_property
+    def interval(self) -> tuple[Array, Array] | None:
+        """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
+
+        Exact, from `rtcal.calibration.posterior`; None where that would take sampling (correlations,
+        order, several configurations), or where the method has no posterior (`lse`, `robust`).
+        """
+        from rtcal.calibration.posterior import marginal_posterior
+
+        known = marginal_posterior(self.joint)
+        if known is None:
+            return None
+        low, high = known.interval(0.9)
+        return low[self._rows], high[self._rows]
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing."""
-        room, plausible = self.prior, self.plausibility
-        bounds = {-1: "lower", 0: "", 1: "upper"}
-        return {
-            "rtcal_version": rtcal.__version__,
-            "room": room.name,
-            "method": self.method,
-            "equation": self.equation.name,
-            "volume": room.volume,
-            "air": None if room.air is None else vars(room.air),
-            "centre_frequencies": _listed(room.centre_frequencies),
-            "measured": {
-                "reverberation_time": _listed(self.measured),
-                "uncertainty": _listed(self.measured_uncertainty),
-                "parameter": list(self.measured_data.parameter),
-                "bands_not_in_room": list(self.measured_data.ignored),
-                "fingerprint": self.measured_data.fingerprint,
-            },
-            "reverberation_time_before": _listed(self.reverberation_time_before),
-            "reverberation_time_after": _listed(self.reverberation_time_after),
-            "gap_before_jnd": _listed(self.gap_before),
-            "gap_after_jnd": _listed(self.gap_after),
-            "target": _listed(self.target),
-            "target_uncertainty": _listed(self.target_uncertainty),
-            "materials": [
-                {
-                    "name": name,
-                    "area": float(room.areas[i]),
-                    "alpha_before": _listed(room.alpha[i]),
-                    "sigma_before": _listed(room.sigma[i]),
-                    "alpha_after": _listed(self.alpha[i]),
-                    "sigma_after": _listed(self.posterior_sigma[i]),
-                    "shift_in_sigmas": _listed(self.shift_in_sigmas[i]),
-                    "at_bound": [bounds[int(v)] for v in self.active[i]],
-                    "error_bound": _listed(self.certificate.alpha_error_bound[i]),
-                }
-                for i, name in enumerate(room.materials)
-            ],
-            "plausibility": {
-                "z": _listed(plausible.z),
-                "q": plausible.q,
-                "degrees_of_freedom": plausible.degrees_of_freedom,
-                "p_value": plausible.p_value,
-            },
-            "effects": self.effects,
-            "air_share": _listed(self.air_share),
-            "trust_marks": [vars(mark) for mark in self.trust_marks],
-            "multipliers": _listed(self.multipliers),
-            "unreachable": [str(u) for u in self.unreachable],
-            "certificate": _certificate(self.certificate),
-            "solver": {
-                "name": self.solver,
-                "status": self.raw.status,
-                "iterations": self.raw.iterations,
-                "seconds": None if np.isnan(self.raw.seconds) else self.raw.seconds,
-                "polished": self.polished,
-                "raw_certificate": _certificate(self.raw.certificate),
-                "raw_alpha": [_listed(row) for row in self.raw.alpha],
-            },
-        }
+        from rtcal.calibration.record import record
+
+        return record(self)
 
     def to_json(self) -> str:
         """Return `to_dict` as JSON text."""
@@ -397,15 +356,3 @@ class JointResult:
     def __str__(self) -> str:
         parts = zip(self.configurations.names, self.results, strict=True)
         return "\n\n".join(f"configuration: {name}\n{result}" for name, result in parts)
-
-
-def _listed(values: Array) -> list[float | None]:
-    return [float(v) if np.isfinite(v) else None for v in values]
-
-
-def _certificate(certificate: Certificate) -> dict[str, list[float | None]]:
-    return {
-        "primal_residual": _listed(certificate.primal_residual),
-        "dual_residual": _listed(certificate.dual_residual),
-        "duality_gap": _listed(certificate.duality_gap),
-    }

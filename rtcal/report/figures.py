@@ -1,4 +1,8 @@
-"""The pictures. The one module that imports matplotlib."""
+"""The pictures of a calibration over frequency. The one module that imports matplotlib.
+
+Told apart in grey and by colour-blind eyes: each line has its own marker and style, each bar its own
+hatch, and the colours are Okabe and Ito's (2008).
+"""
 
 from __future__ import annotations
 
@@ -12,18 +16,24 @@ import numpy as np
 from rtcal.acoustics.files import write_bytes
 from rtcal.acoustics.quality import JND, letters
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.report.saved import Saved, saved
+from rtcal.types import Array
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
-# Told apart in grey and by colour-blind eyes (Okabe & Ito 2008), and by their markers.
-_MEASURED, _BEFORE, _AFTER = "#000000", "#D55E00", "#0072B2"
+BLACK, ORANGE, BLUE, GREEN = "#000000", "#D55E00", "#0072B2", "#009E73"
+_LONGEST_NAME = 40
+_MANY_BANDS = 10
 
 
-def new_figure(width: float = 7.0, height: float = 4.2) -> tuple[Any, Any]:
+def new_figure(
+    width: float = 7.0, height: float = 4.2, rows: int = 1, columns: int = 1
+) -> tuple[Any, Any]:
     """Return a figure of that size in inches and its axes, drawn without a screen.
 
-    Raises MissingDependencyError without matplotlib.
+    Axes as ``matplotlib.figure.Figure.subplots`` gives them. Raises MissingDependencyError without
+    matplotlib.
     """
     try:
         from matplotlib.figure import Figure
@@ -32,55 +42,105 @@ def new_figure(width: float = 7.0, height: float = 4.2) -> tuple[Any, Any]:
             "figures need matplotlib: pip install 'rtcal[report]'"
         ) from error
     figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots()
+    return figure, figure.subplots(rows, columns)
 
 
-def reverberation_time(result: CalibrationResult) -> Any:
-    """Return the figure of T(f): measured with its band of one JND, before and after."""
+def shown(name: str, longest: int = _LONGEST_NAME) -> str:
+    r"""Return a name as a figure shows it: one short line, and dollars are dollars, not formulae.
+
+    >>> shown("a $10 panel")
+    'a \\$10 panel'
+    """
+    line = "".join(c if c.isprintable() else "?" for c in name)
+    line = line if len(line) <= longest else line[: longest - 1] + "…"
+    return line.replace("$", r"\$")
+
+
+def band_axis(axes: Any, frequencies: Array, below: list[str] | None = None) -> None:
+    """Make x a logarithmic axis with the bands' centres, and a text below each where given."""
+    many = len(frequencies) > _MANY_BANDS
+    labels = [f"{f:g}" for f in frequencies]
+    if below is not None:
+        labels = [f"{a}{' ' if many else chr(10)}{b}" for a, b in zip(labels, below, strict=True)]
+    axes.set_xscale("log")
+    axes.set_xticks(frequencies, labels, rotation=90 if many else 0)
+    axes.minorticks_off()
+    axes.set_xlabel("Band centre frequency / Hz")
+
+
+def jnd_band(axes: Any, frequencies: Array, measured: Array) -> None:
+    """Draw T ± one JND in grey; bands without T interrupt it."""
+    low, high = (1 - JND["t20"]) * measured, (1 + JND["t20"]) * measured
+    axes.fill_between(frequencies, low, high, color="0.85", label="measured ± 1 JND")
+    axes.vlines(frequencies, low, high, color="0.85", linewidth=8)  # also of a band on its own
+
+
+def reverberation_time(result: CalibrationResult | Saved) -> Any:
+    """Return the figure of T(f): measured with its band of one JND, before and after.
+
+    Letters below the bands are those of the trust marks.
+    """
+    seen = saved(result)
     figure, axes = new_figure()
-    room, measured = result.prior, result.measured
-    f = room.centre_frequencies
+    f, measured = seen.centre_frequencies, seen.measured
     here = np.isfinite(measured)
-    jnd = JND["t20"] * measured[here]
-    axes.fill_between(
-        f[here], measured[here] - jnd, measured[here] + jnd, color="0.85", label="measured ± 1 JND"
-    )
-    uncertainty = np.nan_to_num(result.measured_uncertainty)
+    jnd_band(axes, f, measured)
     axes.errorbar(
-        f[here], measured[here], yerr=uncertainty[here], color=_MEASURED, marker="o", capsize=3,
-        linestyle="none", label="measured, ± standard uncertainty",
+        f[here], measured[here], yerr=np.nan_to_num(seen.uncertainty)[here], color=BLACK, marker="o",
+        capsize=3, linestyle="none", label="measured, ± standard uncertainty",
     )  # fmt: skip
+    axes.plot(f, seen.before, color=ORANGE, marker="s", linestyle="--", label="before calibration")
     axes.plot(
-        f, result.reverberation_time_before, color=_BEFORE, marker="s", linestyle="--",
+        f, seen.after, color=BLUE, marker="o", markersize=10, markerfacecolor="none",
+        label="after calibration",
+    )  # fmt: skip
+    band_axis(axes, f, [letters(seen.trust_marks, v) for v in f])
+    found = [f"{m.letter} {m.title}".strip() for m in seen.trust_marks]
+    if found:
+        key = f"\ndo not trust: {', '.join(dict.fromkeys(found))}"
+        axes.set_xlabel(axes.get_xlabel() + key)
+    axes.set_ylabel("Reverberation time T / s")
+    axes.set_ylim(bottom=0)
+    name, method, equation = (seen.record[k] for k in ("room", "method", "equation"))
+    axes.set_title(shown(f"{name}: {method}, {equation}", 70))
+    axes.legend()
+    return figure
+
+
+def gap(result: CalibrationResult | Saved) -> Any:
+    """Return the figure of the gap to the measured T, before and after, in JND by band."""
+    seen = saved(result)
+    figure, axes = new_figure(7.0, 3.2)
+    at = np.arange(len(seen.centre_frequencies))
+    axes.axhspan(-1, 1, color="0.85", label="within 1 JND (5 %)")
+    axes.axhline(0, color=BLACK, linewidth=0.8)
+    axes.bar(
+        at, seen.gap_before, 0.5, facecolor="#F5C9A6", edgecolor=ORANGE, hatch="//",
         label="before calibration",
     )  # fmt: skip
     axes.plot(
-        f, result.reverberation_time_after, color=_AFTER, marker="o", markersize=10,
-        markerfacecolor="none", label="after calibration",
+        at, seen.gap_after, color=BLUE, marker="o", linestyle="none", markersize=8,
+        label="after calibration",
     )  # fmt: skip
-    axes.set_xscale("log")
-    many = len(f) > 10
-    marked = [f"{v:g}{' ' if many else chr(10)}{letters(result.trust_marks, v)}" for v in f]
-    axes.set_xticks(f, marked, rotation=90 if many else 0)
-    axes.minorticks_off()
-    found = [f"{m.letter} {m.title}".strip() for m in result.trust_marks]
-    key = f"\ndo not trust: {', '.join(dict.fromkeys(found))}" if found else ""
-    axes.set_xlabel(f"Octave or third-octave band centre frequency / Hz{key}")
-    axes.set_ylabel("Reverberation time T / s")
-    axes.set_ylim(bottom=0)
-    # A name is a name, also with dollars in it.
-    axes.set_title(f"{room.name}: {result.method}, {result.equation.name}", parse_math=False)
+    many = len(at) > _MANY_BANDS
+    axes.set_xticks(at, [f"{f:g}" for f in seen.centre_frequencies], rotation=90 if many else 0)
+    axes.set_xlabel("Band centre frequency / Hz")
+    axes.set_ylabel("Gap to measured T / JND")
+    axes.set_title(shown(seen.record["room"], 70))
     axes.legend()
     return figure
 
 
 def rendered(figure: Any, kind: str) -> bytes:
-    """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file."""
+    """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file, the same each time."""
+    import matplotlib
+
     stream = io.BytesIO()
-    with warnings.catch_warnings():
+    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    with warnings.catch_warnings(), matplotlib.rc_context({"svg.hashsalt": "rtcal"}):
         # A name in a script that the font lacks is shown as boxes; it stops nothing.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
-        figure.savefig(stream, format=kind, dpi=150)
+        figure.savefig(stream, format=kind, dpi=150, metadata=undated)
     return stream.getvalue()
 
 

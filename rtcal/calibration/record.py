@@ -1,0 +1,154 @@
+"""A calibration as plain numbers, lists and text: what is saved, and what the page is made of."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import asdict
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import rtcal
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.measurement_files import measurement_text
+from rtcal.acoustics.room_files import room_text
+from rtcal.calibration.certificate import Certificate
+from rtcal.types import Array
+
+if TYPE_CHECKING:
+    from rtcal.calibration.result import CalibrationResult
+
+KIND = "calibration 1"
+"""What the key ``rtcal`` of a saved calibration says."""
+
+_LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp", "qpsolvers")
+
+
+def record(result: CalibrationResult) -> dict[str, Any]:
+    """Return everything that is known of a calibration, JSON-able; None where a value is missing.
+
+    ``inputs`` holds the room and the mean T with its uncertainty as the texts of their files: with
+    them the calibration can be done again from the record alone.
+    """
+    room, plausible, twin = result.prior, result.plausibility, result.joint.solution.twin
+    return {
+        "rtcal": KIND,
+        "versions": versions(),
+        "room": room.name,
+        "method": result.method,
+        "equation": result.equation.name,
+        "equation_parameters": _own_parameters(result.equation),
+        "objective": [repr(term) for term in twin.objective.terms],
+        "constraints": [repr(row) for row in twin.row_constraints],
+        "volume": room.volume,
+        "air": None if room.air is None else vars(room.air),
+        "centre_frequencies": _listed(room.centre_frequencies),
+        "measured": {
+            "reverberation_time": _listed(result.measured),
+            "uncertainty": _listed(result.measured_uncertainty),
+            "parameter": list(result.measured_data.parameter),
+            "bands_not_in_room": list(result.measured_data.ignored),
+            "fingerprint": result.measured_data.fingerprint,
+            "caution": result.measured_data.caution,
+        },
+        "reverberation_time_before": _listed(result.reverberation_time_before),
+        "reverberation_time_after": _listed(result.reverberation_time_after),
+        "gap_before_jnd": _listed(result.gap_before),
+        "gap_after_jnd": _listed(result.gap_after),
+        "target": _listed(result.target),
+        "target_uncertainty": _listed(result.target_uncertainty),
+        "materials": _materials(result),
+        "material_correlation": [
+            {"materials": list(pair), "value": value}
+            for pair, value in room.material_correlation.items()
+        ],
+        "band_correlation": room.band_correlation,
+        "plausibility": {
+            "z": _listed(plausible.z),
+            "q": plausible.q,
+            "degrees_of_freedom": plausible.degrees_of_freedom,
+            "p_value": plausible.p_value,
+        },
+        "effects": result.effects,
+        "added_absorption": _listed(result.added_absorption),
+        "air_share": _listed(result.air_share),
+        "trust_marks": [vars(mark) for mark in result.trust_marks],
+        "multipliers": _listed(result.multipliers),
+        "unreachable": [str(u) for u in result.unreachable],
+        "certificate": _certificate(result.certificate),
+        "solver": {
+            "name": result.solver,
+            "status": result.raw.status,
+            "iterations": result.raw.iterations,
+            "seconds": None if np.isnan(result.raw.seconds) else result.raw.seconds,
+            "polished": result.polished,
+            "raw_certificate": _certificate(result.raw.certificate),
+            "raw_alpha": [_listed(row) for row in result.raw.alpha],
+        },
+        "inputs": {"room": room_text(room), "measured": measurement_text(_means(result))},
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of rtcal, Python and the required libraries."""
+    found = {"rtcal": rtcal.__version__, "Python": platform.python_version()}
+    return found | {name: metadata.version(name) for name in _LIBRARIES}
+
+
+def _own_parameters(equation: LinearEquation) -> dict[str, Any]:
+    """The equation's parameters that are not the usual ones."""
+    usual = asdict(type(equation)())
+    return {name: value for name, value in asdict(equation).items() if value != usual[name]}
+
+
+def _materials(result: CalibrationResult) -> list[dict[str, Any]]:
+    room, bounds = result.prior, {-1: "lower", 0: "", 1: "upper"}
+    interval = result.interval
+    return [
+        {
+            "name": name,
+            "area": float(room.areas[i]),
+            "source": room.sources.get(name, ""),
+            "alpha_before": _listed(room.alpha[i]),
+            "sigma_before": _listed(room.sigma[i]),
+            "alpha_after": _listed(result.alpha[i]),
+            "sigma_after": _listed(result.posterior_sigma[i]),
+            "interval_after": None if interval is None else [_listed(end[i]) for end in interval],
+            "alpha_min": None if room.alpha_min is None else _listed(room.alpha_min[i]),
+            "shift_in_sigmas": _listed(result.shift_in_sigmas[i]),
+            "at_bound": [bounds[int(v)] for v in result.active[i]],
+            "error_bound": _listed(result.certificate.alpha_error_bound[i]),
+        }
+        for i, name in enumerate(room.materials)
+    ]
+
+
+def _means(result: CalibrationResult) -> Measurement:
+    """The T that was matched, band by band, as a measurement: a summary over the pairs."""
+    data = result.measured_data
+    found = {}
+    for parameter in dict.fromkeys(p for p in data.parameter if p):
+        here = np.array([p == parameter for p in data.parameter])
+        found[parameter] = [
+            np.where(here, values, np.nan)[np.newaxis]
+            for values in (data.reverberation_time, data.uncertainty)
+        ]
+    return Measurement(
+        centre_frequencies=result.prior.centre_frequencies,
+        values={p: mean for p, (mean, _) in found.items()},
+        uncertainty={p: u for p, (_, u) in found.items() if np.isfinite(u).any()},
+    )
+
+
+def _listed(values: Array) -> list[float | None]:
+    return [float(v) if np.isfinite(v) else None for v in values]
+
+
+def _certificate(certificate: Certificate) -> dict[str, list[float | None]]:
+    return {
+        "primal_residual": _listed(certificate.primal_residual),
+        "dual_residual": _listed(certificate.dual_residual),
+        "duality_gap": _listed(certificate.duality_gap),
+    }

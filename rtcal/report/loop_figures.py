@@ -1,0 +1,72 @@
+"""The picture of a closed loop's path."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtcal.acoustics.quality import gap_jnd
+from rtcal.errors import DataError
+from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, jnd_band, new_figure, shown
+
+if TYPE_CHECKING:
+    from rtcal.closed_loop import Loop
+
+_MARKERS = "o^vDPX<>"
+_STYLES = ("-", "--", "-.", ":")
+
+
+def path(loop: Loop) -> Any:
+    """Return the figure of a loop's path, like Fig. 7 of Bellows & Katz (2025).
+
+    Left: T20 wanted with its band of one JND, first simulated, simulated in between and nearest at
+    the end. Right: each band's gap in JND over simulations.
+
+    Raises
+    ------
+    DataError
+        If nothing has been simulated yet.
+    """
+    if not loop.steps:
+        raise DataError("the loop has no simulation yet: there is no path to show")
+    figure, (left, right) = new_figure(10.5, 4.4, 1, 2)
+    f, wanted = loop.room.centre_frequencies, loop.wanted
+    jnd_band(left, f, wanted)
+    left.plot(f, wanted, color=BLACK, marker="o", markersize=4, label="measured")
+    simulated = np.array([step.simulated for step in loop.steps])
+    for number, times in enumerate(simulated[1:-1], start=2):
+        left.plot(
+            f, times, color="0.45", linestyle=":", linewidth=1,
+            label="in between" if number == 2 else None,
+        )  # fmt: skip
+    left.plot(f, simulated[0], color=ORANGE, marker="s", linestyle="--", label="first simulation")
+    left.plot(
+        f, simulated[loop.best, np.arange(len(f))], color=BLUE, marker="o", markersize=10,
+        markerfacecolor="none", label="nearest, by band",
+    )  # fmt: skip
+    band_axis(left, f)
+    left.set_ylabel("T20 / s")
+    left.set_ylim(bottom=0)
+    left.set_title(shown(loop.room.name, 45))
+    left.legend(fontsize=8)
+    gaps = np.array([gap_jnd(times, wanted) for times in simulated])
+    steps = np.arange(1, len(gaps) + 1)
+    right.axhspan(-1, 1, color="0.85")
+    right.axhline(0, color=BLACK, linewidth=0.8)
+    greys = np.linspace(0.0, 0.6, len(f))
+    for k, frequency in enumerate(f):
+        blue = (greys[k], 0.25 + 0.65 * greys[k], 0.45 + 0.35 * greys[k])
+        right.plot(
+            steps, gaps[:, k], color=blue, marker=_MARKERS[k % len(_MARKERS)],
+            linestyle=_STYLES[k % len(_STYLES)], label=f"{frequency:g} Hz",
+        )  # fmt: skip
+    right.set_xticks(steps)
+    right.set_xlim(0.7, len(steps) + 0.3)
+    reach = 1.2 * max(1.5, float(np.nanmax(np.abs(gaps), initial=0.0)))
+    right.set_ylim(-reach, reach)
+    right.set_xlabel("Simulation number")
+    right.set_ylabel("Gap of T20 / JND")
+    right.set_title("Gap by simulation (grey: within 1 JND)")
+    right.legend(fontsize=8, ncols=2 if len(f) > 8 else 1)
+    return figure

@@ -1,0 +1,89 @@
+"""What a closed loop comes to, in words and tables."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.quality import gap_jnd
+from rtcal.report.words import hertz
+
+if TYPE_CHECKING:
+    from rtcal.closed_loop import Loop
+
+_SAID = {
+    "converged": "came within the goal",
+    "unreachable": "cannot be reached: the equation has no coefficients left that bring it nearer",
+    "not converging": "did not come within the goal so far",
+    "no measured T": "had no measured T; the coefficients are the stated ones",
+}
+
+
+def summary(loop: Loop) -> list[str]:
+    """Return the loop as a few sentences."""
+    f, first = loop.room.centre_frequencies, gap_jnd(loop.steps[0].simulated, loop.wanted)
+    n = len(loop.steps)
+    found = [
+        f"A simulator was run {n} time{'' if n == 1 else 's'}. After each run the absorption "
+        "coefficients were changed so that its T20 comes nearer to the measured one, band by band. "
+        "Differences are given in just noticeable differences: one JND is 5 % of the measured T20."
+    ]
+    here = np.isfinite(first)
+    if here.any():
+        found.append(
+            f"The first run was off by {np.abs(first[here]).max():.1f} JND in the worst band; "
+            f"taking each band's nearest run, {np.abs(loop.gap[here]).max():.1f} JND are left."
+        )
+    for status, said in _SAID.items():
+        bands = [float(v) for v, s in zip(f, loop.status, strict=True) if s == status]
+        if bands:
+            found.append(f"{hertz(bands)}: {said}.")
+    if not loop.finished:
+        found.append("The loop is not finished: simulate again and run `rtcal loop next`.")
+    return found
+
+
+def assumed(loop: Loop) -> list[str]:
+    """Return what the loop takes for granted, and what its coefficients are good for."""
+    equation = (loop.equation or Eyring()).name
+    return [
+        "The coefficients belong to the simulator that they were calibrated with, to its geometry, its "
+        "positions and its meaning of scattering, and to no other.",
+        "How the absorption is shared among the materials follows from the stated coefficients and "
+        f"their standard deviations, by the calibration of {equation}'s equation (method "
+        f"{loop.method}); the loop moves only how much there is in all.",
+        f"Rule {loop.rule}; a band is done within {loop.tolerance:g} JND less the simulator's noise.",
+        "Coefficients as stated to full precision."
+        if loop.decimals is None
+        else f"Coefficients rounded to {loop.decimals} decimals, as the program reads them.",
+        "Only T20 was fitted. That it agrees proves nothing of EDT, C50, C80, or of other positions.",
+    ]  # fmt: skip
+
+
+def bands_table(loop: Loop) -> dict[str, Any]:
+    """Return the rows of the table by band."""
+    nearest = np.array([loop.steps[b].simulated[k] for k, b in enumerate(loop.best)])
+    return {
+        "numbers": [
+            ("measured T20 / s", loop.wanted, 3, False),
+            ("first simulated / s", loop.steps[0].simulated, 3, False),
+            ("nearest simulated / s", nearest, 3, False),
+            ("first gap / JND", gap_jnd(loop.steps[0].simulated, loop.wanted), 1, True),
+            ("gap left / JND", loop.gap, 1, True),
+        ],
+        "nearest": [int(b) + 1 for b in loop.best],
+        "status": loop.status,
+    }
+
+
+def materials_table(loop: Loop) -> list[dict[str, Any]]:
+    """Return name, area and coefficients, stated and in each band's nearest run."""
+    room = loop.room
+    after = np.stack([loop.steps[b].alpha[:, k] for k, b in enumerate(loop.best)], axis=1)
+    return [
+        {"name": room.materials[i], "area": room.areas[i],
+         "cells": list(zip(room.alpha[i], after[i], strict=True))}
+        for i in range(room.n_materials)
+    ]  # fmt: skip

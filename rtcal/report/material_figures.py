@@ -1,0 +1,261 @@
+"""The pictures of a calibration by material: coefficients, shares of the absorption, the plane."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtcal.errors import DataError
+from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, new_figure, shown
+from rtcal.report.saved import Saved, saved
+from rtcal.types import Array
+
+if TYPE_CHECKING:
+    from rtcal.calibration.result import CalibrationResult
+
+MOST_PANELS = 12
+"""Materials that `coefficients` draws; a page has them all in its table."""
+_COLUMNS = 3
+_NORMAL_90 = 1.6449  # standard deviations on each side that hold 90 % of a normal distribution
+_SHARES = (
+    ("#0072B2", ""), ("#E69F00", "//"), ("#009E73", ".."), ("#CC79A7", "xx"), ("#56B4E9", "\\\\"),
+    ("#D55E00", "++"), ("#F0E442", "--"),
+)  # fmt: skip
+
+
+def coefficients(result: CalibrationResult | Saved) -> Any:
+    """Return the figure of alpha by material and band: prior and calibrated, with 90 % intervals.
+
+    Of more than twelve materials those with the largest absorption area. The prior's interval is
+    mu ± 1.645 sigma within the bounds; the calibrated coefficients' is exact where it is known, else
+    alpha ± 1.645 sigma of the linear estimate within the bounds.
+    """
+    seen = saved(result)
+    size = np.max(seen.areas[:, np.newaxis] * seen.alpha_after, axis=1)
+    drawn = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
+    columns = min(_COLUMNS, len(drawn))
+    rows = -(-len(drawn) // columns)
+    figure, grid = new_figure(max(5.0, 3.1 * columns), 2.4 * rows + 0.7, rows, columns)
+    panels = np.atleast_1d(grid).ravel()
+    low, high = intervals(seen)
+    f = seen.centre_frequencies
+    apart = 1.05 if len(f) > 1 else 1.0
+    for axes, i in zip(panels, drawn, strict=False):
+        prior, after, bound = seen.alpha_before[i], seen.alpha_after[i], seen.at_bound[i] != ""
+        spread = _NORMAL_90 * seen.sigma_before[i]
+        ends = np.clip([prior - spread, prior + spread], 0, 1)
+        axes.errorbar(
+            f / apart, prior, yerr=np.abs(ends - prior), color=ORANGE, marker="s", markersize=4,
+            markerfacecolor="white", linestyle="none", capsize=2, label="before (prior), 90 %",
+        )  # fmt: skip
+        axes.errorbar(
+            f * apart, after, yerr=np.maximum([after - low[i], high[i] - after], 0), color=BLUE,
+            marker="o", markersize=5, linestyle="none", capsize=3, linewidth=1.8,
+            label="calibrated, 90 %",
+        )  # fmt: skip
+        (stars,) = axes.plot(
+            f[bound] * apart, after[bound], color=BLACK, marker="*", markersize=11,
+            linestyle="none", label="at a bound", clip_on=False, zorder=5,
+        )  # fmt: skip
+        stars.set_in_layout(False)
+        band_axis(axes, f)
+        if len(f) > 7:
+            step = -(-len(f) // 7)
+            axes.set_xticks(f[::step], [f"{v:g}" for v in f[::step]], rotation=0)
+        axes.tick_params(axis="x", labelsize=7)
+        axes.set_xlabel("Band / Hz", fontsize=8)
+        axes.set_ylabel("α", fontsize=9)
+        axes.set_ylim(0, None)
+        axes.margins(y=0.1)
+        axes.set_title(f"{shown(seen.materials[i], 28)}, {seen.areas[i]:.4g} m²", fontsize=9)
+    for axes in panels[len(drawn) :]:
+        axes.set_visible(False)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure.suptitle("Absorption coefficients α (each panel has its own scale)", fontsize=11)
+    return figure
+
+
+def intervals(seen: Saved) -> tuple[Array, Array]:
+    """Return the ends of the calibrated coefficients' 90 % intervals, (n_materials, n_bands)."""
+    if seen.interval is not None:
+        return seen.interval[0], seen.interval[1]
+    spread = _NORMAL_90 * seen.sigma_after
+    return np.clip(seen.alpha_after - spread, 0, 1), np.clip(seen.alpha_after + spread, 0, 1)
+
+
+def shares(result: CalibrationResult | Saved) -> Any:
+    """Return the figure of who absorbs, after calibration: parts of the whole by band in %.
+
+    Materials by S alpha, effects, and the air by its share; the smallest materials together.
+    """
+    seen = saved(result)
+    names, parts = absorption_shares(seen, len(_SHARES))
+    figure, axes = new_figure(7.0, 4.4)
+    at = np.arange(len(seen.centre_frequencies))
+    below = np.zeros(len(at))
+    styles = [*_SHARES[: len(names) - 1], ("#FFFFFF", "")]
+    for name, part, (color, hatch) in zip(names, parts, styles, strict=True):
+        axes.bar(
+            at, part, 0.75, bottom=below, facecolor=color, hatch=hatch, edgecolor=BLACK,
+            linewidth=0.6, label=shown(name, 26),
+        )  # fmt: skip
+        below = below + part
+    many = len(at) > 10
+    axes.set_xticks(at, [f"{f:g}" for f in seen.centre_frequencies], rotation=90 if many else 0)
+    axes.set_xlabel("Band centre frequency / Hz")
+    axes.set_ylabel("Share of the absorption / %")
+    axes.set_ylim(0, 100)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles[::-1], labels[::-1], loc="outside right upper", fontsize=9)
+    axes.set_title("Who absorbs, after calibration")
+    return figure
+
+
+def absorption_shares(seen: Saved, most: int) -> tuple[list[str], Array]:
+    """Return names and shares in %, (n_names, n_bands), of materials, effects and, last, the air.
+
+    Not more than ``most`` names beside the air: the smallest materials are put together.
+    """
+    area = seen.areas[:, np.newaxis] * seen.alpha_after
+    order = np.argsort(-area.sum(axis=1), kind="stable")
+    effects = bool(np.any(seen.added_absorption))
+    single = len(order) if len(order) + effects <= most else most - 1 - effects
+    names = [seen.materials[i] for i in order[:single]]
+    parts = [area[i] for i in order[:single]]
+    if single < len(order):
+        names.append(f"{len(order) - single} other materials")
+        parts.append(area[order[single:]].sum(axis=0))
+    if effects:
+        names.append("effects: " + ", ".join(seen.record["effects"]))
+        parts.append(seen.added_absorption)
+    surfaces = np.sum(parts, axis=0)
+    of_surfaces = 100 * (1 - seen.air_share) / np.where(surfaces > 0, surfaces, 1.0)
+    return [*names, "air"], np.array([*(p * of_surfaces for p in parts), 100 * seen.air_share])
+
+
+def plane_of(
+    result: CalibrationResult | Saved,
+    pair: tuple[str, str] | None = None,
+    frequency: float | None = None,
+) -> Any:
+    """Return the figure of a calibration in the plane of two of its materials; see `plane`.
+
+    The other materials stay at their calibrated coefficients. If not given: the two materials with
+    the largest S sigma, which a calibration moves most, and the band whose gap was largest.
+
+    Raises
+    ------
+    DataError
+        For a material or a band that the room lacks, a band that was not matched, or a room of one
+        material.
+    """
+    seen = saved(result)
+    if len(seen.materials) < 2:
+        raise DataError("a plane takes two materials; the room has one")
+    k = _band(seen, frequency)
+    if pair is None:
+        weight = seen.areas * seen.sigma_before[:, k]
+        rows = np.sort(np.argsort(-weight, kind="stable")[:2])
+    else:
+        if missing := [name for name in pair if name not in seen.materials]:
+            raise DataError(f'the room has no material "{missing[0]}"')
+        rows = np.array([seen.materials.index(name) for name in pair])
+        if rows[0] == rows[1]:
+            raise DataError(f'a plane takes two materials, not "{pair[0]}" twice')
+    others = np.delete(np.arange(len(seen.areas)), rows)
+    left = seen.target[k] - seen.added_absorption[k]
+    left -= seen.areas[others] @ seen.alpha_after[others, k]
+    names = seen.materials[rows[0]], seen.materials[rows[1]]
+    correlation = 0.0
+    for entry in seen.record["material_correlation"]:
+        if set(entry["materials"]) == set(names):
+            correlation = float(entry["value"])
+    rest = f", the {len(others)} others as calibrated" if len(others) else ""
+    return plane(
+        seen.alpha_before[rows, k], seen.sigma_before[rows, k], seen.areas[rows], float(left),
+        seen.alpha_after[rows, k], names=names, correlation=correlation,
+        title=f"{seen.centre_frequencies[k]:g} Hz{rest}",
+    )  # fmt: skip
+
+
+def _band(seen: Saved, frequency: float | None) -> int:
+    """Place of a matched band: the one asked for, else the one with the largest gap before."""
+    if frequency is None:
+        if not seen.matched.any():
+            raise DataError("no band was matched, so there is no plane to show")
+        gap = np.abs(np.where(seen.matched, np.nan_to_num(seen.gap_before), -1.0))
+        return int(np.argmax(np.where(seen.matched, gap, -1.0)))
+    found = np.flatnonzero((seen.centre_frequencies == frequency) & seen.matched)
+    if not len(found):
+        raise DataError(f"{frequency:g} Hz is no band of the room that was matched")
+    return int(found[0])
+
+
+def plane(
+    mu: Array,
+    sigma: Array,
+    areas: Array,
+    target: float,
+    alpha: Array,
+    *,
+    names: tuple[str, str] = ("1", "2"),
+    correlation: float = 0.0,
+    truth: Array | None = None,
+    title: str = "",
+) -> Any:
+    """Return the figure of a calibration of two coefficients (Bellows & Katz 2025, Figs. 1 and 3).
+
+    The prior's ellipses of 1, 2 and 3 standard deviations about mu, the line S'alpha = b of all
+    coefficients that give the measured T, and the step to the likeliest of them.
+
+    Parameters
+    ----------
+    mu, sigma, areas, alpha : array (2,)
+        Prior, areas in m², calibrated coefficients.
+    target : float
+        b in m².
+    names : (str, str)
+    correlation : float
+        Of the two priors.
+    truth : array (2,), optional
+        Where it is known.
+    title : str
+    """
+    mu, sigma, areas, alpha = (np.asarray(v, dtype=float) for v in (mu, sigma, areas, alpha))
+    figure, axes = new_figure(5.6, 5.9)
+    turn = np.linspace(0, 2 * np.pi, 361)
+    circle = np.array([np.cos(turn), np.sin(turn)])
+    root = np.array([[1.0, 0.0], [correlation, np.sqrt(1 - correlation**2)]])
+    for n, style in ((1, "-"), (2, "--"), (3, ":")):
+        ellipse = mu[:, np.newaxis] + n * sigma[:, np.newaxis] * (root @ circle)
+        axes.plot(*ellipse, color="0.45", linestyle=style, linewidth=1, label=f"prior, {n} σ")
+    points = [mu, alpha] if truth is None else [mu, alpha, np.asarray(truth, dtype=float)]
+    reach = np.maximum(3.3 * sigma, 1.2 * np.max(np.abs(np.array(points) - mu), axis=0))
+    reach = np.maximum(reach, 0.02)
+    low, high = np.maximum(mu - reach, -0.02), np.minimum(mu + reach, 1.02)
+    across = np.linspace(low[0], high[0], 2)
+    axes.plot(
+        across, (target - areas[0] * across) / areas[1], color=BLACK, linewidth=1.8,
+        label="gives the measured T",
+    )  # fmt: skip
+    axes.annotate(
+        "", xy=alpha, xytext=mu, arrowprops={"arrowstyle": "->", "color": BLUE, "linewidth": 1.5}
+    )
+    axes.plot(*mu, color=ORANGE, marker="s", markersize=8, markerfacecolor="white",
+              linestyle="none", label="before (prior)")  # fmt: skip
+    axes.plot(*alpha, color=BLUE, marker="o", markersize=8, linestyle="none", label="calibrated")
+    if truth is not None:
+        axes.plot(*points[2], color=GREEN, marker="*", markersize=13, linestyle="none",
+                  label="true")  # fmt: skip
+    for end in (0.0, 1.0):
+        axes.axvline(end, color=BLACK, linewidth=0.6, linestyle="-.")
+        axes.axhline(end, color=BLACK, linewidth=0.6, linestyle="-.")
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_xlabel(f"α of {shown(names[0], 30)}, {areas[0]:.4g} m²")
+    axes.set_ylabel(f"α of {shown(names[1], 30)}, {areas[1]:.4g} m²")
+    axes.set_title(title)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9)
+    return figure

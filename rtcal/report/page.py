@@ -1,0 +1,289 @@
+"""The page: one HTML file that needs nothing else, for people who would rather look than read.
+
+The one module that imports jinja2, with autoescaping: whatever a material is called, it is text.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import rtcal
+from rtcal.acoustics import room_files
+from rtcal.acoustics.files import write_text
+from rtcal.acoustics.quality import letters
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.report import figures, loop_figures, loop_words, material_figures, words
+from rtcal.report.saved import Saved, from_dict, read_json, saved
+
+if TYPE_CHECKING:
+    from rtcal.calibration.result import CalibrationResult
+    from rtcal.closed_loop import Loop
+
+MAX_BYTES = 2 * 10**6
+"""Bytes that a page may have."""
+MOST_MATERIALS = 100
+"""Materials in the page's table; those that absorb most."""
+_BANDS_ABREAST = 7
+
+
+def page(
+    result: CalibrationResult | Saved,
+    *,
+    finding: Mapping[str, Any] | None = None,
+    finding_figures: Sequence[tuple[Any, str]] = (),
+    progress: Callable[[], None] | None = None,
+) -> str:
+    """Return a calibration as one self-contained HTML page, no script, no network, under 2 MB.
+
+    Parameters
+    ----------
+    result : CalibrationResult or Saved
+    finding : mapping, optional
+        What the model may be missing: ``summary`` (list of sentences), ``verdict``, ``effect``,
+        ``candidates`` (list of names), ``evidence`` (name to nats) and ``notes`` (list of
+        sentences), each optional.
+    finding_figures : sequence of (figure, caption)
+        Its figures.
+    progress : callable, optional
+        Called after each figure.
+
+    Raises
+    ------
+    MissingDependencyError
+        Without jinja2 or matplotlib.
+    DataError
+        If the page would be larger than 2 MB.
+    """
+    seen = saved(result)
+    step = progress or (lambda: None)
+    clean, marked = words.usable(seen)
+    shifts, shift_count = words.large_shifts(seen)
+    certificate = {
+        short: f"{max(v for v in seen.record['certificate'][key] if v is not None):.1e}"
+        for short, key in (("primal", "primal_residual"), ("dual", "dual_residual"),
+                           ("gap", "duality_gap"))
+    }  # fmt: skip
+    bounds = [v for m in seen.record["materials"] for v in m["error_bound"] if v is not None]
+    certificate["error"] = f"{max(bounds):.1e}"
+    return _render("calibration.html", {
+        "title": f"{seen.record['room']}: calibration",
+        "seen": seen,
+        "summary": words.summary(seen),
+        "verdict": words.verdict(seen),
+        "hertz": words.hertz,
+        "clean": clean,
+        "marked": marked,
+        "doubts": words.doubts(seen.trust_marks),
+        "shifts": shifts,
+        "shift_count": shift_count,
+        "large_shift": f"{words.LARGE_SHIFT:g}",
+        "not_met": words.not_met(seen),
+        "finding": _finding(finding, finding_figures, step),
+        "figures": _figures(seen, step),
+        "blocks": _blocks(len(seen.centre_frequencies)),
+        "labels": words.band_labels(seen),
+        "band_rows": _band_rows(seen),
+        "band_letters": [letters(seen.trust_marks, f) for f in seen.centre_frequencies],
+        "materials": _materials(seen),
+        "interval_note": _interval_note(seen),
+        "assumed": words.assumed(seen),
+        "sources": [(m["name"], m["source"]) for m in seen.record["materials"] if m["source"]],
+        "certificate": certificate,
+        "inputs": _inputs(seen),
+        "command": words.command(seen),
+        "composed": words.composed(seen),
+    })  # fmt: skip
+
+
+def loop_page(loop: Loop, *, progress: Callable[[], None] | None = None) -> str:
+    """Return a closed loop as such a page; DataError if nothing has been simulated yet."""
+    figure = loop_figures.path(loop)
+    source = _source(figure, progress or (lambda: None))
+    return _render("loop.html", {
+        "title": f"{loop.room.name}: closed loop",
+        "loop_state": loop,
+        "summary": loop_words.summary(loop),
+        "assumed": loop_words.assumed(loop),
+        "figure": {"source": source, "alt": "T20 wanted and simulated by band; gap by simulation",
+                   "caption": "Left: T20 by band. Right: how far each simulation was off."},
+        "bands": loop_words.bands_table(loop),
+        "blocks": _blocks(loop.room.n_bands),
+        "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
+        "materials": loop_words.materials_table(loop),
+    })  # fmt: skip
+
+
+def page_of(path: str | os.PathLike[str], progress: Callable[[], None] | None = None) -> str:
+    """Return the page of what rtcal saved: ``result.json``, its folder, or the state of a loop."""
+    from rtcal import loop_state
+    from rtcal.closed_loop import Loop
+
+    place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
+    record = read_json(place)
+    if record.get("rtcal") == loop_state.KIND:
+        return loop_page(Loop.load(os.fspath(place)), progress=progress)
+    return page(from_dict(record, os.fspath(place)), progress=progress)
+
+
+def write(path: str | os.PathLike[str], text: str) -> None:
+    """Write a page, whole or not at all."""
+    write_text(path, text)
+
+
+def _render(template: str, values: Mapping[str, Any]) -> str:
+    try:
+        import jinja2
+    except ImportError as error:
+        raise MissingDependencyError(
+            "the page needs jinja2: pip install 'rtcal[report]'"
+        ) from error
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("rtcal.report"), autoescape=True,
+        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters["fixed"] = _fixed
+    environment.filters["signed"] = _signed
+    text = environment.get_template(template).render(version=rtcal.__version__, **values)
+    if (size := len(text.encode("utf-8", errors="backslashreplace"))) > MAX_BYTES:
+        raise DataError(f"the page would have {size} bytes, more than {MAX_BYTES}")
+    return text
+
+
+def _blocks(n_bands: int) -> list[slice]:
+    """Bands that stand side by side in a table, so that it fits a sheet of paper."""
+    return [slice(k, k + _BANDS_ABREAST) for k in range(0, n_bands, _BANDS_ABREAST)]
+
+
+def _fixed(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else "–"
+
+
+def _signed(value: float, digits: int) -> str:
+    if not np.isfinite(value):
+        return "–"
+    text = f"{value:+.{digits}f}"
+    return text.replace("-", "−") if float(text) else text.lstrip("+-")
+
+
+def _source(figure: Any, step: Callable[[], None]) -> str:
+    """A figure as a data URI: its own document, so that its ids and names stay in it."""
+    content = base64.b64encode(figures.rendered(figure, "svg")).decode()
+    step()
+    return f"data:image/svg+xml;base64,{content}"
+
+
+def _figures(seen: Saved, step: Callable[[], None]) -> dict[str, dict[str, str]]:
+    room = seen.record["room"]
+    drawn: dict[str, tuple[Any, str, str]] = {
+        "gap": (
+            figures.gap(seen), "Gap to the measured reverberation time by band, before and after",
+            "How far the model's reverberation time was from the measured one: before (bars) and after "
+            "calibration (dots).",
+        ),
+        "reverberation_time": (
+            figures.reverberation_time(seen), "Reverberation time by band: measured, before, after",
+            "Reverberation time by band, with the band of one JND around the measured one.",
+        ),
+        "coefficients": (
+            material_figures.coefficients(seen), "Absorption coefficients by material and band",
+            "Absorption coefficients before and after, with 90 % intervals. Where the two intervals "
+            "are alike, the measurement taught nothing about the material.",
+        ),
+        "shares": (
+            material_figures.shares(seen), "Share of each material in the absorption by band",
+            "Who absorbs: each material's share of the room's whole absorption, after calibration.",
+        ),
+    }  # fmt: skip
+    if len(seen.materials) > 1 and seen.matched.any():
+        drawn["plane"] = (
+            material_figures.plane_of(seen), "The calibration in the plane of two materials",
+            "The step that the calibration takes, seen for two materials: from what was stated "
+            "to what the method chose. On the line lie all coefficients that give the measured "
+            "reverberation time.",
+        )  # fmt: skip
+    found = {
+        name: {"source": _source(figure, step), "alt": f"{room}: {alt}", "caption": caption}
+        for name, (figure, alt, caption) in drawn.items()
+    }
+    return found | ({} if "plane" in found else {"plane": {}})
+
+
+def _finding(
+    finding: Mapping[str, Any] | None,
+    pictures: Sequence[tuple[Any, str]],
+    step: Callable[[], None],
+) -> dict[str, Any] | None:
+    if finding is None and not pictures:
+        return None
+    given = dict(finding or {})
+    return {
+        "summary": list(given.get("summary", ())),
+        "verdict": given.get("verdict", ""),
+        "effect": given.get("effect", ""),
+        "candidates": list(given.get("candidates", ())),
+        "evidence": sorted(dict(given.get("evidence", {})).items(), key=lambda e: -e[1]),
+        "notes": list(given.get("notes", ())),
+        "figures": [
+            {"source": _source(figure, step), "alt": caption, "caption": caption}
+            for figure, caption in pictures
+        ],
+    }
+
+
+def _band_rows(seen: Saved) -> list[tuple[str, Any, int, bool]]:
+    """Name, values, decimals and whether the sign is shown, of each row of the band table."""
+    return [
+        ("measured T / s", seen.measured, 3, False),
+        ("its uncertainty / s", seen.uncertainty, 3, False),
+        ("T before / s", seen.before, 3, False),
+        ("T after / s", seen.after, 3, False),
+        ("gap before / JND", seen.gap_before, 1, True),
+        ("gap after / JND", seen.gap_after, 1, True),
+        ("z", seen.z, 1, True),
+        ("absorption area of the surfaces / m²", seen.areas @ seen.alpha_after, 2, False),
+        ("air's share / %", 100 * seen.air_share, 0, False),
+    ]
+
+
+def _materials(seen: Saved) -> list[dict[str, Any]]:
+    low, high = material_figures.intervals(seen)
+    size = np.max(seen.areas[:, np.newaxis] * seen.alpha_after, axis=1)
+    rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS])
+    return [
+        {
+            "name": seen.materials[i],
+            "area": seen.areas[i],
+            "cells": [
+                {"before": seen.alpha_before[i, k], "after": seen.alpha_after[i, k],
+                 "low": low[i, k], "high": high[i, k], "star": "*" if seen.at_bound[i, k] else ""}
+                for k in range(len(seen.centre_frequencies))
+            ],
+        }
+        for i in rows
+    ]  # fmt: skip
+
+
+def _interval_note(seen: Saved) -> str:
+    if seen.interval is not None:
+        return "The intervals are those of the exact posterior distribution, within the bounds."
+    return (
+        "The intervals are those of the linear estimate, alpha ± 1.645 standard deviations cut to 0 to "
+        "1: exact ones would take sampling here, or the method has no posterior distribution."
+    )
+
+
+def _inputs(seen: Saved) -> dict[str, str] | None:
+    """The two files as data URIs; None for a room that is larger than a room's file may be."""
+    texts = {key: seen.record["inputs"][key].encode() for key in ("room", "measured")}
+    if len(texts["room"]) > room_files.MAX_BYTES:
+        return None
+    return {
+        key: "data:text/plain;base64," + base64.b64encode(text).decode()
+        for key, text in texts.items()
+    }
