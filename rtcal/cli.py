@@ -1,8 +1,6 @@
 """The command: parse, call, print, exit code.
 
-Exit codes: 0 done; 2 the input, the model or the target cannot be used (one line on standard error
-says why); 3 the solver failed; 4 an optional library is missing; 5 the
-output cannot be printed.
+The exit codes are those of `EXIT_CODES`; one line on standard error says what is wrong.
 """
 
 from __future__ import annotations
@@ -19,6 +17,7 @@ import click
 
 import rtcal
 from rtcal.acoustics.files import spare
+from rtcal.console import json_option, quiet_option
 from rtcal.errors import (
     DataError,
     MissingAirWarning,
@@ -28,6 +27,7 @@ from rtcal.errors import (
 )
 from rtcal.io_commands import export, import_room, measure, table
 from rtcal.loop_command import loop
+from rtcal.report_command import report
 from rtcal.study_command import study
 
 if TYPE_CHECKING:
@@ -42,13 +42,45 @@ WRITTEN = ("room.toml", "result.json", "reverberation_time.png")
 """What `calibrate` writes into its folder."""
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+EXIT_CODES = {
+    0: "done",
+    2: "the input, the model or the target cannot be used",
+    3: "the solver failed",
+    4: "an optional library is missing",
+    5: "the output cannot be printed",
+    130: "interrupted",
+}
+
+_EPILOG = "\b\nExit codes:\n" + "\n".join(
+    f"  {code:3d}  {text}" for code, text in EXIT_CODES.items()
+)
+
+
+class _MainPathFirst(click.Group):
+    """Commands in the order in which a user meets them, not in that of the alphabet."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
+@click.group(
+    cls=_MainPathFirst, context_settings={"help_option_names": ["-h", "--help"]}, epilog=_EPILOG
+)
 @click.version_option(rtcal.__version__)
 def cli() -> None:
-    """Calibrate the absorption coefficients of a room-acoustic model."""
+    """Calibrate the absorption coefficients of a room-acoustic model.
+
+    \b
+    rtcal calibrate room.toml t20.csv --out calibrated
+    rtcal report calibrated
+
+    The files: a room in TOML, measurements in CSV. Every command takes --quiet and --json, says in
+    one line what is wrong, and writes its files whole or not at all. `rtcal COMMAND --help` has an
+    example of each.
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
 
 
-@cli.command()
+@cli.command(short_help="Calibrate a room to measured reverberation times.")
 @click.argument("room", type=click.Path())
 @click.argument("measured", type=click.Path())
 @click.option(
@@ -71,8 +103,8 @@ def cli() -> None:
     help="Folder for the calibrated room (room.toml), everything (result.json) and T(f) "
     "(reverberation_time.png). Nothing is written without it.",
 )  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the tables.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@json_option
+@quiet_option
 def calibrate(
     room: str,
     measured: str,
@@ -87,6 +119,8 @@ def calibrate(
     """Calibrate ROOM (TOML) to MEASURED (CSV) and print T, gaps and coefficients per band.
 
     Example: rtcal calibrate room.toml t20.csv --out calibrated
+
+    `rtcal report calibrated` makes a page of what was written.
     """
     if out is not None:
         if not out:
@@ -133,7 +167,7 @@ def _write(result: CalibrationResult, folder: Path) -> list[Path]:
     return list(contents)
 
 
-for command in (study, measure, table, import_room, export, loop):
+for command in (report, loop, measure, table, import_room, export, study):
     cli.add_command(command)
 
 

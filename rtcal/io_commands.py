@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rtcal.acoustics.files import spare
+from rtcal.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -17,55 +18,89 @@ if TYPE_CHECKING:
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 
-@click.command()
+@click.command(short_help="Impulse responses (WAV) to T20, T30, EDT, C50, C80, D50, Ts.")
 @click.argument("responses", type=click.Path(), nargs=-1, required=True)
 @click.option(
-    "--bands", type=click.Choice(("octave", "third-octave")), default="octave", show_default=True
-)
+    "--bands", type=click.Choice(("octave", "third-octave")), default="octave", show_default=True,
+    help="Width of the bands.",
+)  # fmt: skip
 @click.option(
     "--minimum-range", "ranges", multiple=True, metavar="PARAMETER=DB",
     help="The impulse-to-noise ratio that a parameter needs, in place of ISO 3382's: t30=38.",
 )  # fmt: skip
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
+@json_option
+@quiet_option
 def measure(
-    responses: tuple[str, ...], bands: str, ranges: tuple[str, ...], out: str | None
+    responses: tuple[str, ...],
+    bands: str,
+    ranges: tuple[str, ...],
+    out: str | None,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     """T20, T30, EDT, C50, C80, D50 and Ts of RESPONSES (WAV), and why any is missing.
 
     Example: rtcal measure *.wav --out t.csv
     """
     from rtcal.io import impulse_responses
+    from rtcal.progress import bar
 
     spare([] if out is None else [out], responses)
-    analysis = impulse_responses.read(
-        responses, bands=bands, minimum_range=_assignments(ranges, "DB")
-    )
-    _write_and_print(analysis, out)
+    with bar(len(responses), "response", bar_wanted(quiet)) as shown:
+        analysis = impulse_responses.read(
+            responses, bands=bands, minimum_range=_assignments(ranges, "DB"),
+            progress=lambda: shown.update(1),
+        )  # fmt: skip
+    notes = {
+        "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,
+        "missing": analysis.missing, "notes": analysis.notes,
+    }  # fmt: skip
+    _write_and_tell(analysis, notes, out, as_json, quiet)
 
 
-@click.command()
+@click.command(short_help="A measuring system's table (CSV) to a measurement.")
 @click.argument("path", type=click.Path())
 @click.option("--decay-time", help="t20 or t30: what a column RT60 or T60 holds.")
 @click.option("--parameter", help="What the values are, where the table does not say it.")
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
-def table(path: str, decay_time: str | None, parameter: str | None, out: str | None) -> None:
-    """Read a measuring system's table (CSV) and say how each column was taken."""
+@json_option
+@quiet_option
+def table(
+    path: str,
+    decay_time: str | None,
+    parameter: str | None,
+    out: str | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Read a measuring system's table (CSV) and say how each column was taken.
+
+    Example: rtcal table dirac.csv --decay-time t20 --out t.csv
+    """
     from rtcal.io import tables
 
     spare([] if out is None else [out], [path])
-    _write_and_print(tables.read(path, decay_time=decay_time, parameter=parameter), out)
+    found = tables.read(path, decay_time=decay_time, parameter=parameter)
+    _write_and_tell(found, {"columns": found.columns}, out, as_json, quiet)
 
 
-def _write_and_print(found: Analysis | Table, out: str | None) -> None:
+def _write_and_tell(
+    found: Analysis | Table, notes: dict[str, Any], out: str | None, as_json: bool, quiet: bool
+) -> None:
     """The file first: whoever reads the page may close it half-way (``| head``)."""
     if out is not None:
         found.measurement.save(out)
-    click.echo(str(found))
-    if out is not None:
-        click.echo(f"Written: {out}")
+    measurement = found.measurement
+    record = {
+        "centre_frequencies": measurement.centre_frequencies, "pairs": measurement.pairs,
+        "values": measurement.values, **notes, "written": out,
+    }  # fmt: skip
+    text = str(found) if out is None else f"{found}\nWritten: {out}"
+    tell(text, record, quiet=quiet, as_json=as_json)
 
 
-@click.command("import")
+@click.command("import", short_help="A program's material list and a mesh to a room.")
 @click.argument("program", type=click.Choice(PROGRAMS))
 @click.argument("materials", type=click.Path())
 @click.option("--mesh", type=click.Path(), help="OBJ with the materials' names: areas and volume.")
@@ -75,6 +110,8 @@ def _write_and_print(found: Analysis | Table, out: str | None) -> None:
     "--area", "areas", multiple=True, metavar="MATERIAL=M2", help="Without a mesh, one a material."
 )
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room (TOML) to write.")
+@json_option
+@quiet_option
 def import_room(
     program: str,
     materials: str,
@@ -83,6 +120,8 @@ def import_room(
     volume: float | None,
     areas: tuple[str, ...],
     out: str,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
 
@@ -106,22 +145,30 @@ def import_room(
         stated = _assignments(areas, "M2")
         room = listed.room(name=name, volume=volume, areas=stated)
     room.save(out)
-    click.echo(f"V = {room.volume:.6g} m³, S = {room.total_area:.6g} m²")
-    for material, area in zip(room.materials, room.areas, strict=True):
-        click.echo(f"{area:10.3f} m²  {material}")
-    if unused := [m for m in listed.names if m not in room.materials]:
-        click.echo(f"Left out, without area: {', '.join(unused)}")
-    click.echo(f"Written: {out}")
+    unused = [m for m in listed.names if m not in room.materials]
+    areas_of = dict(zip(room.materials, room.areas.tolist(), strict=True))
+    lines = [
+        f"V = {room.volume:.6g} m³, S = {room.total_area:.6g} m²",
+        *(f"{area:10.3f} m²  {material}" for material, area in areas_of.items()),
+        *([f"Left out, without area: {', '.join(unused)}"] if unused else []),
+        f"Written: {out}",
+    ]
+    record = {"volume": room.volume, "areas": areas_of, "left_out": unused, "written": out}
+    tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 
-@click.command()
+@click.command(short_help="A calibrated room into a program's material list.")
 @click.argument("program", type=click.Choice(PROGRAMS))
 @click.argument("room", type=click.Path())
 @click.argument("materials", type=click.Path())
 @click.option(
     "--template", type=click.Path(), help="Program's own file to change; else MATERIALS itself."
 )
-def export(program: str, room: str, materials: str, template: str | None) -> None:
+@json_option
+@quiet_option
+def export(
+    program: str, room: str, materials: str, template: str | None, as_json: bool, quiet: bool
+) -> None:
     """Write ROOM's coefficients into a program's MATERIALS; print what the rounding does to T.
 
     Example: rtcal export catt calibrated/room.toml hall.geo
@@ -131,7 +178,15 @@ def export(program: str, room: str, materials: str, template: str | None) -> Non
     from rtcal.acoustics.room import Room
 
     module = import_module(f"rtcal.io.{program}")
-    click.echo(str(module.write(Room.from_file(room), materials, template=template)))
+    done = module.write(Room.from_file(room), materials, template=template)
+    record = {
+        "written": done.path, "equation": done.equation,
+        "centre_frequencies": done.room.centre_frequencies,
+        "reverberation_time": done.reverberation_time,
+        "reverberation_time_as_read": done.reverberation_time_as_read, "change_jnd": done.change,
+        "bands_not_written": done.bands_not_written,
+    }  # fmt: skip
+    tell(str(done), record, quiet=quiet, as_json=as_json)
 
 
 def _assignments(texts: tuple[str, ...], unit: str) -> dict[str, float]:

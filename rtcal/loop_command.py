@@ -7,34 +7,50 @@ from typing import TYPE_CHECKING
 import click
 
 from rtcal.acoustics.files import spare
+from rtcal.console import json_option, quiet_option, tell
 from rtcal.errors import DataError
 
 if TYPE_CHECKING:
     from rtcal.closed_loop import Loop
 
 
-@click.group()
+@click.group(short_help="The closed loop with a program that is run by hand.")
 def loop() -> None:
     """Calibrate a program run by hand (CATT, ODEON): start, simulate, next, simulate, ..."""
 
 
-@loop.command()
+@loop.command(short_help="Begin: write what to simulate first.")
 @click.argument("room", type=click.Path())
 @click.argument("measured", type=click.Path())
 @click.option("--state", type=click.Path(dir_okay=False), required=True, help="State to write.")
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
-@click.option("--method", default="mle", show_default=True)
+@click.option(
+    "--method", default="mle", show_default=True, help="mle, lse, soft, smooth or robust."
+)
 @click.option(
     "--rule", type=click.Choice(("secant", "safeguarded", "regression")), default="safeguarded",
-    show_default=True,
+    show_default=True, help="How the next target is found; see docs/closed_loop.md.",
 )  # fmt: skip
 @click.option(
     "--decimals", type=click.IntRange(1, 12), help="Decimals of alpha that the program reads."
 )
+@json_option
+@quiet_option
 def start(
-    room: str, measured: str, state: str, out: str, method: str, rule: str, decimals: int | None
+    room: str,
+    measured: str,
+    state: str,
+    out: str,
+    method: str,
+    rule: str,
+    decimals: int | None,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
-    """Write ROOM (TOML) with the coefficients to simulate first, for MEASURED (CSV)."""
+    """Write ROOM (TOML) with the coefficients to simulate first, for MEASURED (CSV).
+
+    Example: rtcal loop start room.toml t.csv --state loop.json --out next.toml --decimals 2
+    """
     from rtcal import closed_loop
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
@@ -46,22 +62,26 @@ def start(
     )  # fmt: skip
     first = begun.calibrated(begun.wanted)
     _write(begun, state, out)
-    for beyond in first.unreachable:
-        click.echo(f"{beyond} (the nearest is taken)")
-    click.echo(f"Simulate {out} first.")
+    beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
+    record = {"state": state, "simulate": out, "unreachable": beyond}
+    tell("\n".join([*beyond, f"Simulate {out} first."]), record, quiet=quiet, as_json=as_json)
 
 
-@loop.command(name="next")
+@loop.command(name="next", short_help="Go on: take in what was simulated.")
 @click.argument("room", type=click.Path())
 @click.argument("simulated", type=click.Path())
 @click.option(
     "--state", type=click.Path(dir_okay=False), required=True, help="State to go on from."
 )
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
-def next_(room: str, simulated: str, state: str, out: str) -> None:
+@json_option
+@quiet_option
+def next_(room: str, simulated: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
     """Take in what the program SIMULATED (CSV) and write what to simulate next.
 
-    ROOM is the file that `start` was given.
+    ROOM is the file that `start` was given. `rtcal report STATE` shows the path so far.
+
+    Example: rtcal loop next room.toml simulated.csv --state loop.json --out next.toml
     """
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
@@ -75,12 +95,18 @@ def next_(room: str, simulated: str, state: str, out: str) -> None:
     except DataError as error:
         raise DataError(f"{simulated}: {error}") from error
     _write(going, state, out)
-    for frequency, gap, status in zip(
-        going.room.centre_frequencies, going.gap, going.status, strict=True
-    ):
-        open_still = not going.finished and status == "not converging"
-        click.echo(f"{frequency:7g} Hz  {gap:+6.2f} JND  {'not yet' if open_still else status}")
-    click.echo("Done." if going.finished else f"Simulate {out} next.")
+    finished, frequencies = going.finished, going.room.centre_frequencies
+    said = ["not yet" if s == "not converging" and not finished else s for s in going.status]
+    lines = [
+        f"{frequency:7g} Hz  {gap:+6.2f} JND  {status}"
+        for frequency, gap, status in zip(frequencies, going.gap, said, strict=True)
+    ]
+    lines.append("Done." if finished else f"Simulate {out} next.")
+    record = {
+        "finished": finished, "state": state, "simulate": out,
+        "centre_frequencies": frequencies, "gap_jnd": going.gap, "status": said,
+    }  # fmt: skip
+    tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 
 def _write(going: Loop, state: str, out: str) -> None:

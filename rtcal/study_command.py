@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from rtcal.console import bar_wanted, json_option, json_text, quiet_option
 from rtcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -17,30 +18,40 @@ ROOMS = ("shoebox", "lecture-hall", "halls")
 NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 
-@click.command()
+@click.command(short_help="The paper's stochastic study beside its numbers.")
 @click.option(
     "--room", "rooms", type=click.Choice(ROOMS), multiple=True, default=("shoebox",),
     show_default=True,
     help="shoebox: Tables 1 and 2. lecture-hall: Table 3 with a stand-in for the hall, whose areas "
     "the paper does not give. halls: five halls at random, analytic. May be given several times.",
 )  # fmt: skip
-@click.option("--sigma-r", multiple=True, type=float, default=(0.01, 0.05, 0.1), show_default=True)
-@click.option("--realisations", type=click.IntRange(1), default=10_000, show_default=True)
+@click.option(
+    "--sigma-r", multiple=True, type=float, default=(0.01, 0.05, 0.1), show_default=True,
+    help="Parameter of the Rayleigh distribution of sigma. May be given several times.",
+)  # fmt: skip
+@click.option(
+    "--realisations", type=click.IntRange(1), default=10_000, show_default=True,
+    help="Rooms drawn.",
+)  # fmt: skip
 @click.option(
     "--trials", type=click.IntRange(0), default=10_000, show_default=True,
-    help="0: the analytic study only.",
+    help="Draws of the true coefficients for each room; 0: the analytic study only.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Of the random numbers: the same seed, the same tables.",
+)  # fmt: skip
 @click.option("--workers", type=click.IntRange(1), help="Threads; default: all cores.")
 @click.option(
     "--folder", type=click.Path(file_okay=False),
-    help="Keep finished pieces here and go on from them.",
+    help="Keep finished pieces here and go on from them after an interruption.",
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(file_okay=False),
     help="Folder for the tables (CSV) and figures (PNG).",
 )  # fmt: skip
-@click.option("--progress/--no-progress", default=False, help="A progress bar (extra studies).")
+@json_option
+@quiet_option
 def study(
     rooms: tuple[str, ...],
     sigma_r: tuple[float, ...],
@@ -50,7 +61,8 @@ def study(
     workers: int | None,
     folder: str | None,
     out: str | None,
-    progress: bool,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     """Simulate random rooms and score every calibration method, beside the paper's tables.
 
@@ -62,6 +74,12 @@ def study(
     for option, value in (("--out", out), ("--folder", folder)):
         if value == "":
             raise DataError(f"{option} is empty; it is a folder")
+
+    def say(text: str) -> None:
+        if not quiet and not as_json:
+            click.echo(text)
+
+    found: list[dict[str, Any]] = []
     target = None
     if out is not None:
         from rtcal.report import figures
@@ -72,32 +90,54 @@ def study(
              "lecture-hall": list(studies.rooms.LECTURE_HALL.values())}  # fmt: skip
     for name in dict.fromkeys(rooms):
         if name == "halls":
-            click.echo(_halls(sigma_r, realisations, seed))
+            text, tables = _halls(sigma_r, realisations, seed)
+            say(text)
+            found += tables
             continue
         printed = paper.TABLE_2 if name == "shoebox" else paper.TABLE_3
-        click.echo(_heading(name))
+        say(_heading(name))
         for level in sigma_r:
             index = paper.SIGMA_R.index(level) if level in paper.SIGMA_R else None
             reference = None if index is None else {m: v[index] for m, v in printed.items()}
             if trials == 0:
                 table = studies.analytic_scores(areas[name], level, realisations, seed)
-                click.echo(_scores(level, table, reference))
+                say(_scores(level, table, reference))
+                found.append({"room": name, "sigma_r": level, "scores": table})
                 if target is not None:
                     studies.write_table(table, target / f"{name}-{level:g}-analytic-scores.csv")
                 continue
             place = None if folder is None else Path(folder) / f"{name}-{level:g}"
             done = studies.run(
                 areas[name], level, realisations, trials, seed, workers=workers, folder=place,
-                progress=progress,
+                progress=bar_wanted(quiet),
             )  # fmt: skip
-            click.echo(_scores(level, done.scores(), reference))
-            click.echo(_bounds(done))
+            say(_scores(level, done.scores(), reference))
+            say(_bounds(done))
+            found.append(
+                {
+                    "room": name,
+                    "sigma_r": level,
+                    "scores": done.scores(),
+                    "bound_effects": done.bound_effects(),
+                }
+            )
             if target is not None:
                 _write(done, target, f"{name}-{level:g}")
         if name == "shoebox":
-            click.echo(_table_1())
+            say(_table_1())
     if target is not None:
         _write_priors(target)
+    if as_json and not quiet:
+        click.echo(
+            json_text(
+                {
+                    "realisations": realisations,
+                    "trials": trials,
+                    "seed": seed,
+                    "studies": found,
+                }
+            )
+        )
 
 
 def _heading(name: str) -> str:
@@ -137,7 +177,9 @@ def _bounds(done: Study) -> str:
     return "\n".join(lines)
 
 
-def _halls(sigma_r: tuple[float, ...], realisations: int, seed: int) -> str:
+def _halls(
+    sigma_r: tuple[float, ...], realisations: int, seed: int
+) -> tuple[str, list[dict[str, Any]]]:
     from rtcal import studies
 
     lines = [
@@ -145,15 +187,17 @@ def _halls(sigma_r: tuple[float, ...], realisations: int, seed: int) -> str:
         f"{'hall':<6}{'sigma_R':>8}"
         + "".join(f"{NAMES[m]:>16}" for m in ("scaling", "lse", "mle")),
     ]
+    found: list[dict[str, Any]] = []
     for hall in studies.rooms.HALL_SEEDS:
         for level in sigma_r:
             areas = studies.rooms.random_hall(hall)
             table = studies.analytic_scores(areas, level, realisations, seed)
+            found.append({"room": f"hall {hall}", "sigma_r": level, "scores": table})
             cells = "".join(
                 f"{100 * row.score:>9.2f} ± {100 * row.standard_error:.2f}" for row in table[1:]
             )
             lines.append(f"{hall:<6}{level:>8g}{cells}")
-    return "\n".join(lines)
+    return "\n".join(lines), found
 
 
 def _table_1() -> str:

@@ -15,11 +15,11 @@ PACKAGE = Path(rt.__file__).parent
 
 # Lower may not import higher; modules of one layer may import each other without a cycle.
 LAYERS = {
-    "types": 0, "errors": 0, "jit": 0, "checks": 0,
+    "types": 0, "errors": 0, "jit": 0, "checks": 0, "progress": 0,
     "acoustics": 1, "priors": 2, "calibration": 3, "simulators": 4,
     "loop_rules": 5, "loop_state": 5, "closed_loop": 5, "studies": 5, "discrepancy": 5,
     "io": 6, "report": 6, "datasets": 6, "cli": 7, "study_command": 7, "io_commands": 7,
-    "loop_command": 7,
+    "loop_command": 7, "report_command": 7, "console": 7,
 }  # fmt: skip
 SEPARATE = [("simulators", "calibration"), ("exact", "problem"), ("closed_form", "problem")]
 ONE_DOOR = ("matplotlib", "pyroomacoustics", "pyrato", "pyfar", "numba", "tqdm", "jinja2")

@@ -403,7 +403,10 @@ def test_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         studies.run(SHOEBOX, 0.1, 1, 1, progress=True)
 
 
-def test_progress_bar(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
+    studies.run(SHOEBOX, 0.1, 250, 10, progress=True)
+    assert capsys.readouterr().err == ""  # done within two seconds
+    monkeypatch.setattr("rtcal.progress.DELAY", 0.0)
     studies.run(SHOEBOX, 0.1, 250, 10, progress=True)
     assert "3/3" in capsys.readouterr().err

@@ -30,6 +30,8 @@ from rtcal.calibration.measured import Measured, history
 from rtcal.calibration.terms import Matching, SoftMatch
 from rtcal.types import Array
 
+_MOST_FOR_INTERVALS = 40  # materials; the exact marginals' cost rises with the square
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationResult:
@@ -238,9 +240,12 @@ class CalibrationResult:
     def interval(self) -> tuple[Array, Array] | None:
         """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
 
-        Exact, from `rtcal.calibration.posterior`; None where that would take sampling (correlations,
-        order, several configurations), or where the method has no posterior (`lse`, `robust`).
+        Exact, from `rtcal.calibration.posterior`; None where that would take long (sampling, for
+        correlations, order or several configurations; or over 40 materials), or where the method
+        has no posterior (`lse`, `robust`).
         """
+        if len(self.joint.materials) > _MOST_FOR_INTERVALS:
+            return None
         from rtcal.calibration.posterior import marginal_posterior
 
         known = marginal_posterior(self.joint)

@@ -22,7 +22,7 @@ import os
 import re
 import struct
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -79,6 +79,7 @@ def read(
     *,
     bands: str | Sequence[float] = "octave",
     minimum_range: Mapping[str, float] | None = None,
+    progress: Callable[[], None] | None = None,
 ) -> Analysis:
     """Read one or more WAV files (PCM or float, 18 s at 48 kHz at most) and analyse them.
 
@@ -105,7 +106,7 @@ def read(
             if (source, called) in signals:
                 raise DataError(f"{file}: source {source}, receiver {called} is given twice")
             signals[source, called] = signal[channel]
-    return analyse(signals, bands=bands, minimum_range=minimum_range)
+    return analyse(signals, bands=bands, minimum_range=minimum_range, progress=progress)
 
 
 def analyse(
@@ -113,6 +114,7 @@ def analyse(
     *,
     bands: str | Sequence[float] = "octave",
     minimum_range: Mapping[str, float] | None = None,
+    progress: Callable[[], None] | None = None,
 ) -> Analysis:
     """Return the room-acoustic parameters of impulse responses.
 
@@ -125,6 +127,8 @@ def analyse(
         sampling rate holds them; or centre frequencies in Hz.
     minimum_range : mapping of str to float, optional
         dB, in place of `MINIMUM_RANGE` for the parameters named.
+    progress : callable, optional
+        Called after each response.
 
     Raises
     ------
@@ -164,6 +168,8 @@ def analyse(
                     f"{place}: B T = {bandwidth * t:.1f} is below {LEAST_BT:g}: the band filter's "
                     "own decay is a part of what is measured"
                 )
+        if progress is not None:
+            progress()
     return Analysis(
         measurement=Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values),
         impulse_to_noise_ratio=ratios,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -136,7 +137,8 @@ def write(path: str | os.PathLike[str], text: str) -> None:
     write_text(path, text)
 
 
-def _render(template: str, values: Mapping[str, Any]) -> str:
+@cache
+def _environment() -> Any:
     try:
         import jinja2
     except ImportError as error:
@@ -149,7 +151,11 @@ def _render(template: str, values: Mapping[str, Any]) -> str:
     )  # fmt: skip
     environment.filters["fixed"] = _fixed
     environment.filters["signed"] = _signed
-    text = environment.get_template(template).render(version=rtcal.__version__, **values)
+    return environment
+
+
+def _render(template: str, values: Mapping[str, Any]) -> str:
+    text = _environment().get_template(template).render(version=rtcal.__version__, **values)
     if (size := len(text.encode("utf-8", errors="backslashreplace"))) > MAX_BYTES:
         raise DataError(f"the page would have {size} bytes, more than {MAX_BYTES}")
     return text
@@ -274,7 +280,7 @@ def _interval_note(seen: Saved) -> str:
         return "The intervals are those of the exact posterior distribution, within the bounds."
     return (
         "The intervals are those of the linear estimate, alpha ± 1.645 standard deviations cut to 0 to "
-        "1: exact ones would take sampling here, or the method has no posterior distribution."
+        "1: exact ones would take long here, or the method has no posterior distribution."
     )
 
 

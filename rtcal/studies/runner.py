@@ -19,7 +19,8 @@ from typing import Any
 
 from rtcal import checks
 from rtcal.acoustics.files import write_bytes, write_text
-from rtcal.errors import DataError, MissingDependencyError
+from rtcal.errors import DataError
+from rtcal.progress import bar as progress_bar
 from rtcal.studies.moments import Moments
 
 IN_FLIGHT = 64  # pieces handed out and not yet taken back: bounds the memory
@@ -52,7 +53,7 @@ def run_pieces(
     folder : path, optional
         Where finished pieces are kept and found again.
     progress : bool
-        Show a bar on standard error (extra ``studies``).
+        Show a bar on standard error after two seconds (extra ``studies``).
 
     Raises
     ------
@@ -71,7 +72,7 @@ def run_pieces(
     store = None if folder is None else _open(checks.path("folder", folder), identity)
     total: Moments | None = None
     own = ThreadPoolExecutor(workers or os.cpu_count() or 1) if executor is None else None
-    with own or nullcontext(), _bar(count, progress) as bar:
+    with own or nullcontext(), progress_bar(count, "piece", progress) as bar:
         pool = own if own is not None else executor
         assigned = _hand_out(pool, compute, range(count), store)
         for number, piece in assigned:
@@ -137,26 +138,3 @@ def _read(path: Path) -> Moments | None:
         return Moments.from_bytes(path.read_bytes())
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
-
-
-class _NoBar:
-    def __enter__(self) -> _NoBar:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def update(self, _: int) -> None:
-        pass
-
-
-def _bar(count: int, progress: bool) -> Any:
-    if not progress:
-        return _NoBar()
-    try:
-        from tqdm import tqdm
-    except ImportError as error:
-        raise MissingDependencyError(
-            "the progress bar needs tqdm: pip install 'rtcal[studies]'"
-        ) from error
-    return tqdm(total=count, unit="piece", smoothing=0.05)

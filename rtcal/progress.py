@@ -1,0 +1,38 @@
+"""The progress bar: tqdm's one door."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rtcal.errors import MissingDependencyError
+
+DELAY = 2.0
+"""Seconds before a bar shows: what is done by then needs none."""
+
+
+def bar(count: int, unit: str, wanted: bool) -> Any:
+    """Return a bar of ``count`` steps on standard error, to be entered and ``update(1)``-d.
+
+    It shows after two seconds, and clears no line that was not its own; without ``wanted`` it does
+    nothing. Raises MissingDependencyError where tqdm is not installed.
+    """
+    if not wanted:
+        return _NoBar()
+    try:
+        from tqdm import tqdm
+    except ImportError as error:
+        raise MissingDependencyError(
+            "the progress bar needs tqdm: pip install 'rtcal[studies]'"
+        ) from error
+    return tqdm(total=count, unit=unit, smoothing=0.05, delay=DELAY)
+
+
+class _NoBar:
+    def __enter__(self) -> _NoBar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def update(self, _: int) -> None:
+        pass

@@ -1,0 +1,46 @@
+"""``rtcal report``: what was saved as one HTML page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rtcal.console import bar_wanted, json_option, quiet_option, tell
+from rtcal.errors import DataError
+
+_FIGURES = 5
+
+
+@click.command(short_help="Write a saved result as one HTML page.")
+@click.argument("result", type=click.Path())
+@click.option(
+    "--out", type=click.Path(dir_okay=False),
+    help="Page (HTML) to write; report.html beside the result if not given.",
+)  # fmt: skip
+@json_option
+@quiet_option
+def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
+    """Write RESULT as one HTML page: summary, what not to believe, pictures, tables.
+
+    RESULT is the folder that `rtcal calibrate --out` wrote, its result.json, or the state of an
+    `rtcal loop`. The page needs no network and no other file.
+
+    Example: rtcal report calibrated --out calibrated.html
+    """
+    from rtcal.acoustics.files import spare
+    from rtcal.progress import bar
+    from rtcal.report import page
+
+    if out == "":
+        raise DataError("--out is empty; it is a file")
+    folder = Path(result) if Path(result).is_dir() else Path(result).parent
+    target = Path(out) if out is not None else folder / "report.html"
+    spare([target], [result])
+    with bar(_FIGURES, "figure", bar_wanted(quiet)) as shown:
+        text = page.page_of(result, progress=lambda: shown.update(1))
+    page.write(target, text)
+    tell(
+        f"Written: {target}", {"written": str(target), "bytes": len(text.encode())},
+        quiet=quiet, as_json=as_json,
+    )  # fmt: skip

@@ -1,0 +1,540 @@
+"""Figures, the page, and what all commands have in common."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import click
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rtcal as rt
+from rtcal.cli import EXIT_CODES, cli, main
+from rtcal.closed_loop import Loop
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.report import saved as saving
+from rtcal.report import words
+from rtcal.simulators.equation import EquationSimulator
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed (rtcal[report])")
+pytest.importorskip("jinja2", reason="jinja2 is not installed (rtcal[report])")
+
+from rtcal.report import figures, loop_figures, material_figures, page
+
+ROOT = Path(__file__).resolve().parents[1]
+EVIL = "<script>alert(1)</script> & \"double\" 'single' $x_1$ --> ]]>"
+
+
+@pytest.fixture(scope="module")
+def result() -> rt.calibration.result.CalibrationResult:
+    return rt.calibrate(*rt.datasets.bras_cr2())
+
+
+@pytest.fixture(scope="module")
+def html(result) -> str:
+    return page.page(result)
+
+
+def evil_room() -> rt.Room:
+    return rt.Room(
+        name=f"Hall <b>bold</b> {EVIL}", volume=100, materials=[EVIL, "<img src=x onerror=alert(2)>"],
+        areas=[80.0, 60.0], alpha=[[0.1, 0.2, 0.2], [0.3, 0.4, 0.5]], sigma=np.full((2, 3), 0.05),
+        centre_frequencies=[500, 1000, 2000], air=rt.Air(), sources={EVIL: EVIL},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def evil():
+    """A calibration whose names are markup; one band unmeasured, one out of reach."""
+    return rt.calibrate(evil_room(), [100.0, np.nan, 0.4], unreachable="nearest")
+
+
+@pytest.fixture(scope="module")
+def evil_html(evil) -> str:
+    return page.page(evil)
+
+
+@pytest.fixture(scope="module")
+def loop() -> Loop:
+    room, measured = rt.datasets.bras_cr2()
+    simulator = EquationSimulator(rt.Kuttruff(path_variance=0.9), room)
+    return rt.calibrate_simulator(simulator, room, measured, rule="secant", tolerance=0.05).loop
+
+
+def no_figures(*_: object) -> dict[str, dict[str, str]]:
+    """In place of the page's figures, where their drawing is not what is tested."""
+    names = ("gap", "reverberation_time", "coefficients", "shares", "plane")
+    return {name: {"source": "data:,", "alt": "", "caption": ""} for name in names}
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(a) for a in arguments])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def line(axes, label):
+    return next(x for x in axes.get_lines() if x.get_label() == label)
+
+
+# Figures: what is drawn is what was found.
+
+
+def test_axes_have_units(result, loop) -> None:
+    every = [figures.reverberation_time(result), figures.gap(result),
+             material_figures.coefficients(result), material_figures.shares(result),
+             material_figures.plane_of(result), loop_figures.path(loop)]  # fmt: skip
+    for figure in every:
+        for axes in (a for a in figure.axes if a.get_visible()):
+            assert re.search(r"/ Hz|Simulation number|^α of .* m²$", axes.get_xlabel())
+            assert re.search(r"/ (s|JND|%)$|^α", axes.get_ylabel())
+
+
+def test_gap_and_reverberation_time(result) -> None:
+    bars = figures.gap(result).axes[0].containers[0]
+    assert [b.get_height() for b in bars] == pytest.approx(result.gap_before.tolist())
+    axes = figures.reverberation_time(result).axes[0]
+    assert line(axes, "before calibration").get_ydata() == pytest.approx(
+        result.reverberation_time_before
+    )
+    assert line(axes, "after calibration").get_ydata() == pytest.approx(result.measured)
+
+
+def test_coefficients_and_their_intervals(result) -> None:
+    axes = material_figures.coefficients(result).axes
+    assert len([a for a in axes if a.get_visible()]) == 5
+    for i, panel in enumerate(axes[:5]):
+        prior, after = (c.lines[0].get_ydata() for c in panel.containers)
+        assert prior == pytest.approx(result.prior.alpha[i])
+        assert after == pytest.approx(result.alpha[i])
+        bars = np.array(panel.containers[1].lines[2][0].get_segments())
+        low, high = bars[:, 0, 1], bars[:, 1, 1]
+        assert low == pytest.approx(result.interval[0][i])
+        assert high == pytest.approx(result.interval[1][i])
+        assert (low < result.alpha[i]).all()
+
+
+def test_intervals_without_an_exact_posterior_are_the_linear_estimates() -> None:
+    found = rt.calibrate(*rt.datasets.bras_cr2(), method="lse")
+    assert found.interval is None
+    low, high = material_figures.intervals(saving.saved(found))
+    np.testing.assert_allclose((high - low)[0] / 2, 1.6449 * found.posterior_sigma[0], rtol=1e-9)
+
+
+def test_shares_add_up_and_are_the_areas(result) -> None:
+    names, parts = material_figures.absorption_shares(saving.saved(result), 7)
+    np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
+    assert names[-1] == "air"
+    np.testing.assert_allclose(parts[-1], 100 * result.air_share, rtol=1e-12)
+    own = parts[names.index("windows")] / parts[names.index("floor")]
+    area = result.prior.areas[:, np.newaxis] * result.alpha
+    np.testing.assert_allclose(own, area[2] / area[3], rtol=1e-12)
+    names, parts = material_figures.absorption_shares(saving.saved(result), 3)
+    assert names[2:] == ["3 other materials", "air"]
+    np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
+
+
+def test_plane_of_two_materials(result) -> None:
+    axes = material_figures.plane_of(result, ("floor", "windows"), 500).axes[0]
+    x, y = line(axes, "gives the measured T").get_data()
+    k, rows = 2, [3, 2]
+    rest = np.delete(np.arange(5), rows)
+    left = result.target[k] - result.prior.areas[rest] @ result.alpha[rest, k]
+    np.testing.assert_allclose(result.prior.areas[rows] @ np.array([x, y]), left, rtol=1e-9)
+    point = [v[0] for v in line(axes, "calibrated").get_data()]
+    assert point == pytest.approx(result.alpha[rows, k].tolist())
+    ellipse = np.array(line(axes, "prior, 2 σ").get_data()) - result.prior.alpha[rows, k][:, None]
+    distance = np.linalg.norm(ellipse / result.prior.sigma[rows, k][:, None], axis=0)
+    np.testing.assert_allclose(distance, 2, rtol=1e-12)
+    for pair, frequency, said in ((("floor", "roof"), None, "roof"), (("floor",) * 2, None, "twice"),
+                                  (None, 501, "501 Hz is no band")):  # fmt: skip
+        with pytest.raises(DataError, match=said):
+            material_figures.plane_of(result, pair, frequency)
+
+
+def test_the_papers_plane() -> None:
+    """Fig. 3b: mu (.6, .5), sigma (.05, .1) gives (.54, .26); the truth is (.6, .2)."""
+    mu, sigma, areas = np.array([0.6, 0.5]), np.array([0.05, 0.1]), np.array([47.0, 47.0])
+    alpha = rt.closed_form.maximum_likelihood(mu[:, None], sigma[:, None], areas, [47 * 0.8])[:, 0]
+    assert alpha == pytest.approx([0.54, 0.26], abs=1e-9)
+    axes = material_figures.plane(mu, sigma, areas, 47 * 0.8, alpha, truth=[0.6, 0.2]).axes[0]
+    assert [v[0] for v in line(axes, "true").get_data()] == [0.6, 0.2]
+
+
+def test_the_loops_path(loop) -> None:
+    left, right = loop_figures.path(loop).axes
+    assert line(left, "first simulation").get_ydata() == pytest.approx(loop.steps[0].simulated)
+    assert len(loop.steps) >= 2
+    drawn = line(right, "125 Hz").get_ydata()
+    assert drawn[loop.best[0]] == pytest.approx(loop.gap[0])
+    assert abs(drawn[0]) > abs(drawn[loop.best[0]])
+    begun = rt.closed_loop.start(*rt.datasets.bras_cr2())
+    with pytest.raises(DataError, match="no simulation yet"):
+        loop_figures.path(begun)
+
+
+@pytest.mark.parametrize("kind", ["svg", "png"])
+def test_the_same_figure_has_the_same_bytes(result, kind) -> None:
+    first, second = (figures.rendered(figures.gap(result), kind) for _ in range(2))
+    assert first == second
+    assert len(first) > 5000
+
+
+# What is saved.
+
+
+def test_a_file_and_a_result_are_read_alike(result, tmp_path) -> None:
+    (tmp_path / "result.json").write_text(result.to_json(), encoding="utf-8")
+    one, other = saving.read(tmp_path), saving.saved(result)
+    assert one.record == json.loads(result.to_json()) == other.record
+    np.testing.assert_array_equal(one.interval, other.interval)
+    np.testing.assert_array_equal(one.alpha_after, result.alpha)
+    assert one.trust_marks == result.trust_marks
+
+
+def paths_of(value, own=()):
+    yield own
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, inner in items:
+        if isinstance(inner, dict | list):
+            yield from paths_of(inner, (*own, key))
+        else:
+            yield (*own, key)
+
+
+@settings(max_examples=100)
+@given(data=st.data())
+def test_broken_files_are_refused_or_shown(data) -> None:
+    """Whatever stands in the file, the page is written or a DataError says what is wrong."""
+    record = json.loads(RECORD)
+    where = data.draw(st.sampled_from(PATHS))
+    junk = data.draw(st.sampled_from(
+        [None, "text", -1, 1e308, float("inf"), [], {}, [1, "a"], True, {"a": None}, "remove"]
+    ))  # fmt: skip
+    inner = record
+    for key in where[:-1]:
+        inner = inner[key]
+    if junk == "remove":
+        del inner[where[-1]]
+    else:
+        inner[where[-1]] = junk
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "_figures", no_figures)
+        try:
+            text = page.page(saving.from_dict(record))
+        except DataError as error:
+            text = str(error)
+    assert "no saved calibration" in text or "What was assumed" in text
+
+
+def _record() -> str:
+    return rt.calibrate(evil_room(), [0.4, np.nan, 0.4]).to_json()
+
+
+RECORD = _record()
+PATHS = [p for p in paths_of(json.loads(RECORD)) if p]
+
+
+def test_what_is_no_result_is_refused(tmp_path) -> None:
+    path = tmp_path / "x.json"
+    for content, said in (("{", "not JSON"), ("[1]", "not a JSON object"), ("{}", '"rtcal" is not'),
+                          ("[" * 100_000, "not JSON")):  # fmt: skip
+        path.write_text(content)
+        with pytest.raises(DataError, match=said):
+            page.page_of(path)
+    with pytest.raises(DataError, match=r"result\.json: No such file"):
+        page.page_of(tmp_path)
+
+
+def test_a_loops_file_holds_its_room_and_equation(loop, tmp_path) -> None:
+    path = str(tmp_path / "loop.json")
+    loop.save(path)
+    again = Loop.load(path)
+    assert again.room.name == loop.room.name
+    np.testing.assert_array_equal(again.room.sigma, loop.room.sigma)
+    assert again.status == loop.status
+    assert again.equation == rt.Eyring()
+    other = rt.closed_loop.start(*rt.datasets.bras_cr2(), equation=rt.Kuttruff(path_variance=0.3))
+    other.save(path)
+    assert Loop.load(path).equation == rt.Kuttruff(path_variance=0.3)
+    path = tmp_path / "loop.json"
+    path.write_text(path.read_text().replace('"name": "Kuttruff"', '"name": "Nobody"'))
+    with pytest.raises(DataError, match="Nobody"):
+        Loop.load(str(path))
+
+
+# The page.
+
+
+def test_the_page_says_what_it_must(html, result) -> None:
+    for text in ("Summary", "15.6 JND at worst: at 125 Hz it had 2.49 s where 1.40 s were measured",
+                 "proves nothing", "p = 1.7e-05",
+                 "What not to believe", "below the Schroeder frequency",
+                 "What could not be met", "What was assumed", "19.5 °C", "Certificate",
+                 "rtcal calibrate room.toml t.csv --method mle --equation eyring", "cvxpy",
+                 result.measured_data.fingerprint, "250, 500, 1000 and 2000 Hz"):  # fmt: skip
+        assert text in html, text
+    assert len(html.encode()) < page.MAX_BYTES
+    assert html.count("data:image/svg+xml") == 5
+
+
+def test_the_page_needs_nothing_else(html, evil_html) -> None:
+    for text in (html, evil_html):
+        assert not re.search(r"<script|<iframe|<object|@import|url\(", text, re.I)
+        targets = re.findall(r'(?:src|href)="([^"]*)"', text)
+        assert len(targets) > 6
+        assert all(t.startswith(("data:", "#")) for t in targets)
+
+
+def test_names_are_text_in_page_and_pictures(evil_html) -> None:
+    text = evil_html
+    assert "&lt;script&gt;alert(1)&lt;/script&gt; &amp; &#34;double&#34; &#39;single&#39;" in text
+    assert "&lt;img src=x onerror=alert(2)&gt;" in text
+    assert not re.search(r"<script|<img src=x|<b>bold", text)
+    pictures = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', text)
+    assert len(pictures) == 5
+    for picture in pictures:
+        content = base64.b64decode(picture)
+        tags = {e.tag.rpartition("}")[2] for e in ElementTree.fromstring(content).iter()
+                if isinstance(e.tag, str)}  # fmt: skip
+        assert "path" in tags
+        assert not tags & {"script", "image", "foreignObject", "b"}
+
+
+def test_what_was_not_measured_or_met_is_said(evil_html) -> None:
+    text = evil_html
+    assert "beyond reach" in text
+    assert "1000 Hz: no T was measured" in text
+    assert "--unreachable nearest" in text
+    assert "No coefficient moved by more than" not in text
+
+
+def test_the_page_reproduces_itself(html, result, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("room.toml", "t.csv"):
+        (coded,) = re.findall(rf'download="{name}" href="data:text/plain;base64,([^"]+)"', html)
+        (tmp_path / name).write_bytes(base64.b64decode(coded))
+    (command,) = re.findall(r"<pre>rtcal (.*)</pre>", html)
+    assert run(*command.split(), "--quiet") == 0
+    again = saving.read(tmp_path / "calibrated")
+    np.testing.assert_allclose(again.alpha_after, result.alpha, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again.z, result.plausibility.z, rtol=1e-9)
+    np.testing.assert_allclose(again.uncertainty, result.measured_uncertainty, rtol=1e-12)
+
+
+def test_a_composed_calibration_does_not_claim_a_command() -> None:
+    room = evil_room()
+    terms = rt.terms
+    soft = rt.Calibration(terms.PriorDeviation() + 2 * terms.SoftMatch(0.05), []).build(room)
+    seen = saving.saved(soft.solve([0.4, 0.4, 0.4]))
+    assert words.command(seen) is None
+    assert any("SoftMatch" in text for text in words.assumed(seen))
+    kuttruff = rt.calibrate(room, [0.4] * 3, equation=rt.Kuttruff(path_variance=0.3))
+    assert words.command(saving.saved(kuttruff)) is None
+    assert "path_variance = 0.3" in " ".join(words.assumed(saving.saved(kuttruff)))
+    usual = rt.calibrate(room, [0.4] * 3, equation=rt.Kuttruff())
+    assert "--equation kuttruff" in str(words.command(saving.saved(usual)))
+
+
+def test_verdicts() -> None:
+    room = evil_room()
+    near = rt.Eyring().reverberation_time(room)
+    assert words.verdict(saving.saved(rt.calibrate(room, near)))[0] == "agrees"
+    assert words.verdict(saving.saved(rt.calibrate(room, 0.6 * near)))[0] == "contradicts"
+    assert words.large_shifts(saving.saved(rt.calibrate(room, near))) == ([], 0)
+    shifts, count = words.large_shifts(saving.saved(rt.calibrate(room, 0.6 * near)))
+    assert count == len(shifts) > 1
+    assert shifts[0].sigmas >= shifts[-1].sigmas > 2
+
+
+def test_a_finding_has_its_section(result) -> None:
+    finding = {"summary": ["It may lack <i>this</i>."], "verdict": "named", "effect": "opening",
+               "candidates": ["opening", "coupled room"],
+               "evidence": {"none": 0.0, "opening": 12.3}}  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "_figures", no_figures)
+        text = page.page(
+            result, finding=finding, finding_figures=[(figures.gap(result), "Evidence map")]
+        )
+        assert "discrepancy" not in page.page(result)
+    section = text.split('id="discrepancy"')[1].split("<h2")[0]
+    assert "It may lack &lt;i&gt;this&lt;/i&gt;." in section
+    assert section.index("opening</td><td>+12.3") < section.index("none</td><td>0.0")
+    assert "Evidence map" in section
+    assert "data:image/svg+xml" in section
+
+
+def test_a_loops_page(loop, tmp_path) -> None:
+    path = tmp_path / "loop.json"
+    loop.save(str(path))
+    text = page.page_of(path)
+    assert f"A simulator was run {len(loop.steps)} times" in text
+    assert "to no other" in text
+    assert text.count("<td>converged</td>") == 6
+    assert f"{loop.steps[0].simulated[0]:.3f}" in text
+
+
+def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
+    """The table takes a hundred materials; a page beyond the limit is refused."""
+    n, f = 130, [500.0, 1000.0]
+    room = rt.Room(
+        name="large", volume=5000, materials=[f"m{i}" for i in range(n)], areas=np.full(n, 20.0),
+        alpha=np.full((n, 2), 0.2), sigma=np.full((n, 2), 0.05), centre_frequencies=f, air=rt.Air(),
+    )  # fmt: skip
+    monkeypatch.setattr(page, "_figures", no_figures)
+    text = page.page(rt.calibrate(room, [1.0, 1.0]))
+    assert "the 100 of 130 materials that absorb most" in text
+    assert len(text.encode()) < page.MAX_BYTES
+    monkeypatch.setattr(page, "MAX_BYTES", 1000)
+    with pytest.raises(DataError, match="more than 1000"):
+        page.page(rt.calibrate(room, [1.0, 1.0]))
+
+
+# In a browser.
+
+
+def chromium(place: Path, url: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+    if program is None:
+        pytest.skip("needs Debian's chromium, which is not installed here")
+    return subprocess.run(
+        [program, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+         "--disable-background-networking", "--disable-component-update", "--disable-sync",
+         f"--user-data-dir={place / 'profile'}", "--enable-logging=stderr", *arguments, url.as_uri()],
+        capture_output=True, text=True, timeout=120, check=True, cwd=place,
+    )  # fmt: skip
+
+
+def test_in_a_browser(html, evil_html, tmp_path) -> None:
+    """The text is there, nothing is complained of on the console, and the pictures are drawn."""
+    from matplotlib.image import imread
+
+    ordinary, nasty, control = (tmp_path / f"{n}.html" for n in ("page", "evil", "control"))
+    page.write(ordinary, html)
+    page.write(nasty, evil_html)
+    seen = chromium(tmp_path, ordinary, "--dump-dom")
+    assert "What not to believe" in seen.stdout
+    assert "plaster" in seen.stdout
+    assert "CONSOLE" not in seen.stderr
+    picture = tmp_path / "page.png"
+    shot = chromium(tmp_path, nasty, f"--screenshot={picture}", "--window-size=1000,4000")
+    assert "CONSOLE" not in shot.stderr
+    pixels = imread(picture)[:, :, :3]
+    blue = np.abs(pixels - np.array([0x00, 0x72, 0xB2]) / 255).max(axis=2) < 0.02
+    assert blue.sum() > 500  # dots and lines of the pictures; nothing else on the page is blue
+    # The console is read indeed: a script, which the page's policy forbids, is complained of.
+    page.write(control, html.replace("</body>", "<script>alert(1)</script></body>"))
+    assert "CONSOLE" in chromium(tmp_path, control, "--dump-dom").stderr
+
+
+# The command.
+
+
+def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(page, "_figures", no_figures)
+    folder = tmp_path / "calibrated"
+    folder.mkdir()
+    (folder / "result.json").write_text(evil.to_json(), encoding="utf-8")
+    assert run("report", folder) == 0
+    assert capsys.readouterr().out == f"Written: {folder / 'report.html'}\n"
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert run("report", folder / "result.json", "--out", folder / "b.html", "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said == {"written": str(folder / "b.html"), "bytes": len(text.encode())}
+    assert (folder / "b.html").read_text(encoding="utf-8") == text
+    kept = sorted(p.name for p in folder.iterdir())
+    for out, said in ((folder / "no" / "p.html", "No such file"), (folder, "is a directory"),
+                      (folder / "result.json", "would be written over"),
+                      ("", "--out is empty")):  # fmt: skip
+        assert run("report", folder / "result.json", "--out", out) == 2
+        assert said in capsys.readouterr().err
+    (folder / "result.json").write_text("{}")
+    assert run("report", folder) == 2
+    assert (folder / "report.html").read_text(encoding="utf-8") == text
+    assert sorted(p.name for p in folder.iterdir()) == kept
+    monkeypatch.setitem(__import__("sys").modules, "jinja2", None)
+    page._environment.cache_clear()
+    with pytest.raises(MissingDependencyError, match=r"rtcal\[report\]"):
+        page._render("layout.html", {})
+
+
+def commands():
+    for name, command in cli.commands.items():
+        if hasattr(command, "commands"):
+            yield from ((f"{name} {n}", c) for n, c in command.commands.items())
+        else:
+            yield name, command
+
+
+@pytest.mark.parametrize(("name", "command"), list(commands()), ids=lambda v: str(v))
+def test_every_command_has_the_same_manners(name, command, capsys) -> None:
+    options = {o for p in command.params for o in p.opts}
+    assert {"--json", "--quiet", "-q"} <= options
+    unsaid = [p.name for p in command.params if isinstance(p, click.Option) and not p.help]
+    assert not unsaid, f"{name}: options without help"
+    assert run(*name.split(), "--help") == 0
+    text = capsys.readouterr().out
+    assert f"Example: rtcal {name} " in " ".join(text.split())
+    assert len(command.short_help or "") <= 65
+    assert run(*name.split(), "--nonsense") == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_help_names_the_exit_codes(capsys) -> None:
+    assert run("--help") == 0
+    text = capsys.readouterr().out
+    assert "..." not in text.split("Commands:")[1]
+    for code, meaning in EXIT_CODES.items():
+        assert f"{code:3d}  {meaning}" in text
+    page_text = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
+    for code, meaning in EXIT_CODES.items():
+        assert f"| {code} | {meaning} |" in page_text
+    for name, _ in commands():
+        assert f"`rtcal {name}`" in page_text
+
+
+def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
+    """Quiet prints nothing; JSON is JSON and nothing else, and both write the same files."""
+    monkeypatch.chdir(tmp_path)
+    room, measured = rt.datasets.bras_cr2()
+    room.save("room.toml")
+    measured.save("t.csv")
+    Path("hall.geo").write_bytes(b"ABS wood = <10 10 10 10 10 10>\r\n")
+    Path("table.csv").write_text("f,T20\n500,1.5\n1000,1.4\n")
+    rt.Measurement.from_values(room.centre_frequencies, t20=[1.0] * 6).save("s.csv")
+    state = ["--state", "loop.json", "--out", "next.toml"]
+    calls = [
+        (
+            ["import", "catt", "hall.geo", "--volume", 9, "--area", "wood=30", "--out", "w.toml"],
+            "areas",
+        ),
+        (["export", "catt", "w.toml", "hall.geo"], "change_jnd"),
+        (["table", "table.csv", "--out", "u.csv"], "values"),
+        (["loop", "start", "room.toml", "t.csv", *state], "simulate"),
+        (["loop", "next", "room.toml", "s.csv", *state], "finished"),
+        (["study", "--trials", 0, "--realisations", 20, "--sigma-r", 0.1], "studies"),
+        (["calibrate", "room.toml", "t.csv"], "materials"),
+    ]
+    for arguments, key in calls:
+        assert run(*arguments, "--quiet") == 0
+        said = capsys.readouterr()
+        assert said.out == said.err == ""
+        assert run(*arguments, "--json") == 0
+        said = capsys.readouterr()
+        assert key in json.loads(said.out)
+        assert said.err == ""
+    assert Path("w.toml").exists()
+    assert Path("u.csv").exists()
+    assert run("study", "--trials", 0, "--realisations", 20, "--sigma-r", 0.1, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["studies"][0]["scores"]
+    assert {r["method"] for r in rows} == {"none", "scaling", "lse", "mle"}
+    assert rows[3]["score"] > rows[1]["score"] > 0
