@@ -1,6 +1,6 @@
 """Draw the README's figure: the gap of the seminar room that ships, before and after.
 
-    python docs/figures/gap.py
+Run: python docs/figures/gap.py
 """
 
 from pathlib import Path

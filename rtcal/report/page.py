@@ -155,7 +155,7 @@ def _environment() -> Any:
 
 
 def _render(template: str, values: Mapping[str, Any]) -> str:
-    text = _environment().get_template(template).render(version=rtcal.__version__, **values)
+    text: str = _environment().get_template(template).render(version=rtcal.__version__, **values)
     if (size := len(text.encode("utf-8", errors="backslashreplace"))) > MAX_BYTES:
         raise DataError(f"the page would have {size} bytes, more than {MAX_BYTES}")
     return text
