@@ -14,6 +14,8 @@ from rtcal.types import Array
 def number(place: str, value: object, error: type[RtcalError] = DataError) -> float:
     """Return a real number as a float; ``error`` for anything else, also text and True.
 
+    Examples
+    --------
     >>> number("threshold", np.int64(2))
     2.0
     """
@@ -31,6 +33,8 @@ def number(place: str, value: object, error: type[RtcalError] = DataError) -> fl
 def whole(place: str, value: object, least: int, error: type[RtcalError] = DataError) -> int:
     """Return a whole number of at least ``least``; ``error`` for anything else.
 
+    Examples
+    --------
     >>> whole("workers", 4, 1)
     4
     """

@@ -48,6 +48,8 @@ def new_figure(
 def shown(name: str, longest: int = _LONGEST_NAME) -> str:
     r"""Return a name as a figure shows it: one short line, and dollars are dollars, not formulae.
 
+    Examples
+    --------
     >>> shown("a $10 panel")
     'a \\$10 panel'
     """

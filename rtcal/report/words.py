@@ -59,6 +59,8 @@ class Shift:
 def hertz(frequencies: Sequence[float]) -> str:
     """Return bands as they stand in a sentence.
 
+    Examples
+    --------
     >>> hertz([125, 250, 500])
     '125, 250 and 500 Hz'
     """
