@@ -182,9 +182,8 @@ def test_the_loops_path(loop) -> None:
         loop_figures.path(begun)
 
 
-@pytest.mark.parametrize("kind", ["svg", "png"])
-def test_the_same_figure_has_the_same_bytes(result, kind) -> None:
-    first, second = (figures.rendered(figures.gap(result), kind) for _ in range(2))
+def test_the_same_figure_has_the_same_bytes(result) -> None:
+    first, second = (figures.rendered(figures.gap(result), "svg") for _ in range(2))
     assert first == second
     assert len(first) > 5000
 

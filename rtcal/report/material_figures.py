@@ -40,7 +40,7 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
     panels = np.atleast_1d(grid).ravel()
     low, high = intervals(seen)
     f = seen.centre_frequencies
-    apart = 1.05 if len(f) > 1 else 1.0
+    apart = float(f[1] / f[0]) ** 0.08 if len(f) > 1 else 1.0
     for axes, i in zip(panels, drawn, strict=False):
         prior, after, bound = seen.alpha_before[i], seen.alpha_after[i], seen.at_bound[i] != ""
         spread = _NORMAL_90 * seen.sigma_before[i]

@@ -39,14 +39,14 @@ def spread(table: Table, aace: Sequence[float], title: str) -> Any:
     """
     figure, axes = new_figure()
     boxes = [
-        {"label": NAMES[str(r.method)] + (", bounded" if r.bounded else ""), "whislo": r.least,
+        {"label": NAMES[str(r.method)] + ("\nbounded" if r.bounded else ""), "whislo": r.least,
          "q1": r.first_quartile, "med": r.median, "q3": r.third_quartile, "whishi": r.most,
          "mean": mean}
         for r, mean in zip(table, aace, strict=True)
     ]  # fmt: skip
     axes.bxp(boxes, showfliers=False, showmeans=True, meanline=True)
-    axes.set_ylabel("Root of EMSE over realisations")
+    axes.set_ylabel("Root of EMSE of α, over realisations")
     axes.set_ylim(bottom=0)
     axes.set_title(title + " (dashed: AACE)")
-    axes.tick_params(axis="x", labelrotation=30)
+    axes.set_xlabel("Calibration method")
     return figure
