@@ -265,6 +265,17 @@ class LoopResult:
         found = self.confirmation or self.after
         return gap_jnd(found.mean("t20"), self.loop.wanted)
 
+    def to_json(self) -> str:
+        """Return the loop and what the simulator had before and after, as JSON text.
+
+        `Loop.load` reads the loop in it, ``rtcal report`` all of it.
+        """
+        return loop_state.text(self.loop, loop_state.ends(self))
+
+    def save(self, path: str) -> None:
+        """Write `to_json` to a file, whole or not at all."""
+        write_text(path, self.to_json())
+
     def __str__(self) -> str:
         lines = [f"Coefficients for {self.simulator} only; {self.simulations} simulations"]
         lines.append(

@@ -19,7 +19,7 @@ from rtcal.loop_rules import RULES
 from rtcal.types import Array
 
 if TYPE_CHECKING:
-    from rtcal.closed_loop import Loop
+    from rtcal.closed_loop import Loop, LoopResult
 
 KIND = "loop 2"
 """What the key ``rtcal`` of a saved loop says."""
@@ -29,8 +29,8 @@ _STEP = ("target", "alpha", "simulated", "noise")
 _EQUATIONS = {e.name: e for e in (Sabine, Eyring, Kuttruff)}
 
 
-def text(loop: Loop) -> str:
-    """Return a loop as JSON text; the room as the text of its file."""
+def text(loop: Loop, result: Mapping[str, Any] | None = None) -> str:
+    """Return a loop as JSON text; the room as the text of its file, ``result`` as `ends` gives it."""
     equation = loop.equation or Eyring()
     steps = [{name: _plain(getattr(step, name)) for name in _STEP} for step in loop.steps]
     return json.dumps({
@@ -38,6 +38,7 @@ def text(loop: Loop) -> str:
         "wanted": _plain(loop.wanted), "rule": loop.rule, "method": loop.method,
         "equation": {"name": equation.name, **asdict(equation)}, "decimals": loop.decimals,
         "tolerance": loop.tolerance, "steps": steps,
+        **({} if result is None else {"result": dict(result)}),
     }, indent=1, ensure_ascii=False)  # fmt: skip
 
 
@@ -90,6 +91,19 @@ def read(
     if any(v.shape != shape[1:] for v in vectors) or any(s["alpha"].shape != shape for s in steps):
         raise DataError(f"{path} is no state of a loop: its shapes are not the room's")
     return fields, steps
+
+
+def ends(result: LoopResult) -> dict[str, Any]:
+    """Return what a simulator had before and after, means by parameter and band; JSON-able."""
+    found = {"before": result.before, "after": result.confirmation or result.after}
+    return {
+        "simulator": result.simulator,
+        "confirmed": result.confirmation is not None,
+        **{
+            name: {p: _plain(measurement.mean(p)) for p in measurement.values}
+            for name, measurement in found.items()
+        },
+    }
 
 
 def fingerprint(room: Room) -> str:

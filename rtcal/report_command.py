@@ -23,8 +23,8 @@ _FIGURES = 5
 def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
     """Write RESULT as one HTML page: summary, what not to believe, pictures, tables.
 
-    RESULT is the folder that `rtcal calibrate --out` wrote, its result.json, or the state of an
-    `rtcal loop`. The page needs no network and no other file.
+    RESULT is the folder that `rtcal calibrate --out` wrote, its result.json, the state of an
+    `rtcal loop`, or what `LoopResult.save` wrote. The page needs no network and no other file.
 
     Example: rtcal report calibrated --out calibrated.html
     """

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,8 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rtcal as rt
+from rtcal import console
 from rtcal.cli import EXIT_CODES, cli, main
-from rtcal.closed_loop import Loop
+from rtcal.closed_loop import Loop, LoopResult
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.report import saved as saving
 from rtcal.report import words
@@ -63,10 +65,15 @@ def evil_html(evil) -> str:
 
 
 @pytest.fixture(scope="module")
-def loop() -> Loop:
+def loop_result() -> LoopResult:
     room, measured = rt.datasets.bras_cr2()
     simulator = EquationSimulator(rt.Kuttruff(path_variance=0.9), room)
-    return rt.calibrate_simulator(simulator, room, measured, rule="secant", tolerance=0.05).loop
+    return rt.calibrate_simulator(simulator, room, measured, rule="secant", tolerance=0.05)
+
+
+@pytest.fixture(scope="module")
+def loop(loop_result) -> Loop:
+    return loop_result.loop
 
 
 def no_figures(*_: object) -> dict[str, dict[str, str]]:
@@ -380,6 +387,35 @@ def test_a_loops_page(loop, tmp_path) -> None:
     assert "to no other" in text
     assert text.count("<td>converged</td>") == 6
     assert f"{loop.steps[0].simulated[0]:.3f}" in text
+    assert "Before and after" not in text
+
+
+def test_a_loop_results_page(loop_result, tmp_path) -> None:
+    path = tmp_path / "loop.json"
+    loop_result.save(str(path))
+    text = page.page_of(path)
+    assert text == page.loop_page(loop_result)
+    assert "Simulated by Kuttruff&#39;s equation for BRAS CR2" in text
+    after = loop_result.after.mean("t20")
+    row = text.split("T20, with the coefficients returned / s")[1].split("</tr>")[0]
+    assert [float(v) for v in re.findall(r"<td>([\d.]+)</td>", row)] == np.round(after, 3).tolist()
+    assert "With all the coefficients returned, T20 is off by 0.0 JND at most" in text
+    assert "no finding" not in text
+    assert len(Loop.load(str(path)).steps) == loop_result.simulations
+    steps = [
+        replace(s, alpha=np.where(s.alpha > 0.1, 1.0, s.alpha)) for s in loop_result.loop.steps
+    ]
+    text = page.loop_page(replace(loop_result.loop, steps=tuple(steps)))
+    assert "windows: α = 1 at 125 and 2000 Hz" in text
+    good = json.loads(path.read_text())
+    for broken in (
+        {},
+        good["result"] | {"before": {"t20": [1.0]}},
+        good["result"] | {"simulator": 3},
+    ):
+        path.write_text(json.dumps(good | {"result": broken}))
+        with pytest.raises(DataError, match="no result of a loop"):
+            page.page_of(path)
 
 
 def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
@@ -537,3 +573,23 @@ def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
     rows = json.loads(capsys.readouterr().out)["studies"][0]["scores"]
     assert {r["method"] for r in rows} == {"none", "scaling", "lse", "mle"}
     assert rows[3]["score"] > rows[1]["score"] > 0
+
+
+def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, evil) -> None:
+    pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
+    assert not console.bar_wanted(quiet=False)  # standard error is caught here, no terminal
+    (tmp_path / "result.json").write_text(evil.to_json(), encoding="utf-8")
+    monkeypatch.setattr(page, "_source", lambda _, step: step() or "data:,")
+    monkeypatch.setattr("rtcal.report_command.bar_wanted", lambda quiet: not quiet)
+    assert run("report", tmp_path) == 0
+    assert capsys.readouterr().err == ""  # done within two seconds
+    monkeypatch.setattr("rtcal.progress.DELAY", 0.0)
+    assert run("report", tmp_path) == 0
+    assert "5/5" in capsys.readouterr().err
+    assert run("report", tmp_path, "--quiet") == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert console.bar_wanted(quiet=False)
+    assert not console.bar_wanted(quiet=True)
+    monkeypatch.setitem(__import__("sys").modules, "tqdm", None)
+    assert not console.bar_wanted(quiet=False)

@@ -8,11 +8,13 @@ import numpy as np
 
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.quality import gap_jnd
+from rtcal.errors import DataError
 from rtcal.report.words import hertz
 
 if TYPE_CHECKING:
     from rtcal.closed_loop import Loop
 
+_SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
 _SAID = {
     "converged": "came within the goal",
     "unreachable": "cannot be reached: the equation has no coefficients left that bring it nearer",
@@ -76,6 +78,64 @@ def bands_table(loop: Loop) -> dict[str, Any]:
         "nearest": [int(b) + 1 for b in loop.best],
         "status": loop.status,
     }
+
+
+def at_ends(loop: Loop) -> list[str]:
+    """Return which coefficients of the nearest simulations stand at 0 or 1 and did not before."""
+    found = []
+    for row in materials_table(loop):
+        for end in (0.0, 1.0):
+            bands = [
+                float(f)
+                for f, (before, after) in zip(
+                    loop.room.centre_frequencies, row["cells"], strict=True
+                )
+                if after == end != before
+            ]
+            if bands:
+                found.append(f"{row['name']}: α = {end:g} at {hertz(bands)}")
+    return found
+
+
+def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
+    """Return the gap of T20 with the coefficients returned, as a sentence."""
+    gap = np.abs(ends["gap"])
+    if not np.isfinite(gap).any():
+        return "What the coefficients returned give was not simulated."
+    k = int(np.nanargmax(gap))
+    how = "With random numbers that the calibration has not seen" if ends["confirmed"] else (
+        "With all the coefficients returned"
+    )  # fmt: skip
+    return (
+        f"{how}, T20 is off by {gap[k]:.1f} JND at most, at {loop.room.centre_frequencies[k]:g} Hz."
+    )
+
+
+def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
+    """Return the simulator's name and the rows of what it had before and after; see `loop_state.ends`.
+
+    DataError if it is nothing of the kind.
+    """
+    try:
+        rows = []
+        for parameter, (decimals, unit) in _SHOWN.items():
+            for name, when in (("before", "first"), ("after", "with the coefficients returned")):
+                if parameter not in result[name]:
+                    continue
+                values = np.array(result[name][parameter], dtype=float)
+                if values.shape != (loop.room.n_bands,):
+                    raise ValueError(f"{name}.{parameter} has not one value a band")
+                rows.append((f"{parameter.upper()}, {when} / {unit}", values, decimals, False))
+        if not isinstance(result["simulator"], str) or type(result["confirmed"]) is not bool:
+            raise ValueError("no name of a simulator")
+        gap = gap_jnd(np.array(result["after"]["t20"], dtype=float), loop.wanted)
+        rows.insert(2, ("its gap / JND", gap, 1, True))
+        return {
+            "simulator": result["simulator"], "confirmed": result["confirmed"], "rows": rows,
+            "gap": gap,
+        }  # fmt: skip
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{place}: no result of a loop: {error}") from error
 
 
 def materials_table(loop: Loop) -> list[dict[str, Any]]:

@@ -15,16 +15,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import rtcal
+from rtcal import loop_state
 from rtcal.acoustics import room_files
 from rtcal.acoustics.files import write_text
 from rtcal.acoustics.quality import letters
+from rtcal.closed_loop import Loop, LoopResult
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.report import figures, loop_figures, loop_words, material_figures, words
 from rtcal.report.saved import Saved, from_dict, read_json, saved
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
-    from rtcal.closed_loop import Loop
 
 MAX_BYTES = 2 * 10**6
 """Bytes that a page may have."""
@@ -102,18 +103,37 @@ def page(
     })  # fmt: skip
 
 
-def loop_page(loop: Loop, *, progress: Callable[[], None] | None = None) -> str:
-    """Return a closed loop as such a page; DataError if nothing has been simulated yet."""
+def loop_page(
+    result: Loop | LoopResult,
+    ends: Any = None,
+    *,
+    place: str = "result",
+    progress: Callable[[], None] | None = None,
+) -> str:
+    """Return a closed loop as such a page; DataError if nothing has been simulated yet.
+
+    ``ends``, as `rtcal.loop_state.ends` gives it, belongs to a `Loop`; a `LoopResult` has its own.
+    ``place`` names it in messages.
+    """
+    loop = result.loop if isinstance(result, LoopResult) else result
+    if isinstance(result, LoopResult):
+        ends = loop_state.ends(result)
+    shown = None if ends is None else loop_words.read_ends(loop, ends, place)
+    summary = loop_words.summary(loop)
+    if shown is not None:
+        summary.append(loop_words.confirmed(loop, shown))
     figure = loop_figures.path(loop)
     source = _source(figure, progress or (lambda: None))
     return _render("loop.html", {
         "title": f"{loop.room.name}: closed loop",
         "loop_state": loop,
-        "summary": loop_words.summary(loop),
+        "summary": summary,
+        "at_ends": loop_words.at_ends(loop),
         "assumed": loop_words.assumed(loop),
         "figure": {"source": source, "alt": "T20 wanted and simulated by band; gap by simulation",
                    "caption": "Left: T20 by band. Right: how far each simulation was off."},
         "bands": loop_words.bands_table(loop),
+        "ends": shown,
         "blocks": _blocks(loop.room.n_bands),
         "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
         "materials": loop_words.materials_table(loop),
@@ -121,14 +141,12 @@ def loop_page(loop: Loop, *, progress: Callable[[], None] | None = None) -> str:
 
 
 def page_of(path: str | os.PathLike[str], progress: Callable[[], None] | None = None) -> str:
-    """Return the page of what rtcal saved: ``result.json``, its folder, or the state of a loop."""
-    from rtcal import loop_state
-    from rtcal.closed_loop import Loop
-
+    """Return the page of what rtcal saved: ``result.json``, its folder, a loop's state or result."""
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
     record = read_json(place)
     if record.get("rtcal") == loop_state.KIND:
-        return loop_page(Loop.load(os.fspath(place)), progress=progress)
+        loop = Loop.load(os.fspath(place))
+        return loop_page(loop, record.get("result"), place=os.fspath(place), progress=progress)
     return page(from_dict(record, os.fspath(place)), progress=progress)
 
 
