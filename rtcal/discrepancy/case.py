@@ -1,0 +1,390 @@
+"""A case: exactly what a user knows of a room, and what was measured in it.
+
+In a file (TOML), beside a room and a measurement in rtcal's own formats::
+
+    room = "room.toml"
+    equation = "eyring"                  # or sabine, kuttruff, millington
+
+    [uncertainty]                        # optional, of single values that state none
+    time = 0.02                          # relative, of T20, T30, EDT
+    level = 0.3                          # dB, of C80 and G
+
+    [[configuration]]
+    name = "empty"
+    measured = "empty.csv"               # any of T20, EDT, T30, C80, G
+    distances = [6.1, 8.3]               # optional, m from source to receiver, a value a pair
+
+    [[configuration]]
+    name = "with the curtain drawn"
+    measured = "drawn.csv"
+    suspect_removed = false              # optional: true where what is suspected was taken away
+    air = { temperature = 21, humidity = 60 }     # optional, where it was another climate
+    [configuration.changes."west wall"]  # optional: coefficients that differ from the room's
+    alpha = [0.1, 0.3]
+    sigma = [0.02, 0.04]
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.files import read_text, write_text
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import AXES, Room
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+EQUATIONS = ("eyring", "sabine", "kuttruff", "millington")
+PARAMETERS = ("t20", "edt", "t30", "c80", "g")
+
+
+@dataclass(frozen=True)
+class Change:
+    """Coefficients of one material in one configuration: alpha and sigma, (n_bands,)."""
+
+    alpha: Array
+    sigma: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Configuration:
+    """One measurement of the room, and what was changed for it.
+
+    Parameters
+    ----------
+    name : str
+    measured : Measurement
+        Any of T20, EDT, T30, C80, G.
+    changes : mapping of str to Change
+        Materials whose coefficients differ from the room's.
+    suspect_removed : bool
+        Whether whatever is suspected had been taken away.
+    air : Air, optional
+        Where the climate was another than the room's.
+    distances : array (n_pairs,), optional
+        m from source to receiver; half the cube root of the volume if not given.
+    """
+
+    name: str
+    measured: Measurement
+    changes: Mapping[str, Change] = field(default_factory=dict)
+    suspect_removed: bool = False
+    air: Air | None = None
+    distances: Array | None = None
+
+
+@dataclass(frozen=True)
+class Present:
+    """An effect that has been added to the model: its name, its parameters, its spread.
+
+    ``gain`` (n_configurations, n_bands) is what it adds to the absorption area in m², for effects
+    that do no more than that.
+    """
+
+    effect: str
+    parameters: Mapping[str, float]
+    size_sigma: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Case:
+    """A room, its equation and the configurations in which it was measured.
+
+    Parameters
+    ----------
+    room : Room
+        Volume, materials with area, alpha and sigma, band correlation, air or none.
+    configurations : sequence of Configuration
+        At least one.
+    equation : {"eyring", "sabine", "kuttruff", "millington"}
+        That the user's model calculates T with.
+    facing : array (n_materials, 3), optional
+        Share of each material's area that faces along x, y and z; from the room's surfaces and
+        their axes where they are stated, a third each where not.
+    present : sequence of Present
+        Effects that `Finding.apply` has added.
+
+    Raises
+    ------
+    DataError
+        If something does not fit; the message names place, value and rule.
+    """
+
+    room: Room
+    configurations: Sequence[Configuration]
+    equation: str = "eyring"
+    facing: Array | None = None
+    present: Sequence[Present] = ()
+
+    def __post_init__(self) -> None:
+        if self.equation not in EQUATIONS:
+            raise DataError(f'equation = "{self.equation}" is not one of {", ".join(EQUATIONS)}')
+        object.__setattr__(self, "configurations", tuple(self.configurations))
+        object.__setattr__(self, "present", tuple(self.present))
+        if not self.configurations:
+            raise DataError("configurations is empty; a case has at least one measurement")
+        names = [c.name for c in self.configurations]
+        if len(set(names)) < len(names):
+            raise DataError(f"configurations = {names}: each has a name of its own")
+        object.__setattr__(self, "facing", _facing(self.room, self.facing))
+        for c in self.configurations:
+            _check(self.room, c)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Case:
+        """Return the case of nested plain values, as `to_dict` gives them.
+
+        ``room``: the fields of `Room`, ``air`` as {temperature, humidity} or None; ``facing``
+        may stand in it. A configuration has its parameters beside ``name``: lists (n_pairs, n_bands)
+        or (n_bands,), None where missing.
+        """
+        where = "case"
+        room_data = dict(_mapping(where, data, "room"))
+        facing = room_data.pop("facing", None)
+        climate = room_data.pop("air", None)
+        try:
+            room = Room(
+                **{"name": "room", **room_data},
+                air=None if climate is None else Air(**climate),
+            )
+        except TypeError as error:
+            raise DataError(f"{where}: room: {error}") from error
+        uncertainty = dict(data.get("uncertainty") or {})
+        configurations = data.get("configurations")
+        if not isinstance(configurations, Sequence) or not configurations:
+            raise DataError(f"{where}: configurations is missing or empty")
+        return cls(
+            room=room,
+            equation=str(data.get("equation", "eyring")),
+            facing=facing,
+            configurations=[
+                _configuration(room, _as_mapping(f"{where}: configurations", c), uncertainty)
+                for c in configurations
+            ],
+            present=[
+                Present(str(p["effect"]), dict(p["parameters"]), float(p.get("size_sigma", 0)))
+                for p in data.get("present", ())
+            ],
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return nested plain values: what `from_dict` reads."""
+        room = self.room
+        facing = self.facing
+        assert_facing = facing if facing is not None else np.full((room.n_materials, 3), 1 / 3)
+        return {
+            "room": {
+                "name": room.name, "volume": room.volume, "materials": list(room.materials),
+                "areas": room.areas.tolist(), "alpha": room.alpha.tolist(),
+                "sigma": room.sigma.tolist(), "band_correlation": room.band_correlation,
+                "centre_frequencies": room.centre_frequencies.tolist(),
+                "air": _air_dict(room.air), "facing": assert_facing.tolist(),
+            },
+            "equation": self.equation,
+            "configurations": [_configuration_dict(c) for c in self.configurations],
+            "present": [
+                {"effect": p.effect, "parameters": dict(p.parameters), "size_sigma": p.size_sigma}
+                for p in self.present
+            ],
+        }  # fmt: skip
+
+    @classmethod
+    def from_file(cls, path: str) -> Case:
+        """Read a case: TOML as this module says, or the JSON that `save` writes.
+
+        Raises DataError naming the file and the rule.
+        """
+        text = read_text(path)
+        try:
+            if str(path).endswith(".json"):
+                return cls.from_dict(_as_mapping(str(path), json.loads(text)))
+            data = tomllib.loads(text)
+        except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
+            raise DataError(f"{path}: {error}") from error
+        folder = Path(path).parent
+        known = {"room", "equation", "uncertainty", "configuration"}
+        if unknown := sorted(set(data) - known):
+            raise DataError(f'{path}: "{unknown[0]}" is not one of {", ".join(sorted(known))}')
+        if not isinstance(data.get("room"), str):
+            raise DataError(f"{path}: room is not the name of a room's file")
+        room = Room.from_file(str(folder / data["room"]))
+        uncertainty = dict(data.get("uncertainty", {}))
+        configurations = []
+        for entry in data.get("configuration", ()):
+            if not isinstance(entry.get("measured"), str):
+                raise DataError(f"{path}: a configuration has no measured = a measurement's file")
+            measured = Measurement.from_file(str(folder / entry["measured"]))
+            rest = {k: v for k, v in entry.items() if k != "measured"}
+            configurations.append(_configuration(room, rest, uncertainty, measured))
+        return cls(room=room, equation=data.get("equation", "eyring"), configurations=configurations)
+
+    def save(self, path: str) -> None:
+        """Write the case as JSON, whole or not at all."""
+        write_text(path, json.dumps(self.to_dict(), indent=1) + "\n")
+
+    def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:
+        """Return the case with some of its parameters, and some of its configurations."""
+        kept = []
+        for c in self.configurations:
+            if configurations is not None and c.name not in configurations:
+                continue
+            m = c.measured
+            kept.append(replace(c, measured=replace(
+                m,
+                values={p: v for p, v in m.values.items() if p in parameters},
+                uncertainty={p: v for p, v in m.uncertainty.items() if p in parameters},
+            )))  # fmt: skip
+        return replace(self, configurations=kept)
+
+
+def _mapping(where: str, data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    if name not in data:
+        raise DataError(f"{where}: {name} is missing")
+    return _as_mapping(f"{where}: {name}", data[name])
+
+
+def _as_mapping(where: str, value: object) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise DataError(f"{where} is {type(value).__name__}, not a mapping")
+    return value
+
+
+def _facing(room: Room, facing: Any) -> Array:
+    n = room.n_materials
+    if facing is None:
+        sums = np.zeros((n, 3))
+        for surface in room.surfaces:
+            if surface.axis is not None:
+                row = room.material_index(surface.material)
+                sums[row, AXES.index(surface.axis)] += surface.area
+        sums[sums.sum(1) == 0] = 1.0
+        facing = sums
+    array = np.array(facing, dtype=float)
+    if array.shape != (n, 3):
+        raise DataError(f"facing has shape {array.shape}; it is (n_materials, 3) = ({n}, 3)")
+    total = array.sum(1, keepdims=True)
+    if not np.isfinite(array).all() or (array < 0).any() or (total <= 0).any():
+        raise DataError("facing has a value below 0, or a row that sums to 0")
+    array = array / total
+    array.setflags(write=False)
+    return array
+
+
+def _check(room: Room, c: Configuration) -> None:
+    where = f'configuration "{c.name}"'
+    if c.measured.centre_frequencies.tolist() != room.centre_frequencies.tolist():
+        raise DataError(
+            f"{where} has bands {c.measured.centre_frequencies.tolist()} Hz; the room has "
+            f"{room.centre_frequencies.tolist()} Hz"
+        )
+    if "t20" not in c.measured.values and "t30" not in c.measured.values:
+        raise DataError(f"{where} has neither t20 nor t30")
+    for material, change in c.changes.items():
+        room.material_index(material)
+        for name in ("alpha", "sigma"):
+            value = getattr(change, name)
+            if value.shape != (room.n_bands,) or not ((value >= 0) & (value <= 1)).all():
+                raise DataError(
+                    f'{where}: {name} of "{material}" is not {room.n_bands} values from 0 to 1'
+                )
+    if c.distances is not None:
+        n = len(c.measured.pairs)
+        if c.distances.shape != (n,) or not (c.distances > 0).all():
+            raise DataError(f"{where}: distances is not {n} values above 0, one a pair")
+
+
+def _configuration(
+    room: Room, data: Mapping[str, Any], uncertainty: Mapping[str, float],
+    measured: Measurement | None = None,
+) -> Configuration:  # fmt: skip
+    name = str(data.get("name", "measured"))
+    known = {"name", "changes", "suspect_removed", "air", "distances", "distance"}
+    if unknown := sorted(set(data) - known - set(PARAMETERS) - {"uncertainty"}):
+        raise DataError(f'configuration "{name}": "{unknown[0]}" is not known')
+    if measured is None:
+        values = {p: _table(name, p, data[p], room.n_bands) for p in PARAMETERS if p in data}
+        if not values:
+            raise DataError(f'configuration "{name}" has none of {", ".join(PARAMETERS)}')
+        n = {len(v) for v in values.values()}
+        if len(n) > 1:
+            raise DataError(f'configuration "{name}": parameters for different numbers of pairs')
+        pairs = [("S", f"R{i + 1}") for i in range(n.pop())]
+        stated = {
+            p: _table(name, p, v, room.n_bands) for p, v in (data.get("uncertainty") or {}).items()
+        }
+        measured = Measurement(
+            centre_frequencies=room.centre_frequencies, values=values, pairs=pairs,
+            uncertainty=stated,
+        )  # fmt: skip
+    extra = dict(measured.uncertainty)
+    for p, v in measured.values.items():
+        kind = "level" if p in ("c80", "g") else "time"
+        if p not in extra and kind in uncertainty:
+            scale = v if kind == "time" else np.ones_like(v)
+            extra[p] = scale * float(uncertainty[kind])
+    climate = data.get("air")
+    distances = data.get("distances", data.get("distance"))
+    return Configuration(
+        name=name,
+        measured=replace(measured, uncertainty=extra),
+        changes={
+            str(m): Change(*(np.array(v[k], dtype=float) for k in ("alpha", "sigma")))
+            for m, v in (data.get("changes") or {}).items()
+        },
+        suspect_removed=bool(data.get("suspect_removed", False)),
+        air=None if climate is None else Air(**climate),
+        distances=None if distances is None else np.array(distances, dtype=float),
+    )
+
+
+def _table(name: str, parameter: str, values: Any, n_bands: int) -> Array:
+    try:
+        rows = np.array(
+            [[np.nan if v is None else float(v) for v in row] for row in _rows(values)]
+        )
+    except (TypeError, ValueError) as error:
+        raise DataError(f'configuration "{name}": {parameter}: {error}') from error
+    if rows.ndim != 2 or rows.shape[1] != n_bands:
+        raise DataError(
+            f'configuration "{name}": {parameter} has shape {rows.shape}; it is '
+            f"(n_pairs, n_bands = {n_bands})"
+        )
+    return rows
+
+
+def _rows(values: Any) -> list[Any]:
+    values = list(values)
+    return values if values and isinstance(values[0], list | tuple | np.ndarray) else [values]
+
+
+def _air_dict(air: Air | None) -> dict[str, float] | None:
+    if air is None:
+        return None
+    return {
+        "temperature": air.temperature, "humidity": air.humidity, "pressure": air.pressure
+    }  # fmt: skip
+
+
+def _configuration_dict(c: Configuration) -> dict[str, Any]:
+    def plain(table: Array) -> list[list[float | None]]:
+        return [[None if np.isnan(v) else float(v) for v in row] for row in table]
+
+    return {
+        "name": c.name,
+        **{p: plain(v) for p, v in c.measured.values.items() if p in PARAMETERS},
+        "uncertainty": {p: plain(v) for p, v in c.measured.uncertainty.items()},
+        "changes": {
+            m: {"alpha": v.alpha.tolist(), "sigma": v.sigma.tolist()} for m, v in c.changes.items()
+        },
+        "suspect_removed": c.suspect_removed,
+        "air": _air_dict(c.air),
+        "distances": None if c.distances is None else c.distances.tolist(),
+    }

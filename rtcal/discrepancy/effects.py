@@ -1,0 +1,408 @@
+"""The library of effects that a model may lack: how each changes a room's state.
+
+An effect of one's own is a small class with a name, what its parameters are, a grid of them, and
+either a spectrum (`Absorber`) or a `change` of the state; see docs/discrepancy.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import ClassVar, Protocol
+
+import numpy as np
+
+from rtcal.acoustics.air import Air
+from rtcal.discrepancy.model import State
+from rtcal.discrepancy.shapes import coupled, nondiffuse
+from rtcal.types import Array
+
+Parameters = Mapping[str, float]
+
+
+class Effect(Protocol):
+    """Something that a model may lack.
+
+    Attributes
+    ----------
+    name : str
+    size : str
+        The parameter that says how much of it there is.
+    unit : str
+        Of the size.
+    neutral : float
+        The size at which nothing is changed.
+    removable : bool
+        Whether it is a thing that could be taken out of the room.
+    """
+
+    name: ClassVar[str]
+    size: ClassVar[str]
+    unit: ClassVar[str]
+    neutral: ClassVar[float]
+    removable: ClassVar[bool]
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return the parameters that are tried, alike in probability."""
+        ...
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with this effect in it."""
+        ...
+
+
+class Absorber:
+    """What puts a surface of some spectrum on a wall; a subclass gives name and `spectrum`.
+
+    Sizes are tried from ``least`` to ``most`` times the room's absorption area at 500 to 2000 Hz.
+    """
+
+    name: ClassVar[str]
+    size: ClassVar[str] = "area"
+    unit: ClassVar[str] = "m²"
+    neutral: ClassVar[float] = 0.0
+    removable: ClassVar[bool] = True
+    least: ClassVar[float] = 0.05
+    most: ClassVar[float] = 1.2
+    steps: ClassVar[int] = 10
+
+    def kinds(self) -> Sequence[Parameters]:
+        """Return the other parameters' grid; one kind without any if not overridden."""
+        return [{}]
+
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        """Return alpha, (n_bands,)."""
+        raise TypeError(f"{type(self).__name__} has no spectrum of its own")
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return every kind in every size."""
+        sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
+        return [{**kind, self.size: float(a)} for kind, a in product(self.kinds(), sizes)]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with the absorber in place of wall."""
+        spectrum = self.spectrum(state.frequencies, parameters)
+        return state.covered(parameters[self.size], spectrum)
+
+
+def middle_absorption(state: State) -> float:
+    """Return the room's S'alpha at 500 to 2000 Hz in m², of all bands where it has none of these."""
+    area = state.areas @ state.alpha
+    middle = (state.frequencies > 440) & (state.frequencies < 2300)
+    return float(area[middle].mean() if middle.any() else area.mean())
+
+
+@dataclass(frozen=True)
+class OmittedAir:
+    """Air absorption that the model has not, or has for another climate (ISO 9613-1)."""
+
+    name: ClassVar[str] = "air"
+    size: ClassVar[str] = "humidity"
+    unit: ClassVar[str] = "% at the temperature"
+    neutral: ClassVar[float] = np.nan
+    removable: ClassVar[bool] = False
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return 5 to 35 °C, 5 to 95 %."""
+        return [
+            {"temperature": t, "humidity": h}
+            for t, h in product(
+                (5.0, 15.0, 25.0, 35.0), (5.0, 10.0, 18.0, 30.0, 45.0, 60.0, 75.0, 95.0)
+            )
+        ]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with this air."""
+        air = Air(parameters["temperature"], parameters["humidity"])
+        return replace(state, air=air.attenuation(state.frequencies))
+
+
+@dataclass(frozen=True)
+class Opening(Absorber):
+    """An opening: what goes out does not come back (Sabine; Kuttruff)."""
+
+    name: ClassVar[str] = "opening"
+    steps: ClassVar[int] = 14
+
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        """Return alpha = 1."""
+        return np.ones_like(frequencies)
+
+
+def between(frequencies: Array, octaves: Sequence[float]) -> Array:
+    """Read values at 63 Hz to 8 kHz between the octaves, over the logarithm of the frequency."""
+    centres = np.log(62.5 * 2.0 ** np.arange(8))
+    return np.asarray(np.interp(np.log(frequencies), centres, octaves))
+
+
+@dataclass(frozen=True)
+class Audience:
+    """People: seated, as an area; or standing, each with an absorption area (Beranek; EN 12354-6)."""
+
+    name: ClassVar[str] = "audience"
+    size: ClassVar[str] = "absorption_area"
+    unit: ClassVar[str] = "m² at 1 kHz"
+    neutral: ClassVar[float] = 0.0
+    removable: ClassVar[bool] = True
+
+    # Seated in upholstered rows, and persons standing (EN 12354-6, Table B.3), over 1 kHz.
+    SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)
+    STANDING: ClassVar[tuple[float, ...]] = (0.2, 0.3, 0.5, 0.8, 1.0, 1.08, 1.06, 1.0)
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return .08 to 1.3 times the room's absorption, seated or standing."""
+        sizes = np.geomspace(0.08, 1.3, 10) * middle_absorption(state)
+        return [
+            {"standing": s, "absorption_area": float(a)} for s, a in product((0.0, 1.0), sizes)
+        ]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with the audience."""
+        area = parameters["absorption_area"]
+        if parameters["standing"]:
+            return state.with_objects(area * between(state.frequencies, self.STANDING))
+        top = 0.86  # alpha of a seated audience at 1 kHz (Beranek 1996)
+        spectrum = np.minimum(top * between(state.frequencies, self.SEATED), 1.0)
+        return state.covered(area / top, spectrum)
+
+
+@dataclass(frozen=True)
+class Furniture:
+    """Objects: A = V_obj^(2/3) each (EN 12354-6); less where they are small beside a wavelength."""
+
+    name: ClassVar[str] = "furniture"
+    size: ClassVar[str] = "absorption_area"
+    unit: ClassVar[str] = "m² at 1 kHz"
+    neutral: ClassVar[float] = 0.0
+    removable: ClassVar[bool] = True
+    SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return .05 to 1.1 times the room's absorption."""
+        sizes = np.geomspace(0.05, 1.1, 12) * middle_absorption(state)
+        return [{"absorption_area": float(a)} for a in sizes]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with the objects."""
+        return state.with_objects(
+            parameters["absorption_area"] * between(state.frequencies, self.SPECTRUM)
+        )
+
+
+@dataclass(frozen=True)
+class Porous(Absorber):
+    """A porous layer on a rigid wall, locally reacting, diffuse to 78° (Miki 1990).
+
+    A curtain is not such a layer: it hangs free.
+    """
+
+    name: ClassVar[str] = "porous"
+    least: ClassVar[float] = 0.1
+    steps: ClassVar[int] = 7
+
+    def kinds(self) -> Sequence[Parameters]:
+        """Return 10 to 200 mm, 3 to 50 kPa s/m²."""
+        return [
+            {"thickness": d, "flow_resistivity": r}
+            for d, r in product((0.01, 0.018, 0.033, 0.06, 0.11, 0.2), (4e3, 12e3, 40e3))
+        ]
+
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        """Return the statistical alpha."""
+        # Averaged over the octave: a narrow resonance of a thin layer is not measured as such.
+        inside = frequencies[:, None] * 2.0 ** np.array([-0.33, 0.0, 0.33])
+        ratio = 1e3 * inside / parameters["flow_resistivity"]
+        k = 2 * np.pi * inside / 343.2
+        impedance = 1 + 0.0699 * ratio**-0.632 - 1j * 0.1071 * ratio**-0.632
+        number = k * (1 + 0.1093 * ratio**-0.618 - 1j * 0.1597 * ratio**-0.618)
+        z = -1j * impedance / np.tan(number * parameters["thickness"])
+        angles, step = np.linspace(0, np.radians(78), 40, retstep=True)
+        cos = np.cos(angles)
+        reflection = (z[..., None] * cos - 1) / (z[..., None] * cos + 1)
+        weight = np.sin(angles) * cos * step
+        alpha = ((1 - np.abs(reflection) ** 2) * weight).sum(-1) / weight.sum()
+        return np.asarray(np.clip(alpha.mean(-1), 0, 1))
+
+
+@dataclass(frozen=True)
+class Resonator(Absorber):
+    """A membrane or Helmholtz absorber: a0 / (1 + Q² (f/f0 - f0/f)²) (Cox & D'Antonio)."""
+
+    name: ClassVar[str] = "resonator"
+    least: ClassVar[float] = 0.1
+    steps: ClassVar[int] = 6
+
+    def kinds(self) -> Sequence[Parameters]:
+        """Return 60 to 500 Hz, Q .7 to 5, a0 = .8."""
+        return [
+            {"resonance": f0, "quality": q}
+            for f0, q in product(np.geomspace(60, 500, 8).tolist(), (0.8, 1.6, 3.5))
+        ]
+
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        """Return alpha, averaged over each octave."""
+        inside = frequencies[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9)
+        x = inside / parameters["resonance"]
+        return np.asarray((0.8 / (1 + parameters["quality"] ** 2 * (x - 1 / x) ** 2)).mean(1))
+
+
+@dataclass(frozen=True)
+class WrongArea:
+    """One material's area is another than stated, by a ratio."""
+
+    name: ClassVar[str] = "area"
+    size: ClassVar[str] = "ratio"
+    unit: ClassVar[str] = "of the stated area"
+    neutral: ClassVar[float] = 1.0
+    removable: ClassVar[bool] = False
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return each material at .4 to 2.5 times its area."""
+        ratios = [r for r in np.geomspace(0.4, 2.5, 12) if abs(r - 1) > 0.05]
+        return [
+            {"material": float(j), "ratio": float(r)}
+            for j, r in product(range(len(state.areas)), ratios)
+        ]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with that area."""
+        areas = state.areas.copy()
+        areas[int(parameters["material"])] *= parameters["ratio"]
+        return replace(state, areas=areas)
+
+
+@dataclass(frozen=True)
+class WrongVolume:
+    """The volume is another than stated, by a ratio."""
+
+    name: ClassVar[str] = "volume"
+    size: ClassVar[str] = "ratio"
+    unit: ClassVar[str] = "of the stated volume"
+    neutral: ClassVar[float] = 1.0
+    removable: ClassVar[bool] = False
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return .7 to 1.4."""
+        return [{"ratio": float(r)} for r in np.geomspace(0.7, 1.4, 14)]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with that volume."""
+        return replace(state, volume=state.volume * parameters["ratio"])
+
+
+@dataclass(frozen=True)
+class WrongFormula:
+    """Another equation than the model's: Sabine's, Eyring's or Millington's."""
+
+    name: ClassVar[str] = "formula"
+    size: ClassVar[str] = "equation"
+    unit: ClassVar[str] = "0 Sabine, 1 Eyring, 2 Millington"
+    neutral: ClassVar[float] = np.nan
+    removable: ClassVar[bool] = False
+    EQUATIONS: ClassVar[tuple[str, ...]] = ("sabine", "eyring", "millington")
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return the equations that the model does not use."""
+        return [
+            {"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e != state.equation
+        ]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room under that equation."""
+        return replace(state, equation=self.EQUATIONS[int(parameters["equation"])])
+
+
+@dataclass(frozen=True)
+class CoupledRoom:
+    """A second room behind an aperture: two energy balances (Kuttruff; Cremer & Mueller)."""
+
+    name: ClassVar[str] = "coupled room"
+    size: ClassVar[str] = "aperture"
+    unit: ClassVar[str] = "m²"
+    neutral: ClassVar[float] = 0.0
+    removable: ClassVar[bool] = True
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return apertures of .05 to 1.2 A, rooms of .2 to 3 V, alpha .02 to .3."""
+        area = middle_absorption(state)
+        return [
+            {"aperture": float(a * area), "volume": float(v * state.volume), "alpha": float(e)}
+            for a, v, e in product(
+                np.geomspace(0.05, 1.2, 8), np.geomspace(0.2, 3, 4), np.geomspace(0.02, 0.3, 4)
+            )
+        ]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room coupled to the other."""
+        return replace(state, shape=coupled(
+            parameters["aperture"], parameters["volume"], parameters["alpha"]
+        ))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class NonDiffuse:
+    """Uneven absorption and little scattering: each direction decays at its own rate."""
+
+    name: ClassVar[str] = "non-diffuse field"
+    size: ClassVar[str] = "scattering"
+    unit: ClassVar[str] = "scattering coefficient"
+    neutral: ClassVar[float] = 1.0
+    removable: ClassVar[bool] = False
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return s = .01 to .3."""
+        return [{"scattering": float(s)} for s in np.geomspace(0.01, 0.3, 9)]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with so little scattering."""
+        return replace(state, shape=nondiffuse(parameters["scattering"]))
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Noise in the measured decays that was not taken off: S(t) + N (t_end - t) (ISO 3382)."""
+
+    name: ClassVar[str] = "noise floor"
+    size: ClassVar[str] = "level"
+    unit: ClassVar[str] = "dB under the start of the decay"
+    neutral: ClassVar[float] = -90.0
+    removable: ClassVar[bool] = False
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return -60 to -30 dB over one to three reverberation times."""
+        return [
+            {"level": float(x), "record": r}
+            for x, r in product(np.linspace(-62, -30, 17), (1.5, 2.5))
+        ]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with this noise in its decays."""
+        return replace(state, floor_db=parameters["level"], record=parameters["record"])
+
+
+@dataclass(frozen=True)
+class Directivity:
+    """A source that is not omnidirectional: its direct sound, in C80 and G alone."""
+
+    name: ClassVar[str] = "direct sound"
+    size: ClassVar[str] = "gain"
+    unit: ClassVar[str] = "dB"
+    neutral: ClassVar[float] = 0.0
+    removable: ClassVar[bool] = False
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return -9 to +9 dB."""
+        return [{"gain": g} for g in (-9.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 9.0)]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with the direct sound so much stronger."""
+        return replace(state, direct_db=state.direct_db + parameters["gain"])
+
+
+def library() -> tuple[Effect, ...]:
+    """Return every effect that rtcal knows."""
+    return (
+        OmittedAir(), Opening(), Audience(), Furniture(), Porous(), Resonator(), WrongArea(),
+        WrongVolume(), WrongFormula(), CoupledRoom(), NonDiffuse(), NoiseFloor(), Directivity(),
+    )  # fmt: skip

@@ -1,0 +1,282 @@
+"""How well each effect explains what was measured: evidence in closed form.
+
+    log E_k = log mean over theta of N(y; y_k(theta) + bias, C)
+    C = J Sigma J' + R + D + kappa² (½ d d' + ½ diag d²)
+
+with y the features, J Sigma J' what the prior on alpha lets them vary, R what the measurement does,
+bias and D the model's own error as control rooms showed it, d the effect's change and kappa its
+own misfit (after Kennedy & O'Hagan 2001).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
+
+from rtcal.discrepancy.case import Case, Configuration
+from rtcal.discrepancy.effects import Effect, Parameters
+from rtcal.discrepancy.engines import Controls
+from rtcal.discrepancy.model import FEATURES, Predicted, State, distances, predict, state
+from rtcal.types import Array
+
+KAPPA = 0.15
+NONE, UNKNOWN = "none", "unknown"
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """What was measured: features (n_configurations, n_features, n_bands), NaN where missing.
+
+    ``covariance`` (n, n) is R, of the features that are there, in the order of ``used``.
+    """
+
+    features: Array
+    used: Array  # bool, as features
+    covariance: Array
+
+    @property
+    def values(self) -> Array:
+        """The features that are there, (n,)."""
+        return self.features[self.used]
+
+
+@dataclass(frozen=True, eq=False)
+class ModelError:
+    """The model's own error: bias and covariance over all features, raveled."""
+
+    bias: Array
+    covariance: Array
+    engines: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """Every effect with every one of its parameters, and what the case's model then predicts.
+
+    ``names`` and ``parameters`` (n,); ``features`` and ``slopes`` (n, n_configurations, n_features,
+    n_bands); ``alpha_variance`` (n, n_configurations, n_bands, n_configurations, n_bands), the prior's
+    covariance of ln T20. The first is "none".
+    """
+
+    names: tuple[str, ...]
+    parameters: tuple[Parameters, ...]
+    features: Array
+    slopes: Array
+    alpha_variance: Array
+    effects: Mapping[str, Effect] = field(default_factory=dict)
+
+
+def observe(case: Case) -> Observed:
+    """Return the case's features and their measurement covariance."""
+    n, k = len(case.configurations), case.room.n_bands
+    table = np.full((n, len(FEATURES), k), np.nan)
+    blocks = np.zeros((n, k, len(FEATURES), len(FEATURES)))
+    for c, configuration in enumerate(case.configurations):
+        table[c], blocks[c] = _features(configuration)
+    used = np.isfinite(table)
+    full = np.zeros((n, len(FEATURES), k, n, len(FEATURES), k))
+    for c in range(n):
+        for b in range(k):
+            full[c, :, b, c, :, b] = np.nan_to_num(blocks[c, b])
+    flat = used.ravel()
+    size = flat.size
+    return Observed(table, used, full.reshape(size, size)[np.ix_(flat, flat)])
+
+
+def _features(configuration: Configuration) -> tuple[Array, Array]:
+    m = configuration.measured
+    t20, t30, edt = m.mean("t20"), m.mean("t30"), m.mean("edt")
+    relative = {p: m.mean_uncertainty(p) / m.mean(p) for p in ("t20", "t30", "edt")}
+    amount, u = (t20, relative["t20"]) if "t20" in m.values else (t30, relative["t30"])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        table = np.stack([
+            np.log(amount), np.log(edt / amount), np.log(t30 / amount), m.mean("c80"), m.mean("g")
+        ])  # fmt: skip
+    if "t20" not in m.values:
+        table[2] = np.nan  # it would be 0 by its making
+    k = len(t20)
+    base = np.where(np.isfinite(u), u, 0.03)
+    e, t = (np.where(np.isfinite(relative[p]), relative[p], 0.03) for p in ("edt", "t30"))
+    block = np.zeros((k, 5, 5))
+    block[:, 0, 0] = base**2
+    block[:, 1, 1] = base**2 + e**2
+    block[:, 2, 2] = base**2 + t**2
+    # The ratios share the T20 that they are taken to.
+    block[:, 0, 1] = block[:, 1, 0] = block[:, 0, 2] = block[:, 2, 0] = -(base**2)
+    block[:, 1, 2] = block[:, 2, 1] = base**2
+    for row, p in ((3, "c80"), (4, "g")):
+        known = m.mean_uncertainty(p)
+        block[:, row, row] = np.where(np.isfinite(known), known, 0.5) ** 2
+    return table, block
+
+
+def hypotheses(case: Case, effects: Sequence[Effect]) -> Hypotheses:
+    """Predict the case under every effect and parameter."""
+    base = [state(case, c) for c in case.configurations]
+    names: list[str] = [NONE]
+    parameters: list[Parameters] = [{}]
+    states: list[list[State]] = [base]
+    for effect in effects:
+        for theta in effect.grid(base[0]):
+            names.append(effect.name)
+            parameters.append(theta)
+            states.append([
+                one if c.suspect_removed and effect.removable else effect.change(one, theta)
+                for one, c in zip(base, case.configurations, strict=True)
+            ])  # fmt: skip
+    predicted = [
+        predict([row[c] for row in states], distances(case, configuration))
+        for c, configuration in enumerate(case.configurations)
+    ]
+    return Hypotheses(
+        names=tuple(names),
+        parameters=tuple(parameters),
+        features=np.stack([p.features for p in predicted], axis=1),
+        slopes=np.stack([p.slopes for p in predicted], axis=1),
+        alpha_variance=alpha_variance(case, states, predicted),
+        effects={e.name: e for e in effects},
+    )
+
+
+def alpha_variance(
+    case: Case, states: Sequence[Sequence[State]], predicted: Sequence[Predicted]
+) -> Array:
+    """Return the prior's covariance of ln T20, (n, n_configurations, n_bands, same, same).
+
+    d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha; a material that a configuration changed is
+    independent there of what it is elsewhere.
+    """
+    room = case.room
+    octaves = np.abs(np.subtract.outer(*[np.log2(room.centre_frequencies)] * 2))
+    rho = room.band_correlation**octaves if room.band_correlation > 0 else np.eye(len(octaves))
+    pull = np.stack([
+        np.stack([row[c].sensitivity for row in states])
+        * p.reverberation_time[:, None, :] / (6 * np.log(10))
+        for c, p in enumerate(predicted)
+    ], axis=1)  # fmt: skip  # (n, configurations, materials, bands)
+    n, count, materials, bands = pull.shape
+    out = np.zeros((n, count, bands, count, bands))
+    sigma = np.stack([_sigma(case, c) for c in case.configurations])
+    scaled = pull * sigma
+    for a in range(count):
+        for b in range(count):
+            first, second = case.configurations[a].changes, case.configurations[b].changes
+            shared = np.array([
+                a == b or (m not in first and m not in second) for m in room.materials
+            ], dtype=float)  # fmt: skip
+            product = np.einsum("nmk,nml,m->nkl", scaled[:, a], scaled[:, b], shared)
+            out[:, a, :, b, :] = product * rho
+    return out
+
+
+def _sigma(case: Case, configuration: Configuration) -> Array:
+    sigma = np.array(case.room.sigma)
+    for material, change in configuration.changes.items():
+        sigma[case.room.material_index(material)] = change.sigma
+    return sigma
+
+
+def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
+    """Return bias and covariance of the model's error from control rooms.
+
+    The bias is the mean over engines; the covariance is what scatters within each and what lies between
+    them. A sample covariance of few rooms is drawn halfway to its diagonal.
+    """
+    n, k = len(case.configurations), case.room.n_bands
+    size = n * len(FEATURES) * k
+    means, spreads = [], []
+    for c in controls:
+        table = c.errors.reshape(len(c.errors), size)
+        mean = np.nan_to_num(np.nanmean(table, axis=0))
+        centred = np.nan_to_num(table - mean)
+        means.append(mean)
+        spreads.append(centred.T @ centred / max(len(table) - 1, 1))
+    bias = np.mean(means, axis=0)
+    between = np.array(means) - bias
+    covariance = np.mean(spreads, axis=0)
+    covariance += between.T @ between / max(len(controls) - 1, 1)
+    shrunk = 0.6 * covariance + 0.4 * np.diag(np.diag(covariance))
+    return ModelError(bias, shrunk * 1.1, tuple(c.engine for c in controls))
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Log likelihood of every hypothesis, (n_hypotheses,) or (n_hypotheses, n_draws), in nats."""
+
+    log_likelihood: Array
+    unknown: Array
+    names: tuple[str, ...]
+
+    def by_effect(self) -> dict[str, Array]:
+        """Return the log evidence of each effect, "none" and "unknown", in nats."""
+        names = np.array(self.names)
+        out = {}
+        for name in dict.fromkeys(self.names):
+            rows = self.log_likelihood[names == name]
+            out[name] = logsumexp(rows, axis=0) - np.log(len(rows))
+        out[UNKNOWN] = self.unknown
+        return out
+
+
+def weigh(
+    observed: Observed, predicted: Hypotheses, error: ModelError, values: Array | None = None,
+    kappa: float = KAPPA,
+) -> Evidence:  # fmt: skip
+    """Return the evidence for the observed features, or for other ``values`` (n_draws, n) of them."""
+    mask = observed.used.ravel()
+    y = observed.values if values is None else values
+    rest = observed.covariance + error.covariance[np.ix_(mask, mask)]
+    bias = error.bias[mask]
+    base = predicted.features[0].ravel()[mask]
+    n = len(predicted.names)
+    out = np.empty((n, *np.shape(y)[:-1]))
+    unknown = np.empty(np.shape(y)[:-1])
+    for i in range(n):
+        prior = _alpha_covariance(predicted, i)[np.ix_(mask, mask)]
+        centre = predicted.features[i].ravel()[mask]
+        d = centre - base
+        c = prior + rest + kappa**2 * 0.5 * (np.outer(d, d) + np.diag(d**2))
+        out[i] = _log_normal(y - centre - bias, c)
+        if i == 0:
+            unknown = _unknown(y - centre - bias, c, observed.used)
+    return Evidence(out, unknown, predicted.names)
+
+
+def _alpha_covariance(predicted: Hypotheses, i: int) -> Array:
+    """J Sigma J' of one hypothesis, over all features raveled."""
+    slopes = predicted.slopes[i]  # (configurations, features, bands)
+    variance = predicted.alpha_variance[i]
+    count, kinds, bands = slopes.shape
+    full = np.einsum("afk,akbl,bgl->afkbgl", slopes, variance, slopes)
+    return np.asarray(full.reshape(count * kinds * bands, -1))
+
+
+def _log_normal(residual: Array, covariance: Array) -> Array:
+    factor = np.linalg.cholesky(covariance)
+    z = solve_triangular(factor, residual.T, lower=True)
+    return np.asarray(
+        -0.5 * (z * z).sum(0) - np.log(np.diag(factor)).sum() - 0.5 * len(covariance) * np.log(2 * np.pi)
+    )
+
+
+_SPREADS = (0.03, 0.08, 0.2)
+"""Relative size of an unknown effect: of times in ln, of levels ten times as many dB."""
+
+
+def _unknown(residual: Array, covariance: Array, used: Array) -> Array:
+    """Log evidence of "something else": a change smooth over bands, and one free in each."""
+    count, kinds, bands = used.shape
+    scale = np.array([1.0, 0.4, 0.4, 8.0, 8.0])
+    lag = np.abs(np.subtract.outer(np.arange(bands), np.arange(bands)))
+    over_bands = 0.6 * 0.75**lag + 0.4 * np.eye(bands)
+    # In all configurations alike; amount, shape and level each on its own.
+    full = np.einsum("ab,fg,kl->afkbgl", np.ones((count, count)), np.diag(scale**2), over_bands)
+    size = count * kinds * bands
+    mask = used.ravel()
+    extra = full.reshape(size, size)[np.ix_(mask, mask)]
+    parts = [_log_normal(residual, covariance + s**2 * extra) for s in _SPREADS]
+    return np.asarray(logsumexp(parts, axis=0) - np.log(len(parts)))

@@ -1,0 +1,254 @@
+"""What a room's model predicts in one configuration, and how an effect may change it.
+
+A `State` is everything that the prediction needs. An effect returns another state: with more
+absorption, another volume or equation, a noise floor, or a ``shape`` of its own for the decay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rtcal.discrepancy.case import Case, Configuration, Present
+from rtcal.types import Array
+
+FEATURES = ("t20", "edt", "t30", "c80", "g")
+"""Rows of every feature table: ln T20 (s), ln EDT/T20, ln T30/T20, C80 and G in dB."""
+_LN6 = 6 * np.log(10)
+
+
+@dataclass(frozen=True)
+class Decay:
+    """Energy density after a pulse of unit energy: sum over j of ``weights`` exp(-``rates`` t).
+
+    Both (n_bands, n_terms), in 1/m³ and 1/s.
+    """
+
+    weights: Array
+    rates: Array
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A room in one configuration, as a model knows it.
+
+    ``areas`` (n_materials,), ``alpha`` (n_materials, n_bands), ``facing`` (n_materials, 3), ``air``
+    (n_bands,) in 1/m. ``covering`` (n_bands,) is what panels and openings add to S'alpha in m²,
+    ``objects`` (n_bands,) the absorption area of things that stand free. ``floor_db`` is the noise
+    under the level at which the decay starts, over ``record`` reverberation times; ``direct_db``
+    what the direct sound has above an omnidirectional source's.
+    """
+
+    volume: float
+    areas: Array
+    alpha: Array
+    facing: Array
+    air: Array
+    frequencies: Array
+    speed_of_sound: float
+    equation: str = "eyring"
+    covering: Array | float = 0.0
+    objects: Array | float = 0.0
+    shape: Callable[[State], Decay] | None = None
+    floor_db: float | None = None
+    record: float = 2.0
+    direct_db: float = 0.0
+
+    @property
+    def total_area(self) -> float:
+        """S in m²."""
+        return float(self.areas.sum())
+
+    @property
+    def surface_absorption(self) -> Array:
+        """S a(alpha) in m², (n_bands,): what the surfaces absorb after the equation."""
+        s = self.total_area
+        if self.equation == "millington":
+            exponents = self.areas @ -np.log1p(-np.minimum(self.alpha, 1 - 1e-6))
+            return np.asarray(exponents + self.covering)
+        mean = np.clip((self.areas @ self.alpha + self.covering) / s, 1e-6, 1 - 1e-6)
+        if self.equation == "sabine":
+            return np.asarray(s * mean)
+        exponent = -np.log1p(-mean)
+        if self.equation == "kuttruff":
+            exponent = exponent * (1 - 0.2 * exponent)  # gamma² = .4 (Kuttruff 2016, Sect. 5.4)
+        return np.asarray(s * exponent)
+
+    @property
+    def rate(self) -> Array:
+        """k = c (S a + 4 m V + A_objects) / 4 V in 1/s, (n_bands,), so that T = 6 ln 10 / k."""
+        absorbed = self.surface_absorption + 4 * self.air * self.volume + self.objects
+        return np.asarray(self.speed_of_sound * absorbed / (4 * self.volume))
+
+    @property
+    def sensitivity(self) -> Array:
+        """d k / d alpha in 1/s, (n_materials, n_bands)."""
+        flow = self.speed_of_sound / (4 * self.volume) * self.areas[:, None]
+        if self.equation == "sabine":
+            return np.asarray(flow * np.ones_like(self.alpha))
+        if self.equation == "millington":
+            return np.asarray(flow / (1 - np.minimum(self.alpha, 0.99)))
+        mean = (self.areas @ self.alpha + self.covering) / self.total_area
+        slope = 1 / (1 - np.clip(mean, 0, 0.98))
+        if self.equation == "kuttruff":
+            slope = slope * (1 + 0.4 * np.log1p(-np.clip(mean, 0, 0.98)))
+        return np.asarray(flow * slope)
+
+    def decay(self) -> Decay:
+        """Return the decay: one exponential, unless the state has a shape of its own."""
+        if self.shape is not None:
+            return self.shape(self)
+        rate = self.rate[:, None]
+        return Decay(np.full_like(rate, 1 / self.volume), rate)
+
+    def covered(self, area: float, spectrum: Array) -> State:
+        """Return the state with ``area`` m² of wall replaced by something of this spectrum."""
+        wall = self.areas @ self.alpha / self.total_area
+        gain = area * (spectrum - wall)
+        if self.equation == "millington":
+            gain = area * (-np.log1p(-np.minimum(spectrum, 0.999)) + np.log1p(-wall))
+        return replace(self, covering=self.covering + gain)
+
+    def with_objects(self, absorption_area: Array) -> State:
+        """Return the state with things that stand free in it, of this absorption area in m²."""
+        return replace(self, objects=self.objects + absorption_area)
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Features (n, n_features, n_bands) of n states, and d features / d ln T20 at a fixed shape."""
+
+    features: Array
+    slopes: Array
+    reverberation_time: Array = field(repr=False)
+
+
+def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> State:
+    """Return the case's room in one configuration, with what `Finding.apply` has put there.
+
+    ``alpha`` (n_materials, n_bands) replaces the room's; a configuration's changes come after.
+    """
+    room = case.room
+    values = np.array(room.alpha if alpha is None else alpha)
+    for material, change in configuration.changes.items():
+        values[room.material_index(material)] = change.alpha
+    air = configuration.air or room.air
+    assert_facing = case.facing
+    if assert_facing is None:
+        raise TypeError("a case has its facing once it is made")
+    made = State(
+        volume=room.volume, areas=room.areas, alpha=values, facing=assert_facing,
+        air=np.zeros(room.n_bands) if air is None else air.attenuation(room.centre_frequencies),
+        frequencies=room.centre_frequencies, speed_of_sound=room.speed_of_sound,
+        equation=case.equation,
+    )  # fmt: skip
+    return with_present(made, case.present, configuration)
+
+
+def with_present(made: State, present: Sequence[Present], configuration: Configuration) -> State:
+    """Return the state with the effects that have been added to the model."""
+    from rtcal.discrepancy.effects import library
+
+    effects = {e.name: e for e in library()} if present else {}
+    for one in present:
+        effect = effects[one.effect]
+        if not (configuration.suspect_removed and effect.removable):
+            made = effect.change(made, one.parameters)
+    return made
+
+
+def distances(case: Case, configuration: Configuration) -> Array:
+    """Return the source-receiver distances in m, (n_pairs,)."""
+    if configuration.distances is not None:
+        return configuration.distances
+    return np.array([0.5 * case.room.volume ** (1 / 3)])
+
+
+def predict(states: Sequence[State], distance: Array) -> Predicted:
+    """Return the features of many states of one room, (n, n_features, n_bands)."""
+    decays = [s.decay() for s in states]
+    n_bands = len(states[0].air)
+    features = np.empty((len(states), len(FEATURES), n_bands))
+    shifted = np.empty_like(features)
+    widths = np.array([d.rates.shape[1] for d in decays])
+    for width in np.unique(widths):
+        here = np.flatnonzero(widths == width)
+        weights = np.stack([decays[i].weights for i in here])
+        rates = np.stack([decays[i].rates for i in here])
+        floor = np.array([np.nan if (f := states[i].floor_db) is None else f for i in here])
+        record = np.array([states[i].record for i in here])
+        direct = np.array([states[i].direct_db for i in here])
+        c = states[0].speed_of_sound
+        for out, stretch in ((features, 1.0), (shifted, 1.01)):
+            out[here] = _features(
+                weights, rates / stretch, floor, record, direct, np.asarray(distance), c
+            )
+    return Predicted(
+        features, (shifted - features) / np.log(1.01), np.exp(features[:, FEATURES.index("t20")])
+    )
+
+
+def _features(
+    weights: Array, rates: Array, floor_db: Array, record: Array, direct_db: Array,
+    distance: Array, c: float,
+) -> Array:  # fmt: skip
+    out = np.zeros((len(weights), len(FEATURES), weights.shape[1]))
+    noisy = np.isfinite(floor_db)
+    if weights.shape[2] == 1 and not noisy.any():
+        out[:, 0] = np.log(_LN6 / rates[:, :, 0])
+    else:
+        out[:, :3] = _times(weights, rates, floor_db, record)
+
+    # Barron and Lee 1988: what arrives at a distance has decayed since the direct sound left.
+    def left(t: Array) -> Array:
+        return np.sum(
+            (weights / rates)[..., None] * np.exp(-rates[..., None] * t[None, None, None, :]), axis=2
+        )
+
+    arrival = distance / c
+    reverberant = 4 * np.pi * 100 * c * left(arrival)
+    late = 4 * np.pi * 100 * c * left(arrival + 0.08)
+    direct = (100 / distance**2)[None, None, :] * 10 ** (direct_db / 10)[:, None, None]
+    early = direct + reverberant - late
+    out[:, 3] = 10 * np.log10(early / late).mean(-1)
+    out[:, 4] = 10 * np.log10(direct + reverberant).mean(-1)
+    return out
+
+
+def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Array:
+    """ln T20, ln EDT/T20, ln T30/T20 of sums of exponentials with a noise floor."""
+    energy = weights / rates
+    total = energy.sum(2)
+    noise = np.where(np.isfinite(floor_db), 10 ** (np.nan_to_num(floor_db) / 10), 0.0)[:, None]
+    density = noise * weights.sum(2)
+    # A record of so many reverberation times, the time that the energy's own rate gives.
+    end = record[:, None] * _LN6 * total / weights.sum(2)
+
+    def level(t: Array) -> Array:
+        decayed = np.sum(energy[..., None] * np.exp(-rates[..., None] * t[:, :, None, :]), axis=2)
+        with_floor = decayed + density[..., None] * np.maximum(end[..., None] - t, 0)
+        whole = total + density * end
+        return np.asarray(10 * np.log10(np.maximum(with_floor / whole[..., None], 1e-12)))
+
+    wanted = np.array([0.0, -5.0, -10.0, -25.0, -35.0])
+    low = np.zeros((*total.shape, len(wanted)))
+    high = np.where(noise > 0, end, 9.0 / rates.min(2))[..., None] * np.ones(len(wanted))
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        above = level(middle) > wanted
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    at = 0.5 * (low + high)
+    at[..., 0] = 0.0
+    steps = np.linspace(0, 1, 24)
+
+    def time(first: int, last: int) -> Array:
+        t = at[..., first, None] + (at[..., last, None] - at[..., first, None]) * steps
+        y = level(t)
+        t = t - t.mean(-1, keepdims=True)
+        slope = (t * y).sum(-1) / (t * t).sum(-1)
+        return np.asarray(np.log(-60 / slope))
+
+    t20 = time(1, 3)
+    return np.stack([t20, time(0, 2) - t20, time(1, 4) - t20], axis=1)
