@@ -1,0 +1,103 @@
+"""The threshold: how much evidence a room without anything hidden gives by chance.
+
+Rooms are made up of the case's own: alpha from the prior, the model's error from the engines'
+control rooms, noise from the measurement. The error is learnt from one half of the control rooms and
+the evidence scored on the other, so that no room is judged by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.engines import ENGINES, Controls, Report, draw_alpha, nothing
+from rtcal.discrepancy.evidence import (
+    NONE,
+    Evidence,
+    Hypotheses,
+    ModelError,
+    Observed,
+    model_error,
+    weigh,
+)
+from rtcal.discrepancy.model import distances, predict, state
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+LEVEL = 0.97
+"""Quantile of the made-up rooms' evidence that the threshold stands at."""
+LEAST = 2.3
+"""Nats: odds of ten to one, below which nothing is said to be there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Threshold:
+    """The evidence in nats that a finding must exceed, and what it was learnt from.
+
+    ``scores`` (n_draws,) are the made-up rooms'; ``error`` the model's own.
+    """
+
+    value: float
+    scores: Array
+    error: ModelError
+
+    @property
+    def engines(self) -> tuple[str, ...]:
+        """The simulators that the control rooms went through."""
+        return self.error.engines
+
+
+def control_rooms(
+    case: Case, seed: int = 0, engines: Sequence[str] = ("path tracing", "network"),
+    report: Report = nothing,
+) -> tuple[Controls, ...]:  # fmt: skip
+    """Run the case's control rooms through the engines; DataError for fewer than two."""
+    if unknown := sorted(set(engines) - set(ENGINES)):
+        raise DataError(f'engine "{unknown[0]}" is not one of {", ".join(ENGINES)}')
+    if len(set(engines)) < 2:
+        raise DataError(f"engines = {list(engines)}: a threshold needs at least two engines")
+    return tuple(ENGINES[name](case, seed, report=report) for name in engines)
+
+
+def threshold(
+    case: Case, observed: Observed, predicted: Hypotheses, controls: Sequence[Controls],
+    seed: int = 0, draws: int = 400,
+) -> Threshold:  # fmt: skip
+    """Return the threshold for this case's data."""
+    rng = np.random.default_rng([seed, 3])
+    scores = []
+    for fold in (0, 1):
+        learn = [Controls(c.engine, c.errors[fold::2]) for c in controls]
+        test = [c.errors[1 - fold :: 2] for c in controls]
+        values = _made_up(case, observed, test, rng, draws // 2)
+        scores.append(score(weigh(observed, predicted, model_error(case, learn), values)))
+    every = np.concatenate(scores)
+    value = max(float(np.quantile(every, LEVEL)), LEAST)
+    return Threshold(value, every, model_error(case, controls))
+
+
+def score(evidence: Evidence) -> Array:
+    """Return S = max over effects of log E_k - log E_none, in nats."""
+    table: Mapping[str, Array] = evidence.by_effect()
+    best = np.max([v for k, v in table.items() if k != NONE], axis=0)
+    return np.asarray(best - table[NONE])
+
+
+def _made_up(
+    case: Case, observed: Observed, errors: Sequence[Array], rng: np.random.Generator, n: int
+) -> Array:
+    """Features (n, n_used) of rooms without anything hidden."""
+    alphas = draw_alpha(case, rng, n)
+    rows = [
+        predict([state(case, c, a[i]) for a in alphas], distances(case, c)).features
+        for i, c in enumerate(case.configurations)
+    ]
+    values = np.stack(rows, axis=1)
+    engine = rng.integers(len(errors), size=n)
+    picked = np.stack([errors[e][rng.integers(len(errors[e]))] for e in engine])
+    values = values + np.nan_to_num(picked)
+    noise = rng.multivariate_normal(np.zeros(len(observed.covariance)), observed.covariance, n)
+    return np.asarray(values[:, observed.used] + noise)
