@@ -2,7 +2,8 @@
 
 Rooms are made up of the case's own: alpha from the prior, the model's error from the engines'
 control rooms, noise from the measurement. The error is learnt from one half of the control rooms and
-the evidence scored on the other, so that no room is judged by itself.
+the evidence scored on the other, so that no room is judged by itself; an engine of few control rooms
+(the network) stays whole.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from rtcal.discrepancy.evidence import (
     model_error,
     weigh,
 )
-from rtcal.discrepancy.model import distances, predict, state
+from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 from rtcal.types import Array
 
-LEVEL = 0.97
+LEVEL = 0.95
 """Quantile of the made-up rooms' evidence that the threshold stands at."""
 LEAST = 2.3
 """Nats: odds of ten to one, below which nothing is said to be there."""
@@ -70,13 +72,21 @@ def threshold(
     rng = np.random.default_rng([seed, 3])
     scores = []
     for fold in (0, 1):
-        learn = [Controls(c.engine, c.errors[fold::2]) for c in controls]
-        test = [c.errors[1 - fold :: 2] for c in controls]
+        learn = [_part(c, fold) for c in controls]
+        test = [_part(c, 1 - fold).errors for c in controls]
         values = _made_up(case, observed, test, rng, draws // 2)
         scores.append(score(weigh(observed, predicted, model_error(case, learn), values)))
     every = np.concatenate(scores)
     value = max(float(np.quantile(every, LEVEL)), LEAST)
     return Threshold(value, every, model_error(case, controls))
+
+
+_FEW = 16
+
+
+def _part(controls: Controls, fold: int) -> Controls:
+    errors = controls.errors
+    return Controls(controls.engine, errors[fold::2] if len(errors) >= _FEW else errors)
 
 
 def score(evidence: Evidence) -> Array:

@@ -42,6 +42,7 @@ from rtcal.acoustics.room import AXES, Room
 from rtcal.errors import DataError
 from rtcal.types import Array
 
+_LARGEST = 50_000_000  # bytes
 EQUATIONS = ("eyring", "sabine", "kuttruff", "millington")
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
 
@@ -121,7 +122,7 @@ class Case:
     room: Room
     configurations: Sequence[Configuration]
     equation: str = "eyring"
-    facing: Array | None = None
+    facing: Array = None  # type: ignore[assignment]  # filled in when made
     present: Sequence[Present] = ()
 
     def __post_init__(self) -> None:
@@ -178,15 +179,13 @@ class Case:
     def to_dict(self) -> dict[str, Any]:
         """Return nested plain values: what `from_dict` reads."""
         room = self.room
-        facing = self.facing
-        assert_facing = facing if facing is not None else np.full((room.n_materials, 3), 1 / 3)
         return {
             "room": {
                 "name": room.name, "volume": room.volume, "materials": list(room.materials),
                 "areas": room.areas.tolist(), "alpha": room.alpha.tolist(),
                 "sigma": room.sigma.tolist(), "band_correlation": room.band_correlation,
                 "centre_frequencies": room.centre_frequencies.tolist(),
-                "air": _air_dict(room.air), "facing": assert_facing.tolist(),
+                "air": _air_dict(room.air), "facing": self.facing.tolist(),
             },
             "equation": self.equation,
             "configurations": [_configuration_dict(c) for c in self.configurations],
@@ -202,7 +201,7 @@ class Case:
 
         Raises DataError naming the file and the rule.
         """
-        text = read_text(path)
+        text = read_text(path, _LARGEST)
         try:
             if str(path).endswith(".json"):
                 return cls.from_dict(_as_mapping(str(path), json.loads(text)))
@@ -224,7 +223,9 @@ class Case:
             measured = Measurement.from_file(str(folder / entry["measured"]))
             rest = {k: v for k, v in entry.items() if k != "measured"}
             configurations.append(_configuration(room, rest, uncertainty, measured))
-        return cls(room=room, equation=data.get("equation", "eyring"), configurations=configurations)
+        return cls(
+            room=room, equation=data.get("equation", "eyring"), configurations=configurations
+        )
 
     def save(self, path: str) -> None:
         """Write the case as JSON, whole or not at all."""
@@ -273,9 +274,9 @@ def _facing(room: Room, facing: Any) -> Array:
     total = array.sum(1, keepdims=True)
     if not np.isfinite(array).all() or (array < 0).any() or (total <= 0).any():
         raise DataError("facing has a value below 0, or a row that sums to 0")
-    array = array / total
-    array.setflags(write=False)
-    return array
+    shares: Array = array / total
+    shares.setflags(write=False)
+    return shares
 
 
 def _check(room: Room, c: Configuration) -> None:
@@ -347,9 +348,7 @@ def _configuration(
 
 def _table(name: str, parameter: str, values: Any, n_bands: int) -> Array:
     try:
-        rows = np.array(
-            [[np.nan if v is None else float(v) for v in row] for row in _rows(values)]
-        )
+        rows = np.array([[np.nan if v is None else float(v) for v in row] for row in _rows(values)])
     except (TypeError, ValueError) as error:
         raise DataError(f'configuration "{name}": {parameter}: {error}') from error
     if rows.ndim != 2 or rows.shape[1] != n_bands:

@@ -37,11 +37,30 @@ class Effect(Protocol):
         Whether it is a thing that could be taken out of the room.
     """
 
-    name: ClassVar[str]
-    size: ClassVar[str]
-    unit: ClassVar[str]
-    neutral: ClassVar[float]
-    removable: ClassVar[bool]
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    @property
+    def size(self) -> str:
+        """Its size's name."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Its size's unit."""
+        ...
+
+    @property
+    def neutral(self) -> float:
+        """The size that changes nothing; NaN where no size is one."""
+        ...
+
+    @property
+    def removable(self) -> bool:
+        """Whether it can be taken out of the room."""
+        ...
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return the parameters that are tried, alike in probability."""
@@ -153,9 +172,7 @@ class Audience:
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return .08 to 1.3 times the room's absorption, seated or standing."""
         sizes = np.geomspace(0.08, 1.3, 10) * middle_absorption(state)
-        return [
-            {"standing": s, "absorption_area": float(a)} for s, a in product((0.0, 1.0), sizes)
-        ]
+        return [{"standing": s, "absorption_area": float(a)} for s, a in product((0.0, 1.0), sizes)]
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the audience."""
@@ -212,7 +229,7 @@ class Porous(Absorber):
         """Return the statistical alpha."""
         # Averaged over the octave: a narrow resonance of a thin layer is not measured as such.
         inside = frequencies[:, None] * 2.0 ** np.array([-0.33, 0.0, 0.33])
-        ratio = 1e3 * inside / parameters["flow_resistivity"]
+        ratio = inside / parameters["flow_resistivity"]
         k = 2 * np.pi * inside / 343.2
         impedance = 1 + 0.0699 * ratio**-0.632 - 1j * 0.1071 * ratio**-0.632
         number = k * (1 + 0.1093 * ratio**-0.618 - 1j * 0.1597 * ratio**-0.618)
@@ -304,9 +321,7 @@ class WrongFormula:
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return the equations that the model does not use."""
-        return [
-            {"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e != state.equation
-        ]
+        return [{"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e != state.equation]
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room under that equation."""

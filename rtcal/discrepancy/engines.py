@@ -55,7 +55,9 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
     """
     room = case.room
     octaves = np.abs(np.subtract.outer(*[np.log2(room.centre_frequencies)] * 2))
-    correlation = room.band_correlation**octaves if room.band_correlation > 0 else np.eye(len(octaves))
+    correlation = (
+        room.band_correlation**octaves if room.band_correlation > 0 else np.eye(len(octaves))
+    )
     factor = np.linalg.cholesky(correlation + 1e-10 * np.eye(len(octaves)))
 
     def drawn(mean: Array, sigma: Array) -> Array:
@@ -75,10 +77,8 @@ def box(case: Case) -> tuple[Room, Array]:
 
     The second is (n_materials, 3) and turns the case's alpha into an axis' mean.
     """
-    room, facing = case.room, case.facing
-    if facing is None:
-        raise TypeError("a case has its facing once it is made")
-    towards = room.areas[:, None] * facing
+    room = case.room
+    towards = room.areas[:, None] * case.facing
     total = np.maximum(towards.sum(0), 1e-3 * room.total_area)
     if room.dimensions is not None:
         sides = np.array(room.dimensions)
@@ -199,9 +199,7 @@ def _features(energy: Array, width: float, level: float) -> Array:
     found = decay.parameters(energy, width)
     t20, edt, t30 = (found[p].mean(0) for p in ("t20", "edt", "t30"))
     g = 10 * np.log10(level * energy.sum(-1)).mean(0)
-    return np.stack(
-        [np.log(t20), np.log(edt / t20), np.log(t30 / t20), found["c80"].mean(0), g]
-    )
+    return np.stack([np.log(t20), np.log(edt / t20), np.log(t30 / t20), found["c80"].mean(0), g])
 
 
 def _theory(

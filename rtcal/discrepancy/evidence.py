@@ -11,16 +11,19 @@ own misfit (after Kennedy & O'Hagan 2001).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
-from rtcal.discrepancy.case import Case, Configuration
-from rtcal.discrepancy.effects import Effect, Parameters
+from rtcal.acoustics import bands
+from rtcal.discrepancy.case import Case, Configuration, Present
+from rtcal.discrepancy.effects import Effect, Parameters, library
 from rtcal.discrepancy.engines import Controls
-from rtcal.discrepancy.model import FEATURES, Predicted, State, distances, predict, state
+from rtcal.discrepancy.model import FEATURES, Predicted, State, predict
+from rtcal.discrepancy.states import distances, state
+from rtcal.errors import DataError
 from rtcal.types import Array
 
 KAPPA = 0.15
@@ -41,7 +44,7 @@ class Observed:
     @property
     def values(self) -> Array:
         """The features that are there, (n,)."""
-        return self.features[self.used]
+        return np.asarray(self.features[self.used])
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,8 @@ class Hypotheses:
 
     ``names`` and ``parameters`` (n,); ``features`` and ``slopes`` (n, n_configurations, n_features,
     n_bands); ``alpha_variance`` (n, n_configurations, n_bands, n_configurations, n_bands), the prior's
-    covariance of ln T20. The first is "none".
+    covariance of ln T20. ``present_covariance``, over all features raveled, is what is not known of the
+    sizes of effects that the model has already. The first hypothesis is "none".
     """
 
     names: tuple[str, ...]
@@ -67,16 +71,32 @@ class Hypotheses:
     features: Array
     slopes: Array
     alpha_variance: Array
+    present_covariance: Array
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
 
-def observe(case: Case) -> Observed:
-    """Return the case's features and their measurement covariance."""
+WORST = 0.15
+"""Relative standard uncertainty of a decay time, beyond which it is dropped."""
+
+
+def observe(case: Case) -> tuple[Observed, list[str]]:
+    """Return the case's features with their measurement covariance, and what was dropped, in words."""
+    notes: list[str] = []
     n, k = len(case.configurations), case.room.n_bands
     table = np.full((n, len(FEATURES), k), np.nan)
     blocks = np.zeros((n, k, len(FEATURES), len(FEATURES)))
     for c, configuration in enumerate(case.configurations):
         table[c], blocks[c] = _features(configuration)
+        for b, f in enumerate(configuration.measured.centre_frequencies):
+            if blocks[c, b, 0, 0] > WORST**2:
+                u = 100 * float(np.sqrt(blocks[c, b, 0, 0]))
+                notes.append(
+                    f'"{configuration.name}": {bands.label(f)} dropped: T is known to {u:.0f} % only'
+                )
+                table[c, :, b] = np.nan
+            elif np.isnan(table[c, 0, b]):
+                notes.append(f'"{configuration.name}": {bands.label(f)} dropped: no T20')
+                table[c, :, b] = np.nan
     used = np.isfinite(table)
     full = np.zeros((n, len(FEATURES), k, n, len(FEATURES), k))
     for c in range(n):
@@ -84,7 +104,11 @@ def observe(case: Case) -> Observed:
             full[c, :, b, c, :, b] = np.nan_to_num(blocks[c, b])
     flat = used.ravel()
     size = flat.size
-    return Observed(table, used, full.reshape(size, size)[np.ix_(flat, flat)])
+    if not used.any():
+        raise DataError(
+            "no band of any configuration has a T that can be trusted: " + "; ".join(notes)
+        )
+    return Observed(table, used, full.reshape(size, size)[np.ix_(flat, flat)]), notes
 
 
 def _features(configuration: Configuration) -> tuple[Array, Array]:
@@ -138,8 +162,32 @@ def hypotheses(case: Case, effects: Sequence[Effect]) -> Hypotheses:
         features=np.stack([p.features for p in predicted], axis=1),
         slopes=np.stack([p.slopes for p in predicted], axis=1),
         alpha_variance=alpha_variance(case, states, predicted),
+        present_covariance=_present_covariance(case),
         effects={e.name: e for e in effects},
     )
+
+
+def _present_covariance(case: Case) -> Array:
+    """What the sizes of the effects in the model leave open, over all features raveled."""
+
+    def features(present: Sequence[Present]) -> Array:
+        changed = replace(case, present=present)
+        return np.array([
+            predict([state(changed, c)], distances(case, c)).features[0]
+            for c in case.configurations
+        ]).ravel()  # fmt: skip
+
+    base = features(case.present)
+    out = np.zeros((len(base), len(base)))
+    for i, one in enumerate(case.present):
+        if one.size_sigma > 0:
+            size = next(e for e in library() if e.name == one.effect).size
+            moved = {**one.parameters, size: one.parameters[size] + one.size_sigma}
+            others = list(case.present)
+            others[i] = replace(one, parameters=moved)
+            d = features(others) - base
+            out += np.outer(d, d)
+    return out
 
 
 def alpha_variance(
@@ -191,7 +239,8 @@ def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
     means, spreads = [], []
     for c in controls:
         table = c.errors.reshape(len(c.errors), size)
-        mean = np.nan_to_num(np.nanmean(table, axis=0))
+        there = np.isfinite(table)
+        mean = np.where(there, table, 0).sum(0) / np.maximum(there.sum(0), 1)
         centred = np.nan_to_num(table - mean)
         means.append(mean)
         spreads.append(centred.T @ centred / max(len(table) - 1, 1))
@@ -230,13 +279,14 @@ def weigh(
     mask = observed.used.ravel()
     y = observed.values if values is None else values
     rest = observed.covariance + error.covariance[np.ix_(mask, mask)]
+    rest = rest + predicted.present_covariance[np.ix_(mask, mask)]
     bias = error.bias[mask]
     base = predicted.features[0].ravel()[mask]
     n = len(predicted.names)
     out = np.empty((n, *np.shape(y)[:-1]))
     unknown = np.empty(np.shape(y)[:-1])
     for i in range(n):
-        prior = _alpha_covariance(predicted, i)[np.ix_(mask, mask)]
+        prior = alpha_covariance(predicted, i)[np.ix_(mask, mask)]
         centre = predicted.features[i].ravel()[mask]
         d = centre - base
         c = prior + rest + kappa**2 * 0.5 * (np.outer(d, d) + np.diag(d**2))
@@ -246,7 +296,7 @@ def weigh(
     return Evidence(out, unknown, predicted.names)
 
 
-def _alpha_covariance(predicted: Hypotheses, i: int) -> Array:
+def alpha_covariance(predicted: Hypotheses, i: int) -> Array:
     """J Sigma J' of one hypothesis, over all features raveled."""
     slopes = predicted.slopes[i]  # (configurations, features, bands)
     variance = predicted.alpha_variance[i]
@@ -259,7 +309,9 @@ def _log_normal(residual: Array, covariance: Array) -> Array:
     factor = np.linalg.cholesky(covariance)
     z = solve_triangular(factor, residual.T, lower=True)
     return np.asarray(
-        -0.5 * (z * z).sum(0) - np.log(np.diag(factor)).sum() - 0.5 * len(covariance) * np.log(2 * np.pi)
+        -0.5 * (z * z).sum(0)
+        - np.log(np.diag(factor)).sum()
+        - 0.5 * len(covariance) * np.log(2 * np.pi)
     )
 
 
@@ -280,3 +332,14 @@ def _unknown(residual: Array, covariance: Array, used: Array) -> Array:
     extra = full.reshape(size, size)[np.ix_(mask, mask)]
     parts = [_log_normal(residual, covariance + s**2 * extra) for s in _SPREADS]
     return np.asarray(logsumexp(parts, axis=0) - np.log(len(parts)))
+
+
+def standardised(observed: Observed, predicted: Hypotheses, error: ModelError) -> Array:
+    """Return measured less modelled over its standard deviation, as `Observed.features`."""
+    mask = observed.used.ravel()
+    c = alpha_covariance(predicted, 0) + error.covariance
+    spread = np.sqrt(np.diag(c)[mask] + np.diag(observed.covariance))
+    out = np.full(mask.size, np.nan)
+    residual = observed.values - predicted.features[0].ravel()[mask] - error.bias[mask]
+    out[mask] = residual / spread
+    return out.reshape(observed.used.shape)

@@ -1,4 +1,4 @@
-"""What a room's model predicts in one configuration, and how an effect may change it.
+"""What a model predicts of a room in one state.
 
 A `State` is everything that the prediction needs. An effect returns another state: with more
 absorption, another volume or equation, a noise floor, or a ``shape`` of its own for the decay.
@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rtcal.discrepancy.case import Case, Configuration, Present
 from rtcal.types import Array
 
 FEATURES = ("t20", "edt", "t30", "c80", "g")
@@ -125,47 +124,6 @@ class Predicted:
     reverberation_time: Array = field(repr=False)
 
 
-def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> State:
-    """Return the case's room in one configuration, with what `Finding.apply` has put there.
-
-    ``alpha`` (n_materials, n_bands) replaces the room's; a configuration's changes come after.
-    """
-    room = case.room
-    values = np.array(room.alpha if alpha is None else alpha)
-    for material, change in configuration.changes.items():
-        values[room.material_index(material)] = change.alpha
-    air = configuration.air or room.air
-    assert_facing = case.facing
-    if assert_facing is None:
-        raise TypeError("a case has its facing once it is made")
-    made = State(
-        volume=room.volume, areas=room.areas, alpha=values, facing=assert_facing,
-        air=np.zeros(room.n_bands) if air is None else air.attenuation(room.centre_frequencies),
-        frequencies=room.centre_frequencies, speed_of_sound=room.speed_of_sound,
-        equation=case.equation,
-    )  # fmt: skip
-    return with_present(made, case.present, configuration)
-
-
-def with_present(made: State, present: Sequence[Present], configuration: Configuration) -> State:
-    """Return the state with the effects that have been added to the model."""
-    from rtcal.discrepancy.effects import library
-
-    effects = {e.name: e for e in library()} if present else {}
-    for one in present:
-        effect = effects[one.effect]
-        if not (configuration.suspect_removed and effect.removable):
-            made = effect.change(made, one.parameters)
-    return made
-
-
-def distances(case: Case, configuration: Configuration) -> Array:
-    """Return the source-receiver distances in m, (n_pairs,)."""
-    if configuration.distances is not None:
-        return configuration.distances
-    return np.array([0.5 * case.room.volume ** (1 / 3)])
-
-
 def predict(states: Sequence[State], distance: Array) -> Predicted:
     """Return the features of many states of one room, (n, n_features, n_bands)."""
     decays = [s.decay() for s in states]
@@ -177,9 +135,10 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
         here = np.flatnonzero(widths == width)
         weights = np.stack([decays[i].weights for i in here])
         rates = np.stack([decays[i].rates for i in here])
-        floor = np.array([np.nan if (f := states[i].floor_db) is None else f for i in here])
-        record = np.array([states[i].record for i in here])
-        direct = np.array([states[i].direct_db for i in here])
+        group = [states[int(i)] for i in here]
+        floor = np.array([np.nan if s.floor_db is None else s.floor_db for s in group])
+        record = np.array([s.record for s in group])
+        direct = np.array([s.direct_db for s in group])
         c = states[0].speed_of_sound
         for out, stretch in ((features, 1.0), (shifted, 1.01)):
             out[here] = _features(
@@ -203,9 +162,8 @@ def _features(
 
     # Barron and Lee 1988: what arrives at a distance has decayed since the direct sound left.
     def left(t: Array) -> Array:
-        return np.sum(
-            (weights / rates)[..., None] * np.exp(-rates[..., None] * t[None, None, None, :]), axis=2
-        )
+        decayed = np.exp(-rates[..., None] * t[None, None, None, :])
+        return np.asarray(np.sum((weights / rates)[..., None] * decayed, axis=2))
 
     arrival = distance / c
     reverberant = 4 * np.pi * 100 * c * left(arrival)

@@ -1,0 +1,177 @@
+"""What to measure next, and what could be told apart at all: distances between predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.evidence import (
+    NONE,
+    UNKNOWN,
+    Evidence,
+    Hypotheses,
+    ModelError,
+    Observed,
+    alpha_covariance,
+)
+from rtcal.discrepancy.model import FEATURES
+from rtcal.types import Array
+
+_USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
+"""Standard uncertainty of a feature that is not measured yet, as a mean over four positions."""
+
+
+def separation(
+    predicted: Hypotheses, covariance: Array, mask: Array, first: int, second: str
+) -> float:
+    """Return how far the nearest hypothesis of an effect is from one hypothesis, in nats.
+
+    ½ min over theta of d' C⁻¹ d over the masked features: the evidence to expect against it.
+    """
+    rows = [i for i, n in enumerate(predicted.names) if n == second]
+    inverse = np.linalg.inv(covariance[np.ix_(mask, mask)])
+    d = predicted.features[rows].reshape(len(rows), -1)[:, mask]
+    d = d - predicted.features[first].ravel()[mask]
+    return float(0.5 * np.einsum("ni,ij,nj->n", d, inverse, d).min())
+
+
+def _covariance(predicted: Hypotheses, error: ModelError, measured: Array, i: int) -> Array:
+    return np.asarray(alpha_covariance(predicted, i) + error.covariance + np.diag(measured))
+
+
+def _variances(case: Case, observed: Observed) -> Array:
+    """Measurement variance of every feature, of those not measured too."""
+    shape = observed.used.shape
+    table = np.broadcast_to(_USUAL[None, :, None] ** 2, shape).copy()
+    table[observed.used] = np.diag(observed.covariance)
+    return np.asarray(table.ravel())
+
+
+def next_measurement(
+    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, evidence: Evidence,
+    candidates: Sequence[str],
+) -> str:  # fmt: skip
+    """Say what would settle which of the candidates it is."""
+    named = [c for c in candidates if c != UNKNOWN]
+    if not named:
+        return "nothing to settle" if not candidates else (
+            "look at the residual map: which band, which parameter; then measure there again"
+        )  # fmt: skip
+    best = named[0]
+    rows = [i for i, n in enumerate(predicted.names) if n == best]
+    first = rows[int(np.argmax(evidence.log_likelihood[rows]))]
+    if len(named) == 1:
+        if predicted.effects[best].removable:
+            return f"confirm it: measure once without the {best}"
+        return f"confirm it: check the {best} where it can be looked up or measured by itself"
+    rival = named[1]
+    variances = _variances(case, observed)
+    covariance = _covariance(predicted, error, variances, first)
+    used = observed.used
+    now = separation(predicted, covariance, used.ravel(), first, rival)
+    options = []
+    for label, features in (
+        ("EDT and T30", ("edt", "t30")), ("C80", ("c80",)), ("G, with a calibrated source", ("g",)),
+    ):  # fmt: skip
+        rows_f = [FEATURES.index(f) for f in features]
+        more = used.copy()
+        more[:, rows_f] = True
+        if more.sum() > used.sum():
+            options.append((separation(predicted, covariance, more.ravel(), first, rival), label))
+    removable = {n: predicted.effects[n].removable for n in (best, rival)}
+    if len(set(removable.values())) == 2:
+        thing = best if removable[best] else rival
+        return (
+            f"measure with and without the {thing}: if it is that, T changes, and what is not known "
+            "of alpha cancels"
+        )
+    if options and max(options)[0] > now + 1:
+        gain, label = max(options)
+        return f"{label}: {best} and {rival} would differ by {gain:.1f} nats instead of {now:.1f}"
+    if all(removable.values()):
+        return f"measure with and without the {best}, then the {rival}: what is not known of alpha cancels"
+    return (
+        f"{best} and {rival} predict the same in every parameter; look at the room: one of them can be "
+        "seen or measured with a rule"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Which effects a case's data could tell apart.
+
+    ``separations`` (effect, effect) to nats: the evidence to expect for the first, at the size that
+    changes T by about ``change``, against the nearest of the second.
+    """
+
+    parameters: tuple[str, ...]
+    change: float
+    separations: Mapping[tuple[str, str], float]
+    more: Mapping[str, Mapping[tuple[str, str], float]]
+
+    def __str__(self) -> str:
+        """Return what a user reads."""
+        names = list(dict.fromkeys(a for a, _ in self.separations))
+        lines = [
+            f"With {', '.join(self.parameters)}: evidence (nats) to expect for the effect in the row, "
+            f"where it changes T by {100 * self.change:.0f} %,",
+            "against the effect in the column; over 2.3 (ten to one) they can be told apart.",
+        ]
+        width = max(map(len, names)) + 1
+        lines.append(" " * width + "".join(f"{n[:8]:>9}" for n in (NONE, *names)))
+        for a in names:
+            cells = "".join(
+                "        ." if a == b else f"{min(self.separations[a, b], 999):9.1f}"
+                for b in (NONE, *names)
+            )
+            lines.append(f"{a:<{width}}{cells}")
+        blind = [
+            f"{a} from {b}" for i, a in enumerate(names) for b in names[i + 1 :]
+            if min(self.separations[a, b], self.separations[b, a]) < 2.3
+        ]  # fmt: skip
+        lines.append("Cannot be told apart: " + ("; ".join(blind) or "none of them") + ".")
+        for label, table in self.more.items():
+            gained = [
+                f"{a} from {b}" for i, a in enumerate(names) for b in names[i + 1 :]
+                if f"{a} from {b}" in blind and min(table[a, b], table[b, a]) >= 2.3
+            ]  # fmt: skip
+            lines.append(f"With {label} as well: " + ("; ".join(gained) or "no more") + ".")
+        return "\n".join(lines)
+
+
+def plan(
+    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, change: float = 0.2
+) -> Plan:
+    """Return which effects could be told apart, each at a size that changes T by ``change``."""
+    variances = _variances(case, observed)
+    base = predicted.features[0]
+    names = [n for n in dict.fromkeys(predicted.names) if n != NONE]
+    used = observed.used
+    masks = {"": used}
+    for label, features in (
+        ("EDT and T30", ("edt", "t30")), ("C80 and G", ("c80", "g")),
+    ):  # fmt: skip
+        more = used.copy()
+        more[:, [FEATURES.index(f) for f in features]] = True
+        if more.sum() > used.sum():
+            masks[label] = more
+    tables: dict[str, dict[tuple[str, str], float]] = {m: {} for m in masks}
+    for a in names:
+        rows = [i for i, n in enumerate(predicted.names) if n == a]
+        # The size whose largest change of T over the bands is nearest to the one asked for.
+        moved = np.abs(predicted.features[rows][:, 0, 0] - base[0, 0]).max(-1)
+        first = rows[int(np.argmin(np.abs(moved - change)))]
+        covariance = _covariance(predicted, error, variances, first)
+        for label, mask in masks.items():
+            for b in (NONE, *names):
+                if a != b:
+                    tables[label][a, b] = separation(predicted, covariance, mask.ravel(), first, b)
+    measured = tuple(
+        p for p in ("t20", "edt", "t30", "c80", "g")
+        if any(p in c.measured.values for c in case.configurations)
+    )  # fmt: skip
+    rest = {label: t for label, t in tables.items() if label}
+    return Plan(measured, change, tables[""], rest)

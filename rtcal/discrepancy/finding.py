@@ -1,0 +1,359 @@
+"""Find what a model misses: screen, locate, name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.quality import schroeder_frequency
+from rtcal.discrepancy.advice import next_measurement
+from rtcal.discrepancy.bootstrap import Threshold, control_rooms
+from rtcal.discrepancy.bootstrap import threshold as bootstrapped
+from rtcal.discrepancy.case import Case, Present
+from rtcal.discrepancy.effects import Effect, Parameters, library
+from rtcal.discrepancy.engines import Controls, Report, nothing
+from rtcal.discrepancy.evidence import (
+    NONE,
+    UNKNOWN,
+    Evidence,
+    Hypotheses,
+    ModelError,
+    Observed,
+    hypotheses,
+    observe,
+    standardised,
+    weigh,
+)
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+SET = 1.3
+"""Nats within which an effect is a candidate beside the best. Ten to one (2.3) holds the truth more
+often, in sets half as large again: docs/discrepancy.md."""
+FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much there is of an effect: mean and 90 % interval, in ``unit``."""
+
+    mean: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What a case's data say of its model.
+
+    Attributes
+    ----------
+    verdict : {"none", "hint", "named", "ambiguous", "unknown"}
+        ``named``: one effect explains the data; ``ambiguous``: those in ``candidates`` cannot be
+        told apart with these data; ``unknown``: something is there that no effect of the library
+        explains; ``hint``: less than the threshold, more than half of it.
+    effect : str or None
+        The best supported effect, unless the verdict is "none".
+    candidates : tuple of str
+        Effects within `SET` nats of the best, the best first.
+    evidence : mapping of str to float
+        Nats over "none", by effect, and for "unknown".
+    score, threshold : float
+        The best effect's evidence and what it must exceed, in nats.
+    engines : tuple of str
+        The simulators whose control rooms the threshold and the model's error were learnt from.
+    parameters : mapping of str to float
+        The best effect's.
+    size : Size or None
+        How much there is of it, where it has a size.
+    runner_up : str
+        The second best.
+    advice : str
+        The next measurement that would settle it.
+    residuals : array (n_configurations, n_features, n_bands)
+        Measured less modelled over its standard deviation: amount (ln T20), shape (EDT/T20,
+        T30/T20), level (C80, G). NaN where nothing was measured.
+    notes : tuple of str
+        What was dropped, and what not to believe.
+    """
+
+    case: Case
+    verdict: str
+    effect: str | None
+    candidates: tuple[str, ...]
+    evidence: Mapping[str, float]
+    score: float
+    threshold: float
+    engines: tuple[str, ...]
+    parameters: Mapping[str, float]
+    size: Size | None
+    runner_up: str
+    advice: str
+    residuals: Array
+    notes: tuple[str, ...]
+    error: ModelError = field(repr=False)
+    effects: Mapping[str, Effect] = field(repr=False)
+
+    def apply(self, case: Case | None = None) -> Case:
+        """Return the case with the named effect in its model; what has it already is returned as it is.
+
+        Raises DataError for a verdict without a named effect to add ("none", "hint", "unknown"). An
+        ambiguous one adds the best candidate.
+        """
+        case = self.case if case is None else case
+        if self.verdict in ("none", "hint") or self.effect in (None, UNKNOWN):
+            raise DataError(f'the verdict is "{self.verdict}"; there is no named effect to add')
+        if any(p.effect == self.effect for p in case.present):
+            return case
+        spread = 0.0 if self.size is None else (self.size.high - self.size.low) / 3.29
+        added = Present(str(self.effect), dict(self.parameters), spread)
+        return replace(case, present=(*case.present, added))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        size = self.size
+        return {
+            "verdict": self.verdict, "effect": self.effect, "candidates": list(self.candidates),
+            "evidence": dict(self.evidence), "score": self.score, "threshold": self.threshold,
+            "engines": list(self.engines), "parameters": dict(self.parameters),
+            "size": None if size is None else {
+                "mean": size.mean, "low": size.low, "high": size.high, "unit": size.unit
+            },
+            "runner_up": self.runner_up, "advice": self.advice, "notes": list(self.notes),
+            "residuals": [
+                {
+                    "configuration": c.name, "feature": FEATURE_NAMES[f],
+                    "values": [None if np.isnan(v) else round(float(v), 2) for v in row],
+                }
+                for c, table in zip(self.case.configurations, self.residuals, strict=True)
+                for f, row in enumerate(table) if np.isfinite(row).any()
+            ],
+        }  # fmt: skip
+
+    def __str__(self) -> str:
+        """Return what a user reads."""
+        return "\n".join(_lines(self))
+
+
+def find(
+    case: Case,
+    effects: Sequence[Effect] | None = None,
+    threshold: Threshold | float | None = None,
+    seed: int = 0,
+    *,
+    engines: Sequence[str] = ("path tracing", "network"),
+    controls: Sequence[Controls] | None = None,
+    report: Report = nothing,
+) -> Finding:
+    """Find what the case's model misses.
+
+    Parameters
+    ----------
+    case : Case
+    effects : sequence of Effect, optional
+        Those to try; the whole library if not given.
+    threshold : Threshold or float, optional
+        One of an earlier bootstrap of the same case; or nats, and the model's error is then the one
+        of ``controls``. Bootstrapped if not given.
+    seed : int
+        Of the control rooms and of the bootstrap.
+    engines : sequence of str
+        At least two simulators that the control rooms go through.
+    controls : sequence of Controls, optional
+        Control rooms that were run before.
+
+    Returns
+    -------
+    Finding
+
+    Raises
+    ------
+    DataError
+        If fewer than two engines are given.
+    """
+    effects = library() if effects is None else tuple(effects)
+    observed, notes = observe(case)
+    predicted = hypotheses(case, effects)
+    if not isinstance(threshold, Threshold):
+        if controls is None:
+            controls = control_rooms(case, seed, engines, report)
+        learnt = bootstrapped(case, observed, predicted, controls, seed)
+        limit = learnt.value if threshold is None else float(threshold)
+        if not np.isfinite(limit):
+            raise DataError(f"threshold = {limit:g} nats is not finite")
+    else:
+        learnt, limit = threshold, threshold.value
+    return judge(case, observed, predicted, learnt.error, limit, notes)
+
+
+def judge(
+    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, limit: float,
+    notes: Sequence[str] = (),
+) -> Finding:  # fmt: skip
+    """Weigh the hypotheses and say what follows; `find` calls it."""
+    evidence = weigh(observed, predicted, error)
+    table = {k: float(v) for k, v in evidence.by_effect().items()}
+    over = {k: v - table[NONE] for k, v in table.items() if k != NONE}
+    order = sorted(over, key=lambda k: -over[k])
+    best, score = order[0], over[order[0]]
+    candidates = tuple(k for k in order if over[k] > score - SET)
+    if score <= limit:
+        verdict = "hint" if score > max(0.5 * limit, 0.5) else "none"
+    elif best == UNKNOWN:
+        verdict = "unknown"
+    else:
+        verdict = "named" if len(candidates) == 1 else "ambiguous"
+    if verdict == "none":
+        candidates = ()
+    parameters: Parameters = {}
+    size = None
+    if verdict != "none" and best != UNKNOWN:
+        parameters, size = _size(case, observed, predicted, error, evidence, best)
+    return Finding(
+        case=case, verdict=verdict, effect=None if verdict == "none" else best,
+        candidates=candidates, evidence={k: over[k] for k in order}, score=score, threshold=limit,
+        engines=error.engines, parameters=parameters, size=size,
+        runner_up=order[1] if len(order) > 1 else NONE,
+        advice=next_measurement(case, observed, predicted, error, evidence, candidates),
+        residuals=standardised(observed, predicted, error), notes=(*notes, *_notes(case)),
+        error=error, effects=predicted.effects,
+    )  # fmt: skip
+
+
+def _size(
+    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, evidence: Evidence,
+    name: str,
+) -> tuple[Parameters, Size | None]:  # fmt: skip
+    """The effect's most probable parameters, and its size with a 90 % interval.
+
+    Around the most probable others, the size is tried again in fine steps.
+    """
+    effect = predicted.effects[name]
+    rows = [i for i, n in enumerate(predicted.names) if n == name]
+    likelihood = evidence.log_likelihood[rows]
+    best = predicted.parameters[rows[int(np.argmax(likelihood))]]
+    if not np.isfinite(effect.neutral):
+        return best, None
+    weights = np.exp(likelihood - logsumexp(likelihood))
+    others: dict[tuple[tuple[str, float], ...], float] = {}
+    for i, w in zip(rows, weights, strict=True):
+        key = tuple((k, v) for k, v in predicted.parameters[i].items() if k != effect.size)
+        others[key] = others.get(key, 0.0) + float(w)
+    likely = sorted(others, key=lambda k: -others[k])[:8]
+    grid = np.array([predicted.parameters[i][effect.size] for i in rows])
+    low, high = grid.min(), grid.max()
+    if low > 0:
+        fine = np.geomspace(low / 1.5, high * 1.5, 61)
+    else:
+        fine = np.linspace(low, high, 61)
+    thetas = [{**dict(key), effect.size: float(x)} for key in likely for x in fine]
+    again = weigh(observed, hypotheses(case, [_Tried(effect, tuple(thetas))]), error)
+    log_p = again.log_likelihood[1:]
+    p = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine))
+    by_size = p.sum(0)
+    cumulated = np.cumsum(by_size) - 0.5 * by_size
+    low, high = (float(np.interp(q, cumulated, fine)) for q in (0.05, 0.95))
+    mean = float(by_size @ fine)
+    chosen = thetas[int(np.argmax(log_p))]
+    return {**chosen, effect.size: mean}, Size(mean, low, high, effect.unit)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """An effect with a grid of one's own."""
+
+    effect: Effect
+    thetas: tuple[Parameters, ...]
+    neutral: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return self.effect.name
+
+    @property
+    def size(self) -> str:
+        return self.effect.size
+
+    @property
+    def unit(self) -> str:
+        return self.effect.unit
+
+    @property
+    def removable(self) -> bool:
+        return self.effect.removable
+
+    def grid(self, state: Any) -> Sequence[Parameters]:
+        return self.thetas
+
+    def change(self, state: Any, parameters: Parameters) -> Any:
+        return self.effect.change(state, parameters)
+
+
+def _notes(case: Case) -> list[str]:
+    """What not to believe, whatever is found."""
+    out = []
+    for c in case.configurations:
+        t = c.measured.decay_time().mean
+        limit = float(np.nanmax(schroeder_frequency(t, case.room.volume)))
+        low = [f for f in case.room.centre_frequencies if f < limit]
+        if low:
+            out.append(
+                f'"{c.name}": {", ".join(bands.label(f) for f in low)} under Schroeder\'s frequency '
+                f"({limit:.0f} Hz), where no field is diffuse"
+            )
+        if {"t20", "t30"} <= set(c.measured.values):
+            curved = 100 * (c.measured.mean("t30") / c.measured.mean("t20") - 1)
+            for f, v in zip(case.room.centre_frequencies, curved, strict=True):
+                if abs(v) > 10:
+                    out.append(
+                        f'"{c.name}": the decay at {bands.label(f)} is not straight: curvature '
+                        f"{v:+.0f} % (ISO 3382-2, Annex B, at most 10 %)"
+                    )
+    if case.room.air is None:
+        out.append("no air is stated: the model's air absorbs nothing")
+    return out
+
+
+def _lines(finding: Finding) -> list[str]:
+    f = finding
+    what = {
+        "none": "No disagreement beyond what prior, measurement and model error allow.",
+        "hint": f"A hint of {f.effect}, under the threshold.",
+        "named": f"Missing from the model: {f.effect}.",
+        "ambiguous": f"Missing from the model: one of {', '.join(f.candidates)}.",
+        "unknown": "Something is missing that no effect of the library explains.",
+    }[f.verdict]
+    lines = [f"{f.verdict}: {what}"]
+    if f.size is not None and f.verdict in ("named", "ambiguous"):
+        s = f.size
+        rest = ", ".join(
+            f"{k} {v:.3g}" for k, v in f.parameters.items() if k != f.effects[str(f.effect)].size
+        )
+        lines.append(
+            f"  size of {f.effect}: {s.mean:.3g} {s.unit} (90 %: {s.low:.3g} to {s.high:.3g})"
+            + (f"; {rest}" if rest else "")
+        )
+    elif f.parameters:
+        lines.append("  " + ", ".join(f"{k} {v:.3g}" for k, v in f.parameters.items()))
+    lines.append(
+        f"  evidence {f.score:+.1f} nats; threshold {f.threshold:.1f}, bootstrapped on "
+        f"{' and '.join(f.engines) or 'no engine'}; runner-up {f.runner_up} "
+        f"({f.evidence.get(f.runner_up, 0.0):+.1f})"
+    )
+    for c, table in zip(f.case.configurations, f.residuals, strict=True):
+        lines.append(f'  residuals of "{c.name}", in standard deviations (measured - model):')
+        heads = "".join(f"{bands.label(x):>9}" for x in f.case.room.centre_frequencies)
+        lines.append(f"    {'':9}{heads}")
+        for name, row in zip(FEATURE_NAMES, table, strict=True):
+            if np.isfinite(row).any():
+                cells = "".join("        -" if np.isnan(v) else f"{v:+9.1f}" for v in row)
+                lines.append(f"    {name:9}{cells}")
+    lines.append(f"  next: {f.advice}")
+    lines += [f"  note: {n}" for n in f.notes]
+    return lines
