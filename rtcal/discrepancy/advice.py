@@ -92,7 +92,10 @@ def next_measurement(
         gain, label = max(options)
         return f"{label}: {best} and {rival} would differ by {gain:.1f} nats instead of {now:.1f}"
     if all(removable.values()):
-        return f"measure with and without the {best}, then the {rival}: what is not known of alpha cancels"
+        return (
+            f"measure with and without the {best}, then the {rival}: what is not known of "
+            "alpha cancels"
+        )
     return (
         f"{best} and {rival} predict the same in every parameter; look at the room: one of them can be "
         "seen or measured with a rule"

@@ -206,7 +206,7 @@ def alpha_variance(
         * p.reverberation_time[:, None, :] / (6 * np.log(10))
         for c, p in enumerate(predicted)
     ], axis=1)  # fmt: skip  # (n, configurations, materials, bands)
-    n, count, materials, bands = pull.shape
+    n, count, _, bands = pull.shape
     out = np.zeros((n, count, bands, count, bands))
     sigma = np.stack([_sigma(case, c) for c in case.configurations])
     scaled = pull * sigma

@@ -248,10 +248,7 @@ def _size(
     likely = sorted(others, key=lambda k: -others[k])[:8]
     grid = np.array([predicted.parameters[i][effect.size] for i in rows])
     low, high = grid.min(), grid.max()
-    if low > 0:
-        fine = np.geomspace(low / 1.5, high * 1.5, 61)
-    else:
-        fine = np.linspace(low, high, 61)
+    fine = np.geomspace(low / 1.5, high * 1.5, 61) if low > 0 else np.linspace(low, high, 61)
     thetas = [{**dict(key), effect.size: float(x)} for key in likely for x in fine]
     again = weigh(observed, hypotheses(case, [_Tried(effect, tuple(thetas))]), error)
     log_p = again.log_likelihood[1:]
