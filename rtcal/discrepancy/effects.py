@@ -35,6 +35,8 @@ class Effect(Protocol):
         The size at which nothing is changed.
     removable : bool
         Whether it is a thing that could be taken out of the room.
+    discrete : sequence of str
+        Parameters that have no values between the grid's.
     """
 
     @property
@@ -62,6 +64,11 @@ class Effect(Protocol):
         """Whether it can be taken out of the room."""
         ...
 
+    @property
+    def discrete(self) -> Sequence[str]:
+        """Parameters that have no values between the grid's."""
+        ...
+
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return the parameters that are tried, alike in probability."""
         ...
@@ -82,6 +89,7 @@ class Absorber:
     unit: ClassVar[str] = "m²"
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
+    discrete: ClassVar[Sequence[str]] = ()
     least: ClassVar[float] = 0.05
     most: ClassVar[float] = 1.2
     steps: ClassVar[int] = 10
@@ -121,6 +129,7 @@ class OmittedAir:
     unit: ClassVar[str] = "% at the temperature"
     neutral: ClassVar[float] = np.nan
     removable: ClassVar[bool] = False
+    discrete: ClassVar[Sequence[str]] = ()
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return 5 to 35 °C, 5 to 95 %."""
@@ -165,6 +174,7 @@ class Audience:
     unit: ClassVar[str] = "m² at 1 kHz"
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
+    discrete: ClassVar[Sequence[str]] = ("standing",)
 
     # Seated in upholstered rows, and persons standing (EN 12354-6, Table B.3), over 1 kHz.
     SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)
@@ -194,6 +204,7 @@ class Furniture:
     unit: ClassVar[str] = "m² at 1 kHz"
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
+    discrete: ClassVar[Sequence[str]] = ()
     SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -274,6 +285,7 @@ class WrongArea:
     unit: ClassVar[str] = "of the stated area"
     neutral: ClassVar[float] = 1.0
     removable: ClassVar[bool] = False
+    discrete: ClassVar[Sequence[str]] = ("material",)
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return each material at .4 to 2.5 times its area."""
@@ -299,6 +311,7 @@ class WrongVolume:
     unit: ClassVar[str] = "of the stated volume"
     neutral: ClassVar[float] = 1.0
     removable: ClassVar[bool] = False
+    discrete: ClassVar[Sequence[str]] = ()
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return .7 to 1.4."""
@@ -318,6 +331,7 @@ class WrongFormula:
     unit: ClassVar[str] = "0 Sabine, 1 Eyring, 2 Millington"
     neutral: ClassVar[float] = np.nan
     removable: ClassVar[bool] = False
+    discrete: ClassVar[Sequence[str]] = ("equation",)
     EQUATIONS: ClassVar[tuple[str, ...]] = ("sabine", "eyring", "millington")
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -338,6 +352,7 @@ class CoupledRoom:
     unit: ClassVar[str] = "m²"
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
+    discrete: ClassVar[Sequence[str]] = ()
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return apertures of .05 to 1.2 A, rooms of .2 to 3 V, alpha .02 to .3."""
@@ -365,6 +380,7 @@ class NonDiffuse:
     unit: ClassVar[str] = "scattering coefficient"
     neutral: ClassVar[float] = 1.0
     removable: ClassVar[bool] = False
+    discrete: ClassVar[Sequence[str]] = ()
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return s = .01 to .3."""
@@ -384,6 +400,7 @@ class NoiseFloor:
     unit: ClassVar[str] = "dB under the start of the decay"
     neutral: ClassVar[float] = -90.0
     removable: ClassVar[bool] = False
+    discrete: ClassVar[Sequence[str]] = ()
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return -60 to -30 dB over one to three reverberation times."""
@@ -406,6 +423,7 @@ class Directivity:
     unit: ClassVar[str] = "dB"
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = False
+    discrete: ClassVar[Sequence[str]] = ()
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return -9 to +9 dB."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
@@ -232,33 +233,68 @@ def _size(
 ) -> tuple[Parameters, Size | None]:  # fmt: skip
     """The effect's most probable parameters, and its size with a 90 % interval.
 
-    Around the most probable others, the size is tried again in fine steps.
+    The grid's best is improved by a search; then the size is tried in fine steps around the most
+    probable others.
     """
     effect = predicted.effects[name]
     rows = [i for i, n in enumerate(predicted.names) if n == name]
     likelihood = evidence.log_likelihood[rows]
-    best = predicted.parameters[rows[int(np.argmax(likelihood))]]
+    grid = [predicted.parameters[i] for i in rows]
+
+    def weighed(thetas: Sequence[Parameters]) -> Array:
+        tried = hypotheses(case, [_Tried(effect, tuple(thetas))])
+        return weigh(observed, tried, error).log_likelihood[1:]
+
+    best = _searched(grid, grid[int(np.argmax(likelihood))], effect.discrete, weighed)
     if not np.isfinite(effect.neutral):
         return best, None
     weights = np.exp(likelihood - logsumexp(likelihood))
     others: dict[tuple[tuple[str, float], ...], float] = {}
-    for i, w in zip(rows, weights, strict=True):
-        key = tuple((k, v) for k, v in predicted.parameters[i].items() if k != effect.size)
-        others[key] = others.get(key, 0.0) + float(w)
-    likely = sorted(others, key=lambda k: -others[k])[:8]
-    grid = np.array([predicted.parameters[i][effect.size] for i in rows])
-    low, high = grid.min(), grid.max()
+    for theta, w in zip(grid, weights, strict=True):
+        others[_others(theta, effect)] = others.get(_others(theta, effect), 0.0) + float(w)
+    likely = [_others(best, effect), *sorted(others, key=lambda k: -others[k])[:7]]
+    sizes = np.array([theta[effect.size] for theta in grid])
+    low, high = sizes.min(), sizes.max()
     fine = np.geomspace(low / 1.5, high * 1.5, 61) if low > 0 else np.linspace(low, high, 61)
-    thetas = [{**dict(key), effect.size: float(x)} for key in likely for x in fine]
-    again = weigh(observed, hypotheses(case, [_Tried(effect, tuple(thetas))]), error)
-    log_p = again.log_likelihood[1:]
-    p = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine))
-    by_size = p.sum(0)
+    log_p = weighed([{**dict(key), effect.size: float(x)} for key in likely for x in fine])
+    by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
     cumulated = np.cumsum(by_size) - 0.5 * by_size
-    low, high = (float(np.interp(q, cumulated, fine)) for q in (0.05, 0.95))
-    mean = float(by_size @ fine)
-    chosen = thetas[int(np.argmax(log_p))]
-    return {**chosen, effect.size: mean}, Size(mean, low, high, effect.unit)
+    ends = [float(np.interp(q, cumulated, fine)) for q in (0.05, 0.95)]
+    return best, Size(float(by_size @ fine), ends[0], ends[1], effect.unit)
+
+
+def _others(theta: Parameters, effect: Effect) -> tuple[tuple[str, float], ...]:
+    return tuple((k, v) for k, v in theta.items() if k != effect.size)
+
+
+def _searched(
+    grid: Sequence[Parameters], start: Parameters, discrete: Sequence[str],
+    weighed: Callable[[Sequence[Parameters]], Array],
+) -> Parameters:  # fmt: skip
+    """Improve the grid's best parameters within the grid's range, the discrete ones held."""
+    names = [k for k in start if k not in discrete and len({theta[k] for theta in grid}) > 1]
+    if not names:
+        return start
+    ends = np.array([[f(theta[k] for theta in grid) for f in (min, max)] for k in names])
+    logs = ends[:, 0] > 0
+    scaled = np.where(logs[:, None], np.log(np.where(logs[:, None], ends, 1.0)), ends)
+    low, width = scaled[:, 0], scaled[:, 1] - scaled[:, 0]
+    at = np.array([start[k] for k in names])
+    at = (np.where(logs, np.log(np.where(logs, at, 1.0)), at) - low) / width
+
+    def theta_of(x: Array) -> Parameters:
+        values = low + width * np.clip(x, 0, 1)
+        values = np.where(logs, np.exp(np.where(logs, values, 0.0)), values)
+        return {**start, **dict(zip(names, values.tolist(), strict=True))}
+
+    found = minimize(
+        lambda x: -float(weighed([theta_of(x)])[0]), at, method="Nelder-Mead",
+        options={
+            "maxfev": 25 * len(names), "xatol": 5e-3, "fatol": 1e-2,
+            "initial_simplex": np.vstack([at, *(at + 0.08 * row for row in np.eye(len(at)))]),
+        },
+    )  # fmt: skip
+    return theta_of(found.x)
 
 
 @dataclass(frozen=True)
@@ -284,6 +320,10 @@ class _Tried:
     @property
     def removable(self) -> bool:
         return self.effect.removable
+
+    @property
+    def discrete(self) -> Sequence[str]:
+        return self.effect.discrete
 
     def grid(self, state: Any) -> Sequence[Parameters]:
         return self.thetas

@@ -120,11 +120,12 @@ def verify(finding: Finding, case: Case | None = None) -> Verification:
             if not observed.used[c, f].any():
                 continue
             fitted = f == 0 and c == 0
+            # Plain calibration has bent alpha for the model's bias in T as well.
+            usual = before.features[c, f] + (0 if f == 0 else bias[c, f])
             one = [
-                float(np.nanmean(np.abs(_gap(f, observed.features[c, f], m[c, f] + bias[c, f]))))
-                for m in (before.features, after.features)
+                float(np.nanmean(np.abs(_gap(f, observed.features[c, f], model))))
+                for model in (usual, after.features[c, f] + bias[c, f])
             ]
-            # What plain calibration fits is fitted to the measured value, not to the unbiased one.
             gaps.append(Gap(configuration.name, name, fitted, *one))
             if not fitted:
                 proof.append(one)
@@ -160,7 +161,7 @@ def _predictive(finding: Finding, case: Case, observed: Observed) -> float:
 
 
 def _log_odds(observed: Observed, predicted: Any, finding: Finding, bands: Array) -> float:
-    used = observed.used & bands
+    used = np.logical_and(observed.used, bands)
     kept = used[observed.used]
     part = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
     table = weigh(part, predicted, finding.error).log_likelihood
