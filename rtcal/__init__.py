@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtcal import datasets, errors, io, priors, simulators
+    from rtcal import datasets, discrepancy, errors, io, priors, simulators
     from rtcal.acoustics.air import Air
     from rtcal.acoustics.equations import Eyring, Kuttruff, Sabine
     from rtcal.acoustics.measurement import Measurement
@@ -49,6 +49,7 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "calibrate_simulator": ("rtcal.closed_loop", "calibrate_simulator"),
     "closed_form": ("rtcal.calibration.closed_form", None),
     "datasets": ("rtcal.datasets", None),
+    "discrepancy": ("rtcal.discrepancy", None),
     "errors": ("rtcal.errors", None),
     "exact": ("rtcal.calibration.exact", None),
     "io": ("rtcal.io", None),
@@ -75,6 +76,7 @@ __all__ = [
     "calibrate_simulator",
     "closed_form",
     "datasets",
+    "discrepancy",
     "errors",
     "exact",
     "io",

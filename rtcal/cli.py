@@ -25,6 +25,7 @@ from rtcal.errors import (
     RtcalError,
     SolverError,
 )
+from rtcal.gap_command import gap
 from rtcal.io_commands import export, import_room, measure, table
 from rtcal.loop_command import loop
 from rtcal.report_command import report
@@ -167,7 +168,7 @@ def _write(result: CalibrationResult, folder: Path) -> list[Path]:
     return list(contents)
 
 
-for command in (report, loop, measure, table, import_room, export, study):
+for command in (report, gap, loop, measure, table, import_room, export, study):
     cli.add_command(command)
 
 

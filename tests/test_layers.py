@@ -19,7 +19,7 @@ LAYERS = {
     "acoustics": 1, "priors": 2, "calibration": 3, "simulators": 4,
     "loop_rules": 5, "loop_state": 5, "closed_loop": 5, "studies": 5, "discrepancy": 5,
     "io": 6, "report": 6, "datasets": 6, "cli": 7, "study_command": 7, "io_commands": 7,
-    "loop_command": 7, "report_command": 7, "console": 7,
+    "loop_command": 7, "report_command": 7, "gap_command": 7, "console": 7,
 }  # fmt: skip
 SEPARATE = [("simulators", "calibration"), ("exact", "problem"), ("closed_form", "problem")]
 ONE_DOOR = ("matplotlib", "pyroomacoustics", "pyrato", "pyfar", "numba", "tqdm", "jinja2")

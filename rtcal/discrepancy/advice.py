@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.evidence import (
     NONE,
     UNKNOWN,
@@ -16,8 +18,11 @@ from rtcal.discrepancy.evidence import (
     ModelError,
     Observed,
     alpha_covariance,
+    hypotheses,
+    observe,
 )
 from rtcal.discrepancy.model import FEATURES
+from rtcal.errors import DataError
 from rtcal.types import Array
 
 _USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
@@ -115,6 +120,18 @@ class Plan:
     separations: Mapping[tuple[str, str], float]
     more: Mapping[str, Mapping[tuple[str, str], float]]
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+
+        def rows(table: Mapping[tuple[str, str], float]) -> list[dict[str, Any]]:
+            return [{"effect": a, "against": b, "nats": v} for (a, b), v in table.items()]
+
+        return {
+            "parameters": list(self.parameters), "change": self.change,
+            "separations": rows(self.separations),
+            "with_more": {label: rows(table) for label, table in self.more.items()},
+        }  # fmt: skip
+
     def __str__(self) -> str:
         """Return what a user reads."""
         names = list(dict.fromkeys(a for a, _ in self.separations))
@@ -145,10 +162,35 @@ class Plan:
         return "\n".join(lines)
 
 
+GENERIC = (0.04, 0.04, 0.02, 0.7, 0.7)
+"""The model's own error before any engine has run: of ln T20, ln EDT/T20, ln T30/T20, and in dB."""
+
+
 def plan(
-    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, change: float = 0.2
-) -> Plan:
-    """Return which effects could be told apart, each at a size that changes T by ``change``."""
+    case: Case, effects: Sequence[Effect] | None = None, change: float = 0.2,
+    error: ModelError | None = None,
+) -> Plan:  # fmt: skip
+    """Say, before measuring, which effects the case's data could tell apart.
+
+    Parameters
+    ----------
+    case : Case
+        Its measured values do not count, only which parameters there are and how uncertain.
+    effects : sequence of Effect, optional
+        The whole library if not given.
+    change : float
+        How much each effect is to change T20 in the band that it changes most.
+    error : ModelError, optional
+        Of the case's control rooms; `GENERIC` if not given.
+    """
+    if not (np.isfinite(change) and change > 0):
+        raise DataError(f"change = {change:g} is not finite and above 0")
+    observed, _ = observe(case)
+    predicted = hypotheses(case, library() if effects is None else tuple(effects))
+    if error is None:
+        shape = observed.used.shape
+        spread = np.broadcast_to(np.array(GENERIC)[None, :, None] ** 2, shape).ravel()
+        error = ModelError(np.zeros(spread.size), np.diag(spread))
     variances = _variances(case, observed)
     base = predicted.features[0]
     names = [n for n in dict.fromkeys(predicted.names) if n != NONE]

@@ -66,7 +66,7 @@ def control_rooms(
 
 def threshold(
     case: Case, observed: Observed, predicted: Hypotheses, controls: Sequence[Controls],
-    seed: int = 0, draws: int = 400,
+    seed: int = 0, draws: int = 200,
 ) -> Threshold:  # fmt: skip
     """Return the threshold for this case's data."""
     rng = np.random.default_rng([seed, 3])
@@ -74,7 +74,7 @@ def threshold(
     for fold in (0, 1):
         learn = [_part(c, fold) for c in controls]
         test = [_part(c, 1 - fold).errors for c in controls]
-        values = _made_up(case, observed, test, rng, draws // 2)
+        values = made_up(case, observed, test, rng, draws // 2)
         scores.append(score(weigh(observed, predicted, model_error(case, learn), values)))
     every = np.concatenate(scores)
     value = max(float(np.quantile(every, LEVEL)), LEAST)
@@ -96,10 +96,10 @@ def score(evidence: Evidence) -> Array:
     return np.asarray(best - table[NONE])
 
 
-def _made_up(
+def made_up(
     case: Case, observed: Observed, errors: Sequence[Array], rng: np.random.Generator, n: int
 ) -> Array:
-    """Features (n, n_used) of rooms without anything hidden."""
+    """Return features (n, n_used) of rooms without anything hidden, with engines' errors in them."""
     alphas = draw_alpha(case, rng, n)
     rows = [
         predict([state(case, c, a[i]) for a in alphas], distances(case, c)).features

@@ -11,7 +11,8 @@ In a file (TOML), beside a room and a measurement in rtcal's own formats::
 
     [[configuration]]
     name = "empty"
-    measured = "empty.csv"               # any of T20, EDT, T30, C80, G
+    measured = "empty.csv"               # any of T20, EDT, T30, C80, G; or, before measuring,
+                                         # parameters = ["t20", "edt"] and positions = 4
     distances = [6.1, 8.3]               # optional, m from source to receiver, a value a pair
 
     [[configuration]]
@@ -72,6 +73,8 @@ class Configuration:
         Where the climate was another than the room's.
     distances : array (n_pairs,), optional
         m from source to receiver; half the cube root of the volume if not given.
+    planned : bool
+        Not measured yet: ``measured`` holds placeholders for what will be.
     """
 
     name: str
@@ -80,6 +83,7 @@ class Configuration:
     suspect_removed: bool = False
     air: Air | None = None
     distances: Array | None = None
+    planned: bool = False
 
 
 @dataclass(frozen=True)
@@ -218,6 +222,9 @@ class Case:
         uncertainty = dict(data.get("uncertainty", {}))
         configurations = []
         for entry in data.get("configuration", ()):
+            if "parameters" in entry:
+                configurations.append(_planned(room, entry))
+                continue
             if not isinstance(entry.get("measured"), str):
                 raise DataError(f"{path}: a configuration has no measured = a measurement's file")
             measured = Measurement.from_file(str(folder / entry["measured"]))
@@ -344,6 +351,21 @@ def _configuration(
         air=None if climate is None else Air(**climate),
         distances=None if distances is None else np.array(distances, dtype=float),
     )
+
+
+def _planned(room: Room, data: Mapping[str, Any]) -> Configuration:
+    """A configuration that states which parameters will be measured, and at how many positions."""
+    name = str(data.get("name", "planned"))
+    wanted = data["parameters"]
+    if not isinstance(wanted, list) or not set(wanted) <= set(PARAMETERS) or "t20" not in wanted:
+        raise DataError(
+            f'configuration "{name}": parameters is not a list of {", ".join(PARAMETERS)}, t20 in it'
+        )
+    n = int(data.get("positions", 4))
+    rows = {p: np.ones((n, room.n_bands)).tolist() for p in wanted}
+    rest = {k: v for k, v in data.items() if k not in ("parameters", "positions", "measured")}
+    stated = {"time": 0.02, "level": 0.3}
+    return replace(_configuration(room, {**rest, **rows}, stated), planned=True)
 
 
 def _table(name: str, parameter: str, values: Any, n_bands: int) -> Array:

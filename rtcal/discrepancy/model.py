@@ -140,25 +140,24 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
         record = np.array([s.record for s in group])
         direct = np.array([s.direct_db for s in group])
         c = states[0].speed_of_sound
-        for out, stretch in ((features, 1.0), (shifted, 1.01)):
-            out[here] = _features(
-                weights, rates / stretch, floor, record, direct, np.asarray(distance), c
-            )
+        at = np.asarray(distance)
+        features[here] = _levels(weights, rates, direct, at, c)
+        shifted[here] = _levels(weights, rates / 1.01, direct, at, c)
+        if width == 1 and not np.isfinite(floor).any():
+            features[here, 0] = np.log(_LN6 / rates[:, :, 0])
+        else:
+            features[here, :3] = _times(weights, rates, floor, record)
+        # All rates stretched alike only stretch the time: the ratios stay.
+        shifted[here, :3] = features[here, :3]
+        shifted[here, 0] += np.log(1.01)
     return Predicted(
         features, (shifted - features) / np.log(1.01), np.exp(features[:, FEATURES.index("t20")])
     )
 
 
-def _features(
-    weights: Array, rates: Array, floor_db: Array, record: Array, direct_db: Array,
-    distance: Array, c: float,
-) -> Array:  # fmt: skip
+def _levels(weights: Array, rates: Array, direct_db: Array, distance: Array, c: float) -> Array:
+    """C80 and G (rows 3 and 4), averaged over the distances; the other rows are 0."""
     out = np.zeros((len(weights), len(FEATURES), weights.shape[1]))
-    noisy = np.isfinite(floor_db)
-    if weights.shape[2] == 1 and not noisy.any():
-        out[:, 0] = np.log(_LN6 / rates[:, :, 0])
-    else:
-        out[:, :3] = _times(weights, rates, floor_db, record)
 
     # Barron and Lee 1988: what arrives at a distance has decayed since the direct sound left.
     def left(t: Array) -> Array:
@@ -190,15 +189,14 @@ def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Arra
         whole = total + density * end
         return np.asarray(10 * np.log10(np.maximum(with_floor / whole[..., None], 1e-12)))
 
-    wanted = np.array([0.0, -5.0, -10.0, -25.0, -35.0])
+    wanted = np.array([-5.0, -10.0, -25.0, -35.0])
     low = np.zeros((*total.shape, len(wanted)))
     high = np.where(noise > 0, end, 9.0 / rates.min(2))[..., None] * np.ones(len(wanted))
-    for _ in range(40):
+    for _ in range(26):
         middle = 0.5 * (low + high)
         above = level(middle) > wanted
         low, high = np.where(above, middle, low), np.where(above, high, middle)
-    at = 0.5 * (low + high)
-    at[..., 0] = 0.0
+    at = np.concatenate([np.zeros((*total.shape, 1)), 0.5 * (low + high)], axis=-1)
     steps = np.linspace(0, 1, 24)
 
     def time(first: int, last: int) -> Array:

@@ -21,6 +21,7 @@ from rtcal.discrepancy.evidence import (
     Observed,
     hypotheses,
     observe,
+    standardised,
     weigh,
 )
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
@@ -138,6 +139,15 @@ def verify(finding: Finding, case: Case | None = None) -> Verification:
     return Verification(
         finding, tuple(gaps), float(mean[0]), float(mean[1]), predictive, verdict, before, after
     )
+
+
+def residual_map(verification: Verification) -> Array:
+    """Return measured less corrected model over its standard deviation, as `Finding.residuals`."""
+    finding = verification.finding
+    case = finding.apply()
+    observed, _ = observe(case)
+    predicted = replace(hypotheses(case, []), features=verification.corrected.features[None])
+    return standardised(observed, predicted, finding.error)
 
 
 def _gap(feature: int, measured: Array, modelled: Array) -> Array:

@@ -1,0 +1,419 @@
+"""What the finder does on the frozen rooms in which an effect is hidden (tests/hidden_world).
+
+    python -m benchmarks.hidden_effects run --folder out      # an hour or so; can be resumed
+    python -m benchmarks.hidden_effects table                 # of the stored run, or --folder out
+    python -m benchmarks.hidden_effects engines --rooms 40    # leave one engine out
+    python -m benchmarks.hidden_effects bras ../shared/data/bras
+
+"one": T20, EDT and T30 in one configuration; "all": two configurations, C80 and G as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import gzip
+import json
+import multiprocessing
+import warnings
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+import rtcal as rt
+from rtcal.discrepancy import Case, Configuration, control_rooms, find, library, verify
+from rtcal.discrepancy.bootstrap import made_up, score, threshold
+from rtcal.discrepancy.engines import Controls
+from rtcal.discrepancy.evidence import hypotheses, model_error, observe, weigh
+from tests.hidden_world.generate import read
+from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
+
+STORED = Path(__file__).parents[1] / "tests" / "hidden_world" / "population_1_findings.jsonl.gz"
+NAMES = {
+    1: "air", 2: "opening", 3: "audience", 4: "furniture", 5: "porous", 6: "resonator", 7: "area",
+    8: "volume", 9: "formula", 10: "coupled room", 11: "non-diffuse field", 12: "noise floor",
+    13: "unknown",
+}  # fmt: skip
+SHAPES = ("coupled room", "non-diffuse field", "noise floor")
+SIZES = {
+    2: "size", 3: "size", 4: "size", 5: "size", 6: "size", 7: "ratio", 8: "ratio", 10: "size",
+    11: "scattering", 12: "level",
+}  # fmt: skip
+
+
+def one(case: Case) -> Case:
+    """T20, EDT and T30 in the first configuration."""
+    return case.only("t20", "edt", "t30", configurations=[case.configurations[0].name])
+
+
+def first(controls: Sequence[Controls]) -> list[Controls]:
+    """The control rooms of the first configuration."""
+    return [Controls(c.engine, c.errors[:, :1]) for c in controls]
+
+
+def rmse(alpha: Any, truth: dict[str, Any]) -> float:
+    """Area-weighted root mean square error of alpha."""
+    area = np.array(truth["areas"])[:, None]
+    off = np.asarray(alpha) - np.array(truth["alpha"])
+    return float(np.sqrt((area * off**2).sum() / area.sum() / off.shape[1]))
+
+
+def kept_controls(case: Case, path: Path) -> list[Controls]:
+    """The case's control rooms, run once and kept."""
+    if not path.exists():
+        rooms = control_rooms(case)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(path, **{c.engine: c.errors.astype(np.float32) for c in rooms})
+    with np.load(path) as table:
+        return [Controls(name, table[name].astype(float)) for name in table.files]
+
+
+def examined(case: Case, controls: list[Controls], truth: dict[str, Any]) -> dict[str, Any]:
+    """Find, add, verify; what came of it."""
+    finding = find(case, controls=controls)
+    size = finding.size
+    row: dict[str, Any] = {
+        "verdict": finding.verdict, "effect": finding.effect,
+        "candidates": list(finding.candidates), "score": finding.score,
+        "threshold": finding.threshold, "parameters": dict(finding.parameters),
+        "evidence": {k: round(v, 2) for k, v in finding.evidence.items()},
+        "size": None if size is None else [size.mean, size.low, size.high],
+    }  # fmt: skip
+    if finding.verdict in ("named", "ambiguous"):
+        seen = verify(finding)
+        row |= {
+            "rmse": [rmse(a, truth) for a in (case.room.alpha, seen.plain.alpha,
+                                              seen.corrected.alpha)],
+            "verification": seen.verdict, "before": seen.before, "after": seen.after,
+            "predictive": seen.predictive,
+            "gaps": [[g.configuration, g.quantity, g.before, g.after] for g in seen.gaps],
+        }  # fmt: skip
+        if len(truth["effects"]) == 2:
+            again = find(finding.apply(), controls=controls)
+            row["second"] = {
+                "verdict": again.verdict,
+                "effect": again.effect,
+                "candidates": list(again.candidates),
+            }
+            if again.verdict in ("named", "ambiguous") and again.effect != finding.effect:
+                mended = verify(again)
+                row["second"]["rmse"] = rmse(mended.corrected.alpha, truth)
+    return row
+
+
+def work(job: tuple[int, int, str]) -> None:
+    population, index, folder = job
+    path = Path(folder) / "rows" / f"{index}.json"
+    if path.exists():
+        return
+    warnings.simplefilter("ignore")
+    case = Case.from_dict(ROOMS[population][index])
+    truth = TRUTHS[population][index]
+    controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
+    row: dict[str, Any] = {"kind": truth["seed"][1], "truth": truth["effects"]}
+    row["one"] = examined(one(case), first(controls), truth)
+    if len(case.configurations) > 1:
+        row["all"] = examined(case, controls, truth)
+    if row["kind"] == 0:
+        for label, factor in (("half", 0.5), ("double", 2.0)):
+            room = case.room.replace(sigma=np.minimum(case.room.sigma * factor, 1))
+            other = one(replace(case, room=room))
+            row[label] = find(other, controls=first(controls)).verdict
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(row), encoding="utf-8")
+
+
+ROOMS: dict[int, list[dict[str, Any]]] = {}
+TRUTHS: dict[int, list[dict[str, Any]]] = {}
+
+
+def load(population: int) -> None:
+    ROOMS[population], TRUTHS[population] = read(population, "case"), read(population, "truth")
+
+
+def run(population: int, folder: str, step: int) -> None:
+    load(population)
+    jobs = [(population, i, folder) for i in range(0, len(ROOMS[population]), step)]
+    with multiprocessing.Pool(2) as pool:
+        for done, _ in enumerate(pool.imap_unordered(work, jobs), 1):
+            print(f"\r{done}/{len(jobs)}", end="", flush=True)
+    print()
+
+
+def rows_of(folder: str | None) -> list[dict[str, Any]]:
+    if folder is None:
+        return [json.loads(x) for x in gzip.decompress(STORED.read_bytes()).splitlines()]
+    paths = sorted(Path(folder, "rows").glob("*.json"), key=lambda p: int(p.stem))
+    return [json.loads(p.read_text(encoding="utf-8")) for p in paths]
+
+
+def store(folder: str) -> None:
+    text = "\n".join(json.dumps(r, separators=(",", ":")) for r in rows_of(folder))
+    STORED.write_bytes(gzip.compress(text.encode(), mtime=0))
+
+
+def rate(hits: Iterable[bool]) -> str:
+    """Share with its 95 % interval (Clopper and Pearson)."""
+    table = list(hits)
+    n, k = len(table), sum(table)
+    if n == 0:
+        return "none"
+    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
+    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+    return f"{k / n:.3f} [{low:.3f}, {high:.3f}] of {n}"
+
+
+def found(row: dict[str, Any]) -> bool:
+    return row["verdict"] in ("named", "ambiguous", "unknown")
+
+
+def table(folder: str | None) -> None:
+    """Print confusion matrix, rates, rates by size, ROC; then what correction and proof did."""
+    rows = rows_of(folder)
+    for data, label in (("one", "T20, EDT, T30; one configuration"), ("all", "all data")):
+        print(f"\n== {label} ==")
+        here = [(r, r[data]) for r in rows if data in r]
+        naming(here, data, rows)
+        confusion(here)
+        by_size(here)
+        roc(here)
+        mending(here)
+
+
+def naming(here: list[Any], data: str, rows: list[dict[str, Any]]) -> None:
+    controls = [x for r, x in here if r["kind"] == 0]
+    print("controls flagged          ", rate(found(x) for x in controls))
+    if data == "one":
+        for label in ("half", "double"):
+            flagged = [r[label] in ("named", "ambiguous", "unknown") for r in rows if label in r]
+            print(f"  sigma stated at {label:6}    ", rate(flagged))
+    hidden = [(NAMES[r["kind"]], x) for r, x in here if 1 <= r["kind"] <= 12]
+    caught = [(n, x) for n, x in hidden if found(x)]
+    single = [(n, x) for n, x in caught if x["verdict"] == "named"]
+    print("detected                  ", rate(found(x) for _, x in hidden))
+    print("right name of the detected", rate(x["effect"] == n for n, x in caught))
+    print("truth in the set          ", rate(n in x["candidates"] for n, x in caught))
+    print(f"mean size of the set       {np.mean([len(x['candidates']) for _, x in caught]):.2f}")
+    print("a single name claimed     ", rate(x["verdict"] == "named" for _, x in caught))
+    print("  and right               ", rate(x["effect"] == n for n, x in single))
+    unknown = [x for r, x in here if r["kind"] == 13]
+    print("in no library: detected   ", rate(found(x) for x in unknown))
+    print('  and called "unknown"    ', rate(x["effect"] == "unknown" for x in unknown if found(x)))
+    for kind, inside in TOGGLED.items():
+        told = [x["candidates"] == [NAMES[inside]] or (
+            NAMES[inside] in x["candidates"]
+            and not {"opening", "audience"} <= set(x["candidates"])
+        ) for r, x in here if r["kind"] == kind]  # fmt: skip
+        if data == "all":
+            print(f"{NAMES[inside]:9} toggled, told apart", rate(told))
+    for kind, inside in TWINS.items():
+        twins = [x for r, x in here if r["kind"] == kind and found(x)]
+        if twins:
+            print(
+                f"twins of {NAMES[inside]:12}      ambiguous",
+                rate(len(x["candidates"]) > 1 for x in twins),
+            )
+
+
+def confusion(here: list[Any]) -> None:
+    names = [*NAMES.values()]
+    print("\nrows: hidden; columns: the best name (of the detected), '-' not detected")
+    print(f"{'':18}{'-':>5}" + "".join(f"{n[:7]:>8}" for n in (*names, "direct sound")))
+    for kind in (0, *NAMES):
+        group = [x for r, x in here if r["kind"] == kind]
+        count = Counter(x["effect"] if found(x) else "-" for x in group)
+        cells = "".join(f"{count[n] or '.':>8}" for n in (*names, "direct sound"))
+        print(f"{NAMES.get(kind, 'nothing'):18}{count['-']:5}{cells}")
+
+
+def by_size(here: list[Any]) -> None:
+    print("\ndetected by size, thirds of each kind from small to large")
+    for kind, name in NAMES.items():
+        group = [(size_of(r), found(x)) for r, x in here if r["kind"] == kind]
+        group = sorted(g for g in group if np.isfinite(g[0]))
+        if group:
+            thirds = np.array_split([hit for _, hit in group], 3)
+            print(f"  {name:18}" + "  ".join(f"{t.sum()}/{len(t)}" for t in thirds))
+
+
+def size_of(row: dict[str, Any]) -> float:
+    """How far the effect is from nothing, for ordering."""
+    effect = row["truth"][0]
+    key = SIZES.get(effect["kind"])
+    if key is None:
+        return float("nan")
+    value = effect[key] if key in effect else effect.get("persons", float("nan"))
+    if key == "ratio":
+        return abs(float(np.log(value)))
+    return -value if key == "scattering" else float(value)
+
+
+def roc(here: list[Any]) -> None:
+    none = np.array([x["score"] for r, x in here if r["kind"] == 0])
+    some = np.array([x["score"] for r, x in here if 1 <= r["kind"] <= 12])
+    if not len(none):
+        return
+    print("\nROC: detected at a share of false alarms")
+    for alarms in (0.01, 0.02, 0.05, 0.1, 0.2):
+        limit = np.quantile(none, 1 - alarms)
+        print(f"  {alarms:.2f}: {np.mean(some > limit):.3f}", end="")
+    area = np.mean(some[:, None] > none) + 0.5 * np.mean(some[:, None] == none)
+    print(f"   area {area:.3f}")
+
+
+def mending(here: list[Any]) -> None:
+    """What the correction did to alpha and to the gaps, and what verification said."""
+    done = [(r, x) for r, x in here if 1 <= r["kind"] <= 12 and "rmse" in x]
+    if not done:
+        return
+    table = np.array([x["rmse"] for _, x in done])
+    print("\nof rooms with a finding that was added, rightly named or not:")
+    ratio = np.median(table[:, 2] / table[:, 1])
+    print(
+        f"alpha's RMSE, medians: prior {np.median(table[:, 0]):.4f}, plain {np.median(table[:, 1]):.4f}, "
+        f"corrected {np.median(table[:, 2]):.4f}; corrected/plain {ratio:.2f}"
+    )
+    print("corrected no worse than the prior ", rate(table[:, 2] <= table[:, 0] * (1 + 1e-9)))
+    for name in (*SHAPES, "volume"):
+        quantities = ("EDT/T20", "T30/T20") if name in SHAPES else ("G",)
+        gains = [
+            np.mean([g[3] for g in x["gaps"] if g[1] in quantities])
+            / np.mean([g[2] for g in x["gaps"] if g[1] in quantities])
+            for r, x in done
+            if NAMES[r["kind"]] == name and any(g[1] in quantities for g in x["gaps"])
+        ]
+        if gains:
+            print(f"{name:18} {' and '.join(quantities)} after/before, median {np.median(gains):.2f}"
+                  f" of {len(gains)}")  # fmt: skip
+    wrong = [x for r, x in done if x["effect"] != NAMES[r["kind"]]]
+    right = [(r, x) for r, x in done if x["effect"] == NAMES[r["kind"]]]
+    print(
+        "wrongly named: withdrawn or ambiguous",
+        rate(x["verification"] == "withdrawn" or x["verdict"] == "ambiguous" for x in wrong),
+    )
+    print("rightly named: withdrawn             ",
+          rate(x["verification"] == "withdrawn" for _, x in right))  # fmt: skip
+    print("rightly named: the interval holds the size", rate(inside(right)))
+    two = [(r, x) for r, x in here if r["kind"] == DOUBLE]
+    if two:
+        both = [
+            {NAMES[e["kind"]] for e in r["truth"]}
+            == {x["effect"], x.get("second", {}).get("effect")}
+            for r, x in two
+        ]
+        better = [
+            x.get("second", {}).get("rmse", x["rmse"][2]) <= 0.5 * x["rmse"][1]
+            for _, x in two if "rmse" in x
+        ]  # fmt: skip
+        print("two hidden effects: both named in two rounds", rate(both))
+        print("  alpha's RMSE at most half of plain's      ", rate(better))
+        missed = Counter(
+            " + ".join(sorted(NAMES[e["kind"]] for e in r["truth"]))
+            for (r, _), ok in zip(two, both, strict=True) if not ok
+        )  # fmt: skip
+        print("  missed:", ", ".join(f"{k} {v}" for k, v in missed.most_common()))
+
+
+def inside(right: list[Any]) -> list[bool]:
+    """Whether each rightly named room's interval holds the true size."""
+    out = []
+    for row, x in right:
+        effect = row["truth"][0]
+        key = SIZES.get(effect["kind"])
+        if key is None or x["size"] is None or effect["kind"] in (3, 6):
+            continue  # air and formula have no size; audience and resonator another measure of it
+        out.append(x["size"][1] <= effect[key] <= x["size"][2])
+    return out
+
+
+def engines(rooms: int) -> None:
+    """Leave one engine out: rooms of each, judged by a threshold from the other two."""
+    load(1)
+    alarms: dict[str, list[bool]] = {}
+    for index in range(rooms):
+        case = one(Case.from_dict(ROOMS[1][index]))
+        controls = control_rooms(case, engines=("path tracing", "network", "rays"))
+        observed, _ = observe(case)
+        predicted = hypotheses(case, library())
+        for left in controls:
+            others = [c for c in controls if c is not left]
+            limit = threshold(case, observed, predicted, others)
+            rng = np.random.default_rng([index, 5])
+            values = made_up(case, observed, [left.errors], rng, 20)
+            scores = score(weigh(observed, predicted, model_error(case, others), values))
+            alarms.setdefault(left.engine, []).extend((scores > limit.value).tolist())
+        print(f"\r{index + 1}/{rooms}", end="", flush=True)
+    print("\nfalse alarms in control rooms of an engine that the threshold was not learnt from")
+    for name, flags in alarms.items():
+        print(f"  {name:14} {rate(flags)}")
+
+
+def bras(folder: str) -> None:
+    """CR2 and CR3 from the published initial alpha, without air and with it."""
+    warnings.simplefilter("ignore")
+
+    def lines(name: str) -> list[dict[str, str]]:
+        with (Path(folder) / name).open(newline="", encoding="utf-8") as stream:
+            return list(csv.DictReader(stream))
+
+    for name in ("CR2", "CR3"):
+        facts = next(r for r in lines("rooms.csv") if r["room"] == name)
+        measured = {
+            r["parameter"]: r for r in lines("measured_third_octave.csv") if r["room"] == name
+        }
+        bands = [k for k in measured["T20"] if k.isdigit()]
+        areas = {r["material"]: float(r["area_m2"]) for r in lines("surfaces.csv")
+                 if r["room"] == name}  # fmt: skip
+        alpha = {r["material"]: [float(r[b]) for b in bands]
+                 for r in lines("absorption_third_octave.csv")
+                 if r["room"] == name and r["set"] == "initial"}  # fmt: skip
+        values = np.array([alpha[m] for m in areas])
+        climate = rt.Air(float(facts["temperature_C"]), float(facts["rel_humidity_pct"]))
+        t20, edt = (np.array([[float(measured[p][b]) for b in bands]]) for p in ("T20", "EDT"))
+        for air in (None, climate):
+            room = rt.Room(
+                name=name, volume=float(facts["volume_m3"]), materials=list(areas),
+                areas=list(areas.values()), alpha=values, band_correlation=0.7, air=air,
+                sigma=np.maximum(0.3 * values, 0.02), centre_frequencies=[float(b) for b in bands],
+            )  # fmt: skip
+            case = Case(room=room, configurations=[Configuration(
+                name="measured", measured=rt.Measurement(
+                    centre_frequencies=room.centre_frequencies, values={"t20": t20, "edt": edt},
+                    uncertainty={"t20": 0.05 * t20, "edt": 0.05 * edt},
+                ),
+            )])  # fmt: skip
+            print(f"\n{name}, {'no air stated' if air is None else 'with air'}:")
+            finding = find(case)
+            print(finding)
+            if finding.verdict in ("named", "ambiguous"):
+                print(verify(finding))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("run", "table", "store", "engines", "bras"))
+    parser.add_argument("data", nargs="?", help="the folder of BRAS' tables")
+    parser.add_argument("--folder")
+    parser.add_argument("--population", type=int, default=1)
+    parser.add_argument("--step", type=int, default=1, help="every so many rooms")
+    parser.add_argument("--rooms", type=int, default=40)
+    given = parser.parse_args()
+    if given.what == "run":
+        run(given.population, given.folder, given.step)
+    elif given.what == "store":
+        store(given.folder)
+    elif given.what == "table":
+        table(given.folder)
+    elif given.what == "engines":
+        engines(given.rooms)
+    else:
+        bras(given.data)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,166 @@
+"""The pictures of a finding: what was measured, where the model differs, what explains it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
+from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.states import distances, state
+from rtcal.discrepancy.verification import Verification, residual_map
+from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
+from rtcal.types import Array
+
+_STRONG = 4.0
+"""Standard deviations at which the residual map's colours end."""
+
+
+def reverberation_time(verification: Verification) -> Any:
+    """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
+    finding = verification.finding
+    case = finding.case
+    first = case.configurations[0]
+    f, measured = case.room.centre_frequencies, first.measured.decay_time().mean
+    prior = predict([state(case, first)], distances(case, first)).reverberation_time[0]
+    bias = np.exp(finding.error.bias.reshape(finding.residuals.shape)[0, 0])
+    figure, axes = new_figure()
+    jnd_band(axes, f, measured)
+    axes.plot(f, measured, color=BLACK, marker="o", linestyle="none", label="measured")
+    for values, colour, marker, style, label in (
+        (prior, ORANGE, "s", "--", "prior"),
+        (np.exp(verification.plain.features[0, 0]), GREEN, "^", ":", "plainly calibrated"),
+        (np.exp(verification.corrected.features[0, 0]) * bias, BLUE, "D", "-",
+         f"with {finding.effect}, calibrated"),
+    ):  # fmt: skip
+        axes.plot(f, values, color=colour, marker=marker, linestyle=style, fillstyle="none",
+                  label=shown(label))  # fmt: skip
+    band_axis(axes, f)
+    axes.set_ylabel("Reverberation time T / s")
+    axes.set_ylim(bottom=0)
+    axes.legend()
+    return figure
+
+
+def residuals(finding: Finding, verification: Verification | None = None) -> Any:
+    """Return the residual map: feature by band and configuration; before, and after the effect."""
+    maps = [("the model as stated", finding.residuals)]
+    if verification is not None:
+        maps.append((f"with {finding.effect}", residual_map(verification)))
+    f = finding.case.room.centre_frequencies
+    rows = [
+        (c, k) for c in range(len(finding.residuals)) for k in range(len(FEATURE_NAMES))
+        if np.isfinite(finding.residuals[c, k]).any()
+    ]  # fmt: skip
+    names = [c.name for c in finding.case.configurations]
+    several = len(names) > 1
+    figure, axes = new_figure(7.0, 1.0 + 0.34 * len(rows) * len(maps), rows=len(maps))
+    for axis, (title, table) in zip(np.atleast_1d(axes), maps, strict=True):
+        cells = np.array([table[c, k] for c, k in rows])
+        image = axis.imshow(cells, cmap="PuOr", vmin=-_STRONG, vmax=_STRONG, aspect="auto")
+        for i, row in enumerate(cells):
+            for j, value in enumerate(row):
+                if np.isfinite(value):
+                    strong = abs(value) > 0.6 * _STRONG
+                    axis.text(j, i, f"{value:+.1f}", ha="center", va="center", fontsize=7,
+                              color="white" if strong else "black")  # fmt: skip
+        labels = [
+            FEATURE_NAMES[k] + (f", {shown(names[c], 20)}" if several else "") for c, k in rows
+        ]
+        axis.set_yticks(range(len(rows)), labels, fontsize=8)
+        axis.set_xticks(range(len(f)), [f"{v:g}" for v in f], rotation=90 if len(f) > 10 else 0)
+        axis.set_title(shown(title), fontsize=9)
+        figure.colorbar(image, ax=axis, label="measured - model / sd")
+    axis.set_xlabel("Band centre frequency / Hz")
+    return figure
+
+
+def evidence(finding: Finding) -> Any:
+    """Return the evidence of every effect as bars, with the threshold."""
+    names = list(finding.evidence)
+    values = np.array([finding.evidence[n] for n in names])
+    top = max(float(values.max()), finding.threshold)
+    figure, axes = new_figure(7.0, 0.8 + 0.28 * len(names))
+    at = np.arange(len(names))[::-1]
+    here = [n in finding.candidates for n in names]
+    # What is far below nothing is told apart no more; the bar ends at the axis.
+    low = -0.15 * top
+    drawn = np.maximum(values, low)
+    axes.barh(
+        at, drawn, color=["#9DC6E0" if h else "0.85" for h in here], edgecolor=BLACK,
+        hatch=["//" if h else "" for h in here],
+    )  # fmt: skip
+    for y, value, end in zip(at, values, drawn, strict=True):
+        axes.text(max(end, 0.0), y, f" {value:+.1f}", va="center", fontsize=8)
+    axes.axvline(finding.threshold, color=ORANGE, linestyle="--",
+                 label=f"threshold {finding.threshold:.1f}")  # fmt: skip
+    axes.axvline(0, color=BLACK, linewidth=0.8)
+    axes.set_xlim(low, 1.15 * top)
+    axes.set_yticks(at, [shown(n) for n in names])
+    axes.set_xlabel("Evidence over “nothing is missing” / nats; hatched: candidates")
+    axes.legend(loc="lower right")
+    return figure
+
+
+def decay(verification: Verification) -> Any:
+    """Return the decay of the band whose shape is most off: measured slopes, plain and corrected."""
+    finding = verification.finding
+    case = finding.case
+    first = case.configurations[0]
+    shape = np.abs(finding.residuals[0, 1:3])
+    band = int(np.nanargmax(np.nanmax(np.where(np.isfinite(shape), shape, -1), axis=0)))
+    t20 = float(first.measured.decay_time().mean[band])
+    t = np.linspace(0, 0.8 * t20, 200)
+    figure, axes = new_figure()
+    for (name, low, high), style in zip(
+        (("edt", 0, 10), ("t20", 5, 25), ("t30", 5, 35)), ("-", "--", ":"), strict=True
+    ):
+        value = float(first.measured.mean(name)[band])
+        if np.isfinite(value):
+            levels = np.array([low, high])
+            axes.plot(levels / 60 * value, -levels, color=BLACK, linestyle=style, linewidth=3,
+                      alpha=0.5, label=f"measured {name.upper()} {value:.2f} s")  # fmt: skip
+    for found, colour, style, label in (
+        (verification.plain, GREEN, "-.", "plainly calibrated"),
+        (verification.corrected, BLUE, "-", f"with {finding.effect}"),
+    ):
+        axes.plot(t, _level(found.case, found.alpha, band, t), color=colour, linestyle=style,
+                  label=shown(label))  # fmt: skip
+    axes.set_ylim(-40, 1)
+    axes.set_xlabel("Time / s")
+    axes.set_ylabel(f"Level at {case.room.centre_frequencies[band]:g} Hz / dB")
+    axes.legend()
+    return figure
+
+
+def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
+    made = state(case, case.configurations[0], alpha)
+    decayed = made.decay()
+    weights, rates = decayed.weights[band], decayed.rates[band]
+    left = (weights / rates * np.exp(-np.outer(t, rates))).sum(1)
+    total = (weights / rates).sum()
+    if made.floor_db is not None:
+        density = 10 ** (made.floor_db / 10) * weights.sum()
+        end = made.record * 6 * np.log(10) * total / weights.sum()
+        left, total = left + density * np.maximum(end - t, 0), total + density * end
+    return np.asarray(10 * np.log10(np.maximum(left / total, 1e-9)))
+
+
+def shifts(verification: Verification) -> Any:
+    """Return how far each material's alpha moved, area-weighted over bands: plain and corrected."""
+    room = verification.finding.case.room
+    at = np.arange(room.n_materials)
+    figure, axes = new_figure(7.0, 1.0 + 0.36 * room.n_materials)
+    for offset, found, colour, hatch, label in (
+        (0.2, verification.plain, "#B7DFCB", "", "plainly calibrated"),
+        (-0.2, verification.corrected, "#9DC6E0", "//", f"with {verification.finding.effect}"),
+    ):
+        axes.barh(at + offset, np.sqrt(np.mean((found.alpha - room.alpha) ** 2, axis=1)), 0.38,
+                  color=colour, edgecolor=BLACK, hatch=hatch, label=shown(label))  # fmt: skip
+    axes.plot(room.sigma.mean(1), at, color=ORANGE, marker="|", markersize=14, linestyle="none",
+              markeredgewidth=2, label="prior sigma")  # fmt: skip
+    axes.set_yticks(at, [shown(m, 25) for m in room.materials])
+    axes.set_xlabel("Shift of the absorption coefficient from the prior, RMS over bands")
+    axes.legend()
+    return figure
