@@ -19,6 +19,7 @@ from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
 from rtcal.types import Array
 
@@ -27,6 +28,7 @@ SCATTERING = (0.3, 0.9)
 """Of a control room's walls: what is taken for an ordinary room."""
 _RECEIVERS = 4
 _PATHS = 2500
+_RAYS = 1500
 _RATE = 4000.0
 Report = Callable[[str, int, int], None]
 """Called with an engine's name, how many rooms are done and of how many."""
@@ -113,9 +115,7 @@ def path_tracing(
     for number in range(setups):
         room, share, source, receivers = _setup(case, rng)
         tracer = PathTracing(
-            geometry=Polyhedron.shoebox(room.dimensions or (), dict(
-                zip(SHOEBOX_WALLS, [room.materials[a] for a in _AXIS_OF_WALL], strict=True)
-            )),
+            geometry=_geometry(room),
             room=room, sources={"S": source}, receivers=receivers, n_paths=_PATHS, n_batches=2,
             scattering=float(rng.uniform(*SCATTERING)), workers=1,
         )  # fmt: skip
@@ -165,6 +165,40 @@ def network(
     own = [FEATURES.index(f) for f in ("t20", "c80", "g")]
     table[:, :, own] -= np.nanmean(table[:, :, own], axis=0)
     return Controls("network", table)
+
+
+def rays(
+    case: Case, seed: int, *, setups: int = 6, draws: int = 1, report: Report = nothing
+) -> Controls:
+    """Trace rays with pyroomacoustics (extra ``geometry``); its G is taken from its own mean."""
+    rng = np.random.default_rng([seed, 4])
+    errors = []
+    for number in range(setups):
+        room, share, source, receivers = _setup(case, rng)
+        scattering = float(rng.uniform(*SCATTERING))
+        tracer = RayTracing(
+            geometry=_geometry(room), room=room, sources={"S": source}, receivers=receivers,
+            n_rays=_RAYS, n_batches=2, scattering=scattering,
+        )  # fmt: skip
+        longest = 1.15 * float(_time(room, share, case.room.alpha).max())
+        for alpha in draw_alpha(case, rng, draws):
+            found = []
+            for one in alpha:
+                energy = tracer.energy(_by_axis(share, one), longest, seed=seed + number)
+                found.append(_features(energy.mean((0, 1)), tracer.bin_width, 400 * np.pi))
+            errors.append(found - _theory(case, room, share, alpha, source, receivers))
+        report("rays", number + 1, setups)
+    table = np.array(errors)
+    level = FEATURES.index("g")
+    table[:, :, level] -= np.nanmean(table[:, :, level], axis=0)
+    return Controls("rays", table)
+
+
+def _geometry(room: Room) -> Polyhedron:
+    return Polyhedron.shoebox(
+        room.dimensions or (),
+        dict(zip(SHOEBOX_WALLS, [room.materials[a] for a in _AXIS_OF_WALL], strict=True)),
+    )
 
 
 def _setup(
@@ -220,4 +254,6 @@ def _theory(
     return np.array(out)
 
 
-ENGINES: Mapping[str, Callable[..., Controls]] = {"path tracing": path_tracing, "network": network}
+ENGINES: Mapping[str, Callable[..., Controls]] = {
+    "path tracing": path_tracing, "network": network, "rays": rays
+}  # fmt: skip
