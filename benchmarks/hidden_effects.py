@@ -275,7 +275,8 @@ def mending(here: list[Any]) -> None:
     print("\nof rooms with a finding that was added, rightly named or not:")
     ratio = np.median(table[:, 2] / table[:, 1])
     print(
-        f"alpha's RMSE, medians: prior {np.median(table[:, 0]):.4f}, plain {np.median(table[:, 1]):.4f}, "
+        f"alpha's RMSE, medians: prior {np.median(table[:, 0]):.4f}, "
+        f"plain {np.median(table[:, 1]):.4f}, "
         f"corrected {np.median(table[:, 2]):.4f}; corrected/plain {ratio:.2f}"
     )
     print("corrected no worse than the prior ", rate(table[:, 2] <= table[:, 0] * (1 + 1e-9)))

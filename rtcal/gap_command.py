@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from rtcal.acoustics.files import spare
+from rtcal.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
+from rtcal.progress import bar
 
 if TYPE_CHECKING:
     from rtcal.discrepancy import Case, Finding
-    from rtcal.discrepancy.engines import Report
-
-_QUIET_SECONDS = 2.0
 
 
 @click.group()
@@ -28,8 +26,8 @@ def gap() -> None:
 
 def _common(command: Any) -> Any:
     for option in (
-        click.option("--quiet", is_flag=True, help="Print nothing but errors."),
-        click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the tables."),
+        quiet_option,
+        json_option,
         click.option(
             "--seed", default=0, show_default=True, help="Of the control rooms and the bootstrap."
         ),
@@ -50,18 +48,17 @@ def _common(command: Any) -> Any:
     "--change", default=0.2, show_default=True,
     help="How much the effects are to change T, at the most changed band.",
 )  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the table.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@json_option
+@quiet_option
 def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
     """Say which effects CASE's data could tell apart, before measuring.
 
     A configuration may state parameters = ["t20", "edt"] in place of measured.
     """
-    from rtcal.discrepancy import plan as planned
+    from rtcal.discrepancy import plan as planned_with
 
-    made = planned(_case(case), change=change)
-    if not quiet:
-        click.echo(json.dumps(made.to_dict(), indent=1) if as_json else str(made))
+    made = planned_with(_case(case), change=change)
+    tell(str(made), made.to_dict(), quiet=quiet, as_json=as_json)
 
 
 @gap.command()
@@ -69,8 +66,7 @@ def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
 def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool) -> None:
     """Say whether CASE's model misses something, where it shows, and what it is."""
     finding = _find(_case(case), engines, seed, quiet)
-    if not quiet:
-        click.echo(json.dumps(finding.to_dict(), indent=1) if as_json else str(finding))
+    tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
 @gap.command()
@@ -82,15 +78,13 @@ def apply(
     case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool, out: str
 ) -> None:
     """Add the named effect to CASE's model; the corrected case is a case like any other."""
-    from rtcal.acoustics.files import spare
-
     spare([Path(out)], [case])
     finding = _find(_case(case), engines, seed, quiet)
     corrected = finding.apply()
     corrected.save(out)
-    if not quiet:
-        added = [{"effect": p.effect, **p.parameters} for p in corrected.present]
-        click.echo(json.dumps(added) if as_json else f"Added {finding.effect}. Written: {out}")
+    added = [{"effect": p.effect, "parameters": dict(p.parameters)} for p in corrected.present]
+    text = f"Added {finding.effect}. Written: {out}"
+    tell(text, {"present": added, "written": out}, quiet=quiet, as_json=as_json)
 
 
 @gap.command()
@@ -100,8 +94,7 @@ def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet:
     from rtcal.discrepancy import verify as verified
 
     result = verified(_find(_case(case), engines, seed, quiet))
-    if not quiet:
-        click.echo(json.dumps(result.to_dict(), indent=1) if as_json else str(result))
+    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
 @gap.command()
@@ -113,13 +106,13 @@ def report(
     case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool, out: str
 ) -> None:
     """Write finding, verification and their figures into a folder."""
-    from rtcal.report import gap_report
+    from rtcal.report.gap_report import write
 
     finding = _find(_case(case), engines, seed, quiet)
-    written = gap_report.write(finding, Path(out))
-    if not quiet:
-        names = [str(p) for p in written]
-        click.echo(json.dumps(names) if as_json else f"{finding}\nWritten: {', '.join(names)}")
+    written = write(finding, Path(out))
+    names = [str(p) for p in written]
+    text = f"{finding}\nWritten: {', '.join(names)}"
+    tell(text, {"written": names, **finding.to_dict()}, quiet=quiet, as_json=as_json)
 
 
 def _case(path: str) -> Case:
@@ -136,20 +129,12 @@ def _find(case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Findi
             "a configuration states parameters but no measurement: it can only be planned"
         )
     chosen = engines or ("path tracing", "network")
-    return discrepancy.find(case, seed=seed, engines=chosen, report=_bar(quiet))
+    with bar(0, "room", bar_wanted(quiet)) as shown:
 
+        def report(engine: str, done: int, of: int) -> None:
+            if done == 1 and hasattr(shown, "reset"):
+                shown.reset(total=of)
+                shown.set_description(f"control rooms, {engine}")
+            shown.update(1)
 
-def _bar(quiet: bool) -> Report:
-    """A progress line on standard error, where a person looks on, beyond two seconds."""
-    begun = time.monotonic()
-
-    def show(engine: str, done: int, of: int) -> None:
-        stream = click.get_text_stream("stderr")
-        if quiet or not stream.isatty() or time.monotonic() - begun < _QUIET_SECONDS:
-            return
-        filled = round(20 * done / of)
-        end = "\n" if done == of else ""
-        bar = "#" * filled + "." * (20 - filled)
-        click.echo(f"\rcontrol rooms, {engine:14} [{bar}] {done}/{of}{end}", err=True, nl=False)
-
-    return show
+        return discrepancy.find(case, seed=seed, engines=chosen, report=report)

@@ -25,7 +25,8 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
     )}  # fmt: skip
     if verification is None:
         drawn["residuals"] = (
-            gap_figures.residuals(finding), "Where measurement and model differ, in standard deviations."
+            gap_figures.residuals(finding),
+            "Where measurement and model differ, in standard deviations.",
         )  # fmt: skip
         return drawn
     drawn |= {
