@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
@@ -281,19 +280,30 @@ def weigh(
     rest = observed.covariance + error.covariance[np.ix_(mask, mask)]
     rest = rest + predicted.present_covariance[np.ix_(mask, mask)]
     bias = error.bias[mask]
-    base = predicted.features[0].ravel()[mask]
-    n = len(predicted.names)
-    out = np.empty((n, *np.shape(y)[:-1]))
-    unknown = np.empty(np.shape(y)[:-1])
-    for i in range(n):
-        prior = alpha_covariance(predicted, i)[np.ix_(mask, mask)]
-        centre = predicted.features[i].ravel()[mask]
-        d = centre - base
-        c = prior + rest + kappa**2 * 0.5 * (np.outer(d, d) + np.diag(d**2))
-        out[i] = _log_normal(y - centre - bias, c)
-        if i == 0:
-            unknown = _unknown(y - centre - bias, c, observed.used)
+    y = np.atleast_2d(y)
+    c, f, b = np.nonzero(observed.used)
+    centres = predicted.features[:, c, f, b]
+    slopes = predicted.slopes[:, c, f, b]
+    d = centres - centres[0]
+    out = np.empty((len(predicted.names), len(y)))
+    unknown = np.empty(len(y))
+    # A few hundred hypotheses at once, so that their covariances need not all stand in memory.
+    for begin in range(0, len(out), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        variance = predicted.alpha_variance[part, c[:, None], b[:, None], c, b]
+        covariance = slopes[part, :, None] * slopes[part, None, :] * variance + rest
+        misfit = kappa**2 * 0.5 * d[part, :, None] * d[part, None, :]
+        covariance += misfit * (1 + np.eye(len(c)))
+        residual = y - (centres[part] + bias)[:, None]
+        out[part] = _log_normal(residual, covariance)
+        if begin == 0:
+            unknown = _unknown(residual[0], covariance[0], observed.used)
+    if values is None:
+        return Evidence(out[:, 0], unknown[0], predicted.names)
     return Evidence(out, unknown, predicted.names)
+
+
+_AT_ONCE = 256
 
 
 def alpha_covariance(predicted: Hypotheses, i: int) -> Array:
@@ -306,13 +316,12 @@ def alpha_covariance(predicted: Hypotheses, i: int) -> Array:
 
 
 def _log_normal(residual: Array, covariance: Array) -> Array:
+    """Log density of residuals (..., n_draws, m) under covariances (..., m, m)."""
     factor = np.linalg.cholesky(covariance)
-    z = solve_triangular(factor, residual.T, lower=True)
-    return np.asarray(
-        -0.5 * (z * z).sum(0)
-        - np.log(np.diag(factor)).sum()
-        - 0.5 * len(covariance) * np.log(2 * np.pi)
-    )
+    z = np.linalg.solve(factor, np.swapaxes(residual, -1, -2))
+    halves = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
+    m = covariance.shape[-1]
+    return np.asarray(-0.5 * (z * z).sum(-2) - halves[..., None] - 0.5 * m * np.log(2 * np.pi))
 
 
 _SPREADS = (0.03, 0.08, 0.2)
