@@ -1,0 +1,445 @@
+"""Finding a missing effect: the model against theory, the evidence against scipy, cases end to end."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.stats import multivariate_normal
+
+import rtcal as rt
+from rtcal.discrepancy import (
+    Absorber,
+    Case,
+    Configuration,
+    Present,
+    Threshold,
+    find,
+    library,
+    plan,
+    recalibrate,
+    verify,
+)
+from rtcal.discrepancy.bootstrap import control_rooms
+from rtcal.discrepancy.effects import Opening, Porous, Resonator, WrongArea, WrongVolume
+from rtcal.discrepancy.engines import Controls
+from rtcal.discrepancy.evidence import (
+    ModelError,
+    alpha_covariance,
+    hypotheses,
+    model_error,
+    observe,
+    weigh,
+)
+from rtcal.discrepancy.model import State, predict
+from rtcal.discrepancy.shapes import coupled, nondiffuse
+from rtcal.discrepancy.states import state
+from rtcal.errors import DataError
+
+F = 125.0 * 2.0 ** np.arange(7)
+AREAS = np.array([60.0, 60.0, 30.0, 50.0])
+ALPHA = np.outer([0.1, 0.3, 0.05, 0.2], np.linspace(0.7, 1.2, 7))
+
+
+def made(**changes: object) -> State:
+    base = State(
+        volume=300.0, areas=AREAS, alpha=ALPHA, facing=np.array(
+            [[0, 0, 1], [0, 0, 1], [1, 0, 0], [0, 1, 0]], dtype=float
+        ), air=np.full(7, 1e-3), frequencies=F, speed_of_sound=343.2,
+    )  # fmt: skip
+    return replace(base, **changes)  # type: ignore[arg-type]
+
+
+def case_with(t20: np.ndarray, **more: np.ndarray) -> Case:
+    room = rt.Room(
+        name="hall", volume=300, materials=["a", "b", "c", "d"], areas=AREAS, alpha=ALPHA,
+        sigma=0.02 + 0.05 * ALPHA, centre_frequencies=F, band_correlation=0.7,
+        air=rt.Air(20, 50),
+    )  # fmt: skip
+    values = {"t20": t20[None], **{k: v[None] for k, v in more.items()}}
+    measured = rt.Measurement(
+        centre_frequencies=F, values=values,
+        uncertainty={
+            k: (0.02 * v if k in ("t20", "edt", "t30") else np.full_like(v, 0.3))
+            for k, v in values.items()
+        },
+    )  # fmt: skip
+    return Case(room=room, configurations=[Configuration(name="as built", measured=measured)])
+
+
+def controls_of(case: Case, spread: float = 0.02) -> list[Controls]:
+    """Control rooms without an engine: what the model errs by, drawn."""
+    rng = np.random.default_rng(1)
+    shape = (40, len(case.configurations), 5, case.room.n_bands)
+    scale = np.array([1, 1, 0.7, 20, 20])[:, None] * spread
+    return [Controls(name, scale * rng.standard_normal(shape)) for name in ("one", "other")]
+
+
+def test_the_state_is_the_equation() -> None:
+    case = case_with(np.ones(7))
+    for name in ("eyring", "sabine", "millington"):
+        one = state(replace(case, equation=name), case.configurations[0])
+        equation = getattr(rt, name.capitalize())()
+        np.testing.assert_allclose(
+            6 * np.log(10) / one.rate, equation.reverberation_time(case.room), rtol=1e-12
+        )
+
+
+@pytest.mark.parametrize("equation", ["eyring", "sabine", "millington", "kuttruff"])
+def test_sensitivity_is_the_derivative_of_the_rate(equation: str) -> None:
+    base = made(equation=equation)
+    for i in range(4):
+        alpha = ALPHA.copy()
+        alpha[i] += 1e-6
+        slope = (made(equation=equation, alpha=alpha).rate - base.rate) / 1e-6
+        np.testing.assert_allclose(base.sensitivity[i], slope, rtol=1e-4)
+
+
+def test_one_exponential_has_no_shape_and_a_known_level() -> None:
+    one = predict([made()], np.array([6.0])).features[0]
+    np.testing.assert_allclose(np.exp(one[0]), 6 * np.log(10) / made().rate, rtol=1e-12)
+    np.testing.assert_array_equal(one[1:3], 0)
+    t = np.exp(one[0])
+    # Barron and Lee 1988, with 31200 rounded from 4 pi 100 c / (6 ln 10): .6 % of a level of 4.3 dB.
+    direct, late = 100 / 36, 31200 * t / 300 * np.exp(-0.04 * 6 / t)
+    np.testing.assert_allclose(one[4], 10 * np.log10(direct + late), atol=0.05)
+    share = np.exp(-1.11 / t)
+    np.testing.assert_allclose(
+        one[3], 10 * np.log10((direct + late * (1 - share)) / (late * share)), atol=0.08
+    )
+
+
+def decay_times(t: np.ndarray, left: np.ndarray) -> list[float]:
+    level = 10 * np.log10(left / left[0])
+    out = []
+    for low, high in ((-5, -25), (0, -10), (-5, -35)):
+        here = (level <= low) & (level >= high)
+        out.append(-60 / np.polyfit(t[here], level[here], 1)[0])
+    return out
+
+
+def test_coupled_rooms_follow_their_energy_balance() -> None:
+    one = made()
+    decay = coupled(10.0, 500.0, 0.05)(one)
+    c, s1 = 343.2, one.covered(10.0, np.ones(7)).rate
+    band = 2
+    a2 = -np.log1p(-0.05) * 6 * 500 ** (2 / 3) + 4 * 1e-3 * 500 + 10
+    back = c * 10 / 4
+
+    def balance(_: float, e: np.ndarray) -> list[float]:
+        return [
+            -s1[band] * e[0] + back / 300 * e[1],
+            back / 500 * e[0] - c * a2 / (4 * 500) * e[1],
+        ]
+
+    t = np.linspace(0, 2, 50)
+    solved = solve_ivp(balance, (0, 2), [1 / 300, 0], t_eval=t, rtol=1e-9, atol=1e-14).y[0]
+    weights, rates = decay.weights[band], decay.rates[band]
+    np.testing.assert_allclose((weights * np.exp(-np.outer(t, rates))).sum(1), solved, rtol=1e-5)
+
+
+def test_a_dead_second_room_is_an_opening() -> None:
+    dead = predict([made(shape=coupled(10.0, 1e6, 0.9))], np.array([6.0])).features[0]
+    hole = predict([made().covered(10.0, np.ones(7))], np.array([6.0])).features[0]
+    np.testing.assert_allclose(dead, hole, atol=2e-3)
+    assert (np.abs(hole[0] - predict([made()], np.array([6.0])).features[0, 0]) > 0.1).all()
+
+
+def test_a_field_that_scatters_is_diffuse_and_one_that_does_not_decays_by_direction() -> None:
+    even = predict([made()], np.array([6.0])).features[0]
+    much = predict([made(shape=nondiffuse(50.0))], np.array([6.0])).features[0]
+    np.testing.assert_allclose(much[:3], even[:3], atol=0.02)
+    little = predict([made(shape=nondiffuse(0.02))], np.array([6.0])).features[0]
+    assert (little[0] > even[0] + 0.1).all()  # the directions that see little absorption last
+    assert (little[1] < -0.05).all()  # ... and the early decay is that of the others
+    assert (little[2] > 0.01).all()
+
+
+def test_noise_lengthens_what_is_read_low_in_the_decay() -> None:
+    quiet, loud = (
+        predict([made(floor_db=level)], np.array([6.0])).features[0] for level in (-120.0, -55.0)
+    )
+    np.testing.assert_allclose(
+        quiet[:3], predict([made()], np.array([6.0])).features[0, :3], atol=1e-4
+    )
+    # By hand, band 500 Hz: exp(-kt) + N (t_end - t).
+    k = made().rate[2]
+    t = np.linspace(0, 2 * 6 * np.log(10) / k, 40001)[:-1]
+    left = np.exp(-k * t) / k + 10**-5.5 * (t[-1] + t[1] - t)
+    t20, edt, t30 = decay_times(t, left)
+    np.testing.assert_allclose(loud[:3, 2], np.log([t20, edt / t20, t30 / t20]), atol=2e-3)
+    assert loud[2, 2] > 0.01
+
+
+def test_porous_is_miki_s_layer() -> None:
+    d, sigma = 0.05, 12e3
+
+    def alpha(f: float) -> float:
+        x = f / sigma
+        z = 1 + 0.0699 * x**-0.632 - 0.1071j * x**-0.632
+        k = 2 * np.pi * f / 343.2 * (1 + 0.1093 * x**-0.618 - 0.1597j * x**-0.618)
+        z = -1j * z / np.tan(k * d)
+
+        def absorbed(a: float) -> float:
+            r = (z * np.cos(a) - 1) / (z * np.cos(a) + 1)
+            return float((1 - abs(r) ** 2) * np.sin(2 * a))
+
+        top = np.radians(78)
+        return float(quad(absorbed, 0, top)[0] / quad(lambda a: np.sin(2 * a), 0, top)[0])
+
+    found = Porous().spectrum(F, {"thickness": d, "flow_resistivity": sigma})
+    # The layer's octave is the mean of three frequencies.
+    by_hand = [np.mean([alpha(f * 2.0**o) for o in (-0.33, 0, 0.33)]) for f in F]
+    np.testing.assert_allclose(found, by_hand, rtol=0.01)
+    assert found[0] < 0.2
+    assert found[4] > 0.8
+
+
+def test_a_resonator_peaks_at_its_resonance() -> None:
+    found = Resonator().spectrum(F, {"resonance": 250.0, "quality": 2.0})
+    assert np.argmax(found) == 1
+    assert found[1] == pytest.approx(0.8 * np.mean(
+        [1 / (1 + 4 * (x - 1 / x) ** 2) for x in 2.0 ** np.linspace(-0.45, 0.45, 9)]
+    ))  # fmt: skip
+
+
+def test_evidence_is_the_normal_density() -> None:
+    t20 = 6 * np.log(10) / made().rate
+    case = case_with(1.1 * t20, edt=1.05 * t20, c80=np.linspace(1, 5, 7))
+    observed, _ = observe(case)
+    predicted = hypotheses(case, [Opening()])
+    error = model_error(case, controls_of(case))
+    got = weigh(observed, predicted, error)
+    mask = observed.used.ravel()
+    for i in (0, 3, 9):
+        d = (predicted.features[i] - predicted.features[0]).ravel()[mask]
+        covariance = (alpha_covariance(predicted, i) + error.covariance)[np.ix_(mask, mask)]
+        covariance = covariance + observed.covariance
+        covariance += 0.15**2 * 0.5 * (np.outer(d, d) + np.diag(d**2))
+        mean = predicted.features[i].ravel()[mask] + error.bias[mask]
+        expected = multivariate_normal(mean, covariance).logpdf(observed.values)
+        assert got.log_likelihood[i] == pytest.approx(expected, rel=1e-9)
+    several = weigh(observed, predicted, error, np.stack([observed.values] * 3))
+    np.testing.assert_allclose(several.log_likelihood[:, 2], got.log_likelihood, rtol=1e-9)
+    by_effect = got.by_effect()["opening"]
+    assert by_effect == pytest.approx(np.log(np.mean(np.exp(got.log_likelihood[1:]))))
+
+
+def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
+    case = case_with(np.ones(7))
+    predicted = hypotheses(case, [])
+    rng = np.random.default_rng(3)
+    lag = np.abs(np.subtract.outer(np.arange(7), np.arange(7)))
+    z = rng.standard_normal((4000, 4, 7)) @ np.linalg.cholesky(0.7**lag).T
+    small = 0.1  # of sigma, so that the linear model holds
+    drawn = np.array([
+        np.log(made(alpha=ALPHA + small * case.room.sigma * one, air=np.zeros(7)).rate) for one in z
+    ])  # fmt: skip
+    free = hypotheses(replace(case, room=case.room.replace(air=rt.Air(20, 50))), [])
+    assert free.alpha_variance.shape == predicted.alpha_variance.shape
+    dry = replace(case, room=case.room.replace(air=None))
+    variance = hypotheses(dry, []).alpha_variance[0, 0, :, 0, :]
+    # 4,000 draws: a variance is known to 2.2 %.
+    np.testing.assert_allclose(np.cov(drawn.T) / small**2, variance, rtol=0.12)
+
+
+def opened(area: float = 15.0) -> Case:
+    t20 = 6 * np.log(10) / made().rate
+    base = case_with(t20)
+    room = base.room
+    open_state = replace(
+        made(air=room.air_attenuation, speed_of_sound=room.speed_of_sound)
+    ).covered(area, np.ones(7))
+    times = 6 * np.log(10) / open_state.rate
+    return case_with(times, edt=times, t30=times)
+
+
+def test_an_opening_is_found_added_and_its_alpha_left_alone() -> None:
+    case = opened(25.0)
+    finding = find(case, effects=[Opening()], controls=controls_of(case))
+    assert finding.verdict == "named"
+    assert finding.effect == "opening"
+    assert finding.size is not None
+    assert finding.size.low < 25 < finding.size.high
+    seen = verify(finding)
+    # The truth is the prior's alpha: plain calibration is off, the corrected one hardly.
+    plain_off = np.abs(seen.plain.alpha - ALPHA).max()
+    assert plain_off > 0.05
+    assert np.abs(seen.corrected.alpha - ALPHA).max() < 0.25 * plain_off
+    np.testing.assert_allclose(
+        np.exp(seen.plain.features[0, 0]), case.configurations[0].measured.mean("t20"), rtol=1e-6
+    )
+    nothing = find(
+        case_with(6 * np.log(10) / made(air=case.room.air_attenuation).rate),
+        effects=[Opening()], controls=controls_of(case),
+    )  # fmt: skip
+    assert nothing.verdict == "none"
+    with pytest.raises(DataError, match='the verdict is "none"'):
+        nothing.apply()
+
+
+def test_added_twice_is_added_once_and_survives_a_file(tmp_path: Path) -> None:
+    case = opened()
+    finding = find(case, effects=[Opening()], controls=controls_of(case))
+    corrected = finding.apply()
+    assert finding.apply(corrected) is corrected
+    corrected.save(str(tmp_path / "corrected.json"))
+    again = Case.from_file(str(tmp_path / "corrected.json"))
+    assert again.to_dict() == corrected.to_dict()
+    error = finding.error
+    np.testing.assert_array_equal(
+        recalibrate(again, error).alpha, recalibrate(corrected, error).alpha
+    )
+    assert find(corrected, effects=[Opening()], controls=controls_of(case)).verdict == "none"
+
+
+def test_geometry_betrays_nothing() -> None:
+    """A volume and a T that are both x times as large say the same, whatever the areas are."""
+    case = opened()
+    dry = replace(case, room=case.room.replace(air=None))
+    first = dry.configurations[0]
+    large = replace(
+        dry,
+        room=dry.room.replace(volume=1.3 * dry.room.volume),
+        configurations=[replace(first, measured=replace(
+            first.measured,
+            values={k: 1.3 * v for k, v in first.measured.values.items()},
+            uncertainty={k: 1.3 * v for k, v in first.measured.uncertainty.items()},
+        ))],
+    )  # fmt: skip
+    effects = [Opening(), WrongArea(), WrongVolume()]
+    one, other = (find(c, effects=effects, controls=controls_of(c)) for c in (dry, large))
+    for name, value in one.evidence.items():
+        assert other.evidence[name] == pytest.approx(value, abs=1e-6)
+
+
+@dataclass(frozen=True)
+class Organ(Absorber):
+    """An effect of one's own: organ pipes, by a spectrum."""
+
+    name: ClassVar[str] = "organ"
+
+    def spectrum(self, frequencies: np.ndarray, parameters: object) -> np.ndarray:
+        return np.interp(frequencies, [125, 500, 8000], [0.6, 0.4, 0.2])
+
+
+def test_an_effect_of_one_s_own_is_a_small_class() -> None:
+    bare = state(opened(), opened().configurations[0])
+    hidden = bare.covered(40.0, Organ().spectrum(F, {}))
+    case = case_with(6 * np.log(10) / hidden.rate)
+    finding = find(case, effects=[*library(), Organ()], controls=controls_of(case, 0.01))
+    assert "organ" in finding.candidates
+
+
+def test_the_plan_knows_what_cannot_be_told_apart() -> None:
+    case = opened()
+    made_plan = plan(case.only("t20"))
+    assert made_plan.separations["opening", "coupled room"] < 2.3
+    assert made_plan.separations["noise floor", "opening"] > 2.3
+    assert "direct sound" in str(made_plan)
+    with_level = made_plan.more["C80 and G"]
+    assert with_level["volume", "opening"] > made_plan.separations["volume", "opening"] + 1
+    json.dumps(made_plan.to_dict())
+    with pytest.raises(DataError, match="change = -1"):
+        plan(case, change=-1)
+
+
+def test_two_engines_are_the_least() -> None:
+    with pytest.raises(DataError, match="at least two engines"):
+        control_rooms(opened(), engines=["network"])
+    with pytest.raises(DataError, match='engine "horn" is not one of'):
+        control_rooms(opened(), engines=["network", "horn"])
+
+
+def test_a_threshold_may_be_given() -> None:
+    case = opened()
+    strict = find(case, effects=[Opening()], threshold=1e6, controls=controls_of(case))
+    assert strict.verdict in ("none", "hint")
+    error = ModelError(np.zeros(35), np.diag(np.full(35, 0.03**2)))
+    known = find(case, effects=[Opening()], threshold=Threshold(2.3, np.zeros(1), error))
+    assert known.verdict == "named"
+    with pytest.raises(DataError, match="nan nats is not finite"):
+        find(case, effects=[Opening()], threshold=float("nan"), controls=controls_of(case))
+
+
+def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
+    case = opened()
+    first = case.configurations[0]
+    values = {k: v.copy() for k, v in first.measured.values.items()}
+    values["t20"][0, 0] = np.nan
+    u = {k: v.copy() for k, v in first.measured.uncertainty.items()}
+    u["t20"][0, 1] = 0.5 * values["t20"][0, 1]
+    worse = replace(
+        case, configurations=[replace(first, measured=replace(
+            first.measured, values=values, uncertainty=u
+        ))],
+    )  # fmt: skip
+    observed, notes = observe(worse)
+    assert not observed.used[0, :, :2].any()
+    assert observed.used[0, 0, 2:].all()
+    assert any("125 Hz dropped: no T20" in n for n in notes)
+    assert any("250 Hz dropped: T is known to 50 %" in n for n in notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"equation": "norris"}, 'equation = "norris" is not one of'),
+        ({"configurations": []}, "configurations is missing or empty"),
+        ({"room": {"volume": 3}}, "room:"),
+        ({"room": None}, "room is NoneType, not a mapping"),
+        ({"configurations": [{"name": "A"}]}, "has none of t20"),
+        ({"configurations": [{"name": "A", "t20": [1, 2]}]}, "t20 has shape"),
+        ({"configurations": [{"name": "A", "t20": [1] * 7, "snr": 3}]}, '"snr" is not known'),
+        ({"configurations": [{"name": "A", "edt": [1] * 7}]}, "has neither t20 nor t30"),
+        ({"configurations": [{"name": "A", "t20": ["x"] * 7}]}, "t20: could not convert"),
+        (
+            {"configurations": [
+                {"name": "A", "t20": [1] * 7, "changes": {"z": {"alpha": [0] * 7, "sigma": [0] * 7}}}
+            ]},
+            '"z" is no material',
+        ),
+        (
+            {"configurations": [{"name": "A", "t20": [1] * 7}, {"name": "A", "t20": [1] * 7}]},
+            "each has a name of its own",
+        ),
+        ({"configurations": [{"name": "A", "t20": [1] * 7, "distances": [-1]}]}, "above 0"),
+    ],
+)  # fmt: skip
+def test_bad_cases_are_refused_by_name(change: dict[str, object], message: str) -> None:
+    data = opened().to_dict() | change
+    with pytest.raises(DataError, match=message):
+        Case.from_dict(data)
+
+
+def test_a_case_s_file(tmp_path: Path) -> None:
+    case = opened()
+    case.room.save(str(tmp_path / "room.toml"))
+    case.configurations[0].measured.save(str(tmp_path / "t.csv"))
+    text = 'room = "room.toml"\n[[configuration]]\nname = "as built"\nmeasured = "t.csv"\n'
+    (tmp_path / "case.toml").write_text(text)
+    again = Case.from_file(str(tmp_path / "case.toml"))
+    np.testing.assert_allclose(
+        again.configurations[0].measured.mean("t20"), case.configurations[0].measured.mean("t20"),
+        rtol=1e-3,
+    )  # fmt: skip
+    (tmp_path / "case.toml").write_text(text.replace("measured =", "measurd ="))
+    with pytest.raises(DataError, match="a configuration has no measured"):
+        Case.from_file(str(tmp_path / "case.toml"))
+    (tmp_path / "case.toml").write_text("rom = 1\n" + text)
+    with pytest.raises(DataError, match='"rom" is not one of'):
+        Case.from_file(str(tmp_path / "case.toml"))
+    (tmp_path / "case.json").write_text("{")
+    with pytest.raises(DataError, match=r"case\.json"):
+        Case.from_file(str(tmp_path / "case.json"))
+
+
+def test_what_was_added_must_be_in_the_library() -> None:
+    case = replace(opened(), present=[Present("ghost", {"size": 1.0})])
+    with pytest.raises(DataError, match='effect "ghost" is not in the library'):
+        hypotheses(case, [])
