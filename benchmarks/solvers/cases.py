@@ -278,16 +278,16 @@ class Rooms(qpbenchmark.TestSet):
                 room, times = room_of(n, OCTAVES, rng)
                 built = make().build(room)
                 yield Case(f"{name} {n} x 8", "composed", built, times, room, None)
-            yield self._two(n)
+            yield self._two(n, OCTAVES, "composed")
 
-    def _two(self, n: int) -> Case:
+    def _two(self, n: int, bands: list[int], family: str) -> Case:
         rng = np.random.default_rng([self.seed, n, 3])
-        room, times = room_of(n, OCTAVES, rng)
+        room, times = room_of(n, bands, rng)
         other = room.replace(areas=room.areas * rng.uniform(0.5, 1.5, n))
         pair = Configurations([room, other])
         seen = rt.Eyring().time(other, other.areas @ np.clip(room.alpha * 1.02, 0.01, 0.99))
         return Case(
-            f"two configurations {n} x 8", "composed", preset("joint").build(pair),
+            f"two configurations {n} x {len(bands)}", family, preset("joint").build(pair),
             [times, seen], pair, None,
         )  # fmt: skip
 
@@ -296,9 +296,10 @@ class Rooms(qpbenchmark.TestSet):
             rng = np.random.default_rng([self.seed, n, 4])
             room, times = room_of(n, THIRDS, rng)
             yield _single(f"mle {n} x 24", "sizes", preset("mle").build(room), room, times)
-            for name in ("soft", "correlated"):
-                built = COMPOSED[name]().build(room)
+            for name, make in COMPOSED.items():
+                built = make().build(room)
                 yield Case(f"{name} {n} x 24", "sizes", built, times, room, None)
+            yield self._two(n, THIRDS, "sizes")
 
 
 def _times(built: CalibrationProblem, measured: rt.Measurement, room: rt.Room) -> Array:

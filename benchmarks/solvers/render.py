@@ -100,7 +100,8 @@ def _by_size(rows: Sequence[Row]) -> dict[tuple[str, str], dict[int, float]]:
             and r.status == "solved"
             and not r.route.startswith("cvxpy:")
         ):
-            found.setdefault((r.route, r.problem.split()[0]), {})[r.unknowns] = r.microseconds
+            kind = r.problem.rsplit(" ", 3)[0]
+            found.setdefault((r.route, kind), {})[r.unknowns] = r.microseconds
     return found
 
 
