@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +59,20 @@ def array(place: str, value: object, error: type[RtcalError] = DataError) -> Arr
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as cause:
         raise error(f"{place} is not an array of real numbers: {cause}") from cause
+
+
+def listed(place: str, value: object) -> tuple[Any, ...]:
+    """Return the members of a sequence; DataError for one text and for anything else."""
+    if isinstance(value, str | bytes) or not isinstance(value, Iterable):
+        raise DataError(f"{place} = {_shown(value)} is not a list")
+    return tuple(value)
+
+
+def mapped(place: str, value: object) -> dict[Any, Any]:
+    """Return a mapping as a dict; DataError for anything else."""
+    if not isinstance(value, Mapping):
+        raise DataError(f"{place} = {_shown(value)} is not a mapping")
+    return dict(value)
 
 
 def path(place: str, value: object) -> Path:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import loop_state
+from rtcal import checks, loop_state
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.files import write_text
@@ -307,7 +307,11 @@ def start(
     """Return a loop that nothing has been simulated in yet; see `Loop`."""
     if rule not in RULES:
         raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
-    if not tolerance > 0:
+    if not isinstance(room, Room):
+        raise DataError(f"room = {room!r} is not a rtcal.Room")
+    if decimals is not None:
+        checks.whole("decimals", decimals, 1)
+    if not 0 < checks.number("tolerance", tolerance) < np.inf:
         raise DataError(f"tolerance = {tolerance:g} JND is not above 0")
     data = times_in_room(room, measured)
     refuse_twice(room, data)
@@ -381,12 +385,18 @@ def calibrate_simulator(
     >>> set(result.status), result.simulations <= 3
     ({'converged'}, True)
     """
+    if not isinstance(simulator, Simulator):
+        raise DataError(
+            f"simulator = {simulator!r} is no Simulator: it lacks simulate() or its rows"
+        )
+    if not isinstance(room, Room):
+        raise DataError(f"room = {room!r} is not a rtcal.Room")
+    checks.whole("seed", seed, 0)
+    checks.whole("max_simulations", max_simulations, 1)
     if tuple(simulator.materials) != tuple(room.materials) or not np.array_equal(
         simulator.centre_frequencies, room.centre_frequencies
     ):
         raise DataError(f'{simulator.name} has other materials or bands than room "{room.name}"')
-    if max_simulations < 1:
-        raise DataError(f"max_simulations = {max_simulations} is not at least 1")
     rule = rule or ("safeguarded" if simulator.deterministic else "regression")
     loop = start(
         room, measured, rule=rule, method=method, equation=equation, decimals=decimals,

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics.sigma import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.errors import DataError
 from rtcal.types import Array
@@ -65,7 +66,8 @@ class TruncatedNormal:
     upper: Array | float = 1.0
 
     def __post_init__(self) -> None:
-        values = [np.asarray(v, dtype=float) for v in (self.mu, self.sigma, self.lower, self.upper)]
+        given = {"mu": self.mu, "sigma": self.sigma, "lower": self.lower, "upper": self.upper}
+        values = [checks.array(f"truncated normal: {name}", v) for name, v in given.items()]
         try:
             values = list(np.broadcast_arrays(*values))
         except ValueError as error:

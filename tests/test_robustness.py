@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal import cli, studies
+from rtcal import cli, closed_loop, studies
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import posterior, sensitivity
 from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
+from rtcal.simulators.equation import EquationSimulator
 from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
 
 AIR = rt.Air()
@@ -355,6 +356,27 @@ WRONG_KINDS = [
     (lambda: posterior(solved(), "a"), "n_samples = 'a' is not a whole number of at least 1"),
     (lambda: posterior(solved()).interval("a"), "level = 'a' is not a number"),
     (lambda: posterior(solved()).quantile(None), "probability = None is not a number"),
+    (lambda: rt.Air("a"), "air.temperature = 'a' is not a number"),
+    (lambda: room(materials=5), "materials = 5 is not a list"),
+    (lambda: room(surfaces=5), "surfaces = 5 is not a list"),
+    (lambda: room(dimensions=5), "dimensions = 5 is not a list"),
+    (lambda: room(sources=5), "sources = 5 is not a mapping"),
+    (lambda: room(band_correlation="a"), "band_correlation = 'a' is not a number"),
+    (lambda: room(material_correlation={"a": 0.5}), "'a' is not a pair of materials"),
+    (lambda: room().save(5), "5 is not a path"),
+    (lambda: rt.Measurement(centre_frequencies=[500], values={"t20": [[1]]}, pairs=5), "pairs = 5"),
+    (lambda: rt.Measurement.from_values([500, 1000], t20=HIDDEN), "t20. is a masked array"),
+    (lambda: rt.Eyring("a"), "speed_of_sound = 'a' is not a number"),
+    (lambda: rt.Millington("a"), "speed_of_sound = 'a' is not a number"),
+    (lambda: rt.Eyring().absorption_area(room(), "a"), "T is not an array of real numbers"),
+    (lambda: rt.closed_form.scaling([np.nan, 0.1], [1, 1], 1), "mu has a value that is not finite"),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], settings={5: 1}), "settings has 5, which is no"),
+    (lambda: rt.calibrate_simulator(5, room(), [0.8, 0.7]), "simulator = 5 is no Simulator"),
+    (lambda: closed_loop.start(5, [0.8, 0.7]), "room = 5 is not a rtcal.Room"),
+    (lambda: closed_loop.start(room(), [0.8, 0.7], decimals="a"), "decimals = 'a' is not a whole"),
+    (lambda: closed_loop.start(room(), [0.8, 0.7], tolerance="a"), "tolerance = 'a' is not a num"),
+    (lambda: EquationSimulator(5, room()), "equation = 5 is no Equation"),
+    (lambda: EquationSimulator(rt.Eyring(), room()).simulate("a"), "alpha is not an array"),
     (lambda: sensitivity(5), "result = 5 is not the result of a calibration"),
 ]  # fmt: skip
 

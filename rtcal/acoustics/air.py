@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.errors import DataError
 from rtcal.types import Array
 
@@ -52,6 +53,8 @@ class Air:
     pressure: float = 101.325
 
     def __post_init__(self) -> None:
+        for name in ("temperature", "humidity", "pressure"):
+            checks.number(f"air.{name}", getattr(self, name))
         rules = (
             ("temperature", -20 <= self.temperature <= 50, "°C", "from -20 to 50 °C"),
             ("humidity", 0 < self.humidity <= 100, "%", "above 0 and at most 100 %"),

@@ -13,6 +13,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, InfeasibleError, ModelError
@@ -58,7 +59,7 @@ class LinearEquation(ABC):
 
     def __post_init__(self) -> None:
         c = self.speed_of_sound
-        if c is not None and not (np.isfinite(c) and c > 0):
+        if c is not None and not 0 < checks.number("speed_of_sound", c) < np.inf:
             raise DataError(f"speed_of_sound = {c:g} m/s is not finite and above 0")
 
     @abstractmethod
@@ -132,7 +133,7 @@ class LinearEquation(ABC):
         InfeasibleError
             If no coefficients from 0 to 1 give T; the message says which T would do.
         """
-        t = np.array(t, dtype=float)
+        t = checks.array("T", t)
         if t.shape != (room.n_bands,):
             raise DataError(f"T has shape {t.shape}; the room's bands ask for ({room.n_bands},)")
         for frequency, value in zip(room.centre_frequencies, t, strict=True):
@@ -255,7 +256,7 @@ class Kuttruff(LinearEquation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.path_variance <= 1:
+        if not 0 < checks.number("path_variance", self.path_variance) <= 1:
             raise DataError(f"path_variance = {self.path_variance:g} is not above 0 and at most 1")
 
     @property

@@ -82,9 +82,11 @@ def write_all(contents: Mapping[Any, bytes]) -> None:
         for temporary, target in temporaries:
             path = target
             os.replace(temporary, target)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         if isinstance(error, DataError):
             raise
+        if isinstance(error, TypeError):
+            raise DataError(f"{path!r} is not a path") from error
         reason = error.strerror if isinstance(error, OSError) else None
         raise DataError(f"{path}: cannot be written: {reason or error}") from error
     finally:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import text_name
 from rtcal.errors import DataError
@@ -104,8 +105,8 @@ class Measurement:
 
     def _checked_pairs(self) -> tuple[tuple[str, str], ...]:
         found = []
-        for pair in self.pairs:
-            if isinstance(pair, str) or len(pair) != 2:
+        for pair in checks.listed("pairs", self.pairs):
+            if len(checks.listed("pairs has a pair that", pair)) != 2:
                 raise DataError(f"pairs has {pair!r}; a pair is (source, receiver)")
             names = tuple(text_name("pairs", name) for name in pair)
             if names[0].startswith("#"):
@@ -139,10 +140,7 @@ class Measurement:
     def _checked(self, name: str, parameter: str, value: Any, shape: tuple[int, ...]) -> Array:
         if parameter not in UNITS:
             raise DataError(f'parameter "{parameter}" is unknown; known are {", ".join(UNITS)}')
-        try:
-            array = np.array(value, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise DataError(f"measurement {name}[{parameter}]: {error}") from error
+        array = checks.array(f"measurement {name}[{parameter}]", value).copy()
         if array.shape != shape:
             raise DataError(f"measurement {name}[{parameter}] has shape {array.shape}, not {shape}")
         infinite, low = np.isinf(array), np.zeros(array.shape, dtype=bool)
@@ -171,8 +169,11 @@ class Measurement:
     ) -> Measurement:
         """Return a measurement of one value a band: ``from_values([500, 1000], t20=[1.9, 2.0])``."""
         return cls(
-            centre_frequencies=np.asarray(centre_frequencies, dtype=float),
-            values={p: [v] for p, v in parameters.items()},  # type: ignore[misc]
+            centre_frequencies=checks.array("centre_frequencies", centre_frequencies),
+            values={
+                p: checks.array(f"measurement values[{p}]", v)[np.newaxis]
+                for p, v in parameters.items()
+            },
         )
 
     def mean(self, parameter: str) -> Array:

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics.room import AXES, Room
 from rtcal.errors import DataError, ModelError
 from rtcal.types import Array
@@ -31,7 +32,7 @@ class NonlinearEquation:
 
     def __post_init__(self) -> None:
         c = self.speed_of_sound
-        if c is not None and not (np.isfinite(c) and c > 0):
+        if c is not None and not 0 < checks.number("speed_of_sound", c) < np.inf:
             raise DataError(f"speed_of_sound = {c:g} m/s is not finite and above 0")
 
     def absorption_area(self, room: Room, t: Array) -> Array:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import (
@@ -117,10 +118,13 @@ class Room:
         for name in ("alpha", "sigma", "areas", "materials"):
             if getattr(self, name) is None:
                 raise DataError(f"{name} is missing; a room states it")
-        put("materials", tuple(text_name("materials", m) for m in self.materials))
+        materials = checks.listed("materials", self.materials)
+        put("materials", tuple(text_name("materials", m) for m in materials))
         put("name", text_name("name", self.name))
-        put("surfaces", tuple(self.surfaces or ()))
-        put("sources", dict(self.sources or {}))
+        put("surfaces", checks.listed("surfaces", self.surfaces or ()))
+        put("sources", checks.mapped("sources", self.sources or {}))
+        pairs = checks.mapped("material_correlation", self.material_correlation or {})
+        put("material_correlation", pairs)
         for name, kind in (("air", Air), ("calibration", CalibrationRecord)):
             if not isinstance(getattr(self, name), (kind, type(None))):
                 raise DataError(f"{name} = {getattr(self, name)!r} is not a rtcal {kind.__name__}")
@@ -144,7 +148,8 @@ class Room:
             if value is not None:
                 put(name, self._checked(name, value, (n, k)))
         if self.dimensions is not None:
-            sides = tuple(number("dimensions", side, " m") for side in self.dimensions)
+            given = checks.listed("dimensions", self.dimensions)
+            sides = tuple(number("dimensions", side, " m") for side in given)
             if len(sides) != 3:
                 raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
             put("dimensions", sides)
@@ -179,12 +184,17 @@ class Room:
             put("alpha", np.minimum(alpha, 1.0))
 
     def _check_correlation(self) -> None:
+        checks.number("band_correlation", self.band_correlation)
         if not 0 <= self.band_correlation < 1:
             raise DataError(
                 f"band_correlation = {self.band_correlation:g} is not from 0 to below 1"
             )
         between = np.eye(self.n_materials)
-        for (first, second), value in self.material_correlation.items():
+        for pair, value in self.material_correlation.items():
+            if not isinstance(pair, tuple) or len(pair) != 2:
+                raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
+            first, second = pair
+            checks.number(f'material_correlation["{first}", "{second}"]', value)
             i, j = self.material_index(first), self.material_index(second)
             if i == j or not -1 < value < 1:
                 raise DataError(

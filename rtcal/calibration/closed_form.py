@@ -26,7 +26,7 @@ def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
     >>> print(least_squares([0.4, 0.6], [20, 74], 33.6).round(2))
     [0.34 0.36]
     """
-    return maximum_likelihood(mu, np.ones_like(checks.array("mu", mu)), areas, target)
+    return maximum_likelihood(mu, np.ones_like(_finite("mu", mu)), areas, target)
 
 
 def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
@@ -46,7 +46,7 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
     Raises
     ------
     DataError
-        If shapes do not fit, or all sigma of a band are 0: then nothing can move.
+        If shapes do not fit, a value is not finite, or all sigma of a band are 0: nothing can move.
 
     Examples
     --------
@@ -54,7 +54,7 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
     [0.54 0.26]
     """
     mu, areas, target = _checked(mu, areas, target)
-    sigma = checks.array("sigma", sigma)
+    sigma = _finite("sigma", sigma)
     if sigma.shape != mu.shape:
         raise DataError(f"sigma has shape {sigma.shape}; mu has {mu.shape}")
     weight = _along(areas, mu) * sigma**2
@@ -67,7 +67,7 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
 def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
     """Return D = (S'mu - b) / sum S² sigma² in 1/m², a scalar or (n_bands,) (Eqs. 23 to 25)."""
     mu, areas, target = _checked(mu, areas, target)
-    spread = areas**2 @ checks.array("sigma", sigma) ** 2
+    spread = areas**2 @ _finite("sigma", sigma) ** 2
     return np.asarray((areas @ mu - target) / spread)
 
 
@@ -92,14 +92,21 @@ def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
 
 
 def _checked(mu: Array, areas: Array, target: Array | float) -> tuple[Array, Array, Array]:
-    mu, areas = checks.array("mu", mu), checks.array("areas", areas)
-    target = checks.array("target", target)
+    mu, areas = _finite("mu", mu), _finite("areas", areas)
+    target = _finite("target", target)
     if mu.ndim not in (1, 2) or areas.shape != mu.shape[:1] or target.shape != mu.shape[1:]:
         raise DataError(
             f"mu {mu.shape}, areas {areas.shape} and target {target.shape} do not fit: "
             "(n_materials,) and a scalar target, or (n_materials, n_bands) and (n_bands,)"
         )
     return mu, areas, target
+
+
+def _finite(name: str, values: object) -> Array:
+    array = checks.array(name, values)
+    if not np.isfinite(array).all():
+        raise DataError(f"{name} has a value that is not finite")
+    return array
 
 
 def _along(areas: Array, mu: Array) -> Array:

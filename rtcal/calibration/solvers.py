@@ -120,6 +120,8 @@ def run(
         raise ModelError(f'solver = {solver!r} is not a name such as "clarabel"')
     if not isinstance(settings, (Mapping, type(None))):
         raise ModelError(f"settings = {settings!r} is not a mapping of name to value")
+    if other := [key for key in settings or {} if not isinstance(key, str)]:
+        raise ModelError(f"settings has {other[0]!r}, which is no setting's name")
     name = solver.lower()
     chosen = {**SETTINGS.get(name.upper(), {}), **(settings or {})}
     if start is not None and name != "osqp":

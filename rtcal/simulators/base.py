@@ -17,6 +17,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, RtcalError, SimulatorError
@@ -66,7 +67,7 @@ class Simulator(Protocol):
 
 def check_alpha(simulator: Simulator, alpha: Array) -> Array:
     """Return alpha as an array; DataError unless it is (n_materials, n_bands) and within [0, 1]."""
-    alpha = np.asarray(alpha, dtype=float)
+    alpha = checks.array("alpha", alpha)
     shape = (len(simulator.materials), len(simulator.centre_frequencies))
     if alpha.shape != shape:
         raise DataError(

@@ -38,6 +38,11 @@ class EquationSimulator:
     room: Room
     deterministic: bool = field(default=True, init=False)
 
+    def __post_init__(self) -> None:
+        for name, kind in (("equation", Equation), ("room", Room)):
+            if not isinstance(getattr(self, name), kind):
+                raise DataError(f"{name} = {getattr(self, name)!r} is no {kind.__name__}")
+
     @property
     def name(self) -> str:
         """What calibrated coefficients belong to."""
