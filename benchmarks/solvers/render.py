@@ -284,7 +284,7 @@ is what the row tells. The default of an rtcal route is rtcal's own; in its othe
 
 Microseconds, shifted geometric mean with a shift of {SHIFT:.0f} microseconds, of what was solved. A call by cvxpy or rtcal includes filling in the
 numbers, rtcal's also the polish and the certificate; a "raw" time is the solver's own. Timings are the
-best of three calls, or of as many as fit in {ENOUGH} s.
+best of up to three calls, as many as fit in {ENOUGH} s.
 
 {times(rows)}
 
@@ -316,7 +316,8 @@ One-band problems: a batch by `rtcal.exact`, and one by one by the quickest solv
 
 ## Known limits
 
-- One machine with shared cores, and each problem is timed three times at most: read ratios, not times.
+- One machine whose cores did other work beside the run, which was stopped and taken up once (for the largest tolerances and
+  pairs of configurations); each problem is timed three times at most: read ratios, not times.
 - cvxpy compiles in its first solve of a shape; the best of three calls leaves that out.
 - Correlated bands at 480 unknowns take interior-point solvers longer than at 960: the ordering of the factor happens to
   fill it more there (Clarabel: 40,123 to 67,690 entries against 34,891). Their exponents are too small for it.
