@@ -217,7 +217,7 @@ def paths_of(value, own=()):
             yield (*own, key)
 
 
-@settings(max_examples=100)
+@settings(max_examples=200)
 @given(data=st.data())
 def test_broken_files_are_refused_or_shown(data) -> None:
     """Whatever stands in the file, the page is written or a DataError says what is wrong."""

@@ -67,12 +67,12 @@ def page(
     clean, marked = words.usable(seen)
     shifts, shift_count = words.large_shifts(seen)
     certificate = {
-        short: f"{max(v for v in seen.record['certificate'][key] if v is not None):.1e}"
+        short: _worst(seen.record["certificate"][key])
         for short, key in (("primal", "primal_residual"), ("dual", "dual_residual"),
                            ("gap", "duality_gap"))
     }  # fmt: skip
-    bounds = [v for m in seen.record["materials"] for v in m["error_bound"] if v is not None]
-    certificate["error"] = f"{max(bounds):.1e}"
+    bounds = [v for m in seen.record["materials"] for v in m["error_bound"]]
+    certificate["error"] = _worst(bounds)
     return _render("calibration.html", {
         "title": f"{seen.record['room']}: calibration",
         "seen": seen,
@@ -182,6 +182,11 @@ def _render(template: str, values: Mapping[str, Any]) -> str:
 def _blocks(n_bands: int) -> list[slice]:
     """Bands that stand side by side in a table, so that it fits a sheet of paper."""
     return [slice(k, k + _BANDS_ABREAST) for k in range(0, n_bands, _BANDS_ABREAST)]
+
+
+def _worst(values: Sequence[float | None]) -> str:
+    known = [v for v in values if v is not None]
+    return f"{max(known):.1e}" if len(known) == len(values) else "unknown"
 
 
 def _fixed(value: float, digits: int) -> str:

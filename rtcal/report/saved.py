@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 MAX_BYTES = 2**25
 """Bytes that a saved result may have: a hundred times a usual one."""
 
+_LARGEST = 1e30  # no quantity of a room comes near; squares of larger ones overflow
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Saved:
@@ -126,13 +128,15 @@ def _checked(record: Mapping[str, Any]) -> Saved:
     _texts(record, "room", "method", "equation")
     _texts(record["inputs"], "room", "measured")
     _texts(record["solver"], "name", "status")
-    _texts(record["measured"], "caution")
+    _texts(record["measured"], "caution", "fingerprint")
+    if type(record["solver"]["polished"]) is not bool:
+        raise ValueError("polished is neither true nor false")
     for text in (*record["unreachable"], *record["objective"], *record["constraints"],
                  *record["measured"]["parameter"], *record["effects"]):  # fmt: skip
         if not isinstance(text, str):
             raise ValueError(f"{text!r} is not a text")
-    for residuals in record["certificate"].values():
-        _array(residuals, n)
+    for name in ("primal_residual", "dual_residual", "duality_gap"):
+        _array(record["certificate"][name], n)
     plausibility = record["plausibility"]
     for value in (record["volume"], plausibility["q"], plausibility["degrees_of_freedom"],
                   record["band_correlation"], *record["effects"].values(),
@@ -147,23 +151,26 @@ def _checked(record: Mapping[str, Any]) -> Saved:
     if record["air"] is not None:
         for name in ("temperature", "humidity", "pressure"):
             _number(record["air"][name], missing=False)
-    for name, value in record["versions"].items():
-        _texts({name: value}, name)
+    _texts(record["versions"], "rtcal", *record["versions"])
 
     def rows(key: str) -> Array:
-        return np.array([_array(m[key], n) for m in materials])
+        return np.array([_array(m[key], n, missing=False) for m in materials])
 
     interval = None
     if all(m["interval_after"] is not None for m in materials):
+        if any(len(m["interval_after"]) != 2 for m in materials):
+            raise ValueError("interval_after has not two ends")
         interval = np.array(
             [[_array(m["interval_after"][e], n) for m in materials] for e in (0, 1)]
         )
     for m in materials:
         _texts(m, "name", "source")
         _array(m["error_bound"], n)
+        if m["alpha_min"] is not None:
+            _array(m["alpha_min"], n)
         if len(m["at_bound"]) != n or not set(m["at_bound"]) <= {"lower", "", "upper"}:
             raise ValueError("at_bound is not one of lower, upper and nothing a band")
-    return Saved(
+    found = Saved(
         record=record,
         centre_frequencies=_array(record["centre_frequencies"], n, missing=False),
         measured=_array(record["measured"]["reverberation_time"], n),
@@ -188,6 +195,21 @@ def _checked(record: Mapping[str, Any]) -> Saved:
         at_bound=np.array([m["at_bound"] for m in materials]),
         trust_marks=tuple(_mark(m) for m in record["trust_marks"]),
     )
+    for rule, values, low, high in (
+        ("centre_frequencies", found.centre_frequencies, 1e-3, _LARGEST),
+        ("area", found.areas, 1e-9, _LARGEST),
+        ("reverberation_time", [found.measured, found.before, found.after], 1e-9, _LARGEST),
+        ("uncertainty", found.uncertainty, 0, _LARGEST),
+        ("alpha", [found.alpha_before, found.alpha_after], 0, 1),
+        ("sigma", [found.sigma_before, found.sigma_after], 0, _LARGEST),
+        ("air_share", found.air_share, 0, 1),
+    ):
+        outside = (np.asarray(values) < low) | (np.asarray(values) > high)  # not where missing
+        if outside.any():
+            raise ValueError(f"{rule} has a value outside {low:g} to {high:g}")
+    if (np.diff(found.centre_frequencies) <= 0).any():
+        raise ValueError("centre_frequencies do not increase")
+    return found
 
 
 def _array(values: Any, n: int, missing: bool = True) -> Array:
@@ -199,8 +221,9 @@ def _array(values: Any, n: int, missing: bool = True) -> Array:
 def _number(value: Any, missing: bool = True) -> float:
     if value is None and missing:
         return math.nan
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"{value!r} is not a number")
+    real = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not real or not abs(value) < _LARGEST:  # NaN is not below it either
+        raise ValueError(f"{str(value)[:40]} is not a number below {_LARGEST:g}")
     return float(value)
 
 
