@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rtcal.discrepancy import Case, Finding
 
 
-@click.group()
+@click.group(short_help="Find what a model misses.")
 def gap() -> None:
     """Find what a model misses, add it, and see whether the gap shrinks where alpha cannot make it.
 
@@ -42,7 +42,7 @@ def _common(command: Any) -> Any:
     return command
 
 
-@gap.command()
+@gap.command(short_help="Which effects the data could tell apart.")
 @click.argument("case", type=click.Path())
 @click.option(
     "--change", default=0.2, show_default=True,
@@ -54,6 +54,8 @@ def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
     """Say which effects CASE's data could tell apart, before measuring.
 
     A configuration may state parameters = ["t20", "edt"] in place of measured.
+
+    Example: rtcal gap plan case.toml
     """
     from rtcal.discrepancy import plan as planned_with
 
@@ -61,15 +63,18 @@ def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
     tell(str(made), made.to_dict(), quiet=quiet, as_json=as_json)
 
 
-@gap.command()
+@gap.command(short_help="Say whether the model misses something, and what.")
 @_common
 def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool) -> None:
-    """Say whether CASE's model misses something, where it shows, and what it is."""
+    """Say whether CASE's model misses something, where it shows, and what it is.
+
+    Example: rtcal gap find case.toml
+    """
     finding = _find(_case(case), engines, seed, quiet)
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
-@gap.command()
+@gap.command(short_help="Add the named effect to the model.")
 @_common
 @click.option(
     "--out", type=click.Path(dir_okay=False), required=True, help="The case with the effect (JSON)."
@@ -77,7 +82,10 @@ def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: b
 def apply(
     case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool, out: str
 ) -> None:
-    """Add the named effect to CASE's model; the corrected case is a case like any other."""
+    """Add the named effect to CASE's model; the corrected case is a case like any other.
+
+    Example: rtcal gap apply case.toml --out corrected.json
+    """
     spare([Path(out)], [case])
     finding = _find(_case(case), engines, seed, quiet)
     corrected = finding.apply()
@@ -87,17 +95,20 @@ def apply(
     tell(text, {"present": added, "written": out}, quiet=quiet, as_json=as_json)
 
 
-@gap.command()
+@gap.command(short_help="Compare the gaps with and without the effect.")
 @_common
 def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool) -> None:
-    """Add the named effect, calibrate again, and compare the gaps that alpha cannot close."""
+    """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
+
+    Example: rtcal gap verify case.toml
+    """
     from rtcal.discrepancy import verify as verified
 
     result = verified(_find(_case(case), engines, seed, quiet))
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
-@gap.command()
+@gap.command(short_help="Write finding, verification and figures.")
 @_common
 @click.option(
     "--out", type=click.Path(file_okay=False), required=True, help="Folder for figures and JSON."
@@ -105,7 +116,10 @@ def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet:
 def report(
     case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool, out: str
 ) -> None:
-    """Write finding, verification and their figures into a folder."""
+    """Write finding, verification and their figures into a folder.
+
+    Example: rtcal gap report case.toml --out gap
+    """
     from rtcal.report.gap_report import write
 
     finding = _find(_case(case), engines, seed, quiet)
