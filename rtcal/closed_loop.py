@@ -8,7 +8,7 @@ by one of the rules of `rtcal.loop_rules`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from rtcal.acoustics.quality import JND, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import history, refuse_twice, times_in_room
 from rtcal.calibration.presets import preset
+from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
 from rtcal.loop_rules import RULES, Rule
@@ -76,11 +77,16 @@ class Loop:
     decimals: int | None = None
     tolerance: float = 1.0
     steps: tuple[Step, ...] = ()
+    _built: list[CalibrationProblem] = field(default_factory=list, repr=False)
 
     def calibrated(self, target: Array) -> CalibrationResult:
-        """Return the equation's calibration to a target T in s, (n_bands,); the nearest it can."""
-        problem = preset(self.method, self.room).build(self.room, self.equation)
-        return problem.solve(target, unreachable="nearest", method=self.method)
+        """Return the equation's calibration to a target T in s, (n_bands,); the nearest it can.
+
+        Built at the first call; the loops that `record` returns solve the same one again.
+        """
+        if not self._built:
+            self._built.append(preset(self.method, self.room).build(self.room, self.equation))
+        return self._built[0].solve(target, unreachable="nearest", method=self.method)
 
     def rounded(self, alpha: Array) -> Array:
         """Return alpha as the program reads it."""
@@ -131,14 +137,16 @@ class Loop:
 
     @property
     def next_target(self) -> Array:
-        """The T in s to calibrate the equation to next, (n_bands,); NaN where there is none."""
+        """The T in s to calibrate the equation to next, (n_bands,); NaN where there is none.
+
+        While some band needs another simulation, bands that are done but not within half of the
+        goal are moved with it: that costs no simulation, and each band ends at its best step.
+        """
         if not self.steps:
             return self.wanted.copy()
         shortest, longest = self._ends()
         target = np.array([self.steps[b].target[k] for k, b in enumerate(self.best)])
-        for k, status in enumerate(self.status):
-            if status != "not converging":
-                continue
+        for k in np.flatnonzero(self._moving):
             targets = np.array([1 / step.target[k] for step in self.steps])
             rates = np.array([1 / step.simulated[k] for step in self.steps])
             low, high = 1 / longest[k], 1 / shortest[k]
@@ -154,9 +162,16 @@ class Loop:
         alpha = self.rounded(self.calibrated(self.next_target).alpha)
         if self.steps:  # a band that is done keeps what did it
             for k, status in enumerate(self.status):
-                if status == "converged":
+                if status == "converged" and not self._moving[k]:
                     alpha[:, k] = self.steps[self.best[k]].alpha[:, k]
         return alpha
+
+    @property
+    def _moving(self) -> NDArray[np.bool_]:
+        """The bands whose target the next step moves, (n_bands,)."""
+        status = np.array(self.status)
+        rough = np.abs(self.gap) > self.goal / 2
+        return (status == "not converging") | ((status == "converged") & rough)
 
     def record(self, alpha: Array, found: Measurement) -> Loop:
         """Return the loop after ``alpha``, its `next_alpha`, was simulated with this outcome.
@@ -345,8 +360,8 @@ def calibrate_simulator(
         equal sigmas drive large hard walls to alpha = 0.
     measured : Measurement
     rule : {"secant", "safeguarded", "regression"}, optional
-        `rtcal.loop_rules`; "safeguarded" for a deterministic simulator, "regression" for a noisy
-        one if not given.
+        `rtcal.loop_rules`; "safeguarded" for a smooth simulator, "regression" for one whose T
+        jumps with alpha, if not given.
     method, equation
         Of the equation's calibration; see `rtcal.calibrate`.
     decimals : int, optional
@@ -397,7 +412,7 @@ def calibrate_simulator(
         simulator.centre_frequencies, room.centre_frequencies
     ):
         raise DataError(f'{simulator.name} has other materials or bands than room "{room.name}"')
-    rule = rule or ("safeguarded" if simulator.deterministic else "regression")
+    rule = rule or ("safeguarded" if simulator.smooth else "regression")
     loop = start(
         room, measured, rule=rule, method=method, equation=equation, decimals=decimals,
         tolerance=tolerance,

@@ -38,6 +38,9 @@ class Simulator(Protocol):
         Hz; what the columns of alpha are.
     deterministic : bool
         Whether the seed changes nothing.
+    smooth : bool
+        Whether with one seed T moves smoothly with alpha, as where all alpha weigh the same paths.
+        The steps of a closed loop share a seed: they then differ by alpha and by no noise.
     """
 
     @property
@@ -58,6 +61,11 @@ class Simulator(Protocol):
     @property
     def deterministic(self) -> bool:
         """Whether the seed changes nothing."""
+        ...
+
+    @property
+    def smooth(self) -> bool:
+        """Whether with one seed T moves smoothly with alpha."""
         ...
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:

@@ -37,6 +37,7 @@ class EquationSimulator:
     equation: Equation
     room: Room
     deterministic: bool = field(default=True, init=False)
+    smooth: bool = field(default=True, init=False)
 
     def __post_init__(self) -> None:
         for name, kind in (("equation", Equation), ("room", Room)):

@@ -67,6 +67,11 @@ class External:
         """The room's bands in Hz: columns of alpha."""
         return self.room.centre_frequencies
 
+    @property
+    def smooth(self) -> bool:
+        """Taken for smooth where it is deterministic."""
+        return self.deterministic
+
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Return what the program makes of alpha.
 

@@ -92,6 +92,7 @@ class ImageSource:
     bin_width: float = 0.001
     name: ClassVar[str] = "image sources"
     deterministic: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
     box: Shoebox = field(init=False)
     images: tuple[Images, ...] = field(init=False)
 
@@ -132,6 +133,7 @@ class ImageSource:
         alpha = check_alpha(self, alpha)
         out = np.zeros((len(self.images), alpha.shape[1], self._n_bins))
         reflection = 1 - alpha[self.box.walls].reshape(3, 2, -1)
+        attenuation = self.room.air_attenuation
         weigh = _weigh
         if jit.available():
             from rtcal.simulators import image_numba
@@ -141,10 +143,10 @@ class ImageSource:
             for band in range(alpha.shape[1]):
                 # One table per axis: what is left after an image's hits there; 0**0 is 1.
                 x, y, z = (
-                    np.prod(r[:, band] ** h, axis=1)
+                    r[0, band] ** h[:, 0] * r[1, band] ** h[:, 1]
                     for r, h in zip(reflection, found.hits, strict=True)
                 )
-                air = np.exp(-self.room.air_attenuation[band] * found.lengths)
+                air = np.exp(-attenuation[band] * found.lengths)
                 to[band] = air * weigh(
                     x, y, z, found.rows, found.starts, found.bins, found.weights, self._n_bins
                 )

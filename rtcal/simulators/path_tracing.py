@@ -77,6 +77,7 @@ class PathTracing:
     n_batches: int = 16
     workers: int | None = None
     deterministic: bool = field(default=False, init=False)
+    smooth: bool = field(default=True, init=False)
     _kept: dict[tuple[int, int], paths.Paths] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:

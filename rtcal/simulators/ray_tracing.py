@@ -86,6 +86,7 @@ class RayTracing:
     bin_width: float = 0.002
     n_batches: int = 8
     deterministic: bool = field(default=False, init=False)
+    smooth: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         def put(name: str, value: object) -> None:

@@ -110,6 +110,7 @@ class ScatteringDelayNetwork:
     line_of_sight: bool = True
     longest: float = 20.0
     deterministic: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
     box: Shoebox = field(init=False)
     networks: tuple[Network, ...] = field(init=False)
 
