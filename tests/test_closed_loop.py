@@ -8,6 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal import closed_loop, loop_rules
 from rtcal.acoustics.quality import gap_jnd
+from rtcal.calibration.problem import Calibration
 from rtcal.closed_loop import calibrate_simulator
 from rtcal.datasets import halls
 from rtcal.errors import DataError, SimulatorError
@@ -64,6 +65,42 @@ def test_a_simulator_is_calibrated(cr2, rule):
         calibrate_simulator(bent(room, 0.85, 1.1), result.room, measured, rule)
     again = bent(room, 0.85, 1.1).simulate(result.alpha)
     assert again.mean("t20") == pytest.approx(result.after.mean("t20"), rel=0.05)
+
+
+def test_the_calibration_is_built_once(cr2, monkeypatch):
+    room, measured = cr2
+    built, build = [], Calibration.build
+    monkeypatch.setattr(
+        Calibration, "build", lambda *args: built.append(args) or build(*args)
+    )  # fmt: skip
+    result = calibrate_simulator(bent(room, 0.7, 1.2), room, measured)
+    assert result.simulations >= 2
+    assert len(built) == 1
+
+
+def test_done_bands_move_on_while_another_needs_a_simulation(cr2):
+    room, measured = cr2
+    wanted = measured.mean("t30")
+    factors = np.where(np.arange(room.n_bands) == 2, 1.5, 1.04)  # .8 JND and 10 JND
+
+    def run(alpha, seed):
+        return factors * rt.Eyring().time(room, room.areas @ alpha)
+
+    result = calibrate_simulator(External(room=room, run=run, name="uneven"), room, measured)
+    first = gap_jnd(result.loop.steps[0].simulated, wanted)
+    assert np.delete(np.abs(first), 2) == pytest.approx(0.8, abs=0.01)  # within 1 JND at once
+    assert np.abs(result.gap).max() < 0.1
+    assert np.abs(gap_jnd(run(result.alpha, 0), wanted)).max() < 0.1
+    alone = calibrate_simulator(bent(room, 1 / 1.04, 1.0), room, measured)
+    assert alone.simulations == 1  # no simulation is spent on them
+
+
+def test_the_default_rule_is_the_simulators(cr2):
+    room, measured = cr2
+    smooth = bent(room, 0.9, 1.0)
+    rough = External(room=room, run=smooth.run, name="rough", deterministic=False)
+    assert calibrate_simulator(smooth, room, measured).loop.rule == "safeguarded"
+    assert calibrate_simulator(rough, room, measured).loop.rule == "regression"
 
 
 def test_alpha_is_simulated_as_the_program_reads_it(cr2):
@@ -196,7 +233,8 @@ def test_a_path_tracer_is_calibrated():
     measured = tracer.simulate(truth, seed=77)
     result = calibrate_simulator(tracer, hall.room, measured)
     assert set(result.status) == {"converged"}
-    assert result.simulations <= 5
+    assert result.loop.rule == "safeguarded"
+    assert result.simulations <= 4
     assert result.confirmation is not None
     # Confirmed with other paths: one JND and twice the noise of the two (2 to 3 % at 500 Hz).
     assert np.abs(result.gap).max() < 2.2
