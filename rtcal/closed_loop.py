@@ -171,7 +171,7 @@ class Loop:
         """The bands whose target the next step moves, (n_bands,)."""
         status = np.array(self.status)
         rough = np.abs(self.gap) > self.goal / 2
-        return (status == "not converging") | ((status == "converged") & rough)
+        return np.asarray((status == "not converging") | ((status == "converged") & rough))
 
     def record(self, alpha: Array, found: Measurement) -> Loop:
         """Return the loop after ``alpha``, its `next_alpha`, was simulated with this outcome.
