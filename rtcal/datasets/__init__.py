@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
+
+if TYPE_CHECKING:
+    from rtcal.discrepancy.case import Case
 
 _HERE = Path(__file__).parent
 
@@ -26,3 +31,16 @@ def bras_cr2() -> tuple[Room, Measurement]:
         Room.from_file(str(folder / "room.toml")),
         Measurement.from_file(str(folder / "measured.csv")),
     )
+
+
+def hidden_room() -> tuple[Case, dict[str, Any]]:
+    """Return a case in which something is hidden, and the truth: ``alpha`` and what it is.
+
+    A simulated room of six materials, measured in two configurations; rtcal's tests traced it with
+    a tracer of their own (`tests/hidden_world`).
+    """
+    from rtcal.discrepancy.case import Case
+
+    folder = path("hidden_room")
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    return Case.from_file(str(folder / "case.json")), truth
