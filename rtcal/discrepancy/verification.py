@@ -32,6 +32,8 @@ from rtcal.types import Array
 _JND = {"t20": 0.05, "edt": 0.05, "t30": 0.05, "c80": 1.0, "g": 1.0}
 _WORSE = 0.1
 """JND by which the mean gap in what alpha cannot absorb may grow before a finding is withdrawn."""
+_SURPRISED = -1.0
+"""Nats below which the bands speak against the effect when each is predicted from the others."""
 
 
 @dataclass(frozen=True)
@@ -132,10 +134,11 @@ def verify(finding: Finding, case: Case | None = None) -> Verification:
                 proof.append(one)
     mean = np.mean(proof, axis=0) if proof else np.full(2, np.nan)
     predictive = _predictive(finding, case, observed)
-    if not proof or (abs(mean[1] - mean[0]) <= _WORSE and predictive > 0):
-        verdict = "unproven" if not proof or mean[1] >= mean[0] else "proven"
+    change = float(mean[1] - mean[0]) if proof else 0.0
+    if change > _WORSE or predictive < _SURPRISED:
+        verdict = "withdrawn"
     else:
-        verdict = "proven" if mean[1] < mean[0] and predictive > 0 else "withdrawn"
+        verdict = "proven" if change < 0 and predictive > 0 else "unproven"
     return Verification(
         finding, tuple(gaps), float(mean[0]), float(mean[1]), predictive, verdict, before, after
     )
