@@ -138,7 +138,8 @@ def load(population: int) -> None:
 
 def run(population: int, folder: str, step: int) -> None:
     load(population)
-    jobs = [(population, i, folder) for i in range(0, len(ROOMS[population]), step)]
+    order = np.random.default_rng(0).permutation(len(ROOMS[population]))[::step]
+    jobs = [(population, int(i), folder) for i in order]
     with multiprocessing.Pool(2) as pool:
         for done, _ in enumerate(pool.imap_unordered(work, jobs), 1):
             print(f"\r{done}/{len(jobs)}", end="", flush=True)
