@@ -206,10 +206,9 @@ def naming(here: list[Any], data: str, rows: list[dict[str, Any]]) -> None:
     print("in no library: detected   ", rate(found(x) for x in unknown))
     print('  and called "unknown"    ', rate(x["effect"] == "unknown" for x in unknown if found(x)))
     for kind, inside in TOGGLED.items():
-        told = [x["candidates"] == [NAMES[inside]] or (
-            NAMES[inside] in x["candidates"]
-            and not {"opening", "audience"} <= set(x["candidates"])
-        ) for r, x in here if r["kind"] == kind]  # fmt: skip
+        other = ({"opening", "audience"} - {NAMES[inside]}).pop()
+        caught = [x for r, x in here if r["kind"] == kind and found(x)]
+        told = [other not in x["candidates"] for x in caught]
         if data == "all":
             print(f"{NAMES[inside]:9} toggled, told apart", rate(told))
     for kind, inside in TWINS.items():

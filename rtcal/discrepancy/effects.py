@@ -37,6 +37,10 @@ class Effect(Protocol):
         Whether it is a thing that could be taken out of the room.
     discrete : sequence of str
         Parameters that have no values between the grid's.
+    size_error : float
+        Standard deviation of ln size (of the size itself where it may be below 0) that the effect's
+        physics leaves open, however well it is measured: where an opening is, how a thing
+        scatters. From rooms made for development (tests/hidden_world, population 0).
     """
 
     @property
@@ -69,6 +73,11 @@ class Effect(Protocol):
         """Parameters that have no values between the grid's."""
         ...
 
+    @property
+    def size_error(self) -> float:
+        """What its physics leaves open of its size."""
+        ...
+
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return the parameters that are tried, alike in probability."""
         ...
@@ -90,6 +99,7 @@ class Absorber:
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
     discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 0.25
     least: ClassVar[float] = 0.05
     most: ClassVar[float] = 1.2
     steps: ClassVar[int] = 10
@@ -130,6 +140,7 @@ class OmittedAir:
     neutral: ClassVar[float] = np.nan
     removable: ClassVar[bool] = False
     discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 0.0
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return 5 to 35 °C, 5 to 95 %."""
@@ -175,6 +186,7 @@ class Audience:
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
     discrete: ClassVar[Sequence[str]] = ("standing",)
+    size_error: ClassVar[float] = 0.25
 
     # Seated in upholstered rows, and persons standing (EN 12354-6, Table B.3), over 1 kHz.
     SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)
@@ -205,6 +217,7 @@ class Furniture:
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
     discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 0.25
     SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -286,6 +299,7 @@ class WrongArea:
     neutral: ClassVar[float] = 1.0
     removable: ClassVar[bool] = False
     discrete: ClassVar[Sequence[str]] = ("material",)
+    size_error: ClassVar[float] = 0.0
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return each material at .4 to 2.5 times its area."""
@@ -312,6 +326,7 @@ class WrongVolume:
     neutral: ClassVar[float] = 1.0
     removable: ClassVar[bool] = False
     discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 0.0
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return .7 to 1.4."""
@@ -332,6 +347,7 @@ class WrongFormula:
     neutral: ClassVar[float] = np.nan
     removable: ClassVar[bool] = False
     discrete: ClassVar[Sequence[str]] = ("equation",)
+    size_error: ClassVar[float] = 0.0
     EQUATIONS: ClassVar[tuple[str, ...]] = ("sabine", "eyring", "millington")
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -353,6 +369,7 @@ class CoupledRoom:
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
     discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 0.4
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return apertures of .05 to 1.2 A, rooms of .2 to 3 V, alpha .02 to .3."""
@@ -381,6 +398,7 @@ class NonDiffuse:
     neutral: ClassVar[float] = 1.0
     removable: ClassVar[bool] = False
     discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 0.5
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return s = .01 to .3."""
@@ -401,6 +419,7 @@ class NoiseFloor:
     neutral: ClassVar[float] = -90.0
     removable: ClassVar[bool] = False
     discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 1.2
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return -60 to -30 dB over one to three reverberation times."""
@@ -424,6 +443,7 @@ class Directivity:
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = False
     discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 1.0
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return -9 to +9 dB."""

@@ -62,7 +62,7 @@ class Hypotheses:
     ``names`` and ``parameters`` (n,); ``features`` and ``slopes`` (n, n_configurations, n_features,
     n_bands); ``alpha_variance`` (n, n_configurations, n_bands, n_configurations, n_bands), the prior's
     covariance of ln T20. ``present_covariance``, over all features raveled, is what is not known of the
-    sizes of effects that the model has already. The first hypothesis is "none".
+    effects that the model has already. The first hypothesis is "none".
     """
 
     names: tuple[str, ...]
@@ -167,7 +167,7 @@ def hypotheses(case: Case, effects: Sequence[Effect]) -> Hypotheses:
 
 
 def _present_covariance(case: Case) -> Array:
-    """What the sizes of the effects in the model leave open, over all features raveled."""
+    """What the effects in the model leave open: sizes and misfit, over all features raveled."""
 
     def features(present: Sequence[Present]) -> Array:
         changed = replace(case, present=present)
@@ -186,7 +186,15 @@ def _present_covariance(case: Case) -> Array:
             others[i] = replace(one, parameters=moved)
             d = features(others) - base
             out += np.outer(d, d)
+        without = features([p for p in case.present if p is not one])
+        out += _misfit(base - without, KAPPA)
     return out
+
+
+def _misfit(d: Array, kappa: float) -> Array:
+    """An effect's own misfit, kappa² (½ d d' + ½ diag d²), for changes d (..., m)."""
+    outer = d[..., :, None] * d[..., None, :]
+    return np.asarray(0.5 * kappa**2 * outer * (1 + np.eye(d.shape[-1])))
 
 
 def alpha_variance(
@@ -227,6 +235,11 @@ def _sigma(case: Case, configuration: Configuration) -> Array:
     return sigma
 
 
+LEVEL_DB = 0.5
+"""Standard uncertainty that C80 and G of the diffuse-field theory have in common in all bands."""
+_C80, _G = FEATURES.index("c80"), FEATURES.index("g")
+
+
 def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
     """Return bias and covariance of the model's error from control rooms.
 
@@ -247,6 +260,12 @@ def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
     between = np.array(means) - bias
     covariance = np.mean(spreads, axis=0)
     covariance += between.T @ between / max(len(controls) - 1, 1)
+    # Of all bands and configurations alike: what no engine's scatter shows, since all take the same
+    # direct sound and the same theory of it.
+    level = np.zeros((len(FEATURES), len(FEATURES)))
+    level[_C80, _C80] = level[_G, _G] = LEVEL_DB**2
+    ones = np.ones((n, n)), np.ones((k, k))
+    covariance += np.einsum("ab,fg,kl->afkbgl", ones[0], level, ones[1]).reshape(size, size)
     shrunk = 0.6 * covariance + 0.4 * np.diag(np.diag(covariance))
     return ModelError(bias, shrunk * 1.1, tuple(c.engine for c in controls))
 
@@ -292,8 +311,7 @@ def weigh(
         part = slice(begin, begin + _AT_ONCE)
         variance = predicted.alpha_variance[part, c[:, None], b[:, None], c, b]
         covariance = slopes[part, :, None] * slopes[part, None, :] * variance + rest
-        misfit = kappa**2 * 0.5 * d[part, :, None] * d[part, None, :]
-        covariance += misfit * (1 + np.eye(len(c)))
+        covariance += _misfit(d[part], kappa)
         residual = y - (centres[part] + bias)[:, None]
         out[part] = _log_normal(residual, covariance)
         if begin == 0:

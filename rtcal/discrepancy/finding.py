@@ -255,12 +255,22 @@ def _size(
     likely = [_others(best, effect), *sorted(others, key=lambda k: -others[k])[:7]]
     sizes = np.array([theta[effect.size] for theta in grid])
     low, high = sizes.min(), sizes.max()
-    fine = np.geomspace(low / 1.5, high * 1.5, 61) if low > 0 else np.linspace(low, high, 61)
+    fine = np.geomspace(low / 3, high * 3, 81) if low > 0 else np.linspace(low - 10, high + 10, 81)
     log_p = weighed([{**dict(key), effect.size: float(x)} for key in likely for x in fine])
     by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
+    by_size = _widened(by_size, np.log(fine) if low > 0 else fine, effect.size_error)
     cumulated = np.cumsum(by_size) - 0.5 * by_size
     ends = [float(np.interp(q, cumulated, fine)) for q in (0.05, 0.95)]
     return best, Size(float(by_size @ fine), ends[0], ends[1], effect.unit)
+
+
+def _widened(p: Array, at: Array, spread: float) -> Array:
+    """The probabilities p on an even grid, convolved with a normal distribution."""
+    if spread == 0:
+        return p
+    kernel = np.exp(-0.5 * (np.subtract.outer(at, at) / spread) ** 2)
+    # What would leave the grid stays at its ends.
+    return np.asarray(kernel / kernel.sum(0) @ p)
 
 
 def _others(theta: Parameters, effect: Effect) -> tuple[tuple[str, float], ...]:
@@ -324,6 +334,10 @@ class _Tried:
     @property
     def discrete(self) -> Sequence[str]:
         return self.effect.discrete
+
+    @property
+    def size_error(self) -> float:
+        return self.effect.size_error
 
     def grid(self, state: Any) -> Sequence[Parameters]:
         return self.thetas

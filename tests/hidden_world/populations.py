@@ -45,6 +45,7 @@ COUNTS = {
     0: {0: 80, **dict.fromkeys(range(1, 14), 10), 22: 10, 23: 10, DOUBLE: 12},
     1: {0: 203, **dict.fromkeys(range(1, 14), 25), 22: 25, 23: 25,
         **dict.fromkeys(TWINS, 10), DOUBLE: 50},
+    2: {0: 203},  # fresh rooms with nothing in them, for changes made after population 1 was seen
 }  # fmt: skip
 
 
