@@ -3,6 +3,7 @@
     python -m benchmarks.hidden_effects run --folder out      # an hour or so; can be resumed
     python -m benchmarks.hidden_effects table                 # of the stored run, or --folder out
     python -m benchmarks.hidden_effects engines --rooms 40    # leave one engine out
+    python -m benchmarks.hidden_effects bound --folder out    # what any test could detect at best
     python -m benchmarks.hidden_effects bras ../shared/data/bras
 
 "one": T20, EDT and T30 in one configuration; "all": two configurations, C80 and G as well.
@@ -23,13 +24,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import beta, norm
 
 import rtcal as rt
 from rtcal.discrepancy import Case, Configuration, control_rooms, find, library, verify
 from rtcal.discrepancy.bootstrap import made_up, score, threshold
 from rtcal.discrepancy.engines import Controls
-from rtcal.discrepancy.evidence import hypotheses, model_error, observe, weigh
+from rtcal.discrepancy.evidence import (
+    alpha_covariance,
+    hypotheses,
+    model_error,
+    observe,
+    weigh,
+)
+from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.states import distances, state
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 
@@ -354,6 +363,63 @@ def engines(rooms: int) -> None:
         print(f"  {name:14} {rate(flags)}")
 
 
+def bound(folder: str) -> None:
+    """Print what the best of all tests could detect: one that is told which effect, and its size.
+
+    Phi(delta - 1.645) at 5 % false alarms, delta² = d' C⁻¹ d, d what the true effect changes and C what
+    prior, measurement and model error leave open (Neyman and Pearson 1933).
+    """
+    load(1)
+    power: dict[str, list[float]] = {"one": [], "all": []}
+    effects = {e.name: e for e in library()}
+    for index, truth in enumerate(TRUTHS[1]):
+        if not 1 <= truth["seed"][1] <= 12:
+            continue
+        case = Case.from_dict(ROOMS[1][index])
+        controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
+        effect = effects[NAMES[truth["seed"][1]]]
+        for data, part, rooms in (("one", one(case), first(controls)), ("all", case, controls)):
+            observed, _ = observe(part)
+            base = [state(part, c) for c in part.configurations]
+            changed = [effect.change(s, parameters_of(truth["effects"][0])) for s in base]
+            d = np.array([
+                np.diff(predict([a, b], distances(part, c)).features, axis=0)[0]
+                for a, b, c in zip(base, changed, part.configurations, strict=True)
+            ])[observed.used]  # fmt: skip
+            mask = observed.used.ravel()
+            open_ = alpha_covariance(hypotheses(part, []), 0) + model_error(part, rooms).covariance
+            covariance = open_[np.ix_(mask, mask)] + observed.covariance
+            delta = float(np.sqrt(d @ np.linalg.solve(covariance, d)))
+            power[data].append(float(norm.cdf(delta - norm.ppf(0.95))))
+    for data, values in power.items():
+        print(f"{data}: the best possible test detects {np.mean(values):.3f} of {len(values)}")
+
+
+def parameters_of(effect: dict[str, Any]) -> dict[str, float]:
+    """The library's parameters of a truth."""
+    kind = effect["kind"]
+    if kind == 1:
+        return {"temperature": effect["temperature"], "humidity": effect["humidity"]}
+    if kind == 3:
+        seated = "size" in effect
+        area = 0.86 * effect["size"] if seated else 0.51 * effect["persons"]
+        return {"standing": 0.0 if seated else 1.0, "absorption_area": area}
+    if kind == 10:
+        return {"aperture": effect["size"], "volume": effect["volume"], "alpha": effect["alpha"]}
+    return {
+        2: lambda: {"area": effect["size"]},
+        4: lambda: {"absorption_area": effect["size"]},
+        5: lambda: {"area": effect["size"], "thickness": effect["depth"],
+                    "flow_resistivity": 1e3 * effect["flow"]},
+        6: lambda: {"area": effect["size"], "resonance": effect["f0"], "quality": effect["q"]},
+        7: lambda: {"material": effect["material"], "ratio": effect["ratio"]},
+        8: lambda: {"ratio": effect["ratio"]},
+        9: lambda: {"equation": 1.0},
+        11: lambda: {"scattering": effect["scattering"]},
+        12: lambda: {"level": effect["level"], "record": 2.0},
+    }[kind]()  # fmt: skip
+
+
 def bras(folder: str) -> None:
     """CR2 and CR3 from the published initial alpha, without air and with it."""
     warnings.simplefilter("ignore")
@@ -397,7 +463,7 @@ def bras(folder: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("run", "table", "store", "engines", "bras"))
+    parser.add_argument("what", choices=("run", "table", "store", "engines", "bound", "bras"))
     parser.add_argument("data", nargs="?", help="the folder of BRAS' tables")
     parser.add_argument("--folder")
     parser.add_argument("--population", type=int, default=1)
@@ -410,6 +476,8 @@ def main() -> None:
         store(given.folder)
     elif given.what == "table":
         table(given.folder)
+    elif given.what == "bound":
+        bound(given.folder)
     elif given.what == "engines":
         engines(given.rooms)
     else:
