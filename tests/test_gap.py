@@ -90,7 +90,11 @@ def test_a_room_s_case_holds_nothing_of_the_truth() -> None:
             "band_correlation", "facing", "air",
         }  # fmt: skip
         text = json.dumps(case)
-        for name in set(populations.KINDS.values()) - {"air", "area", "volume"}:  # a room's own words
+        for name in set(populations.KINDS.values()) - {
+            "air",
+            "area",
+            "volume",
+        }:  # a room's own words
             assert name not in text
     for path in HERE.glob("*.gz"):
         assert not any(name in path.name for name in populations.KINDS.values())
