@@ -36,8 +36,10 @@ from typing import Any
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.files import read_text, write_text
+from rtcal.acoustics.materials import number
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import AXES, Room
 from rtcal.errors import DataError
@@ -88,11 +90,7 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Present:
-    """An effect that has been added to the model: its name, its parameters, its spread.
-
-    ``gain`` (n_configurations, n_bands) is what it adds to the absorption area in m², for effects
-    that do no more than that.
-    """
+    """An effect that has been added to the model: its name, its parameters, its size's spread."""
 
     effect: str
     parameters: Mapping[str, float]
@@ -158,11 +156,11 @@ class Case:
         try:
             room = Room(
                 **{"name": "room", **room_data},
-                air=None if climate is None else Air(**climate),
+                air=_air(f"{where}: room: air", climate),
             )
         except TypeError as error:
             raise DataError(f"{where}: room: {error}") from error
-        uncertainty = dict(data.get("uncertainty") or {})
+        uncertainty = _uncertainty(where, data.get("uncertainty"))
         configurations = data.get("configurations")
         if not isinstance(configurations, Sequence) or not configurations:
             raise DataError(f"{where}: configurations is missing or empty")
@@ -171,7 +169,7 @@ class Case:
             equation=str(data.get("equation", "eyring")),
             facing=facing,
             configurations=[
-                _configuration(room, _as_mapping(f"{where}: configurations", c), uncertainty)
+                _configuration(room, checks.mapped(f"{where}: configurations", c), uncertainty)
                 for c in configurations
             ],
             present=[
@@ -208,7 +206,7 @@ class Case:
         text = read_text(path, _LARGEST)
         try:
             if str(path).endswith(".json"):
-                return cls.from_dict(_as_mapping(str(path), json.loads(text)))
+                return cls.from_dict(checks.mapped(str(path), json.loads(text)))
             data = tomllib.loads(text)
         except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
             raise DataError(f"{path}: {error}") from error
@@ -219,9 +217,11 @@ class Case:
         if not isinstance(data.get("room"), str):
             raise DataError(f"{path}: room is not the name of a room's file")
         room = Room.from_file(str(folder / data["room"]))
-        uncertainty = dict(data.get("uncertainty", {}))
+        uncertainty = _uncertainty(path, data.get("uncertainty"))
         configurations = []
-        for entry in data.get("configuration", ()):
+        entries = data.get("configuration", ())
+        for each in checks.listed(f"{path}: configuration", entries):
+            entry = checks.mapped(f"{path}: configuration", each)
             if "parameters" in entry:
                 configurations.append(_planned(room, entry))
                 continue
@@ -256,13 +256,7 @@ class Case:
 def _mapping(where: str, data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     if name not in data:
         raise DataError(f"{where}: {name} is missing")
-    return _as_mapping(f"{where}: {name}", data[name])
-
-
-def _as_mapping(where: str, value: object) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise DataError(f"{where} is {type(value).__name__}, not a mapping")
-    return value
+    return checks.mapped(f"{where}: {name}", data[name])
 
 
 def _facing(room: Room, facing: Any) -> Array:
@@ -338,19 +332,51 @@ def _configuration(
         if p not in extra and kind in uncertainty:
             scale = v if kind == "time" else np.ones_like(v)
             extra[p] = scale * float(uncertainty[kind])
-    climate = data.get("air")
+    changes = data.get("changes") or {}
     distances = data.get("distances", data.get("distance"))
     return Configuration(
         name=name,
         measured=replace(measured, uncertainty=extra),
         changes={
-            str(m): Change(*(np.array(v[k], dtype=float) for k in ("alpha", "sigma")))
-            for m, v in (data.get("changes") or {}).items()
+            str(m): _change(f'configuration "{name}": changes: "{m}"', v)
+            for m, v in checks.mapped(f'configuration "{name}": changes', changes).items()
         },
         suspect_removed=bool(data.get("suspect_removed", False)),
-        air=None if climate is None else Air(**climate),
-        distances=None if distances is None else np.array(distances, dtype=float),
+        air=_air(f'configuration "{name}": air', data.get("air")),
+        distances=(
+            None
+            if distances is None
+            else checks.array(f'configuration "{name}": distances', distances)
+        ),
     )
+
+
+def _air(where: str, climate: Any) -> Air | None:
+    if climate is None:
+        return None
+    try:
+        return Air(**checks.mapped(where, climate))
+    except TypeError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
+def _change(where: str, value: Any) -> Change:
+    entry = checks.mapped(where, value)
+    for name in ("alpha", "sigma"):
+        if name not in entry:
+            raise DataError(f"{where}: {name} is missing")
+    return Change(*(checks.array(f"{where}: {name}", entry[name]) for name in ("alpha", "sigma")))
+
+
+def _uncertainty(where: str, value: Any) -> dict[str, float]:
+    """Stated for values that state none: ``time`` relative, ``level`` in dB."""
+    table = checks.mapped(f"{where}: uncertainty", value or {})
+    out = {}
+    for name, stated in table.items():
+        if name not in ("time", "level"):
+            raise DataError(f'{where}: uncertainty: "{name}" is not time or level')
+        out[name] = number(f"{where}: uncertainty: {name}", stated, "")
+    return out
 
 
 def _planned(room: Room, data: Mapping[str, Any]) -> Configuration:
@@ -361,7 +387,7 @@ def _planned(room: Room, data: Mapping[str, Any]) -> Configuration:
         raise DataError(
             f'configuration "{name}": parameters is not a list of {", ".join(PARAMETERS)}, t20 in it'
         )
-    n = int(data.get("positions", 4))
+    n = checks.whole(f'configuration "{name}": positions', data.get("positions", 4), 1)
     rows = {p: np.ones((n, room.n_bands)).tolist() for p in wanted}
     rest = {k: v for k, v in data.items() if k not in ("parameters", "positions", "measured")}
     stated = {"time": 0.02, "level": 0.3}

@@ -87,7 +87,16 @@ class Effect(Protocol):
         ...
 
 
-class Absorber:
+class Named:
+    """What effects have where they say nothing else."""
+
+    neutral: ClassVar[float] = 0.0
+    removable: ClassVar[bool] = False
+    discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 0.25
+
+
+class Absorber(Named):
     """What puts a surface of some spectrum on a wall; a subclass gives name and `spectrum`.
 
     Sizes are tried from ``least`` to ``most`` times the room's absorption area at 500 to 2000 Hz.
@@ -96,10 +105,7 @@ class Absorber:
     name: ClassVar[str]
     size: ClassVar[str] = "area"
     unit: ClassVar[str] = "m²"
-    neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
-    discrete: ClassVar[Sequence[str]] = ()
-    size_error: ClassVar[float] = 0.25
     least: ClassVar[float] = 0.05
     most: ClassVar[float] = 1.2
     steps: ClassVar[int] = 10
@@ -131,15 +137,13 @@ def middle_absorption(state: State) -> float:
 
 
 @dataclass(frozen=True)
-class OmittedAir:
+class OmittedAir(Named):
     """Air absorption that the model has not, or has for another climate (ISO 9613-1)."""
 
     name: ClassVar[str] = "air"
     size: ClassVar[str] = "humidity"
     unit: ClassVar[str] = "% at the temperature"
     neutral: ClassVar[float] = np.nan
-    removable: ClassVar[bool] = False
-    discrete: ClassVar[Sequence[str]] = ()
     size_error: ClassVar[float] = 0.0
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -177,16 +181,14 @@ def between(frequencies: Array, octaves: Sequence[float]) -> Array:
 
 
 @dataclass(frozen=True)
-class Audience:
+class Audience(Named):
     """People: seated, as an area; or standing, each with an absorption area (Beranek; EN 12354-6)."""
 
     name: ClassVar[str] = "audience"
     size: ClassVar[str] = "absorption_area"
     unit: ClassVar[str] = "m² at 1 kHz"
-    neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
     discrete: ClassVar[Sequence[str]] = ("standing",)
-    size_error: ClassVar[float] = 0.25
 
     # Seated in upholstered rows, and persons standing (EN 12354-6, Table B.3), over 1 kHz.
     SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)
@@ -208,16 +210,13 @@ class Audience:
 
 
 @dataclass(frozen=True)
-class Furniture:
+class Furniture(Named):
     """Objects: A = V_obj^(2/3) each (EN 12354-6); less where they are small beside a wavelength."""
 
     name: ClassVar[str] = "furniture"
     size: ClassVar[str] = "absorption_area"
     unit: ClassVar[str] = "m² at 1 kHz"
-    neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
-    discrete: ClassVar[Sequence[str]] = ()
-    size_error: ClassVar[float] = 0.25
     SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -290,14 +289,13 @@ class Resonator(Absorber):
 
 
 @dataclass(frozen=True)
-class WrongArea:
+class WrongArea(Named):
     """One material's area is another than stated, by a ratio."""
 
     name: ClassVar[str] = "area"
     size: ClassVar[str] = "ratio"
     unit: ClassVar[str] = "of the stated area"
     neutral: ClassVar[float] = 1.0
-    removable: ClassVar[bool] = False
     discrete: ClassVar[Sequence[str]] = ("material",)
     size_error: ClassVar[float] = 0.0
 
@@ -317,15 +315,13 @@ class WrongArea:
 
 
 @dataclass(frozen=True)
-class WrongVolume:
+class WrongVolume(Named):
     """The volume is another than stated, by a ratio."""
 
     name: ClassVar[str] = "volume"
     size: ClassVar[str] = "ratio"
     unit: ClassVar[str] = "of the stated volume"
     neutral: ClassVar[float] = 1.0
-    removable: ClassVar[bool] = False
-    discrete: ClassVar[Sequence[str]] = ()
     size_error: ClassVar[float] = 0.0
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -338,14 +334,13 @@ class WrongVolume:
 
 
 @dataclass(frozen=True)
-class WrongFormula:
+class WrongFormula(Named):
     """Another equation than the model's: Sabine's, Eyring's or Millington's."""
 
     name: ClassVar[str] = "formula"
     size: ClassVar[str] = "equation"
     unit: ClassVar[str] = "0 Sabine, 1 Eyring, 2 Millington"
     neutral: ClassVar[float] = np.nan
-    removable: ClassVar[bool] = False
     discrete: ClassVar[Sequence[str]] = ("equation",)
     size_error: ClassVar[float] = 0.0
     EQUATIONS: ClassVar[tuple[str, ...]] = ("sabine", "eyring", "millington")
@@ -360,15 +355,13 @@ class WrongFormula:
 
 
 @dataclass(frozen=True)
-class CoupledRoom:
+class CoupledRoom(Named):
     """A second room behind an aperture: two energy balances (Kuttruff; Cremer & Mueller)."""
 
     name: ClassVar[str] = "coupled room"
     size: ClassVar[str] = "aperture"
     unit: ClassVar[str] = "m²"
-    neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = True
-    discrete: ClassVar[Sequence[str]] = ()
     size_error: ClassVar[float] = 0.4
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -389,15 +382,13 @@ class CoupledRoom:
 
 
 @dataclass(frozen=True)
-class NonDiffuse:
+class NonDiffuse(Named):
     """Uneven absorption and little scattering: each direction decays at its own rate."""
 
     name: ClassVar[str] = "non-diffuse field"
     size: ClassVar[str] = "scattering"
     unit: ClassVar[str] = "scattering coefficient"
     neutral: ClassVar[float] = 1.0
-    removable: ClassVar[bool] = False
-    discrete: ClassVar[Sequence[str]] = ()
     size_error: ClassVar[float] = 0.5
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -410,15 +401,13 @@ class NonDiffuse:
 
 
 @dataclass(frozen=True)
-class NoiseFloor:
+class NoiseFloor(Named):
     """Noise in the measured decays that was not taken off: S(t) + N (t_end - t) (ISO 3382)."""
 
     name: ClassVar[str] = "noise floor"
     size: ClassVar[str] = "level"
     unit: ClassVar[str] = "dB under the start of the decay"
     neutral: ClassVar[float] = -90.0
-    removable: ClassVar[bool] = False
-    discrete: ClassVar[Sequence[str]] = ()
     size_error: ClassVar[float] = 1.2
 
     def grid(self, state: State) -> Sequence[Parameters]:
@@ -434,15 +423,12 @@ class NoiseFloor:
 
 
 @dataclass(frozen=True)
-class Directivity:
+class Directivity(Named):
     """A source that is not omnidirectional: its direct sound, in C80 and G alone."""
 
     name: ClassVar[str] = "direct sound"
     size: ClassVar[str] = "gain"
     unit: ClassVar[str] = "dB"
-    neutral: ClassVar[float] = 0.0
-    removable: ClassVar[bool] = False
-    discrete: ClassVar[Sequence[str]] = ()
     size_error: ClassVar[float] = 1.0
 
     def grid(self, state: State) -> Sequence[Parameters]:
