@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import schroeder_frequency
+from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
 from rtcal.discrepancy.advice import next_measurement
 from rtcal.discrepancy.bootstrap import Threshold, control_rooms
 from rtcal.discrepancy.bootstrap import threshold as bootstrapped
@@ -351,7 +351,8 @@ def _notes(case: Case) -> list[str]:
     out = []
     for c in case.configurations:
         t = c.measured.decay_time().mean
-        limit = float(np.nanmax(schroeder_frequency(t, case.room.volume)))
+        middle = mid_frequency_time(t, case.room.centre_frequencies)
+        limit = float(schroeder_frequency(np.array(middle), case.room.volume))
         low = [f for f in case.room.centre_frequencies if f < limit]
         if low:
             out.append(
