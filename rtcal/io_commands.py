@@ -164,11 +164,16 @@ def import_room(
 @click.option(
     "--template", type=click.Path(), help="Program's own file to change; else MATERIALS itself."
 )
+@click.option(
+    "--decimals", type=click.IntRange(0, 15),
+    help="Decimals of a coefficient (3: a tenth of a percent); else the format's.",
+)  # fmt: skip
 @json_option
 @quiet_option
 def export(
-    program: str, room: str, materials: str, template: str | None, as_json: bool, quiet: bool
-) -> None:
+    program: str, room: str, materials: str, template: str | None, decimals: int | None,
+    as_json: bool, quiet: bool,
+) -> None:  # fmt: skip
     """Write ROOM's coefficients into a program's MATERIALS; print what the rounding does to T.
 
     Example: rtcal export catt calibrated/room.toml hall.geo
@@ -178,7 +183,7 @@ def export(
     from rtcal.acoustics.room import Room
 
     module = import_module(f"rtcal.io.{program}")
-    done = module.write(Room.from_file(room), materials, template=template)
+    done = module.write(Room.from_file(room), materials, template=template, decimals=decimals)
     record = {
         "written": done.path, "equation": done.equation,
         "centre_frequencies": done.room.centre_frequencies,

@@ -52,6 +52,7 @@ def write(
     *,
     template: str | os.PathLike[str] | None = None,
     equation: LinearEquation | None = None,
+    decimals: int | None = None,
     where: Mapping[str, str] | None = None,
 ) -> Written:
     """Write the room's coefficients into ``template``, else into ``path`` if it is there.
@@ -60,7 +61,7 @@ def write(
     """
     return materials.write(
         room, path, read=lambda p: read(p, where=where), fresh=_fresh, template=template,
-        equation=equation,
+        equation=equation, decimals=decimals,
     )  # fmt: skip
 
 

@@ -47,15 +47,23 @@ def write(
     *,
     template: str | os.PathLike[str] | None = None,
     equation: LinearEquation | None = None,
+    decimals: int | None = None,
 ) -> Written:
     """Write the room's coefficients into ``template``, else into ``path`` if it is there.
 
     Only numbers that change are written; everything else keeps its bytes. Without either file a
     new list is made, of the octaves 125 Hz to 4 kHz and up to 16 kHz if the room has them. The
     report that is returned prints what the rounding does to T (by Eyring if not said otherwise).
+    ``decimals`` are those of a coefficient, 3 for a tenth of a percent; the format's own if not given.
     """
     return materials.write(
-        room, path, read=read, fresh=_fresh, template=template, equation=equation
+        room,
+        path,
+        read=read,
+        fresh=_fresh,
+        template=template,
+        equation=equation,
+        decimals=decimals,
     )
 
 

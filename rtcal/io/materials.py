@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -248,12 +248,17 @@ def write(
     fresh: Callable[[Room], MaterialList],
     template: str | os.PathLike[str] | None,
     equation: LinearEquation | None,
+    decimals: int | None,
 ) -> Written:
     """Write a room's coefficients: into the template, else the file that is there, else anew."""
     if template is not None or Path(path).exists():
         listed = read(template if template is not None else path)
     else:
         listed = fresh(room)
+    if decimals is not None:
+        listed = replace(
+            listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)
+        )
     content, as_read = listed.with_alpha(room)
     equation = equation or Eyring()
     held = {f for m in listed.materials for f in m.centre_frequencies}
@@ -267,6 +272,17 @@ def write(
     )
     write_bytes(path, content)
     return report
+
+
+def _with_decimals(listed: ListedMaterial, decimals: int) -> ListedMaterial:
+    """The material, its numbers written with these decimals of the coefficient."""
+    least = 2 if listed.unit == 0.01 else 0
+    if not least <= decimals <= 15:
+        raise DataError(
+            f"decimals = {decimals} of a coefficient; they are {least} to 15"
+            + (", since the file has whole percents at least" if least else "")
+        )
+    return replace(listed, decimals=decimals - least)
 
 
 def octaves(room: Room, needed: Sequence[float], program: str) -> list[int]:

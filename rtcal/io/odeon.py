@@ -47,6 +47,7 @@ def write(
     *,
     template: str | os.PathLike[str] | None = None,
     equation: LinearEquation | None = None,
+    decimals: int | None = None,
 ) -> Written:
     """Write the room's coefficients into ``template``, else into ``path`` if it is there.
 
@@ -54,7 +55,13 @@ def write(
     from 10001); it needs all eight octaves. Returns what the rounding does to T, as `catt.write`.
     """
     return materials.write(
-        room, path, read=read, fresh=_fresh, template=template, equation=equation
+        room,
+        path,
+        read=read,
+        fresh=_fresh,
+        template=template,
+        equation=equation,
+        decimals=decimals,
     )
 
 

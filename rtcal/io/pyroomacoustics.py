@@ -48,14 +48,21 @@ def write(
     *,
     template: str | os.PathLike[str] | None = None,
     equation: LinearEquation | None = None,
+    decimals: int | None = None,
 ) -> Written:
     """Write the room's coefficients into ``template``, else into ``path`` if it is there.
 
-    Without either a data base of the room's materials is made. All digits are written, so T does
-    not change; the report says so.
+    Without either a data base of the room's materials is made. All digits are written unless
+    ``decimals`` are given, so T does not change; the report says so.
     """
     return materials.write(
-        room, path, read=read, fresh=_fresh, template=template, equation=equation
+        room,
+        path,
+        read=read,
+        fresh=_fresh,
+        template=template,
+        equation=equation,
+        decimals=decimals,
     )
 
 
