@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from rtcal.errors import DataError, RtcalError
 from rtcal.types import Array
+
+T = TypeVar("T")
 
 
 def number(place: str, value: object, error: type[RtcalError] = DataError) -> float:
@@ -32,6 +34,20 @@ def number(place: str, value: object, error: type[RtcalError] = DataError) -> fl
         raise error(f"{place} = {_shown(value)} is too large a number") from cause
 
 
+def positive(place: str, value: object, unit: str = "") -> float:
+    """Return a finite number above 0 as a float; DataError for anything else.
+
+    Examples
+    --------
+    >>> positive("duration", 2, "s")
+    2.0
+    """
+    found = number(place, value)
+    if not 0 < found < np.inf:
+        raise DataError(f"{place} = {found:g}{unit and ' '}{unit} is not finite and above 0")
+    return found
+
+
 def whole(place: str, value: object, least: int, error: type[RtcalError] = DataError) -> int:
     """Return a whole number of at least ``least``; ``error`` for anything else.
 
@@ -43,6 +59,13 @@ def whole(place: str, value: object, least: int, error: type[RtcalError] = DataE
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise error(f"{place} = {_shown(value)} is not a whole number of at least {least}")
     return int(value)
+
+
+def instance(place: str, value: object, kind: type[T]) -> T:
+    """Return what is of one of rtcal's types; DataError for anything else."""
+    if not isinstance(value, kind):
+        raise DataError(f"{place} = {_shown(value)} is not a rtcal.{kind.__name__}")
+    return value
 
 
 def array(place: str, value: object, error: type[RtcalError] = DataError) -> Array:

@@ -29,13 +29,17 @@ from rtcal.loop_rules import RULES, Rule
 from rtcal.simulators.base import Simulator, run
 from rtcal.types import Array
 
-STATUSES = ("converged", "no measured T", "unreachable", "not converging")
-"""What is said of a band at the end."""
+STATUSES = ("converged", "no measured T", "unreachable", "not converging", "not confirmed")
+"""What is said of a band at the end; the last one of a `LoopResult` alone."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """One simulation: targets (s) and simulated T20 (s), (n_bands,), alpha as it was simulated."""
+    """One simulation: target, simulated T20 and its noise in s, (n_bands,), alpha as simulated.
+
+    The noise is the standard error of the mean over pairs: 0 where the simulator states none, NaN
+    where it cannot tell.
+    """
 
     target: Array
     alpha: Array
@@ -95,14 +99,19 @@ class Loop:
     @property
     def gap(self) -> Array:
         """Gap of the best step of each band in JND, (n_bands,), NaN without a measured T."""
-        gaps = np.array([gap_jnd(step.simulated, self.wanted) for step in self.steps])
-        return np.asarray(gaps[self.best, np.arange(gaps.shape[1])])
+        return np.asarray(self._gaps[self.best, np.arange(self.room.n_bands)])
 
     @property
     def best(self) -> NDArray[np.int64]:
         """Which step came nearest, by band, (n_bands,)."""
-        gaps = np.array([gap_jnd(step.simulated, self.wanted) for step in self.steps])
-        return np.asarray(np.argmin(np.nan_to_num(np.abs(gaps)), axis=0))
+        return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps)), axis=0))
+
+    @property
+    def _gaps(self) -> Array:
+        """Gap of every step in JND, (n_steps, n_bands)."""
+        if not self.steps:
+            raise DataError("the loop has no simulation yet: there is no gap to tell")
+        return np.array([gap_jnd(step.simulated, self.wanted) for step in self.steps])
 
     @property
     def goal(self) -> Array:
@@ -110,8 +119,8 @@ class Loop:
 
         At least half the tolerance, since no simulator with more noise could be shown to be there.
         """
-        noise = np.nan_to_num(self.steps[-1].noise) / (JND["t20"] * self.wanted)
-        return np.maximum(self.tolerance - noise, self.tolerance / 2)
+        noise = self.steps[-1].noise / (JND["t20"] * self.wanted)
+        return np.fmax(self.tolerance - noise, self.tolerance / 2)
 
     @property
     def status(self) -> tuple[str, ...]:
@@ -134,6 +143,20 @@ class Loop:
     def finished(self) -> bool:
         """Whether no band is left that another simulation could bring nearer."""
         return bool(self.steps) and "not converging" not in self.status
+
+    def confirmed(self, found: Measurement) -> tuple[str, ...]:
+        """Return `status`, but "not confirmed" where a run with the best coefficients denies it.
+
+        To confirm a band, T20 has to be within the tolerance and the run's noise, and the noise
+        within the tolerance, since more of it would confirm anything.
+        """
+        unit = JND["t20"] * self.wanted
+        gap, noise = np.abs(gap_jnd(found.mean("t20"), self.wanted)), _noise(found) / unit
+        good = (noise <= self.tolerance) & (gap <= self.tolerance + noise)
+        return tuple(
+            "not confirmed" if status == "converged" and not kept else status
+            for status, kept in zip(self.status, good, strict=True)
+        )
 
     @property
     def next_target(self) -> Array:
@@ -176,10 +199,13 @@ class Loop:
     def record(self, alpha: Array, found: Measurement) -> Loop:
         """Return the loop after ``alpha``, its `next_alpha`, was simulated with this outcome.
 
-        Raises DataError if the outcome has other bands, or lacks a T20 where T was measured: a mean
-        over the other pairs would hide it.
+        Raises DataError if the loop is done, or if the outcome has other bands or lacks a T20 where
+        T was measured: a mean over the other pairs would hide it.
         """
+        if self.finished:
+            raise DataError("the loop is done: no band is left that another simulation helps")
         bands = self.room.centre_frequencies
+        checks.instance("what was simulated", found, Measurement)
         if not np.array_equal(found.centre_frequencies, bands):
             raise DataError("what was simulated has other bands than the room")
         if "t20" not in found.values:
@@ -192,12 +218,8 @@ class Loop:
                 "but T was measured there"
             )
         step = Step(
-            target=self.next_target,
-            alpha=alpha,
-            simulated=found.mean("t20"),
-            noise=found.mean_uncertainty("t20") if "t20" in found.uncertainty
-            else np.zeros(self.room.n_bands),
-        )  # fmt: skip
+            target=self.next_target, alpha=alpha, simulated=found.mean("t20"), noise=_noise(found)
+        )
         return replace(self, steps=(*self.steps, step))
 
     def _ends(self) -> tuple[Array, Array]:
@@ -270,15 +292,19 @@ class LoopResult:
         return self.room.alpha
 
     @property
+    def final(self) -> Measurement:
+        """What the coefficients give, with fresh random numbers where there are any."""
+        return self.confirmation or self.after
+
+    @property
     def status(self) -> tuple[str, ...]:
-        """What is said of each band, one of `STATUSES`."""
-        return self.loop.status
+        """What is said of each band, one of `STATUSES`; see `Loop.confirmed`."""
+        return self.loop.confirmed(self.final)
 
     @property
     def gap(self) -> Array:
-        """Gap of T20 in JND with fresh random numbers where there are any, (n_bands,)."""
-        found = self.confirmation or self.after
-        return gap_jnd(found.mean("t20"), self.loop.wanted)
+        """Gap of T20 in JND of `final`, (n_bands,)."""
+        return gap_jnd(self.final.mean("t20"), self.loop.wanted)
 
     def to_json(self) -> str:
         """Return the loop and what the simulator had before and after, as JSON text.
@@ -296,15 +322,20 @@ class LoopResult:
         lines.append(
             f"{'Hz':>7}{'T20 wanted':>12}{'found':>8}{'JND':>7}  EDT, C50, C80 before/after"
         )
-        final = self.confirmation or self.after
+        status, gap = self.status, self.gap
         for k, f in enumerate(self.room.centre_frequencies):
             others = "  ".join(
-                f"{self.before.mean(p)[k]:.2f}/{final.mean(p)[k]:.2f}"
+                f"{self.before.mean(p)[k]:.2f}/{self.final.mean(p)[k]:.2f}"
                 for p in ("edt", "c50", "c80")
             )
             lines.append(
-                f"{f:7g}{self.loop.wanted[k]:12.3f}{final.mean('t20')[k]:8.3f}{self.gap[k]:7.2f}"
-                f"  {others}  {self.status[k]}"
+                f"{f:7g}{self.loop.wanted[k]:12.3f}{self.final.mean('t20')[k]:8.3f}{gap[k]:7.2f}"
+                f"  {others}  {status[k]}"
+            )
+        if "not confirmed" in status:
+            lines.append(
+                "Not confirmed: fresh random numbers are further off than tolerance and noise, or "
+                "the noise alone is more than the tolerance. Simulate with less noise (more paths)."
             )
         return "\n".join(lines)
 
@@ -320,14 +351,12 @@ def start(
     tolerance: float = 1.0,
 ) -> Loop:
     """Return a loop that nothing has been simulated in yet; see `Loop`."""
-    if rule not in RULES:
+    if not isinstance(rule, str) or rule not in RULES:
         raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
-    if not isinstance(room, Room):
-        raise DataError(f"room = {room!r} is not a rtcal.Room")
-    if decimals is not None:
-        checks.whole("decimals", decimals, 1)
-    if not 0 < checks.number("tolerance", tolerance) < np.inf:
-        raise DataError(f"tolerance = {tolerance:g} JND is not above 0")
+    checks.instance("room", room, Room)
+    if decimals is not None and checks.whole("decimals", decimals, 1) > loop_state.MOST_DECIMALS:
+        raise DataError(f"decimals = {decimals} is more than {loop_state.MOST_DECIMALS}")
+    checks.positive("tolerance", tolerance, "JND")
     data = times_in_room(room, measured)
     refuse_twice(room, data)
     return Loop(
@@ -367,7 +396,8 @@ def calibrate_simulator(
     decimals : int, optional
         Decimals of alpha that the program reads.
     tolerance : float
-        JND; a band is done when its gap is within it less the simulator's noise.
+        JND; a band is done when its gap is within it less the simulator's noise, and confirmed
+        when fresh random numbers keep within it and their noise.
     max_simulations : int
     seed : int
         All steps share it, so that they differ by alpha alone; the confirmation uses the next.
@@ -378,7 +408,7 @@ def calibrate_simulator(
     Returns
     -------
     LoopResult
-        Its ``status`` says of every band whether it converged.
+        Its ``status`` says of every band whether it converged and was confirmed.
 
     Raises
     ------
@@ -404,15 +434,17 @@ def calibrate_simulator(
         raise DataError(
             f"simulator = {simulator!r} is no Simulator: it lacks simulate() or its rows"
         )
-    if not isinstance(room, Room):
-        raise DataError(f"room = {room!r} is not a rtcal.Room")
+    checks.instance("room", room, Room)
+    if after_step is not None and not callable(after_step):
+        raise DataError(f"after_step = {after_step!r} cannot be called")
     checks.whole("seed", seed, 0)
     checks.whole("max_simulations", max_simulations, 1)
     if tuple(simulator.materials) != tuple(room.materials) or not np.array_equal(
         simulator.centre_frequencies, room.centre_frequencies
     ):
         raise DataError(f'{simulator.name} has other materials or bands than room "{room.name}"')
-    rule = rule or ("safeguarded" if simulator.smooth else "regression")
+    if rule is None:
+        rule = "safeguarded" if simulator.smooth else "regression"
     loop = start(
         room, measured, rule=rule, method=method, equation=equation, decimals=decimals,
         tolerance=tolerance,
@@ -444,3 +476,9 @@ def calibrate_simulator(
         after=after,
         confirmation=None if simulator.deterministic else run(simulator, alpha, seed=seed + 1),
     )
+
+
+def _noise(found: Measurement) -> Array:
+    """The simulator's standard error of the mean T20 in s, as `Step` has it."""
+    stated = found.uncertainty.get("t20", np.zeros((1, len(found.centre_frequencies))))
+    return np.asarray(np.sqrt(np.sum(stated**2, axis=0)) / len(stated))

@@ -32,7 +32,7 @@ def loop() -> None:
     show_default=True, help="How the next target is found; see docs/closed_loop.md.",
 )  # fmt: skip
 @click.option(
-    "--decimals", type=click.IntRange(1, 12), help="Decimals of alpha that the program reads."
+    "--decimals", type=click.IntRange(1), help="Decimals of alpha that the program reads."
 )
 @json_option
 @quiet_option
@@ -89,6 +89,11 @@ def next_(room: str, simulated: str, state: str, out: str, as_json: bool, quiet:
 
     spare([state, out], [room, simulated])
     going = Loop.load(state, Room.from_file(room))
+    if going.finished:
+        raise DataError(
+            f"{state}: the loop is done, so {simulated} was not taken in; the room that `rtcal loop "
+            "next` wrote last has the coefficients, and `rtcal report` shows the path"
+        )
     found = Measurement.from_file(simulated)
     try:
         going = going.record(going.next_alpha, found)

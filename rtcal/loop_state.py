@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 KIND = "loop 2"
 """What the key ``rtcal`` of a saved loop says."""
 MAX_BYTES = 2**25
+MOST_DECIMALS = 12
 
 _STEP = ("target", "alpha", "simulated", "noise")
 _EQUATIONS = {e.name: e for e in (Sabine, Eyring, Kuttruff)}
@@ -63,7 +64,9 @@ def read(
         if data["rule"] not in RULES:
             raise KeyError("rule")
         decimals = data["decimals"]
-        if decimals is not None and (type(decimals) is not int or not 1 <= decimals <= 12):
+        if decimals is not None and (
+            type(decimals) is not int or not 1 <= decimals <= MOST_DECIMALS
+        ):
             raise ValueError(f"decimals = {decimals!r}")
         steps = [{name: _array(step[name]) for name in _STEP} for step in data["steps"]]
         fields = {
@@ -95,10 +98,11 @@ def read(
 
 def ends(result: LoopResult) -> dict[str, Any]:
     """Return what a simulator had before and after, means by parameter and band; JSON-able."""
-    found = {"before": result.before, "after": result.confirmation or result.after}
+    found = {"before": result.before, "after": result.final}
     return {
         "simulator": result.simulator,
         "confirmed": result.confirmation is not None,
+        "status": list(result.status),
         **{
             name: {p: _plain(measurement.mean(p)) for p in measurement.values}
             for name, measurement in found.items()
@@ -107,9 +111,12 @@ def ends(result: LoopResult) -> dict[str, Any]:
 
 
 def fingerprint(room: Room) -> str:
-    """Return a short name of a room's materials, areas, bands and prior."""
-    digest = hashlib.sha256(repr((tuple(room.materials), room.volume)).encode())
-    for values in (room.areas, room.centre_frequencies, room.alpha, room.sigma):
+    """Return a short name of a room's materials, areas, bands, air and prior."""
+    plain = (tuple(room.materials), room.volume, room.speed_of_sound)
+    digest = hashlib.sha256(repr(plain).encode())
+    for values in (
+        room.areas, room.centre_frequencies, room.air_attenuation, room.alpha, room.sigma,
+    ):  # fmt: skip
         digest.update(np.ascontiguousarray(values).tobytes())
     return digest.hexdigest()[:16]
 

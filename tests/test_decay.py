@@ -109,6 +109,16 @@ def test_nothing_reflected_is_no_decay() -> None:
         decay.measurement(energy, 1e-3, np.array([500.0]), [("S", "R")])
 
 
+def test_a_late_part_lost_in_rounding_is_still_a_late_part() -> None:
+    """As one less the early share it came out below nothing, and C50 as no number."""
+    rng = np.random.default_rng(3)
+    energy = np.append(rng.random((400, 50)), np.full((400, 1), 1e-18), axis=1)
+    expected = 10 * np.log10(energy[:, :50].sum(axis=1) / 1e-18)
+    assert decay.clarity(energy, 1e-3, 0.05) == pytest.approx(expected, abs=1e-9)
+    assert decay.clarity(energy[:, :50], 1e-3, 0.05).tolist() == [np.inf] * 400
+    assert np.isnan(decay.clarity(np.zeros(100), 1e-3, 0.05))
+
+
 @pytest.mark.parametrize(
     ("energy", "width", "name", "message"),
     [

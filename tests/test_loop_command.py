@@ -30,6 +30,10 @@ def test_a_program_run_by_hand_is_calibrated(cr2, tmp_path):
         if "Done." in done.output:
             break
     assert done.output.count("converged") == room.n_bands
+    kept = [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")]
+    again = runner.invoke(cli, ["loop", "next", names["room.toml"], names["s.csv"], *files])
+    assert "the loop is done" in str(again.exception)
+    assert [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")] == kept
     final = 1.3 * rt.Eyring().reverberation_time(rt.Room.from_file(names["next.toml"]))
     wanted = measured.decay_time().mean
     assert np.abs(final / wanted - 1).max() < 0.05

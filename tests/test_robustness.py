@@ -7,10 +7,15 @@ import pytest
 
 import rtcal as rt
 from rtcal import cli, closed_loop, studies
+from rtcal.acoustics.decay import clarity, decay_time
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import posterior, sensitivity
 from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
 from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.external import External, command
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.shoebox import shoebox
 from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
 
 AIR = rt.Air()
@@ -311,6 +316,15 @@ READ_ONLY.setflags(write=False)
 SMALL = ([0.1, 0.2], [0.1, 0.1], [10, 10], 3.0)
 PRIOR = rt.terms.PriorDeviation()
 
+
+def tracer(**change):
+    """A path tracer in a box of the two materials."""
+    walls = dict.fromkeys(SHOEBOX_WALLS, "a") | {"floor": "b"}
+    fine = {"geometry": Polyhedron.shoebox((5, 4, 3), walls), "room": room(),
+            "sources": {"S": (1, 1, 1)}, "receivers": {"R": (3, 3, 2)}}  # fmt: skip
+    return PathTracing(**{**fine, "n_paths": 32, "scattering": 0.5, **change})
+
+
 WRONG_KINDS = [
     (lambda: rt.exact.solve(HIDDEN, *SMALL[1:]), "mu is a masked array with hidden entries"),
     (lambda: rt.exact.solve(*SMALL[:3], HIDDEN), "target is a masked array with hidden entries"),
@@ -377,6 +391,32 @@ WRONG_KINDS = [
     (lambda: closed_loop.start(room(), [0.8, 0.7], tolerance="a"), "tolerance = 'a' is not a num"),
     (lambda: EquationSimulator(5, room()), "equation = 5 is no Equation"),
     (lambda: EquationSimulator(rt.Eyring(), room()).simulate("a"), "alpha is not an array"),
+    (lambda: rt.Eyring().reverberation_time(5), "room = 5 is not a rtcal.Room"),
+    (lambda: rt.Sabine().target(5, [1]), "room = 5 is not a rtcal.Room"),
+    (lambda: rt.Kuttruff().absorption_area(5, [1]), "room = 5 is not a rtcal.Room"),
+    (lambda: rt.Millington().reverberation_time(5), "room = 5 is not a rtcal.Room"),
+    (lambda: rt.Fitzroy().reverberation_time(5), "room = 5 is not a rtcal.Room"),
+    (lambda: rt.datasets.path(5), "name = 5 is not a path"),
+    (lambda: studies.rooms.random_hall("a"), "seed = 'a' is not a whole number of at least 0"),
+    (lambda: External(room=5, run=print, name="x"), "room = 5 is not a rtcal.Room"),
+    (lambda: External(room=room(), run=5, name="x"), "run = 5 cannot be called"),
+    (lambda: command(5, room()), "arguments = 5 is not a list"),
+    (lambda: tracer(geometry=5), "geometry = 5 is not a rtcal.Polyhedron"),
+    (lambda: tracer(room=5), "room = 5 is not a rtcal.Room"),
+    (lambda: tracer(sources=5), "sources = 5 is not a mapping"),
+    (lambda: tracer(n_paths="a"), "n_paths = 'a' is not a whole number of at least 1"),
+    (lambda: tracer(workers="a"), "workers = 'a' is not a whole number of at least 1"),
+    (lambda: tracer(radius="a"), "radius = 'a' is not a number"),
+    (lambda: tracer().energy(room().alpha, "a"), "seconds = 'a' is not a number"),
+    (lambda: tracer().simulate(room().alpha, seed="a"), "seed = 'a' is not a whole number"),
+    (lambda: shoebox(5, {}, {}), "room = 5 is not a rtcal.Room"),
+    (lambda: Polyhedron.shoebox("a", "w"), "dimensions is not an array of real numbers"),
+    (lambda: Polyhedron.shoebox((1, 2, 3), 5), "materials = 5 is not a mapping"),
+    (lambda: Polyhedron.from_polygons(5), "polygons = 5 is not a list"),
+    (lambda: Polyhedron.from_polygons([5]), "polygons = 5 is not a list"),
+    (lambda: decay_time("a", 0.1), "energy is not an array of real numbers"),
+    (lambda: decay_time([1, 0.5], "a"), "bin_width = 'a' is not a number"),
+    (lambda: clarity([1, 0.5], 0.1, "a"), "limit = 'a' is not a number"),
     (lambda: sensitivity(5), "result = 5 is not the result of a calibration"),
 ]  # fmt: skip
 

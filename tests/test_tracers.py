@@ -90,6 +90,20 @@ def test_the_stated_noise_is_the_spread_over_seeds():
         assert np.median(stated / spread) == pytest.approx(1, abs=0.33)
 
 
+def test_noise_that_cannot_be_told_is_nan():
+    """One batch has all but the direct sound: without it there is no T20, and nothing late."""
+    time = np.arange(600) * 0.002
+    energy = np.tile(10 ** (-6 * time / 0.5), (4, 1, 1, 1))
+    shared = energies.measurement(energy, 0.002, np.array([1000.0]), [("S", "R")])
+    energy[1:, ..., 1:] = 0
+    energy[0, ..., 1:] *= 4
+    found = energies.measurement(energy, 0.002, np.array([1000.0]), [("S", "R")])
+    for name in ("t20", "c50"):
+        assert found.values[name] == pytest.approx(shared.values[name], rel=1e-9)
+        assert np.isnan(found.uncertainty[name]).all()
+        assert shared.uncertainty[name] == pytest.approx(0, abs=1e-9)
+
+
 def test_bands_that_scatter_differently_have_their_own_paths():
     scattering = np.tile([0.05, 0.05, 0.3, 0.3, 0.3, 0.6, 0.6], (9, 1))
     tracer = path_tracer(n_paths=64, scattering=scattering)

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, TooShortError
@@ -118,24 +119,18 @@ def early_energy(energy: Array, bin_width: float, limit: float) -> Array:
 
     A bin that the limit divides counts in proportion.
     """
-    energy = _checked(energy)
-    total = energy.sum(axis=-1)
-    position = min(limit / _width(bin_width), energy.shape[-1])
-    whole = int(position)
-    early = energy[..., :whole].sum(axis=-1)
-    if whole < energy.shape[-1]:
-        early = early + (position - whole) * energy[..., whole]
-    return _share(early, total)
+    early, late = _divided(energy, bin_width, limit)
+    return _share(early, early + late)
 
 
 def clarity(energy: Array, bin_width: float, limit: float) -> Array:
     """Return C50 (``limit`` .05 s) or C80 (.08 s) in dB, (...): 10 lg(early / late).
 
-    ISO 3382-1:2009, A.10. Infinite where nothing comes after the limit.
+    ISO 3382-1:2009, A.10. Infinite where nothing comes after the limit, NaN without any energy.
     """
-    early = early_energy(energy, bin_width, limit)
-    with np.errstate(divide="ignore"):
-        return np.asarray(10 * np.log10(early / (1 - early)))
+    early, late = _divided(energy, bin_width, limit)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(10 * np.log10(early / late))
 
 
 def centre_time(energy: Array, bin_width: float) -> Array:
@@ -201,13 +196,24 @@ def measurement(
     )
 
 
+def _divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Array]:
+    """Energy before and after ``limit`` s; a bin that it divides counts in proportion.
+
+    Both are summed: as a difference the later one would round to less than nothing.
+    """
+    energy = _checked(energy)
+    position = min(checks.positive("limit", limit, "s") / _width(bin_width), energy.shape[-1])
+    share = np.clip(position - np.arange(energy.shape[-1]), 0.0, 1.0)
+    return energy @ share, energy @ (1 - share)
+
+
 def _share(part: Array, total: Array) -> Array:
     blank = np.full(np.shape(total), np.nan)
     return np.asarray(np.divide(part, total, out=blank, where=total > 0))
 
 
 def _checked(energy: Array) -> Array:
-    energy = np.asarray(energy, dtype=float)
+    energy = checks.array("energy", energy)
     if energy.ndim == 0 or energy.shape[-1] == 0:
         raise DataError(
             f"energy has shape {energy.shape}; it needs at least one bin, on its last axis"
@@ -221,6 +227,4 @@ def _checked(energy: Array) -> Array:
 
 
 def _width(bin_width: float) -> float:
-    if not (np.isfinite(bin_width) and bin_width > 0):
-        raise DataError(f"bin_width = {bin_width:g} s is not finite and above 0")
-    return float(bin_width)
+    return checks.positive("bin_width", bin_width, "s")

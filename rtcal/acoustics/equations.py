@@ -79,14 +79,16 @@ class LinearEquation(ABC):
 
     def reverberation_time(self, room: Room) -> Array:
         """Return T in s, (n_bands,); infinite where nothing absorbs (Eqs. 1 to 3)."""
+        checks.instance("room", room, Room)
         return self.time(room, room.absorption_area)
 
     def time(self, room: Room, absorption_area: Array) -> Array:
         """Return T in s for the surfaces' absorption area S'alpha in m², both (..., n_bands)."""
+        constant = self._constant(room)
         exponent = self.exponent(absorption_area / room.total_area)
         total = room.total_area * exponent + 4 * room.air_attenuation * room.volume
         with np.errstate(divide="ignore"):
-            return np.asarray(self._constant(room) * room.volume / total)
+            return np.asarray(constant * room.volume / total)
 
     def target(self, room: Room, t: Array) -> Array:
         """Return b in m², (..., n_bands), for T in s, without a check of what can be reached.
@@ -133,6 +135,7 @@ class LinearEquation(ABC):
         InfeasibleError
             If no coefficients from 0 to 1 give T; the message says which T would do.
         """
+        checks.instance("room", room, Room)
         t = checks.array("T", t)
         if t.shape != (room.n_bands,):
             raise DataError(f"T has shape {t.shape}; the room's bands ask for ({room.n_bands},)")
@@ -157,6 +160,7 @@ class LinearEquation(ABC):
 
     def _constant(self, room: Room) -> float:
         """24 ln 10 / c in s/m."""
+        checks.instance("room", room, Room)
         return float(24 * np.log(10) / (self.speed_of_sound or room.speed_of_sound))
 
 

@@ -75,6 +75,7 @@ class Millington(NonlinearEquation):
 
     def reverberation_time(self, room: Room) -> Array:
         """Return T in s, (n_bands,)."""
+        checks.instance("room", room, Room)
         with np.errstate(divide="ignore"):
             exponents = -np.log1p(-room.alpha)
         return self._times(room, room.areas @ exponents / room.total_area)
@@ -86,7 +87,7 @@ class _ByAxis(NonlinearEquation):
 
     def _axes(self, room: Room) -> tuple[Array, Array]:
         """Shares of the area (3, 1), and T of each axis' mean coefficient (3, n_bands)."""
-        if not room.surfaces:
+        if not checks.instance("room", room, Room).surfaces:
             raise ModelError(
                 f"{self.name}'s equation needs the axis (x, y or z) of every surface; room "
                 f'"{room.name}" has no surfaces'

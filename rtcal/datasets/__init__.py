@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rtcal import checks
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 
@@ -17,7 +18,7 @@ _HERE = Path(__file__).parent
 
 def path(name: str) -> Path:
     """Return the path of a shipped file, for example ``path("bras_cr2/room.toml")``."""
-    return _HERE / name
+    return _HERE / checks.path("name", name)
 
 
 def bras_cr2() -> tuple[Room, Measurement]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,11 +21,13 @@ _SAID = {
     "unreachable": "cannot be reached: the equation has no coefficients left that bring it nearer",
     "not converging": "did not come within the goal so far",
     "no measured T": "had no measured T; the coefficients are the stated ones",
+    "not confirmed": "came within the goal, but not with fresh random numbers, or the simulator's "
+    "noise is too large to tell: simulate with less of it (more paths)",
 }
 
 
-def summary(loop: Loop) -> list[str]:
-    """Return the loop as a few sentences."""
+def summary(loop: Loop, said_of: Sequence[str]) -> list[str]:
+    """Return the loop as a few sentences; ``said_of`` is each band's status."""
     f, first = loop.room.centre_frequencies, gap_jnd(loop.steps[0].simulated, loop.wanted)
     n = len(loop.steps)
     found = [
@@ -39,7 +42,7 @@ def summary(loop: Loop) -> list[str]:
             f"taking each band's nearest run, {np.abs(loop.gap[here]).max():.1f} JND are left."
         )
     for status, said in _SAID.items():
-        bands = [float(v) for v, s in zip(f, loop.status, strict=True) if s == status]
+        bands = [float(v) for v, s in zip(f, said_of, strict=True) if s == status]
         if bands:
             found.append(f"{hertz(bands)}: {said}.")
     if not loop.finished:
@@ -64,7 +67,7 @@ def assumed(loop: Loop) -> list[str]:
     ]  # fmt: skip
 
 
-def bands_table(loop: Loop) -> dict[str, Any]:
+def bands_table(loop: Loop, status: Sequence[str]) -> dict[str, Any]:
     """Return the rows of the table by band."""
     nearest = np.array([loop.steps[b].simulated[k] for k, b in enumerate(loop.best)])
     return {
@@ -76,7 +79,7 @@ def bands_table(loop: Loop) -> dict[str, Any]:
             ("gap left / JND", loop.gap, 1, True),
         ],
         "nearest": [int(b) + 1 for b in loop.best],
-        "status": loop.status,
+        "status": status,
     }
 
 
@@ -128,11 +131,14 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
                 rows.append((f"{parameter.upper()}, {when} / {unit}", values, decimals, False))
         if not isinstance(result["simulator"], str) or type(result["confirmed"]) is not bool:
             raise ValueError("no name of a simulator")
+        status = tuple(result["status"])
+        if len(status) != loop.room.n_bands or not set(status) <= set(_SAID):
+            raise ValueError("status has not one of the known words a band")
         gap = gap_jnd(np.array(result["after"]["t20"], dtype=float), loop.wanted)
         rows.insert(2, ("its gap / JND", gap, 1, True))
         return {
             "simulator": result["simulator"], "confirmed": result["confirmed"], "rows": rows,
-            "gap": gap,
+            "gap": gap, "status": status,
         }  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{place}: no result of a loop: {error}") from error

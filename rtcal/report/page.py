@@ -119,7 +119,8 @@ def loop_page(
     if isinstance(result, LoopResult):
         ends = loop_state.ends(result)
     shown = None if ends is None else loop_words.read_ends(loop, ends, place)
-    summary = loop_words.summary(loop)
+    status = loop.status if shown is None else shown["status"]
+    summary = loop_words.summary(loop, status)
     if shown is not None:
         summary.append(loop_words.confirmed(loop, shown))
     figure = loop_figures.path(loop)
@@ -132,7 +133,7 @@ def loop_page(
         "assumed": loop_words.assumed(loop),
         "figure": {"source": source, "alt": "T20 wanted and simulated by band; gap by simulation",
                    "caption": "Left: T20 by band. Right: how far each simulation was off."},
-        "bands": loop_words.bands_table(loop),
+        "bands": loop_words.bands_table(loop, status),
         "ends": shown,
         "blocks": _blocks(loop.room.n_bands),
         "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],

@@ -19,11 +19,13 @@ LONGEST = 60.0
 def jackknife(estimate: Callable[[Array], Array], batches: Array) -> Array:
     """Return the standard error of ``estimate(mean over batches)``; batches on axis 0.
 
-    Leave-one-out (Efron & Stein 1981): sqrt((n - 1)/n sum (estimate_i - mean)²).
+    Leave-one-out (Efron & Stein 1981): sqrt((n - 1)/n sum (estimate_i - mean)²). NaN where leaving
+    one out leaves no finite estimate: so few paths cannot tell their noise.
     """
     n = len(batches)
     total = batches.sum(axis=0)
     left_out = np.stack([estimate((total - batch) / (n - 1)) for batch in batches])
+    left_out[~np.isfinite(left_out)] = np.nan
     spread = left_out - left_out.mean(axis=0)
     return np.asarray(np.sqrt((n - 1) / n * np.sum(spread**2, axis=0)))
 

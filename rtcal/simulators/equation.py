@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -40,9 +41,9 @@ class EquationSimulator:
     smooth: bool = field(default=True, init=False)
 
     def __post_init__(self) -> None:
-        for name, kind in (("equation", Equation), ("room", Room)):
-            if not isinstance(getattr(self, name), kind):
-                raise DataError(f"{name} = {getattr(self, name)!r} is no {kind.__name__}")
+        if not isinstance(self.equation, Equation):
+            raise DataError(f"equation = {self.equation!r} is no Equation")
+        checks.instance("room", self.room, Room)
 
     @property
     def name(self) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, SimulatorError
@@ -54,8 +55,13 @@ class External:
     time_limit: float | None = None
 
     def __post_init__(self) -> None:
-        if self.time_limit is not None and not self.time_limit > 0:
-            raise DataError(f"time_limit = {self.time_limit:g} s is not above 0")
+        checks.instance("room", self.room, Room)
+        if not callable(self.run):
+            raise DataError(f"run = {self.run!r} cannot be called")
+        if not isinstance(self.name, str):
+            raise DataError(f"name = {self.name!r} is not a text")
+        if self.time_limit is not None:
+            checks.positive("time_limit", self.time_limit, "s")
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -138,12 +144,14 @@ def command(
         From the returned function: if the program cannot be started, ends with another status than
         0, outlives ``time_limit`` (s; it is ended) or writes no measurement.
     """
+    checks.instance("room", room, Room)
+    started = [str(argument) for argument in checks.listed("arguments", arguments)]
 
     def run(alpha: Array, seed: int) -> Measurement:
         with tempfile.TemporaryDirectory(prefix="rtcal-") as folder:
             given, found = Path(folder, "room.toml"), Path(folder, "measured.csv")
             room.replace(alpha=alpha, calibration=None).save(str(given))
-            line = [*arguments, str(given), str(found), str(seed)]
+            line = [*started, str(given), str(found), str(seed)]
             try:
                 done = subprocess.run(
                     line, capture_output=True, text=True, timeout=time_limit, check=False

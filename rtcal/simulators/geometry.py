@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal import checks
 from rtcal.acoustics.room import AXES, Surface
 from rtcal.errors import DataError
 from rtcal.simulators import triangles as _triangles
@@ -151,11 +152,12 @@ class Polyhedron:
 
         ``materials`` is one name for all walls, or a name for each of `SHOEBOX_WALLS`.
         """
-        sides = np.asarray(dimensions, dtype=float)
+        sides = checks.array("dimensions", dimensions)
         if sides.shape != (3,) or not (np.isfinite(sides) & (sides > 0)).all():
             raise DataError(f"dimensions = {dimensions!r} is not three finite lengths above 0 m")
         if isinstance(materials, str):
             materials = dict.fromkeys(SHOEBOX_WALLS, materials)
+        materials = checks.mapped("materials", materials)
         if missing := [wall for wall in SHOEBOX_WALLS if wall not in materials]:
             raise DataError(f'materials of the shoebox: "{missing[0]}" is missing')
         # Vertex 4 i + 2 j + k stands at (i x, j y, k z).
@@ -171,7 +173,9 @@ class Polyhedron:
     @classmethod
     def from_polygons(cls, polygons: Iterable[tuple[str, str, Any]]) -> Polyhedron:
         """Return the polyhedron of faces given as (name, material, points (n, 3) in m)."""
-        polygons = list(polygons)
+        polygons = checks.listed("polygons", polygons)
+        if any(len(checks.listed("polygons", polygon)) != 3 for polygon in polygons):
+            raise DataError("polygons has a face that is not (name, material, points)")
         points = [_points(f'face "{name}"', corners) for name, _, corners in polygons]
         starts = np.cumsum([0, *(len(p) for p in points)])
         return cls(
@@ -224,7 +228,7 @@ class Polyhedron:
         Raises DataError for a point outside the room or on a wall (nearer than `WELD`); ``kind``,
         "source" or "receiver", is how the message calls it.
         """
-        if not points:
+        if not checks.mapped(f"{kind}s", points):
             raise DataError(f"there is no {kind}; at least one is needed")
         for name, point in points.items():
             where = _points(f'{kind} "{name}"', [point])

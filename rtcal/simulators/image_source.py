@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import jit
+from rtcal import checks, jit
 from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -98,9 +98,7 @@ class ImageSource:
 
     def __post_init__(self) -> None:
         for name in ("duration", "bin_width"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise DataError(f"{name} = {value:g} s is not finite and above 0")
+            checks.positive(name, getattr(self, name), "s")
         box = shoebox(self.room, self.sources, self.receivers)
         radius = self.duration * self.room.speed_of_sound
         number = 4 / 3 * np.pi * radius**3 / np.prod(box.dimensions)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -84,21 +85,25 @@ class PathTracing:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
+        checks.instance("room", self.room, Room)
+        checks.instance("geometry", self.geometry, Polyhedron)
         for kind in ("sources", "receivers"):
             points = getattr(self, kind)
             self.geometry.require_inside(kind[:-1], points)
             put(kind, {str(name): tuple(map(float, point)) for name, point in points.items()})
         if self.meaning not in ("random", "vector"):
             raise DataError(f'meaning = "{self.meaning}" is not "random" or "vector"')
+        for name in ("n_paths", "n_batches", "workers"):
+            if name != "workers" or self.workers is not None:
+                checks.whole(name, getattr(self, name), 1)
         if self.n_batches < 2 or self.n_paths < self.n_batches:
             raise DataError(
                 f"n_paths = {self.n_paths} in n_batches = {self.n_batches}: at least two batches "
                 "with a path each are needed to tell the noise"
             )
-        for name in ("bin_width", "radius"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise DataError(f"{name} = {value:g} is not finite and above 0")
+        checks.positive("bin_width", self.bin_width, "s")
+        if self.radius is not None:
+            checks.positive("radius", self.radius, "m")
         for material in self.geometry.materials:
             self.room.material_index(material)
         put("scattering", scattering_coefficients(self.room, self.scattering))
@@ -159,7 +164,8 @@ class PathTracing:
 
         The paths of one seed are kept; another seed's replace them.
         """
-        longest = seconds * self.room.speed_of_sound
+        checks.whole("seed", seed, 0)
+        longest = checks.positive("seconds", seconds, "s") * self.room.speed_of_sound
         columns = [tuple(column) for column in self.scattering.T]
         key = (seed, columns.index(columns[band]))
         if key not in self._kept or self._kept[key].longest < longest:

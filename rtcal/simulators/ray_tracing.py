@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal import checks
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, MissingDependencyError
@@ -93,19 +94,23 @@ class RayTracing:
             object.__setattr__(self, name, value)
 
         _engine()
+        checks.instance("room", self.room, Room)
+        checks.instance("geometry", self.geometry, Polyhedron)
         for kind in ("sources", "receivers"):
             points = getattr(self, kind)
             self.geometry.require_inside(kind[:-1], points)
             put(kind, {str(name): tuple(map(float, point)) for name, point in points.items()})
+        for name in ("n_rays", "n_batches"):
+            checks.whole(name, getattr(self, name), 1)
         if self.n_batches < 2 or self.n_rays < self.n_batches:
             raise DataError(
                 f"n_rays = {self.n_rays} in n_batches = {self.n_batches}: at least two batches "
                 "with a ray each are needed to tell the noise"
             )
-        if not (self.bin_width > 0 and np.isclose(self.bin_width / _FINE % 1, 0)):
+        if not np.isclose(checks.positive("bin_width", self.bin_width, "s") / _FINE % 1, 0):
             raise DataError(f"bin_width = {self.bin_width:g} s is not a multiple of {_FINE:g} s")
-        if self.radius is not None and not (np.isfinite(self.radius) and self.radius > 0):
-            raise DataError(f"radius = {self.radius:g} m is not finite and above 0")
+        if self.radius is not None:
+            checks.positive("radius", self.radius, "m")
         for material in self.geometry.materials:
             self.room.material_index(material)
         put("scattering", scattering_coefficients(self.room, self.scattering))

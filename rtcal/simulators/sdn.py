@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import jit
+from rtcal import checks, jit
 from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -116,9 +116,7 @@ class ScatteringDelayNetwork:
 
     def __post_init__(self) -> None:
         for name, unit in (("sampling_rate", "Hz"), ("longest", "s")):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise DataError(f"{name} = {value:g} {unit} is not finite and above 0")
+            checks.positive(name, getattr(self, name), unit)
         box = shoebox(self.room, self.sources, self.receivers)
         object.__setattr__(self, "box", box)
         rate = self.sampling_rate / self.room.speed_of_sound

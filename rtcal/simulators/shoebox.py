@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal import checks
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -43,6 +44,7 @@ def shoebox(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Po
         If the room states no dimensions, a wall has no surface, the areas are not the box's (1 %),
         or a source or a receiver is outside.
     """
+    checks.instance("room", room, Room)
     if room.dimensions is None:
         raise DataError(f'room "{room.name}" states no dimensions; a shoebox needs them')
     if room.n_materials == 1:

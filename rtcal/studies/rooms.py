@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from rtcal import checks
+
 SHOEBOX: tuple[float, ...] = (35.0, 35.0, 21.0, 21.0, 15.0, 15.0)
 """Floor and ceiling 7 x 5 m, walls 7 x 3 m and 5 x 3 m; V = 105 m³."""
 
@@ -35,7 +37,7 @@ def random_hall(seed: int) -> tuple[float, ...]:
     others on faces drawn in proportion to area; each face cut at random; then all cuts made more or
     less uneven, by one exponent, until largest : smallest is 66.6.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(checks.whole("seed", seed, 0))
     height, proportion = rng.uniform(3.0, 5.0), rng.uniform(1.0, 1.8)
     width = np.sqrt(HALL_VOLUME / height / proportion)
     length = proportion * width
