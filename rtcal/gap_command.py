@@ -79,20 +79,41 @@ def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: b
 @click.option(
     "--out", type=click.Path(dir_okay=False), required=True, help="The case with the effect (JSON)."
 )
+@click.option(
+    "--room", type=click.Path(dir_okay=False),
+    help="The room with the effect (TOML), for rtcal calibrate; what absorbs is a material of it.",
+)  # fmt: skip
 def apply(
-    case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool, out: str
-) -> None:
-    """Add the named effect to CASE's model; the corrected case is a case like any other.
+    case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool, out: str,
+    room: str | None,
+) -> None:  # fmt: skip
+    """Add the named effect to CASE's model, and say what calibration then gives.
 
-    Example: rtcal gap apply case.toml --out corrected.json
+    The case that is written is a case like any other; it and the room are not calibrated yet.
+
+    Example: rtcal gap apply case.toml --out corrected.json --room corrected.toml
     """
-    spare([Path(out)], [case])
+    from rtcal.acoustics.files import write_all
+    from rtcal.acoustics.room_files import room_text
+    from rtcal.discrepancy import corrected_room, recalibrate
+    from rtcal.discrepancy.recalibration import table
+
+    written = [out] if room is None else [out, room]
+    spare([Path(p) for p in written], [case])
     finding = _find(_case(case), engines, seed, quiet)
     corrected = finding.apply()
-    corrected.save(out)
-    added = [{"effect": p.effect, "parameters": dict(p.parameters)} for p in corrected.present]
-    text = f"Added {finding.effect}. Written: {out}"
-    tell(text, {"present": added, "written": out}, quiet=quiet, as_json=as_json)
+    calibrated = recalibrate(corrected, finding.error)
+    contents = {Path(out): corrected.to_json().encode()}
+    if room is not None:
+        contents[Path(room)] = room_text(corrected_room(corrected)).encode()
+    write_all(contents)
+    lines = [f"Added {finding.effect}.", *table(corrected.room, {"corrected": calibrated})]
+    values = {
+        "present": [p.to_dict() for p in corrected.present], "calibrated": calibrated.to_dict(),
+        "written": written,
+    }  # fmt: skip
+    text = "\n".join([*lines, f"Written: {', '.join(written)}"])
+    tell(text, values, quiet=quiet, as_json=as_json)
 
 
 @gap.command(short_help="Compare the gaps with and without the effect.")

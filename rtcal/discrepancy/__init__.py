@@ -10,6 +10,7 @@ docs/discrepancy.md has the method and what it can and cannot do.
 from rtcal.discrepancy.advice import Plan, plan
 from rtcal.discrepancy.bootstrap import Threshold, control_rooms
 from rtcal.discrepancy.case import Case, Change, Configuration, Present
+from rtcal.discrepancy.corrected import corrected_room, simulator
 from rtcal.discrepancy.effects import Absorber, Effect, library
 from rtcal.discrepancy.finding import Finding, find
 from rtcal.discrepancy.recalibration import Recalibrated, recalibrate
@@ -17,6 +18,6 @@ from rtcal.discrepancy.verification import Verification, verify
 
 __all__ = [
     "Absorber", "Case", "Change", "Configuration", "Effect", "Finding", "Plan", "Present",
-    "Recalibrated", "Threshold", "Verification", "control_rooms", "find", "library", "plan",
-    "recalibrate", "verify",
+    "Recalibrated", "Threshold", "Verification", "control_rooms", "corrected_room", "find",
+    "library", "plan", "recalibrate", "simulator", "verify",
 ]  # fmt: skip

@@ -48,6 +48,8 @@ from rtcal.types import Array
 _LARGEST = 50_000_000  # bytes
 EQUATIONS = ("eyring", "sabine", "kuttruff", "millington")
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
+NORMAL_90 = 1.6449
+"""Standard deviations on each side that hold 90 % of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -90,11 +92,25 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Present:
-    """An effect that has been added to the model: its name, its parameters, its size's spread."""
+    """An effect that has been added to the model: name, parameters, its size's 90 % interval."""
 
     effect: str
     parameters: Mapping[str, float]
-    size_sigma: float = 0.0
+    size_interval: tuple[float, float] | None = None
+
+    @property
+    def size_sigma(self) -> float:
+        """The size's standard deviation; 0 where it has none."""
+        if self.size_interval is None:
+            return 0.0
+        return (self.size_interval[1] - self.size_interval[0]) / (2 * NORMAL_90)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        ends = None if self.size_interval is None else list(self.size_interval)
+        return {
+            "effect": self.effect, "parameters": dict(self.parameters), "size_interval": ends
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,8 +189,8 @@ class Case:
                 for c in configurations
             ],
             present=[
-                Present(str(p["effect"]), dict(p["parameters"]), float(p.get("size_sigma", 0)))
-                for p in data.get("present", ())
+                _present(checks.mapped(f"{where}: present", p))
+                for p in checks.listed(f"{where}: present", data.get("present", ()))
             ],
         )
 
@@ -191,10 +207,7 @@ class Case:
             },
             "equation": self.equation,
             "configurations": [_configuration_dict(c) for c in self.configurations],
-            "present": [
-                {"effect": p.effect, "parameters": dict(p.parameters), "size_sigma": p.size_sigma}
-                for p in self.present
-            ],
+            "present": [p.to_dict() for p in self.present],
         }  # fmt: skip
 
     @classmethod
@@ -236,7 +249,11 @@ class Case:
 
     def save(self, path: str) -> None:
         """Write the case as JSON, whole or not at all."""
-        write_text(path, json.dumps(self.to_dict(), indent=1) + "\n")
+        write_text(path, self.to_json())
+
+    def to_json(self) -> str:
+        """Return what `save` writes."""
+        return json.dumps(self.to_dict(), indent=1) + "\n"
 
     def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:
         """Return the case with some of its parameters, and some of its configurations."""
@@ -275,7 +292,8 @@ def _facing(room: Room, facing: Any) -> Array:
     total = array.sum(1, keepdims=True)
     if not np.isfinite(array).all() or (array < 0).any() or (total <= 0).any():
         raise DataError("facing has a value below 0, or a row that sums to 0")
-    shares: Array = array / total
+    # Shares that were saved are shares already: to divide again would move their last digit.
+    shares: Array = np.where(np.abs(total - 1) < 1e-12, array, array / total)
     shares.setflags(write=False)
     return shares
 
@@ -349,6 +367,19 @@ def _configuration(
             else checks.array(f'configuration "{name}": distances', distances)
         ),
     )
+
+
+def _present(data: Mapping[str, Any]) -> Present:
+    where = "case: present"
+    parameters = _mapping(where, data, "parameters")
+    values = {str(k): checks.number(f"{where}: {k}", v) for k, v in parameters.items()}
+    ends = data.get("size_interval")
+    if ends is not None:
+        ends = checks.array(f"{where}: size_interval", ends)
+        if ends.shape != (2,):
+            raise DataError(f"{where}: size_interval is not two numbers")
+        ends = (float(ends[0]), float(ends[1]))
+    return Present(str(data.get("effect")), values, ends)
 
 
 def _air(where: str, climate: Any) -> Air | None:

@@ -112,8 +112,8 @@ class Finding:
             raise DataError(f'the verdict is "{self.verdict}"; there is no named effect to add')
         if any(p.effect == self.effect for p in case.present):
             return case
-        spread = 0.0 if self.size is None else (self.size.high - self.size.low) / 3.29
-        added = Present(str(self.effect), dict(self.parameters), spread)
+        ends = None if self.size is None else (self.size.low, self.size.high)
+        added = Present(str(self.effect), dict(self.parameters), ends)
         return replace(case, present=(*case.present, added))
 
     def to_dict(self) -> dict[str, Any]:

@@ -11,18 +11,24 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+import rtcal
 from rtcal.acoustics.equations import Eyring, LinearEquation, Sabine
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.measured import history, times_in_room
 from rtcal.calibration.presets import calibrate
 from rtcal.calibration.problem import Calibration
+from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
-from rtcal.discrepancy.case import Case, Configuration, Present
+from rtcal.discrepancy.case import NORMAL_90, Case, Configuration, Present
+from rtcal.discrepancy.corrected import corrected_room
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.evidence import KAPPA, ModelError, observe
 from rtcal.discrepancy.model import FEATURES, State, predict
@@ -48,9 +54,11 @@ class Recalibrated:
         The room's own; a configuration's changes are in ``changed``.
     changed : mapping of (configuration, material) to array (n_bands,)
     sizes : mapping of str to float
-        Of the effects that are unknowns of the QP, in the effect's unit.
+        Of the effects that have one, in the effect's unit.
     features : array (n_configurations, n_features, n_bands)
         Predicted: ln T20, ln EDT/T20, ln T30/T20, C80 and G in dB, the model's bias left out.
+    joint : JointResult
+        The QP's answer; a configuration's changed materials stand there under their own names.
     """
 
     case: Case
@@ -58,6 +66,95 @@ class Recalibrated:
     changed: Mapping[tuple[str, str], Array]
     sizes: Mapping[str, float]
     features: Array
+    joint: JointResult = field(repr=False)
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Standard deviation of alpha, (n_materials, n_bands): the QP's `posterior_sigma`.
+
+        Given that the effects in the model are the right ones, with the parameters they have; the
+        sizes that are unknowns of the QP are open.
+        """
+        known = dict(zip(self.joint.materials, self.joint.posterior_sigma, strict=True))
+        room = self.case.room
+        return np.array([known.get(m, room.sigma[i]) for i, m in enumerate(room.materials)])
+
+    @property
+    def interval(self) -> tuple[Array, Array]:
+        """Ends of alpha's 90 % interval, each (n_materials, n_bands): alpha ± 1.645 sigma in 0 to 1."""
+        spread = NORMAL_90 * self.sigma
+        return np.clip(self.alpha - spread, 0, 1), np.clip(self.alpha + spread, 0, 1)
+
+    @cached_property
+    def room(self) -> Room:
+        """`corrected_room` with the calibrated coefficients, their sigma, and the record of it."""
+        stated = self.case.room
+        data = [times_in_room(stated, c.measured) for c in self.case.configurations]
+        known = stated.replace(
+            alpha=self.alpha, sigma=self.sigma, calibration=CalibrationRecord(
+                method="gap", equation=self.joint.equation.name, solver=self.joint.solver,
+                measured=" ".join([history(stated, data[0]), *(d.fingerprint for d in data[1:])]),
+                version=rtcal.__version__,
+            ),
+        )  # fmt: skip
+        return corrected_room(replace(self.case, room=known))
+
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """The effects with their sizes as calibrated, and the 90 % interval that all data gave."""
+        return [
+            p.to_dict() | {"size": self.sizes.get(p.effect), "unit": _unit(p)}
+            for p in self.case.present
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        low, high = self.interval
+        return {
+            "effects": self.effects,
+            "materials": [
+                {
+                    "name": m, "alpha": self.alpha[i].tolist(), "sigma": self.sigma[i].tolist(),
+                    "low": low[i].tolist(), "high": high[i].tolist(),
+                }
+                for i, m in enumerate(self.case.room.materials)
+            ],
+            "changed": [
+                {"configuration": c, "material": m, "alpha": v.tolist()}
+                for (c, m), v in self.changed.items()
+            ],
+        }  # fmt: skip
+
+
+def _unit(p: Present) -> str:
+    return next(e.unit for e in library() if e.name == p.effect)
+
+
+def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
+    """Return lines that tell each material's alpha, as stated and as calibrated, and the effects."""
+    named = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
+    named |= {k: (c.alpha, np.subtract(*c.interval[::-1]) / 2) for k, c in columns.items()}
+    width = max(map(len, room.materials)) + 2
+    lines = [
+        "alpha ± half its 90 % interval, means over bands",
+        " " * width + "".join(f"{name:>16}" for name in named),
+    ]
+    for i, material in enumerate(room.materials):
+        cells = (f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values())
+        lines.append(f"  {material:{width - 2}}" + "".join(f"{cell:>16}" for cell in cells))
+    for effect in [e for c in columns.values() for e in c.effects]:
+        lines.append("  " + _said(effect))
+    return lines
+
+
+def _said(effect: Mapping[str, Any]) -> str:
+    size, ends = effect["size"], effect["size_interval"]
+    if size is None:
+        return f"{effect['effect']}: " + ", ".join(
+            f"{k} {v:.3g}" for k, v in effect["parameters"].items()
+        )
+    known = "" if ends is None else f" (90 %, from all data: {ends[0]:.3g} to {ends[1]:.3g})"
+    return f"{effect['effect']}, calibrated: {size:.3g} {effect['unit']}{known}"
 
 
 def plain(case: Case) -> Recalibrated:
@@ -98,7 +195,7 @@ def _calibrated(
     effects = {e.name: e for e in library()}
     present = list(fitted.present)
     alpha, changed = np.array(room.alpha), dict[tuple[str, str], Array]()
-    solved = None
+    solved: JointResult
     for _ in range(_ROUNDS if present or fitted.equation == "millington" else 1):
         case = replace(fitted, present=present)
         states = [_state(case, c, alpha, changed) for c in fitted.configurations]
@@ -140,7 +237,7 @@ def _calibrated(
         for c in whole.configurations
     ])  # fmt: skip
     sizes = {p.effect: _size(p, effects) for p in present if np.isfinite(effects[p.effect].neutral)}
-    return Recalibrated(done, alpha, changed, sizes, features)
+    return Recalibrated(done, alpha, changed, sizes, features, solved)
 
 
 def _misfit(case: Case) -> Array:
@@ -174,10 +271,11 @@ def _room(room: Room, c: Configuration, s: State) -> Room:
     for material, change in c.changes.items():
         row = room.material_index(material)
         alpha[row], sigma[row] = change.alpha, change.sigma
+    least = None if room.alpha_min is None else np.minimum(room.alpha_min, alpha)
     return Room(
         name=c.name, volume=s.volume, materials=[_name(c, m) for m in room.materials],
         areas=s.areas, alpha=alpha, sigma=sigma, centre_frequencies=room.centre_frequencies,
-        air=c.air or room.air, band_correlation=room.band_correlation,
+        air=c.air or room.air, alpha_min=least, band_correlation=room.band_correlation,
     )  # fmt: skip
 
 
@@ -239,19 +337,10 @@ def _qp_time(
     return equation.time(room, np.clip(area, 1e-6, 0.999 * top))
 
 
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """The QP's answer: alpha by its own materials' names, and the effects' sizes."""
-
-    alpha: Array
-    materials: tuple[str, ...]
-    effects: Mapping[str, float]
-
-
 def _solve(
     rooms: list[Room], equation: LinearEquation, target: Array, u: Array,
     added: list[AddedAbsorption], *, exact: bool,
-) -> Solved:  # fmt: skip
+) -> JointResult:  # fmt: skip
     measured = [
         Measurement(
             centre_frequencies=r.centre_frequencies, values={"t20": row[None]},
@@ -262,24 +351,14 @@ def _solve(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
         if exact:
-            result = calibrate(rooms[0], measured[0], equation=equation, unreachable="nearest")
-            return Solved(result.alpha, tuple(rooms[0].materials), {})
-        return _soft(rooms, equation, measured, added)
+            return calibrate(rooms[0], measured[0], equation=equation, unreachable="nearest").joint
+        objective = PriorDeviation(band_correlation=rooms[0].band_correlation) + SoftMatch()
+        for term in added:
+            objective = objective + term
+        return Calibration(objective).build(Configurations(rooms), equation).solve(measured)
 
 
-def _soft(
-    rooms: list[Room], equation: LinearEquation, measured: list[Measurement],
-    added: list[AddedAbsorption],
-) -> Solved:  # fmt: skip
-    correlation = rooms[0].band_correlation
-    objective = PriorDeviation(band_correlation=correlation) + SoftMatch()
-    for term in added:
-        objective = objective + term
-    joint = Calibration(objective).build(Configurations(rooms), equation=equation).solve(measured)
-    return Solved(joint.alpha, joint.materials, dict(joint.effects))
-
-
-def _values(case: Case, solved: Solved) -> tuple[Array, dict[tuple[str, str], Array]]:
+def _values(case: Case, solved: JointResult) -> tuple[Array, dict[tuple[str, str], Array]]:
     row = {m: solved.alpha[i] for i, m in enumerate(solved.materials)}
     alpha = np.array([row.get(m, case.room.alpha[i]) for i, m in enumerate(case.room.materials)])
     changed = {(c.name, m): row[_name(c, m)] for c in case.configurations for m in c.changes}

@@ -26,7 +26,7 @@ from rtcal.discrepancy.evidence import (
 )
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
 from rtcal.discrepancy.model import FEATURES
-from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate
+from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, table
 from rtcal.types import Array
 
 _JND = {"t20": 0.05, "edt": 0.05, "t30": 0.05, "c80": 1.0, "g": 1.0}
@@ -86,6 +86,7 @@ class Verification:
                 }
                 for g in self.gaps
             ],
+            "plain": self.plain.to_dict(), "corrected": self.corrected.to_dict(),
         }  # fmt: skip
 
     def __str__(self) -> str:
@@ -105,6 +106,8 @@ class Verification:
             lines.append(f"  {name:32}{g.before:8.2f}{g.after:11.2f}")
         lines.append(f"  {'what alpha cannot absorb':32}{self.before:8.2f}{self.after:11.2f}")
         lines.append(f"Each band predicted from the others: {self.predictive:+.1f} nats better.")
+        room = self.finding.case.room
+        lines += table(room, {"plain": self.plain, "corrected": self.corrected})
         return "\n".join(lines)
 
 

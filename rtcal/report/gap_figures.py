@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.states import distances, state
@@ -13,6 +14,8 @@ from rtcal.discrepancy.verification import Verification, residual_map
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.types import Array
 
+MOST_PANELS = 12
+"""Materials that `shifts` draws."""
 _STRONG = 4.0
 """Standard deviations at which the residual map's colours end."""
 
@@ -148,19 +151,42 @@ def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
 
 
 def shifts(verification: Verification) -> Any:
-    """Return how far each material's alpha moved, area-weighted over bands: plain and corrected."""
+    """Return each material's shift of alpha by band, plain and corrected, with 90 % intervals.
+
+    The prior's own interval is grey. Of many materials those whose absorption area moved most.
+    """
     room = verification.finding.case.room
-    at = np.arange(room.n_materials)
-    figure, axes = new_figure(7.0, 1.0 + 0.36 * room.n_materials)
-    for offset, found, colour, hatch, label in (
-        (0.2, verification.plain, "#B7DFCB", "", "plainly calibrated"),
-        (-0.2, verification.corrected, "#9DC6E0", "//", f"with {verification.finding.effect}"),
-    ):
-        axes.barh(at + offset, np.sqrt(np.mean((found.alpha - room.alpha) ** 2, axis=1)), 0.38,
-                  color=colour, edgecolor=BLACK, hatch=hatch, label=shown(label))  # fmt: skip
-    axes.plot(room.sigma.mean(1), at, color=ORANGE, marker="|", markersize=14, linestyle="none",
-              markeredgewidth=2, label="prior sigma")  # fmt: skip
-    axes.set_yticks(at, [shown(m, 25) for m in room.materials])
-    axes.set_xlabel("Shift of the absorption coefficient from the prior, RMS over bands")
-    axes.legend()
+    found = (verification.plain, verification.corrected)
+    moved = np.max([np.abs(x.alpha - room.alpha).max(1) for x in found], axis=0) * room.areas
+    drawn = np.sort(np.argsort(-moved, kind="stable")[:MOST_PANELS])
+    columns = min(3, len(drawn))
+    rows = -(-len(drawn) // columns)
+    figure, grid = new_figure(max(5.0, 3.0 * columns), 2.2 * rows + 0.8, rows, columns)
+    panels = np.atleast_1d(grid).ravel()
+    f = room.centre_frequencies
+    for axes, i in zip(panels, drawn, strict=False):
+        wide = NORMAL_90 * room.sigma[i]
+        ends = np.clip([room.alpha[i] - wide, room.alpha[i] + wide], 0, 1) - room.alpha[i]
+        axes.fill_between(f, *ends, color="0.88", label="prior, 90 %")
+        axes.axhline(0, color=BLACK, linewidth=0.8)
+        for by, x, colour, marker, label in (
+            (0.95, found[0], GREEN, "^", "plainly calibrated, 90 %"),
+            (1.05, found[1], BLUE, "D", f"with {verification.finding.effect}, 90 %"),
+        ):
+            low, high = x.interval
+            bars = [x.alpha[i] - low[i], high[i] - x.alpha[i]]
+            axes.errorbar(
+                f * by, x.alpha[i] - room.alpha[i], yerr=np.maximum(bars, 0), color=colour,
+                marker=marker, markersize=4, linestyle="none", capsize=2, label=shown(label),
+            )  # fmt: skip
+        band_axis(axes, f)
+        step = -(-len(f) // 7)
+        axes.set_xticks(f[::step], [f"{v:g}" for v in f[::step]], rotation=0)
+        axes.tick_params(labelsize=7)
+        axes.set_xlabel("Band / Hz", fontsize=8)
+        axes.set_ylabel("shift of α", fontsize=8)
+        axes.set_title(f"{shown(room.materials[i], 25)}, {room.areas[i]:.4g} m²", fontsize=9)
+    for axes in panels[len(drawn) :]:
+        axes.set_visible(False)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure

@@ -1,0 +1,247 @@
+"""The corrected room in the rest of the package: as a `Room`, and as a `Simulator`.
+
+What absorbs stands in the room as a further material: as many m² of the walls, all of them in
+proportion, as would absorb everything in the band where it absorbs most. Volume, areas and air are
+what was found. A decay's shape and noise are no room's: only the simulator has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.equations import Eyring, Kuttruff, Sabine
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.case import Case, Configuration, Present
+from rtcal.discrepancy.effects import library
+from rtcal.discrepancy.model import FEATURES, State, predict
+from rtcal.discrepancy.states import distances, state, with_present
+from rtcal.errors import DataError
+from rtcal.simulators.base import Simulator, check_alpha, run
+from rtcal.types import Array
+
+_MEAN_ALPHA = {"sabine": Sabine(), "eyring": Eyring(), "kuttruff": Kuttruff()}
+_LARGEST_EXPONENT = -np.log1p(-0.999)
+"""Of an absorber under Millington's equation, where alpha = 1 has none."""
+_REST = {
+    "coupled room": "the simulator has no second room; draw it in its geometry",
+    "noise floor": "a simulator's decay has no noise; take the noise off the measurement",
+}
+
+
+def corrected_room(case: Case) -> Room:
+    """Return the case's room with the effects in it, as stated: not calibrated yet.
+
+    It has the T of the case's model under the model's equation (Eyring's for Millington's model
+    where it is calibrated), but for a decay's shape and noise. Absorbers are materials after the
+    stated ones; their sigma is what their size's interval leaves open. Where volume or areas
+    are others than stated, dimensions and surfaces are left out.
+    """
+    return _settled(case)[0]
+
+
+def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Simulator:
+    """Return a simulator of the corrected room; the rows of alpha are `corrected_room`'s.
+
+    Parameters
+    ----------
+    case : Case
+        With the effects that `Finding.apply` has put there.
+    make : function, optional
+        Builds a simulator for a room of the stated materials, with the air, volume and areas that
+        were found: ``lambda room: PathTracing(room=room, geometry=..., ...)``. Absorbers are spread
+        over all its walls: alpha = (1 - w) alpha_wall + w alpha_absorber, w their share of the area.
+        If not given, the case's own model is the simulator: equation, decay and noise.
+
+    Raises
+    ------
+    DataError
+        For a simulator that cannot have an effect: a coupled room, a noise floor.
+    """
+    if make is None:
+        return CaseModel(case)
+    for p in case.present:
+        if p.effect in _REST:
+            raise DataError(f"{p.effect}: {_REST[p.effect]}")
+    return Spread(case, make(_stated(case)))
+
+
+@dataclass(frozen=True, eq=False)
+class CaseModel:
+    """A case's model as a `Simulator`: T20, EDT, T30, C80 and G of its first configuration."""
+
+    case: Case
+    room: Room = field(init=False)
+    rest: tuple[Present, ...] = field(init=False)
+    deterministic: bool = field(default=True, init=False)
+    smooth: bool = field(default=True, init=False)
+
+    def __post_init__(self) -> None:
+        room, rest = _settled(self.case)
+        object.__setattr__(self, "room", room)
+        object.__setattr__(self, "rest", rest)
+
+    @property
+    def name(self) -> str:
+        """What calibrated coefficients belong to."""
+        added = "".join(f" with {p.effect}" for p in self.case.present)
+        return f"the model of {self.case.room.name}{added}"
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Rows of alpha: the stated materials, then the absorbers."""
+        return tuple(self.room.materials)
+
+    @property
+    def centre_frequencies(self) -> Array:
+        """Columns of alpha, in Hz."""
+        return self.room.centre_frequencies
+
+    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
+        """Return what the model predicts for alpha (n_materials, n_bands)."""
+        alpha = check_alpha(self, alpha)
+        first = _base(self.case)
+        facing = self.case.facing
+        around = self.case.room.areas @ facing / self.case.room.total_area
+        further = np.tile(around, (len(alpha) - len(facing), 1))
+        bare = replace(
+            _bare(self.case), areas=self.room.areas, alpha=alpha,
+            facing=np.concatenate([facing, further]),
+        )  # fmt: skip
+        found = predict([with_present(bare, self.rest, first)], distances(self.case, first))
+        rows = dict(zip(FEATURES, found.features[0], strict=True))
+        t20 = np.exp(rows["t20"])
+        return Measurement.from_values(
+            self.centre_frequencies, t20=t20, edt=t20 * np.exp(rows["edt"]),
+            t30=t20 * np.exp(rows["t30"]), c80=rows["c80"], g=rows["g"],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """A simulator of the stated materials, over whose walls a corrected room's absorbers are spread."""
+
+    case: Case
+    inner: Simulator
+    room: Room = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "room", corrected_room(self.case))
+        if tuple(self.inner.materials) != tuple(self.case.room.materials):
+            raise DataError(
+                f"{self.inner.name} has the materials {', '.join(self.inner.materials)}; the case "
+                f"has {', '.join(self.case.room.materials)}"
+            )
+
+    @property
+    def name(self) -> str:
+        """What calibrated coefficients belong to."""
+        return self.inner.name + "".join(f" with {p.effect}" for p in self.case.present)
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Rows of alpha: the stated materials, then the absorbers."""
+        return tuple(self.room.materials)
+
+    @property
+    def centre_frequencies(self) -> Array:
+        """Columns of alpha, in Hz."""
+        return self.inner.centre_frequencies
+
+    @property
+    def deterministic(self) -> bool:
+        """As the simulator."""
+        return self.inner.deterministic
+
+    @property
+    def smooth(self) -> bool:
+        """As the simulator."""
+        return self.inner.smooth
+
+    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
+        """Simulate alpha (n_materials, n_bands)."""
+        alpha = check_alpha(self, alpha)
+        n = len(self.inner.materials)
+        share = self.room.areas[n:] / self.room.total_area
+        return run(self.inner, (1 - share.sum()) * alpha[:n] + share @ alpha[n:], seed=seed)
+
+
+def _base(case: Case) -> Configuration:
+    """The first configuration, with nothing changed or removed in it."""
+    return replace(case.configurations[0], changes={}, suspect_removed=False, air=None)
+
+
+def _air(case: Case) -> Air | None:
+    climates = [p.parameters for p in case.present if p.effect == "air"]
+    if not climates:
+        return case.room.air
+    return Air(climates[-1]["temperature"], climates[-1]["humidity"])
+
+
+def _bare(case: Case) -> State:
+    """The room's state with the volume, areas, air and equation that were found, and no absorber."""
+    whole = state(case, _base(case))
+    return replace(whole, covering=0.0, objects=0.0, shape=None, floor_db=None, direct_db=0.0)
+
+
+def _stated(case: Case) -> Room:
+    """The stated materials with the volume, areas and air that were found."""
+    room, bare = case.room, _bare(case)
+    made = room.replace(air=_air(case))
+    if bare.volume != room.volume or not np.array_equal(bare.areas, room.areas):
+        made = made.replace(volume=bare.volume, areas=bare.areas, dimensions=None, surfaces=())
+    return made
+
+
+def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
+    """The corrected room, and the effects that it cannot hold."""
+    made, at, base = _stated(case), _bare(case), _base(case)
+    areas, alpha, sigma = made.areas, [*made.alpha], [*made.sigma]
+    names, rest = list(made.materials), []
+    for p in case.present:
+        after = with_present(at, [p], base)
+        if after.shape is not None or after.floor_db is not None or after.direct_db:
+            rest.append(p)
+            continue
+        after = replace(at, covering=after.covering, objects=after.objects)
+        wall, both = _absorption(at), _absorption(after)
+        if np.allclose(wall, both, rtol=0, atol=1e-12):
+            continue  # another volume, area, air or equation: the room has it already
+        top = _LARGEST_EXPONENT if at.equation == "millington" else 1.0
+        w = float(max(((both - wall) / (top - wall)).max(), ((wall - both) / wall).max()))
+        own = np.clip(wall + (both - wall) / w, 0, top)
+        areas = np.append((1 - w) * areas, w * made.total_area)
+        names.append(p.effect if p.effect not in names else f"{p.effect} (found)")
+        alpha.append(-np.expm1(-own) if at.equation == "millington" else own)
+        sigma.append(np.abs(alpha[-1] - made.absorption_area / made.total_area) * _spread(p))
+        at = after
+    new = len(names) - made.n_materials
+    if not new:
+        return made, tuple(rest)
+    walls = {name: getattr(made, name) for name in ("alpha_min", "scattering")}
+    further = {"alpha_min": 0.0, "scattering": 0.5}
+    return made.replace(
+        materials=names, areas=areas, alpha=alpha, sigma=sigma, surfaces=(), dimensions=None,
+        **{
+            name: np.vstack([rows, np.full((new, made.n_bands), further[name])])
+            for name, rows in walls.items() if rows is not None
+        },
+    ), tuple(rest)  # fmt: skip
+
+
+def _spread(p: Present) -> float:
+    """The relative standard deviation of an absorber's size."""
+    effect = next(e for e in library() if e.name == p.effect)
+    return p.size_sigma / max(abs(p.parameters[effect.size]), 1e-9)
+
+
+def _absorption(s: State) -> Array:
+    """The mean coefficient of everything that absorbs but the air; Millington's mean exponent."""
+    exponent = (s.surface_absorption + s.objects) / s.total_area
+    if s.equation == "millington":
+        return np.asarray(exponent)
+    return _MEAN_ALPHA[s.equation].mean_alpha(exponent)

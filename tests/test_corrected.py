@@ -1,0 +1,267 @@
+"""A corrected room in the rest of the package: intervals, files, equations, simulators, the loop."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import rtcal as rt
+from rtcal.acoustics.room import Surface
+from rtcal.calibration.posterior import posterior
+from rtcal.cli import cli
+from rtcal.discrepancy import Case, Present, corrected_room, recalibrate, simulator
+from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.states import distances, state
+from rtcal.errors import DataError
+from rtcal.simulators.base import Simulator, run
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.image_source import ImageSource
+
+OPENING = Present("opening", {"area": 40.0}, (20.0, 56.0))
+ABSORBERS = [
+    OPENING,
+    Present("audience", {"standing": 0.0, "absorption_area": 30.0}, (20.0, 40.0)),
+    Present("audience", {"standing": 1.0, "absorption_area": 30.0}, (20.0, 40.0)),
+    Present("furniture", {"absorption_area": 25.0}, (20.0, 30.0)),
+    Present("porous", {"area": 30.0, "thickness": 0.05, "flow_resistivity": 12e3}, (20.0, 40.0)),
+    Present("resonator", {"area": 30.0, "resonance": 120.0, "quality": 2.0}, (20.0, 40.0)),
+]  # fmt: skip
+OTHERS = [
+    Present("area", {"material": 1.0, "ratio": 1.7}),
+    Present("volume", {"ratio": 1.2}),
+    Present("air", {"temperature": 20.0, "humidity": 20.0}),
+    Present("formula", {"equation": 0.0}),
+]
+SHAPES = [
+    Present("coupled room", {"aperture": 15.0, "volume": 400.0, "alpha": 0.1}),
+    Present("non-diffuse field", {"scattering": 0.05}),
+    Present("noise floor", {"level": -40.0, "record": 2.0}),
+]
+
+
+@pytest.fixture(scope="module")
+def hidden() -> tuple[Case, np.ndarray]:
+    case, truth = rt.datasets.hidden_room()
+    return case, np.array(truth["alpha"])
+
+
+def named(p: Present) -> str:
+    return f"{p.effect} {p.parameters.get('standing', '')}".strip()
+
+
+@pytest.mark.parametrize("equation", ["eyring", "sabine", "kuttruff", "millington"])
+@pytest.mark.parametrize("effect", [*ABSORBERS, *OTHERS, *SHAPES], ids=named)
+def test_the_room_has_the_corrected_model_s_time(
+    hidden: tuple[Case, np.ndarray], effect: Present, equation: str
+) -> None:
+    case = replace(hidden[0], equation=equation, present=[effect])
+    room, first = corrected_room(case), hidden[0].configurations[0]
+    wanted = predict([state(case, first)], distances(case, first)).reverberation_time[0]
+    bare = predict([state(hidden[0], first)], distances(case, first)).reverberation_time[0]
+    simulated = simulator(case).simulate(room.alpha).mean("t20")
+    # The air's own speed of sound is .3 % off that of the stated climate.
+    off = 0.004 if effect.effect == "air" else 1e-9
+    np.testing.assert_allclose(simulated, wanted, rtol=1e-9)
+    if effect not in SHAPES and equation != "millington":
+        kind = rt.Sabine() if effect.effect == "formula" else getattr(rt, equation.capitalize())()
+        np.testing.assert_allclose(kind.reverberation_time(room), wanted, rtol=off)
+    if not (effect.effect == "formula" and equation == "sabine"):
+        assert np.abs(wanted / bare - 1).max() > 0.02
+    absorbs = effect in ABSORBERS
+    assert room.n_materials == hidden[0].room.n_materials + absorbs
+    if absorbs:
+        assert room.areas.sum() == pytest.approx(hidden[0].room.areas.sum())
+        assert room.materials[-1] == effect.effect
+    if effect is OPENING and equation != "millington":
+        assert room.areas[-1] == pytest.approx(40.0)
+        np.testing.assert_allclose(room.alpha[-1], 1.0)
+
+
+def test_alpha_and_sizes_have_intervals(hidden: tuple[Case, np.ndarray]) -> None:
+    case, truth = hidden
+    found = recalibrate(replace(case, present=[OPENING]))
+    low, high = found.interval
+    assert ((low <= found.alpha) & (found.alpha <= high)).all()
+    inside = np.mean((low <= truth) & (truth <= high))
+    assert inside > 0.8
+    # The sampled posterior of the same QP, within the bounds, is about as wide.
+    drawn = posterior(found.joint, 1500)
+    rows = [found.joint.materials.index(m) for m in case.room.materials]
+    ratio = found.sigma / drawn.sigma[rows]
+    assert 0.9 < ratio.mean() < 1.1  # 1,500 samples know a sigma to 2 %; bounds cut some
+    assert (found.sigma <= case.room.sigma * (1 + 1e-9)).all()
+    (effect,) = found.effects
+    assert effect["size_interval"] == [20.0, 56.0]
+    assert effect["unit"] == "m²"
+    assert 20 < effect["size"] < 56
+    record = json.loads(json.dumps(found.to_dict()))
+    np.testing.assert_allclose(record["materials"][0]["low"], low[0])
+    # Without the effect alpha moves far outside what was known, and its intervals miss the truth.
+    bent = recalibrate(case)
+    wrong = np.mean((bent.interval[0] <= truth) & (truth <= bent.interval[1]))
+    assert wrong < inside - 0.1
+
+
+def test_saved_and_loaded_it_calibrates_to_the_same_numbers(
+    hidden: tuple[Case, np.ndarray], tmp_path: Path
+) -> None:
+    case = replace(
+        hidden[0], present=[OPENING, Present("air", {"temperature": 25, "humidity": 30})]
+    )
+    case.save(str(tmp_path / "case.json"))
+    again = Case.from_file(str(tmp_path / "case.json"))
+    assert again.to_dict() == case.to_dict()
+    room = corrected_room(case)
+    room.save(str(tmp_path / "room.toml"))
+    loaded = rt.Room.from_file(str(tmp_path / "room.toml"))
+    assert loaded.air == rt.Air(25, 30)
+    first = case.configurations[0].measured
+    one, other = (rt.calibrate(r, first) for r in (room, loaded))
+    np.testing.assert_array_equal(one.alpha, other.alpha)
+    np.testing.assert_allclose(one.gap_after, 0, atol=1e-6)
+    # With the opening in it, the materials stay where they were known to be.
+    plain = rt.calibrate(case.room, first)
+    n = case.room.n_materials
+    moved = [np.abs(a[:n] - case.room.alpha).mean() for a in (one.alpha, plain.alpha)]
+    assert moved[0] < 0.4 * moved[1]
+
+
+def test_a_calibrated_room_is_not_calibrated_on_the_same_data_again(
+    hidden: tuple[Case, np.ndarray],
+) -> None:
+    case = replace(hidden[0], present=[OPENING])
+    room = recalibrate(case).room
+    assert room.materials[-1] == "opening"
+    assert room.calibration is not None
+    with pytest.raises(DataError, match="already calibrated on exactly these data"):
+        rt.calibrate(room, case.configurations[0].measured)
+    time = rt.Eyring().reverberation_time(room)
+    gap = np.abs(time / case.configurations[0].measured.mean("t20") - 1)
+    assert gap.max() < 0.1
+    bare = rt.Eyring().reverberation_time(case.room)
+    assert gap.mean() < 0.15 * np.abs(bare / case.configurations[0].measured.mean("t20") - 1).mean()
+
+
+def test_the_model_is_a_simulator_that_the_loop_calibrates(
+    hidden: tuple[Case, np.ndarray],
+) -> None:
+    """Also where no equation gives T: a coupled room's decay is bent."""
+    shape = Present("coupled room", {"aperture": 15.0, "volume": 400.0, "alpha": 0.1})
+    case = replace(hidden[0], present=[shape])
+    sim, room = simulator(case), corrected_room(case)
+    assert isinstance(sim, Simulator)
+    wanted = sim.simulate(np.clip(1.2 * room.alpha, 0, 1))
+    assert wanted.mean("edt") != pytest.approx(wanted.mean("t20"), rel=0.01)
+    done = rt.calibrate_simulator(sim, room, wanted)
+    assert set(done.status) == {"converged"}
+    reached = sim.simulate(done.room.alpha).mean("t20")
+    np.testing.assert_allclose(reached, wanted.mean("t20"), rtol=0.05)
+
+
+SIDES = (5.0, 7.0, 3.0)
+
+
+def boxed() -> Case:
+    """A box of two materials whose opening of 8 m² is not in the model; its T is Eyring's."""
+    walls = dict.fromkeys(SHOEBOX_WALLS, "walls") | {"floor": "floor"}
+    geometry = Polyhedron.shoebox(SIDES, walls)
+    areas = geometry.areas
+    alpha = np.array([[0.2, 0.25], [0.25, 0.35]])
+    room = rt.Room(
+        name="box", volume=geometry.volume, materials=list(areas), areas=list(areas.values()),
+        alpha=alpha, sigma=0.03 + 0 * alpha, centre_frequencies=[500, 1000], air=rt.Air(20, 50),
+        dimensions=SIDES,
+        surfaces=[
+            Surface(name=n, material=m, area=float(a))
+            for n, m, a in zip(geometry.names, geometry.materials, geometry.face_areas, strict=True)
+        ],
+    )  # fmt: skip
+    opened = Present("opening", {"area": 8.0}, (6.0, 10.0))
+    state_ = rt.discrepancy.Configuration(
+        name="as built", measured=rt.Measurement.from_values([500, 1000], t20=[1.0, 1.0])
+    )
+    case = Case(room=room, configurations=[state_], present=[opened])
+    t20 = rt.Eyring().reverberation_time(corrected_room(case))
+    measured = rt.Measurement.from_values([500, 1000], t20=t20)
+    return replace(case, configurations=[replace(state_, measured=measured)])
+
+
+def images(room: rt.Room) -> ImageSource:
+    return ImageSource(
+        room=room, sources={"S": (1.6, 2.1, 1.4)}, receivers={"R": (3.7, 5.4, 1.2)}, duration=0.45
+    )
+
+
+def test_a_geometric_simulator_takes_the_absorber_on_its_walls() -> None:
+    case = boxed()
+    room, sim = corrected_room(case), simulator(case, images)
+    with_it = run(sim, room.alpha).mean("t20")
+    without = run(images(case.room), case.room.alpha).mean("t20")
+    # An image source model's T is not Eyring's; by how much the opening shortens it, nearly is.
+    theory = rt.Eyring().reverberation_time(room) / rt.Eyring().reverberation_time(case.room)
+    np.testing.assert_allclose(with_it / without, theory, rtol=0.05)
+    assert (theory < 0.87).all()
+    measured = case.configurations[0].measured
+    done = rt.calibrate_simulator(sim, room, measured)
+    assert set(done.status) == {"converged"}
+    np.testing.assert_allclose(
+        run(sim, done.room.alpha).mean("t20"), measured.mean("t20"), rtol=0.05
+    )
+
+
+def test_what_a_simulator_cannot_have_is_refused() -> None:
+    case = boxed()
+    for effect, message in (("coupled room", "second room"), ("noise floor", "take the noise off")):
+        (added,) = (p for p in SHAPES if p.effect == effect)
+        with pytest.raises(DataError, match=message):
+            simulator(replace(case, present=[added]), images)
+    other = rt.Room(
+        name="other", volume=105, materials=["all"], areas=[142], alpha=[[0.1, 0.1]],
+        sigma=[[0.1, 0.1]], centre_frequencies=[500, 1000], dimensions=SIDES,
+    )  # fmt: skip
+    with pytest.raises(DataError, match="has the materials all; the case has"):
+        simulator(case, lambda room: images(other))
+    moved = replace(case, present=[Present("volume", {"ratio": 1.2})])
+    with pytest.raises(DataError, match="states no dimensions"):
+        simulator(moved, images)  # the box's sides are not known any more
+    for interval, message in ((3, "two numbers"), ("x", "size_interval")):
+        data: dict[str, Any] = case.to_dict()
+        data["present"][0]["size_interval"] = interval
+        with pytest.raises(DataError, match=message):
+            Case.from_dict(data)
+
+
+def test_the_command_s_room_is_one_that_rtcal_calibrates(
+    hidden: tuple[Case, np.ndarray], tmp_path: Path
+) -> None:
+    pytest.importorskip("numba", reason="the control rooms are compiled (extra fast)")
+    case = hidden[0].only("t20", "edt", "t30", configurations=["A"])
+    case.save(str(tmp_path / "case.json"))
+    case.configurations[0].measured.save(str(tmp_path / "measured.csv"))
+
+    def done(*arguments: str) -> str:
+        found = CliRunner().invoke(cli, arguments, catch_exceptions=False)
+        assert found.exit_code == 0, found.output
+        return found.output
+
+    room = str(tmp_path / "room.toml")
+    said = json.loads(done(
+        "gap", "apply", str(tmp_path / "case.json"), "--out", str(tmp_path / "corrected.json"),
+        "--room", room, "--json",
+    ))  # fmt: skip
+    low, high = said["present"][0]["size_interval"]
+    assert low < 39.6 < high
+    assert len(said["calibrated"]["materials"]) == 6
+    assert rt.Room.from_file(room).materials[-1] == said["present"][0]["effect"]
+    done("calibrate", room, str(tmp_path / "measured.csv"), "--out", str(tmp_path / "out"))
+    written = rt.Room.from_file(str(tmp_path / "out" / "room.toml"))
+    np.testing.assert_allclose(
+        rt.Eyring().reverberation_time(written),
+        case.configurations[0].measured.decay_time().mean, rtol=2e-3,
+    )  # fmt: skip
