@@ -171,33 +171,59 @@ METHODS: dict[str, Method] = {
 }
 
 
+@dataclass(frozen=True)
+class Scene:
+    """The lecture hall at 1 kHz with one source; the search box, (n_materials,)."""
+
+    room: rt.Room
+    tracer: PathTracing
+    lo: np.ndarray
+    hi: np.ndarray
+
+    @classmethod
+    def of(cls, n_paths: int) -> Scene:
+        hall = halls.lecture_hall()
+        room = hall.room.replace(
+            alpha=hall.room.alpha[:, BAND : BAND + 1], sigma=hall.room.sigma[:, BAND : BAND + 1],
+            scattering=hall.room.scattering[:, BAND : BAND + 1],
+            centre_frequencies=hall.room.centre_frequencies[BAND : BAND + 1],
+        )  # fmt: skip
+        tracer = PathTracing(
+            geometry=hall.geometry, room=room, sources={"S1": hall.sources["S1"]},
+            receivers=hall.receivers, n_paths=n_paths,
+        )  # fmt: skip
+        mu, sigma = room.alpha[:, 0], room.sigma[:, 0]
+        lo, hi = np.clip(mu - 3 * sigma, 0.01, 0.99), np.clip(mu + 3 * sigma, 0.01, 0.99)
+        return cls(room, tracer, lo, hi)
+
+    @property
+    def prior(self) -> np.ndarray:
+        return self.room.alpha[:, 0]
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """A truth from the prior, over two JND of T20 away from it."""
+        prior_t = Counter(self.tracer, self.prior, "T", 0).target[0].mean()
+        sigma = self.room.sigma[:, 0]
+        while True:
+            truth = np.clip(self.prior + sigma * rng.standard_normal(len(sigma)), self.lo, self.hi)
+            t = Counter(self.tracer, truth, "T", 0).target[0].mean()
+            if abs(prior_t / t - 1) > 2 * JND[0]:
+                return truth
+
+
+def shown(needed: list[float]) -> str:
+    """Median (worst) number of simulations; - where the goal was not met."""
+    return f"{np.median(needed):.0f} ({max(needed):.0f})".replace("inf", "-")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--trials", type=int, default=6)
     parser.add_argument("--budget", type=int, default=300)
     parser.add_argument("--paths", type=int, default=4000)
     arguments = parser.parse_args()
-    hall = halls.lecture_hall()
-    room = hall.room.replace(
-        alpha=hall.room.alpha[:, BAND : BAND + 1], sigma=hall.room.sigma[:, BAND : BAND + 1],
-        scattering=hall.room.scattering[:, BAND : BAND + 1],
-        centre_frequencies=hall.room.centre_frequencies[BAND : BAND + 1],
-    )  # fmt: skip
-    tracer = PathTracing(
-        geometry=hall.geometry, room=room, sources={"S1": hall.sources["S1"]},
-        receivers=hall.receivers, n_paths=arguments.paths,
-    )  # fmt: skip
-    mu, sigma = room.alpha[:, 0], room.sigma[:, 0]
-    lo, hi = np.clip(mu - 3 * sigma, 0.01, 0.99), np.clip(mu + 3 * sigma, 0.01, 0.99)
-    prior_t = Counter(tracer, mu, "T", 0).target[0].mean()
-
-    def draw(rng: np.random.Generator) -> np.ndarray:
-        while True:
-            truth = np.clip(mu + sigma * rng.standard_normal(len(mu)), lo, hi)
-            t = Counter(tracer, truth, "T", 0).target[0].mean()
-            if abs(prior_t / t - 1) > 2 * JND[0]:
-                return truth
-
+    scene = Scene.of(arguments.paths)
+    mu, lo, hi = scene.prior, scene.lo, scene.hi
     prior_error = []
     print(f"{arguments.trials} trials, at most {arguments.budget} simulations each")
     print(f"{'method':24}{'task':5}{'start':8}{'simulations to the goal':26}{'mean |alpha error|'}")
@@ -207,12 +233,12 @@ def main() -> None:
                 needed, errors = [], []
                 for trial in range(arguments.trials):
                     rng = np.random.default_rng([1, trial])
-                    truth = draw(rng)
+                    truth = scene.draw(rng)
                     prior_error.append(np.abs(truth - mu).mean())
-                    counter = Counter(tracer, truth, task, arguments.budget)
+                    counter = Counter(scene.tracer, truth, task, arguments.budget)
                     x0 = mu if start == "prior" else rng.uniform(lo, hi)
                     try:
-                        method(counter, room, np.clip(x0, lo, hi), lo, hi, rng)
+                        method(counter, scene.room, np.clip(x0, lo, hi), lo, hi, rng)
                     except BudgetSpent:
                         pass
                     except ImportError as error:
@@ -222,9 +248,10 @@ def main() -> None:
                     errors.append(np.abs(counter.best[1] - truth).mean())
                 if not needed:
                     continue
-                middle, worst = np.median(needed), max(needed)
-                shown = f"{middle:.0f} ({worst:.0f})".replace("inf", "-")
-                print(f"{label:24}{task:5}{start:8}{shown:26}{np.mean(errors):.4f}", flush=True)
+                print(
+                    f"{label:24}{task:5}{start:8}{shown(needed):26}{np.mean(errors):.4f}",
+                    flush=True,
+                )
     print(f"{'(the prior itself)':24}{'':39}{np.mean(prior_error):.4f}")
 
 
