@@ -4,6 +4,7 @@
     python -m benchmarks.hidden_effects table                 # of the stored run, or --folder out
     python -m benchmarks.hidden_effects engines --rooms 40    # leave one engine out
     python -m benchmarks.hidden_effects bound --folder out    # what any test could detect at best
+    python -m benchmarks.hidden_effects alpha --folder out --rooms 30   # do alpha's intervals hold it?
     python -m benchmarks.hidden_effects bras ../shared/data/bras
 
 "one": T20, EDT and T30 in one configuration; "all": two configurations, C80 and G as well.
@@ -27,8 +28,18 @@ import numpy as np
 from scipy.stats import beta, norm
 
 import rtcal as rt
-from rtcal.discrepancy import Case, Configuration, control_rooms, find, library, verify
+from rtcal.discrepancy import (
+    Case,
+    Configuration,
+    Finding,
+    control_rooms,
+    find,
+    library,
+    recalibrate,
+    verify,
+)
 from rtcal.discrepancy.bootstrap import made_up, score, threshold
+from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.engines import Controls
 from rtcal.discrepancy.evidence import (
     alpha_covariance,
@@ -38,6 +49,7 @@ from rtcal.discrepancy.evidence import (
     weigh,
 )
 from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.recalibration import plain
 from rtcal.discrepancy.states import distances, state
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
@@ -395,6 +407,48 @@ def bound(folder: str) -> None:
         print(f"{data}: the best possible test detects {np.mean(values):.3f} of {len(values)}")
 
 
+def alpha(folder: str, rooms: int) -> None:
+    """How often alpha's 90 % intervals hold the truth, in detected rooms of the stored run."""
+    warnings.simplefilter("ignore")
+    load(1)
+    stored = rows_of(None)
+    for data in ("one", "all"):
+        seen = [
+            i for i, r in enumerate(stored)
+            if 1 <= r["kind"] <= 12 and r.get(data, {}).get("verdict") in ("named", "ambiguous")
+        ]  # fmt: skip
+        shares: dict[bool, list[list[float]]] = {True: [], False: []}
+        for index in np.random.default_rng(0).permutation(seen)[:rooms]:
+            truth = TRUTHS[1][index]
+            case = Case.from_dict(ROOMS[1][index])
+            controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
+            if data == "one":
+                case, controls = one(case), first(controls)
+            finding = find(case, controls=controls)
+            if finding.verdict in ("named", "ambiguous"):
+                right = finding.effect == NAMES[truth["seed"][1]]
+                shares[right].append(held(finding, np.array(truth["alpha"])))
+        for right, table in shares.items():
+            if len(table) > 1:
+                mean, error = np.mean(table, axis=0), np.std(table, axis=0) / len(table) ** 0.5
+                cells = "  ".join(
+                    f"{name} {m:.3f} ± {e:.3f}"
+                    for name, m, e in zip(("prior", "plain", "corrected"), mean, error, strict=True)
+                )
+                print(
+                    f"{data}, {len(table)} rooms {'rightly' if right else 'wrongly'} named: {cells}"
+                )
+
+
+def held(finding: Finding, truth: Any) -> list[float]:
+    """Share of the coefficients within the 90 % intervals: the prior's, plain's, the corrected's."""
+    room = finding.case.room
+    wide = NORMAL_90 * room.sigma
+    ends = [(np.clip(room.alpha - wide, 0, 1), np.clip(room.alpha + wide, 0, 1))]
+    ends += [c.interval for c in (plain(finding.case), recalibrate(finding.apply(), finding.error))]
+    return [float(np.mean((low <= truth) & (truth <= high))) for low, high in ends]
+
+
 def parameters_of(effect: dict[str, Any]) -> dict[str, float]:
     """The library's parameters of a truth."""
     kind = effect["kind"]
@@ -463,7 +517,9 @@ def bras(folder: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("run", "table", "store", "engines", "bound", "bras"))
+    parser.add_argument("what", choices=(
+        "run", "table", "store", "engines", "bound", "alpha", "bras"
+    ))  # fmt: skip
     parser.add_argument("data", nargs="?", help="the folder of BRAS' tables")
     parser.add_argument("--folder")
     parser.add_argument("--population", type=int, default=1)
@@ -478,6 +534,8 @@ def main() -> None:
         table(given.folder)
     elif given.what == "bound":
         bound(given.folder)
+    elif given.what == "alpha":
+        alpha(given.folder, given.rooms)
     elif given.what == "engines":
         engines(given.rooms)
     else:

@@ -283,6 +283,26 @@ def test_an_opening_is_found_added_and_its_alpha_left_alone() -> None:
         nothing.apply()
 
 
+def test_t_alone_proves_nothing_and_the_record_says_so() -> None:
+    case = opened(25.0).only("t20")
+    finding = find(case, effects=[Opening()], controls=controls_of(case))
+    seen = verify(finding)
+    assert seen.verdict == "unproven"
+    record = json.loads(json.dumps(seen.to_dict(), allow_nan=False))
+    assert record["before_jnd"] is None
+    assert "what alpha cannot absorb" not in str(seen)
+    (times,) = record["reverberation_time"]
+    measured = case.configurations[0].measured.mean("t20")
+    np.testing.assert_allclose(times["measured"], measured)
+    np.testing.assert_allclose(times["plain"], measured, rtol=1e-6)
+    np.testing.assert_allclose(times["corrected"], measured, rtol=0.05)
+    assert (np.array(times["prior"]) > 1.1 * measured).all()
+    before = np.abs(finding.residuals[0, 0])
+    (after,) = record["residuals_after"]
+    assert np.abs(after["values"]).max() < 0.3 * before.max()
+    assert record["corrected"]["effects"][0]["size_interval"][0] < 25
+
+
 def test_added_twice_is_added_once_and_survives_a_file(tmp_path: Path) -> None:
     case = opened()
     finding = find(case, effects=[Opening()], controls=controls_of(case))

@@ -24,7 +24,8 @@ from rtcal.errors import DataError
 from rtcal.simulators.base import Simulator, check_alpha, run
 from rtcal.types import Array
 
-_MEAN_ALPHA = {"sabine": Sabine(), "eyring": Eyring(), "kuttruff": Kuttruff()}
+EQUATIONS = {"sabine": Sabine(), "eyring": Eyring(), "kuttruff": Kuttruff()}
+"""Those of a case's that a calibration can invert."""
 _LARGEST_EXPONENT = -np.log1p(-0.999)
 """Of an absorber under Millington's equation, where alpha = 1 has none."""
 _REST = {
@@ -244,4 +245,4 @@ def _absorption(s: State) -> Array:
     exponent = (s.surface_absorption + s.objects) / s.total_area
     if s.equation == "millington":
         return np.asarray(exponent)
-    return _MEAN_ALPHA[s.equation].mean_alpha(exponent)
+    return EQUATIONS[s.equation].mean_alpha(exponent)

@@ -150,8 +150,10 @@ def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
 def _said(effect: Mapping[str, Any]) -> str:
     size, ends = effect["size"], effect["size_interval"]
     if size is None:
-        return f"{effect['effect']}: " + ", ".join(
-            f"{k} {v:.3g}" for k, v in effect["parameters"].items()
+        return (
+            f"{effect['effect']}: "
+            + ", ".join(f"{k} {v:.3g}" for k, v in effect["parameters"].items())
+            + f" ({effect['unit']})"
         )
     known = "" if ends is None else f" (90 %, from all data: {ends[0]:.3g} to {ends[1]:.3g})"
     return f"{effect['effect']}, calibrated: {size:.3g} {effect['unit']}{known}"

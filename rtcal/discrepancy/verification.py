@@ -25,8 +25,9 @@ from rtcal.discrepancy.evidence import (
     weigh,
 )
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
-from rtcal.discrepancy.model import FEATURES
+from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, table
+from rtcal.discrepancy.states import distances, state
 from rtcal.types import Array
 
 _JND = {"t20": 0.05, "edt": 0.05, "t30": 0.05, "c80": 1.0, "g": 1.0}
@@ -77,7 +78,8 @@ class Verification:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
-            "verdict": self.verdict, "before_jnd": self.before, "after_jnd": self.after,
+            "verdict": self.verdict,
+            "before_jnd": _listed([self.before])[0], "after_jnd": _listed([self.after])[0],
             "predictive_nats": self.predictive,
             "gaps": [
                 {
@@ -87,6 +89,19 @@ class Verification:
                 for g in self.gaps
             ],
             "plain": self.plain.to_dict(), "corrected": self.corrected.to_dict(),
+            "reverberation_time": [
+                {"configuration": c.name, **{k: _listed(v) for k, v in times.items()}}
+                for c, times in zip(
+                    self.finding.case.configurations, reverberation_times(self), strict=True
+                )
+            ],
+            "residuals_after": [
+                {"configuration": c.name, "feature": name, "values": _listed(row)}
+                for c, table in zip(
+                    self.finding.case.configurations, residual_map(self), strict=True
+                )
+                for name, row in zip(FEATURE_NAMES, table, strict=True) if np.isfinite(row).any()
+            ],
         }  # fmt: skip
 
     def __str__(self) -> str:
@@ -104,7 +119,8 @@ class Verification:
         for g in self.gaps:
             name = f"{g.quantity} of {g.configuration}" + (" (fitted)" if g.fitted else "")
             lines.append(f"  {name:32}{g.before:8.2f}{g.after:11.2f}")
-        lines.append(f"  {'what alpha cannot absorb':32}{self.before:8.2f}{self.after:11.2f}")
+        if np.isfinite(self.before):
+            lines.append(f"  {'what alpha cannot absorb':32}{self.before:8.2f}{self.after:11.2f}")
         lines.append(f"Each band predicted from the others: {self.predictive:+.1f} nats better.")
         room = self.finding.case.room
         lines += table(room, {"plain": self.plain, "corrected": self.corrected})
@@ -154,6 +170,26 @@ def residual_map(verification: Verification) -> Array:
     observed, _ = observe(case)
     predicted = replace(hypotheses(case, []), features=verification.corrected.features[None])
     return standardised(observed, predicted, finding.error)
+
+
+def reverberation_times(verification: Verification) -> list[dict[str, Array]]:
+    """Return T in s, (n_bands,), by configuration: measured, prior, plain, corrected."""
+    finding = verification.finding
+    case = finding.case
+    bias = finding.error.bias.reshape(finding.residuals.shape)
+    return [
+        {
+            "measured": c.measured.decay_time().mean,
+            "prior": predict([state(case, c)], distances(case, c)).reverberation_time[0],
+            "plain": np.exp(verification.plain.features[i, 0]),
+            "corrected": np.exp(verification.corrected.features[i, 0] + bias[i, 0]),
+        }
+        for i, c in enumerate(case.configurations)
+    ]
+
+
+def _listed(values: Array | Sequence[float]) -> list[float | None]:
+    return [float(v) if np.isfinite(v) else None for v in values]
 
 
 def _gap(feature: int, measured: Array, modelled: Array) -> Array:

@@ -8,9 +8,8 @@ import numpy as np
 
 from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
-from rtcal.discrepancy.model import predict
-from rtcal.discrepancy.states import distances, state
-from rtcal.discrepancy.verification import Verification, residual_map
+from rtcal.discrepancy.states import state
+from rtcal.discrepancy.verification import Verification, residual_map, reverberation_times
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.types import Array
 
@@ -23,20 +22,17 @@ _STRONG = 4.0
 def reverberation_time(verification: Verification) -> Any:
     """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
     finding = verification.finding
-    case = finding.case
-    first = case.configurations[0]
-    f, measured = case.room.centre_frequencies, first.measured.decay_time().mean
-    prior = predict([state(case, first)], distances(case, first)).reverberation_time[0]
-    bias = np.exp(finding.error.bias.reshape(finding.residuals.shape)[0, 0])
+    f, times = finding.case.room.centre_frequencies, reverberation_times(verification)[0]
+    measured = times["measured"]
     figure, axes = new_figure()
     jnd_band(axes, f, measured)
     axes.plot(f, measured, color=BLACK, marker="o", linestyle="none", label="measured")
-    for values, colour, marker, style, label in (
-        (prior, ORANGE, "s", "--", "prior"),
-        (np.exp(verification.plain.features[0, 0]), GREEN, "^", ":", "plainly calibrated"),
-        (np.exp(verification.corrected.features[0, 0]) * bias, BLUE, "D", "-",
-         f"with {finding.effect}, calibrated"),
-    ):  # fmt: skip
+    for name, colour, marker, style, label in (
+        ("prior", ORANGE, "s", "--", "prior"),
+        ("plain", GREEN, "^", ":", "plainly calibrated"),
+        ("corrected", BLUE, "D", "-", f"with {finding.effect}, calibrated"),
+    ):
+        values = times[name]
         axes.plot(f, values, color=colour, marker=marker, linestyle=style, fillstyle="none",
                   label=shown(label))  # fmt: skip
     band_axis(axes, f)

@@ -7,8 +7,12 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.files import write_all
 from rtcal.calibration.presets import calibrate
+from rtcal.discrepancy.corrected import EQUATIONS
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.recalibration import table
 from rtcal.discrepancy.verification import Verification, verify
@@ -65,7 +69,10 @@ def write(finding: Finding, folder: Path) -> list[Path]:
     first = finding.case.configurations[0]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MissingAirWarning)  # among the finding's notes
-        usual = calibrate(finding.case.room, first.measured, unreachable="nearest")
+        usual = calibrate(
+            finding.case.room, first.measured, unreachable="nearest",
+            equation=EQUATIONS.get(finding.case.equation, Eyring()),
+        )  # fmt: skip
     text = page(usual, finding=summary(finding, verified), finding_figures=list(drawn.values()))
     contents = {
         folder / "finding.json": (json.dumps(record, indent=1) + "\n").encode(),
@@ -87,7 +94,9 @@ def summary(finding: Finding, verification: Verification | None) -> dict[str, An
     if verification is not None:
         sentences += [
             str(verification).splitlines()[0],
-            f"What alpha cannot absorb: {verification.before:.2f} JND with plain calibration, "
+            "What alpha cannot absorb: nothing of it was measured."
+            if np.isnan(verification.before)
+            else f"What alpha cannot absorb: {verification.before:.2f} JND with plain calibration, "
             f"{verification.after:.2f} JND with the effect.",
             *table(verification.finding.case.room, {"corrected": verification.corrected})[-1:],
         ]
