@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import ClassVar, Protocol
 
@@ -251,19 +252,26 @@ class Porous(Absorber):
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return the statistical alpha."""
-        # Averaged over the octave: a narrow resonance of a thin layer is not measured as such.
-        inside = frequencies[:, None] * 2.0 ** np.array([-0.33, 0.0, 0.33])
-        ratio = inside / parameters["flow_resistivity"]
-        k = 2 * np.pi * inside / 343.2
-        impedance = 1 + 0.0699 * ratio**-0.632 - 1j * 0.1071 * ratio**-0.632
-        number = k * (1 + 0.1093 * ratio**-0.618 - 1j * 0.1597 * ratio**-0.618)
-        z = -1j * impedance / np.tan(number * parameters["thickness"])
-        angles, step = np.linspace(0, np.radians(78), 40, retstep=True)
-        cos = np.cos(angles)
-        reflection = (z[..., None] * cos - 1) / (z[..., None] * cos + 1)
-        weight = np.sin(angles) * cos * step
-        alpha = ((1 - np.abs(reflection) ** 2) * weight).sum(-1) / weight.sum()
-        return np.asarray(np.clip(alpha.mean(-1), 0, 1))
+        return _porous(
+            tuple(frequencies), parameters["thickness"], parameters["flow_resistivity"]
+        )
+
+
+@lru_cache(maxsize=256)  # the grid asks for each layer in many sizes
+def _porous(frequencies: tuple[float, ...], thickness: float, flow_resistivity: float) -> Array:
+    # Averaged over the octave: a narrow resonance of a thin layer is not measured as such.
+    inside = np.array(frequencies)[:, None] * 2.0 ** np.array([-0.33, 0.0, 0.33])
+    ratio = inside / flow_resistivity
+    k = 2 * np.pi * inside / 343.2
+    impedance = 1 + 0.0699 * ratio**-0.632 - 1j * 0.1071 * ratio**-0.632
+    number = k * (1 + 0.1093 * ratio**-0.618 - 1j * 0.1597 * ratio**-0.618)
+    z = -1j * impedance / np.tan(number * thickness)
+    angles, step = np.linspace(0, np.radians(78), 40, retstep=True)
+    cos = np.cos(angles)
+    reflection = (z[..., None] * cos - 1) / (z[..., None] * cos + 1)
+    weight = np.sin(angles) * cos * step
+    alpha = ((1 - np.abs(reflection) ** 2) * weight).sum(-1) / weight.sum()
+    return np.asarray(np.clip(alpha.mean(-1), 0, 1))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from rtcal.acoustics import bands
 from rtcal.discrepancy.case import Case, Configuration, Present
 from rtcal.discrepancy.effects import Effect, Parameters, library
 from rtcal.discrepancy.engines import Controls
-from rtcal.discrepancy.model import FEATURES, Predicted, State, predict
+from rtcal.discrepancy.model import FEATURES, Predicted, State, predict, sensitivities
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 from rtcal.types import Array
@@ -193,8 +193,11 @@ def _present_covariance(case: Case) -> Array:
 
 def _misfit(d: Array, kappa: float) -> Array:
     """An effect's own misfit, kappa² (½ d d' + ½ diag d²), for changes d (..., m)."""
-    outer = d[..., :, None] * d[..., None, :]
-    return np.asarray(0.5 * kappa**2 * outer * (1 + np.eye(d.shape[-1])))
+    scaled = np.sqrt(0.5) * kappa * d
+    out = scaled[..., :, None] * scaled[..., None, :]
+    diagonal = np.arange(d.shape[-1])
+    out[..., diagonal, diagonal] *= 2
+    return np.asarray(out)
 
 
 def alpha_variance(
@@ -209,7 +212,7 @@ def alpha_variance(
     octaves = np.abs(np.subtract.outer(*[np.log2(room.centre_frequencies)] * 2))
     rho = room.band_correlation**octaves if room.band_correlation > 0 else np.eye(len(octaves))
     pull = np.stack([
-        np.stack([row[c].sensitivity for row in states])
+        sensitivities([row[c] for row in states])
         * p.reverberation_time[:, None, :] / (6 * np.log(10))
         for c, p in enumerate(predicted)
     ], axis=1)  # fmt: skip  # (n, configurations, materials, bands)
@@ -303,14 +306,19 @@ def weigh(
     c, f, b = np.nonzero(observed.used)
     centres = predicted.features[:, c, f, b]
     slopes = predicted.slopes[:, c, f, b]
+    at = c * observed.used.shape[2] + b
+    pairs = (at[:, None] * observed.used.shape[0] * observed.used.shape[2] + at).ravel()
+    variances = predicted.alpha_variance.reshape(len(centres), -1)
     d = centres - centres[0]
     out = np.empty((len(predicted.names), len(y)))
     unknown = np.empty(len(y))
     # A few hundred hypotheses at once, so that their covariances need not all stand in memory.
     for begin in range(0, len(out), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
-        variance = predicted.alpha_variance[part, c[:, None], b[:, None], c, b]
-        covariance = slopes[part, :, None] * slopes[part, None, :] * variance + rest
+        covariance = variances[part].take(pairs, axis=1).reshape(-1, len(at), len(at))
+        covariance *= slopes[part, :, None]
+        covariance *= slopes[part, None, :]
+        covariance += rest
         covariance += _misfit(d[part], kappa)
         residual = y - (centres[part] + bias)[:, None]
         out[part] = _log_normal(residual, covariance)
@@ -321,7 +329,8 @@ def weigh(
     return Evidence(out, unknown, predicted.names)
 
 
-_AT_ONCE = 256
+_AT_ONCE = 128
+_LARGE = 1e30
 
 
 def alpha_covariance(predicted: Hypotheses, i: int) -> Array:
@@ -335,11 +344,17 @@ def alpha_covariance(predicted: Hypotheses, i: int) -> Array:
 
 def _log_normal(residual: Array, covariance: Array) -> Array:
     """Log density of residuals (..., n_draws, m) under covariances (..., m, m)."""
-    factor = np.linalg.cholesky(covariance)
-    z = np.linalg.solve(factor, np.swapaxes(residual, -1, -2))
-    halves = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
-    m = covariance.shape[-1]
-    return np.asarray(-0.5 * (z * z).sum(-2) - halves[..., None] - 0.5 * m * np.log(2 * np.pi))
+    m, draws = covariance.shape[-1], residual.shape[-2]
+    # The factor of [[C, r], [r', large]] has L⁻¹ r in its last rows: no system is left to solve.
+    whole = np.zeros((*covariance.shape[:-2], m + draws, m + draws))
+    whole[..., :m, :m] = covariance
+    whole[..., m:, :m] = residual
+    own = np.arange(m, m + draws)
+    whole[..., own, own] = _LARGE
+    factor = np.linalg.cholesky(whole)
+    z = factor[..., m:, :m]
+    halves = np.log(np.diagonal(factor, axis1=-2, axis2=-1)[..., :m]).sum(-1)
+    return np.asarray(-0.5 * (z * z).sum(-1) - halves[..., None] - 0.5 * m * np.log(2 * np.pi))
 
 
 _SPREADS = (0.03, 0.08, 0.2)

@@ -16,6 +16,7 @@ from rtcal.types import Array
 FEATURES = ("t20", "edt", "t30", "c80", "g")
 """Rows of every feature table: ln T20 (s), ln EDT/T20, ln T30/T20, C80 and G in dB."""
 _LN6 = 6 * np.log(10)
+_STEPS = 12
 
 
 @dataclass(frozen=True)
@@ -63,37 +64,12 @@ class State:
     @property
     def surface_absorption(self) -> Array:
         """S a(alpha) in m², (n_bands,): what the surfaces absorb after the equation."""
-        s = self.total_area
-        if self.equation == "millington":
-            exponents = self.areas @ -np.log1p(-np.minimum(self.alpha, 1 - 1e-6))
-            return np.asarray(exponents + self.covering)
-        mean = np.clip((self.areas @ self.alpha + self.covering) / s, 1e-6, 1 - 1e-6)
-        if self.equation == "sabine":
-            return np.asarray(s * mean)
-        exponent = -np.log1p(-mean)
-        if self.equation == "kuttruff":
-            exponent = exponent * (1 - 0.2 * exponent)  # gamma² = .4 (Kuttruff 2016, Sect. 5.4)
-        return np.asarray(s * exponent)
+        return surface_absorption([self])[0]
 
     @property
     def rate(self) -> Array:
         """k = c (S a + 4 m V + A_objects) / 4 V in 1/s, (n_bands,), so that T = 6 ln 10 / k."""
-        absorbed = self.surface_absorption + 4 * self.air * self.volume + self.objects
-        return np.asarray(self.speed_of_sound * absorbed / (4 * self.volume))
-
-    @property
-    def sensitivity(self) -> Array:
-        """d k / d alpha in 1/s, (n_materials, n_bands)."""
-        flow = self.speed_of_sound / (4 * self.volume) * self.areas[:, None]
-        if self.equation == "sabine":
-            return np.asarray(flow * np.ones_like(self.alpha))
-        if self.equation == "millington":
-            return np.asarray(flow / (1 - np.minimum(self.alpha, 0.99)))
-        mean = (self.areas @ self.alpha + self.covering) / self.total_area
-        slope = 1 / (1 - np.clip(mean, 0, 0.98))
-        if self.equation == "kuttruff":
-            slope = slope * (1 + 0.4 * np.log1p(-np.clip(mean, 0, 0.98)))
-        return np.asarray(flow * slope)
+        return rates([self])[0]
 
     def decay(self) -> Decay:
         """Return the decay: one exponential, unless the state has a shape of its own."""
@@ -115,6 +91,55 @@ class State:
         return replace(self, objects=self.objects + absorption_area)
 
 
+def _each(states: Sequence[State], name: str) -> Array:
+    """One attribute of all states, (n, n_bands)."""
+    nothing = np.zeros(len(states[0].air))
+    return np.array([getattr(s, name) + nothing for s in states])
+
+
+def _mean_alpha(states: Sequence[State]) -> Array:
+    """What the surfaces absorb of what falls on them, (n, n_bands)."""
+    areas, alpha = np.array([s.areas for s in states]), np.array([s.alpha for s in states])
+    area = np.einsum("nm,nmk->nk", areas, alpha) + _each(states, "covering")
+    return np.clip(area / areas.sum(1)[:, None], 1e-6, 1 - 1e-6)
+
+
+def surface_absorption(states: Sequence[State]) -> Array:
+    """Return S a(alpha) in m² of many states of one room, (n, n_bands)."""
+    equation = np.array([s.equation for s in states])[:, None]
+    mean = _mean_alpha(states)
+    exponent = -np.log1p(-mean)
+    exponent = np.where(equation == "sabine", mean, exponent)
+    # gamma² = .4 (Kuttruff 2016, Sect. 5.4)
+    exponent = np.where(equation == "kuttruff", exponent * (1 - 0.2 * exponent), exponent)
+    out = np.array([s.total_area for s in states])[:, None] * exponent
+    for i in np.flatnonzero(equation[:, 0] == "millington"):
+        s = states[i]
+        out[i] = s.areas @ -np.log1p(-np.minimum(s.alpha, 1 - 1e-6)) + s.covering
+    return out
+
+
+def rates(states: Sequence[State]) -> Array:
+    """Return k = c (S a + 4 m V + A_objects) / 4 V in 1/s of many states, (n, n_bands)."""
+    volume = np.array([s.volume for s in states])[:, None]
+    absorbed = surface_absorption(states) + 4 * _each(states, "air") * volume
+    return states[0].speed_of_sound * (absorbed + _each(states, "objects")) / (4 * volume)
+
+
+def sensitivities(states: Sequence[State]) -> Array:
+    """Return d k / d alpha in 1/s of many states, (n, n_materials, n_bands)."""
+    equation = np.array([s.equation for s in states])[:, None]
+    mean = np.minimum(_mean_alpha(states), 0.98)
+    slope = 1 / (1 - mean)
+    slope = np.where(equation == "sabine", 1.0, slope)
+    slope = np.where(equation == "kuttruff", slope * (1 + 0.4 * np.log1p(-mean)), slope)
+    flow = np.array([s.speed_of_sound / (4 * s.volume) * s.areas for s in states])
+    out = flow[:, :, None] * slope[:, None, :]
+    for i in np.flatnonzero(equation[:, 0] == "millington"):
+        out[i] = flow[i][:, None] / (1 - np.minimum(states[i].alpha, 0.99))
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class Predicted:
     """Features (n, n_features, n_bands) of n states, and d features / d ln T20 at a fixed shape."""
@@ -126,27 +151,31 @@ class Predicted:
 
 def predict(states: Sequence[State], distance: Array) -> Predicted:
     """Return the features of many states of one room, (n, n_features, n_bands)."""
-    decays = [s.decay() for s in states]
     n_bands = len(states[0].air)
     features = np.empty((len(states), len(FEATURES), n_bands))
     shifted = np.empty_like(features)
-    widths = np.array([d.rates.shape[1] for d in decays])
+    shapes = {i: s.decay() for i, s in enumerate(states) if s.shape is not None}
+    widths = np.array([shapes[i].rates.shape[1] if i in shapes else 1 for i in range(len(states))])
+    single = rates(states)[:, :, None]
     for width in np.unique(widths):
         here = np.flatnonzero(widths == width)
-        weights = np.stack([decays[i].weights for i in here])
-        rates = np.stack([decays[i].rates for i in here])
-        group = [states[int(i)] for i in here]
+        group = [states[i] for i in here]
+        rate = np.array([shapes[i].rates if i in shapes else single[i] for i in here])
+        weights = np.array([
+            shapes[i].weights if i in shapes else np.full((n_bands, 1), 1 / states[i].volume)
+            for i in here
+        ])  # fmt: skip
         floor = np.array([np.nan if s.floor_db is None else s.floor_db for s in group])
         record = np.array([s.record for s in group])
         direct = np.array([s.direct_db for s in group])
         c = states[0].speed_of_sound
         at = np.asarray(distance)
-        features[here] = _levels(weights, rates, direct, at, c)
-        shifted[here] = _levels(weights, rates / 1.01, direct, at, c)
+        features[here] = _levels(weights, rate, direct, at, c)
+        shifted[here] = _levels(weights, rate / 1.01, direct, at, c)
         if width == 1 and not np.isfinite(floor).any():
-            features[here, 0] = np.log(_LN6 / rates[:, :, 0])
+            features[here, 0] = np.log(_LN6 / rate[:, :, 0])
         else:
-            features[here, :3] = _times(weights, rates, floor, record)
+            features[here, :3] = _times(weights, rate, floor, record)
         # All rates stretched alike only stretch the time: the ratios stay.
         shifted[here, :3] = features[here, :3]
         shifted[here, 0] += np.log(1.01)
@@ -183,25 +212,31 @@ def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Arra
     # A record of so many reverberation times, the time that the energy's own rate gives.
     end = record[:, None] * _LN6 * total / weights.sum(2)
 
-    def level(t: Array) -> Array:
-        decayed = np.sum(energy[..., None] * np.exp(-rates[..., None] * t[:, :, None, :]), axis=2)
-        with_floor = decayed + density[..., None] * np.maximum(end[..., None] - t, 0)
-        whole = total + density * end
-        return np.asarray(10 * np.log10(np.maximum(with_floor / whole[..., None], 1e-12)))
+    whole = (total + density * end)[..., None]
 
-    wanted = np.array([-5.0, -10.0, -25.0, -35.0])
-    low = np.zeros((*total.shape, len(wanted)))
-    high = np.where(noise > 0, end, 9.0 / rates.min(2))[..., None] * np.ones(len(wanted))
-    for _ in range(26):
-        middle = 0.5 * (low + high)
-        above = level(middle) > wanted
-        low, high = np.where(above, middle, low), np.where(above, high, middle)
-    at = np.concatenate([np.zeros((*total.shape, 1)), 0.5 * (low + high)], axis=-1)
+    def left(t: Array) -> tuple[Array, Array]:
+        """Energy after t, and what it loses there in a second; t (n, n_bands, n_times)."""
+        each = energy[..., None] * np.exp(-rates[..., None] * t[:, :, None, :])
+        after = np.sum(each, axis=2) + density[..., None] * np.maximum(end[..., None] - t, 0)
+        return after, np.sum(rates[..., None] * each, axis=2) + density[..., None]
+
+    wanted = 10 ** (np.array([-5.0, -10.0, -25.0, -35.0]) / 10) * whole
+    # ln of a sum of exponentials is convex, and Newton's steps never pass the root; a noise floor
+    # bends it the other way: a step out of what is left open is replaced by half of that.
+    at = low = np.zeros_like(wanted)
+    high = np.where(noise > 0, end, 9.0 / rates.min(2))[..., None] * np.ones_like(at)
+    for _ in range(_STEPS):
+        after, loss = left(at)
+        past = after < wanted
+        low, high = np.where(past, low, at), np.where(past, at, high)
+        step = at + np.log(after / wanted) * after / loss
+        at = np.where(step <= high, np.maximum(step, low), 0.5 * (low + high))
+    at = np.concatenate([np.zeros((*total.shape, 1)), at], axis=-1)
     steps = np.linspace(0, 1, 24)
 
     def time(first: int, last: int) -> Array:
         t = at[..., first, None] + (at[..., last, None] - at[..., first, None]) * steps
-        y = level(t)
+        y = 10 * np.log10(left(t)[0])
         t = t - t.mean(-1, keepdims=True)
         slope = (t * y).sum(-1) / (t * t).sum(-1)
         return np.asarray(np.log(-60 / slope))
