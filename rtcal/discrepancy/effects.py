@@ -252,9 +252,7 @@ class Porous(Absorber):
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return the statistical alpha."""
-        return _porous(
-            tuple(frequencies), parameters["thickness"], parameters["flow_resistivity"]
-        )
+        return _porous(tuple(frequencies), parameters["thickness"], parameters["flow_resistivity"])
 
 
 @lru_cache(maxsize=256)  # the grid asks for each layer in many sizes

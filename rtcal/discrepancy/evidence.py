@@ -1,11 +1,11 @@
 """How well each effect explains what was measured: evidence in closed form.
 
     log E_k = log mean over theta of N(y; y_k(theta) + bias, C)
-    C = J Sigma J' + R + D + kappa² (½ d d' + ½ diag d²)
+    C = J Sigma J' + R + D + kappa² (½ d d' + ½ diag d²) + B
 
 with y the features, J Sigma J' what the prior on alpha lets them vary, R what the measurement does,
-bias and D the model's own error as control rooms showed it, d the effect's change and kappa its
-own misfit (after Kennedy & O'Hagan 2001).
+bias and D the model's own error as control rooms showed it, d the effect's change, kappa its own
+misfit (after Kennedy & O'Hagan 2001) and B what its place does to the decay's shape (`BENDING`).
 """
 
 from __future__ import annotations
@@ -26,6 +26,10 @@ from rtcal.errors import DataError
 from rtcal.types import Array
 
 KAPPA = 0.15
+"""What an effect may be off, relative to the change that its formula gives."""
+BENDING = (("edt", 0.12), ("t30", 0.06))
+"""How far ln EDT/T20 and ln T30/T20 may change where the effect changes ln T20 by one: what absorbs
+stands somewhere, and the field is no longer as even as the formula takes it."""
 NONE, UNKNOWN = "none", "unknown"
 
 
@@ -187,15 +191,30 @@ def _present_covariance(case: Case) -> Array:
             d = features(others) - base
             out += np.outer(d, d)
         without = features([p for p in case.present if p is not one])
-        out += _misfit(base - without, KAPPA)
+        d = (base - without).reshape(len(case.configurations), len(FEATURES), -1)
+        amount = np.broadcast_to(d[:, :1], d.shape).ravel()
+        feature = np.broadcast_to(np.arange(len(FEATURES))[:, None], d.shape).ravel()
+        out += _misfit(d.ravel(), amount, feature, KAPPA)
     return out
 
 
-def _misfit(d: Array, kappa: float) -> Array:
-    """An effect's own misfit, kappa² (½ d d' + ½ diag d²), for changes d (..., m)."""
-    scaled = np.sqrt(0.5) * kappa * d
-    out = scaled[..., :, None] * scaled[..., None, :]
-    diagonal = np.arange(d.shape[-1])
+def _misfit(d: Array, amount: Array, feature: Array, kappa: float) -> Array:
+    """What an effect may do beside what its formula says, (..., m, m).
+
+    Of changes ``d`` (..., m) of the features that ``feature`` (m,) numbers, ``amount`` (..., m) the
+    change of ln T20 in the same band and configuration.
+    """
+    out = _half_common(kappa * d)
+    for name, share in BENDING:
+        own = np.flatnonzero(feature == FEATURES.index(name))
+        out[..., own[:, None], own] += _half_common(share * amount[..., own])
+    return out
+
+
+def _half_common(e: Array) -> Array:
+    """½ e e' + ½ diag e²: errors of standard deviations e, half of it in common."""
+    out = 0.5 * e[..., :, None] * e[..., None, :]
+    diagonal = np.arange(e.shape[-1])
     out[..., diagonal, diagonal] *= 2
     return np.asarray(out)
 
@@ -270,7 +289,7 @@ def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
     ones = np.ones((n, n)), np.ones((k, k))
     covariance += np.einsum("ab,fg,kl->afkbgl", ones[0], level, ones[1]).reshape(size, size)
     shrunk = 0.6 * covariance + 0.4 * np.diag(np.diag(covariance))
-    return ModelError(bias, shrunk * 1.1, tuple(c.engine for c in controls))
+    return ModelError(bias, shrunk * 1.2, tuple(c.engine for c in controls))
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,6 +329,7 @@ def weigh(
     pairs = (at[:, None] * observed.used.shape[0] * observed.used.shape[2] + at).ravel()
     variances = predicted.alpha_variance.reshape(len(centres), -1)
     d = centres - centres[0]
+    amount = predicted.features[:, c, 0, b] - predicted.features[0, c, 0, b]
     out = np.empty((len(predicted.names), len(y)))
     unknown = np.empty(len(y))
     # A few hundred hypotheses at once, so that their covariances need not all stand in memory.
@@ -319,7 +339,7 @@ def weigh(
         covariance *= slopes[part, :, None]
         covariance *= slopes[part, None, :]
         covariance += rest
-        covariance += _misfit(d[part], kappa)
+        covariance += _misfit(d[part], amount[part], f, kappa)
         residual = y - (centres[part] + bias)[:, None]
         out[part] = _log_normal(residual, covariance)
         if begin == 0:

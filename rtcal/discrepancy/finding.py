@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
@@ -36,6 +36,8 @@ from rtcal.types import Array
 SET = 1.3
 """Nats within which an effect is a candidate beside the best. Ten to one (2.3) holds the truth more
 often, in sets half as large again: docs/discrepancy.md."""
+_NOWHERE = 8.0
+"""Nats under the best, where no size need be tried."""
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
 
 
@@ -252,13 +254,25 @@ def _size(
     others: dict[tuple[tuple[str, float], ...], float] = {}
     for theta, w in zip(grid, weights, strict=True):
         others[_others(theta, effect)] = others.get(_others(theta, effect), 0.0) + float(w)
-    likely = [_others(best, effect), *sorted(others, key=lambda k: -others[k])[:7]]
+    most = sorted(others, key=lambda k: -others[k])[:3]
+    likely = list(dict.fromkeys([_others(best, effect), *most]))
     sizes = np.array([theta[effect.size] for theta in grid])
-    low, high = sizes.min(), sizes.max()
-    fine = np.geomspace(low / 3, high * 3, 81) if low > 0 else np.linspace(low - 10, high + 10, 81)
-    log_p = weighed([{**dict(key), effect.size: float(x)} for key in likely for x in fine])
+    if sizes.min() > 0:
+        ends, size_of = np.log([sizes.min() / 3, sizes.max() * 3]), np.exp
+    else:
+        ends, size_of = np.array([sizes.min() - 10, sizes.max() + 10]), np.asarray
+
+    def at(x: Array, kinds: Sequence[Any]) -> Array:
+        return weighed([{**dict(k), effect.size: float(s)} for k in kinds for s in size_of(x)])
+
+    coarse = np.linspace(*ends, 33)
+    there = coarse[(log_p := at(coarse, likely[:1])) > log_p.max() - _NOWHERE]
+    step = coarse[1] - coarse[0] + 2.6 * effect.size_error
+    fine = np.linspace(there[0] - step, there[-1] + step, 49)
+    log_p = at(fine, likely)
     by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
-    by_size = _widened(by_size, np.log(fine) if low > 0 else fine, effect.size_error)
+    by_size = _widened(by_size, fine, effect.size_error)
+    fine = size_of(fine)
     cumulated = np.cumsum(by_size) - 0.5 * by_size
     ends = [float(np.interp(q, cumulated, fine)) for q in (0.05, 0.95)]
     return best, Size(float(by_size @ fine), ends[0], ends[1], effect.unit)
@@ -281,30 +295,32 @@ def _searched(
     grid: Sequence[Parameters], start: Parameters, discrete: Sequence[str],
     weighed: Callable[[Sequence[Parameters]], Array],
 ) -> Parameters:  # fmt: skip
-    """Improve the grid's best parameters within the grid's range, the discrete ones held."""
+    """Improve the grid's best parameters within the grid's range, the discrete ones held.
+
+    Each round tries a lattice around the best, as wide as the last one's steps.
+    """
     names = [k for k in start if k not in discrete and len({theta[k] for theta in grid}) > 1]
     if not names:
         return start
-    ends = np.array([[f(theta[k] for theta in grid) for f in (min, max)] for k in names])
-    logs = ends[:, 0] > 0
-    scaled = np.where(logs[:, None], np.log(np.where(logs[:, None], ends, 1.0)), ends)
-    low, width = scaled[:, 0], scaled[:, 1] - scaled[:, 0]
-    at = np.array([start[k] for k in names])
-    at = (np.where(logs, np.log(np.where(logs, at, 1.0)), at) - low) / width
+    values = np.array([[theta[k] for k in names] for theta in grid])
+    logs = values.min(0) > 0
+    scaled = np.log(np.where(logs, values, 1.0)) + np.where(logs, 0.0, values)
+    low, width = scaled.min(0), np.ptp(scaled, axis=0)
+    at = (scaled[grid.index(start)] - low) / width
+    step = np.array([1 / (len(np.unique(column)) - 1) for column in values.T])
 
     def theta_of(x: Array) -> Parameters:
-        values = low + width * np.clip(x, 0, 1)
-        values = np.where(logs, np.exp(np.where(logs, values, 0.0)), values)
-        return {**start, **dict(zip(names, values.tolist(), strict=True))}
+        own = low + width * x
+        own = np.where(logs, np.exp(np.where(logs, own, 0.0)), own)
+        return {**start, **dict(zip(names, own.tolist(), strict=True))}
 
-    found = minimize(
-        lambda x: -float(weighed([theta_of(x)])[0]), at, method="Nelder-Mead",
-        options={
-            "maxfev": 25 * len(names), "xatol": 5e-3, "fatol": 1e-2,
-            "initial_simplex": np.vstack([at, *(at + 0.08 * row for row in np.eye(len(at)))]),
-        },
-    )  # fmt: skip
-    return theta_of(found.x)
+    points, rounds = {1: (9, 3), 2: (5, 5)}.get(len(names), (3, 5))
+    lattice = np.array(list(product(np.linspace(-1, 1, points), repeat=len(names))))
+    for _ in range(rounds):
+        tried = np.clip(at + lattice * step, 0, 1)
+        at = tried[np.argmax(weighed([theta_of(x) for x in tried]))]
+        step = step * 2 / (points - 1) if points > 3 else step / 2
+    return theta_of(at)
 
 
 @dataclass(frozen=True)
