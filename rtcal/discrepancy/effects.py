@@ -264,12 +264,12 @@ def _porous(frequencies: tuple[float, ...], thickness: float, flow_resistivity: 
     impedance = 1 + 0.0699 * ratio**-0.632 - 1j * 0.1071 * ratio**-0.632
     number = k * (1 + 0.1093 * ratio**-0.618 - 1j * 0.1597 * ratio**-0.618)
     z = -1j * impedance / np.tan(number * thickness)
-    angles, step = np.linspace(0, np.radians(78), 40, retstep=True)
-    cos = np.cos(angles)
-    reflection = (z[..., None] * cos - 1) / (z[..., None] * cos + 1)
-    weight = np.sin(angles) * cos * step
-    alpha = ((1 - np.abs(reflection) ** 2) * weight).sum(-1) / weight.sum()
-    return np.asarray(np.clip(alpha.mean(-1), 0, 1))
+    angles = np.linspace(0, np.radians(78), 40)
+    normal, weight = z[..., None] * np.cos(angles), np.sin(2 * angles)
+    absorbed = 1 - np.abs((normal - 1) / (normal + 1)) ** 2
+    alpha = np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1)
+    alpha.setflags(write=False)
+    return np.asarray(alpha)
 
 
 @dataclass(frozen=True)

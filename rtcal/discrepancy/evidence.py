@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
@@ -198,7 +199,7 @@ def _present_covariance(case: Case) -> Array:
     return out
 
 
-def _misfit(d: Array, amount: Array, feature: Array, kappa: float) -> Array:
+def _misfit(d: Array, amount: Array, feature: NDArray[np.intp], kappa: float) -> Array:
     """What an effect may do beside what its formula says, (..., m, m).
 
     Of changes ``d`` (..., m) of the features that ``feature`` (m,) numbers, ``amount`` (..., m) the

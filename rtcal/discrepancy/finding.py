@@ -257,25 +257,27 @@ def _size(
     most = sorted(others, key=lambda k: -others[k])[:3]
     likely = list(dict.fromkeys([_others(best, effect), *most]))
     sizes = np.array([theta[effect.size] for theta in grid])
-    if sizes.min() > 0:
-        ends, size_of = np.log([sizes.min() / 3, sizes.max() * 3]), np.exp
-    else:
-        ends, size_of = np.array([sizes.min() - 10, sizes.max() + 10]), np.asarray
+    logs = bool(sizes.min() > 0)
+    low, high = float(sizes.min()), float(sizes.max())
+    first, last = (np.log(low / 3), np.log(high * 3)) if logs else (low - 10, high + 10)
+
+    def size_of(x: Array) -> Array:
+        return np.exp(x) if logs else x
 
     def at(x: Array, kinds: Sequence[Any]) -> Array:
         return weighed([{**dict(k), effect.size: float(s)} for k in kinds for s in size_of(x)])
 
-    coarse = np.linspace(*ends, 33)
-    there = coarse[(log_p := at(coarse, likely[:1])) > log_p.max() - _NOWHERE]
+    coarse = np.linspace(first, last, 33)
+    log_p = at(coarse, likely[:1])
+    there = coarse[log_p > log_p.max() - _NOWHERE]
     step = coarse[1] - coarse[0] + 2.6 * effect.size_error
     fine = np.linspace(there[0] - step, there[-1] + step, 49)
     log_p = at(fine, likely)
     by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
     by_size = _widened(by_size, fine, effect.size_error)
-    fine = size_of(fine)
     cumulated = np.cumsum(by_size) - 0.5 * by_size
-    ends = [float(np.interp(q, cumulated, fine)) for q in (0.05, 0.95)]
-    return best, Size(float(by_size @ fine), ends[0], ends[1], effect.unit)
+    ends = [float(np.interp(q, cumulated, size_of(fine))) for q in (0.05, 0.95)]
+    return best, Size(float(by_size @ size_of(fine)), ends[0], ends[1], effect.unit)
 
 
 def _widened(p: Array, at: Array, spread: float) -> Array:

@@ -64,12 +64,12 @@ class State:
     @property
     def surface_absorption(self) -> Array:
         """S a(alpha) in m², (n_bands,): what the surfaces absorb after the equation."""
-        return surface_absorption([self])[0]
+        return np.asarray(surface_absorption([self])[0])
 
     @property
     def rate(self) -> Array:
         """k = c (S a + 4 m V + A_objects) / 4 V in 1/s, (n_bands,), so that T = 6 ln 10 / k."""
-        return rates([self])[0]
+        return np.asarray(rates([self])[0])
 
     def decay(self) -> Decay:
         """Return the decay: one exponential, unless the state has a shape of its own."""
@@ -101,7 +101,7 @@ def _mean_alpha(states: Sequence[State]) -> Array:
     """What the surfaces absorb of what falls on them, (n, n_bands)."""
     areas, alpha = np.array([s.areas for s in states]), np.array([s.alpha for s in states])
     area = np.einsum("nm,nmk->nk", areas, alpha) + _each(states, "covering")
-    return np.clip(area / areas.sum(1)[:, None], 1e-6, 1 - 1e-6)
+    return np.asarray(np.clip(area / areas.sum(1)[:, None], 1e-6, 1 - 1e-6))
 
 
 def surface_absorption(states: Sequence[State]) -> Array:
@@ -113,8 +113,9 @@ def surface_absorption(states: Sequence[State]) -> Array:
     # gamma² = .4 (Kuttruff 2016, Sect. 5.4)
     exponent = np.where(equation == "kuttruff", exponent * (1 - 0.2 * exponent), exponent)
     out = np.array([s.total_area for s in states])[:, None] * exponent
-    for i in np.flatnonzero(equation[:, 0] == "millington"):
-        s = states[i]
+    for i, s in enumerate(states):
+        if s.equation != "millington":
+            continue
         out[i] = s.areas @ -np.log1p(-np.minimum(s.alpha, 1 - 1e-6)) + s.covering
     return out
 
@@ -123,7 +124,8 @@ def rates(states: Sequence[State]) -> Array:
     """Return k = c (S a + 4 m V + A_objects) / 4 V in 1/s of many states, (n, n_bands)."""
     volume = np.array([s.volume for s in states])[:, None]
     absorbed = surface_absorption(states) + 4 * _each(states, "air") * volume
-    return states[0].speed_of_sound * (absorbed + _each(states, "objects")) / (4 * volume)
+    absorbed += _each(states, "objects")
+    return np.asarray(states[0].speed_of_sound * absorbed / (4 * volume))
 
 
 def sensitivities(states: Sequence[State]) -> Array:
@@ -135,8 +137,9 @@ def sensitivities(states: Sequence[State]) -> Array:
     slope = np.where(equation == "kuttruff", slope * (1 + 0.4 * np.log1p(-mean)), slope)
     flow = np.array([s.speed_of_sound / (4 * s.volume) * s.areas for s in states])
     out = flow[:, :, None] * slope[:, None, :]
-    for i in np.flatnonzero(equation[:, 0] == "millington"):
-        out[i] = flow[i][:, None] / (1 - np.minimum(states[i].alpha, 0.99))
+    for i, s in enumerate(states):
+        if s.equation == "millington":
+            out[i] = flow[i][:, None] / (1 - np.minimum(s.alpha, 0.99))
     return out
 
 
@@ -158,7 +161,7 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
     widths = np.array([shapes[i].rates.shape[1] if i in shapes else 1 for i in range(len(states))])
     single = rates(states)[:, :, None]
     for width in np.unique(widths):
-        here = np.flatnonzero(widths == width)
+        here = np.flatnonzero(widths == width).tolist()
         group = [states[i] for i in here]
         rate = np.array([shapes[i].rates if i in shapes else single[i] for i in here])
         weights = np.array([
