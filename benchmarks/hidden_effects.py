@@ -32,22 +32,25 @@ from rtcal.discrepancy import (
     Case,
     Configuration,
     Finding,
+    Present,
     control_rooms,
     find,
     library,
     recalibrate,
     verify,
 )
-from rtcal.discrepancy.bootstrap import made_up, score, threshold
+from rtcal.discrepancy.bootstrap import LEAST, made_up, score, threshold
 from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.engines import Controls
 from rtcal.discrepancy.evidence import (
+    NONE,
     alpha_covariance,
     hypotheses,
     model_error,
     observe,
     weigh,
 )
+from rtcal.discrepancy.finding import SET
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.recalibration import plain
 from rtcal.discrepancy.states import distances, state
@@ -376,35 +379,57 @@ def engines(rooms: int) -> None:
 
 
 def bound(folder: str) -> None:
-    """Print what the best of all tests could detect: one that is told which effect, and its size.
+    """Print what could be had at best on these rooms.
 
-    Phi(delta - 1.645) at 5 % false alarms, delta² = d' C⁻¹ d, d what the true effect changes and C what
-    prior, measurement and model error leave open (Neyman and Pearson 1933).
+    First of a test that is told which effect, and its size: Phi(delta - 1.645) at 5 % false alarms,
+    delta² = d' C⁻¹ d, d what the true effect changes and C what prior, measurement and model error
+    leave open (Neyman and Pearson 1933). Then of the finder in a world that is exactly as its own model
+    says: each room with its true effect, 20 times with another alpha, model error and noise.
     """
     load(1)
     power: dict[str, list[float]] = {"one": [], "all": []}
+    own: dict[str, list[tuple[bool, bool, bool]]] = {"one": [], "all": []}
     effects = {e.name: e for e in library()}
     for index, truth in enumerate(TRUTHS[1]):
         if not 1 <= truth["seed"][1] <= 12:
             continue
         case = Case.from_dict(ROOMS[1][index])
         controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
-        effect = effects[NAMES[truth["seed"][1]]]
+        name, parameters = NAMES[truth["seed"][1]], parameters_of(truth["effects"][0])
         for data, part, rooms in (("one", one(case), first(controls)), ("all", case, controls)):
             observed, _ = observe(part)
+            error, predicted = model_error(part, rooms), hypotheses(part, library())
             base = [state(part, c) for c in part.configurations]
-            changed = [effect.change(s, parameters_of(truth["effects"][0])) for s in base]
+            changed = [effects[name].change(s, parameters) for s in base]
             d = np.array([
                 np.diff(predict([a, b], distances(part, c)).features, axis=0)[0]
                 for a, b, c in zip(base, changed, part.configurations, strict=True)
             ])[observed.used]  # fmt: skip
             mask = observed.used.ravel()
-            open_ = alpha_covariance(hypotheses(part, []), 0) + model_error(part, rooms).covariance
+            open_ = alpha_covariance(predicted, 0) + error.covariance
             covariance = open_[np.ix_(mask, mask)] + observed.covariance
             delta = float(np.sqrt(d @ np.linalg.solve(covariance, d)))
             power[data].append(float(norm.cdf(delta - norm.ppf(0.95))))
-    for data, values in power.items():
-        print(f"{data}: the best possible test detects {np.mean(values):.3f} of {len(values)}")
+            hidden = replace(part, present=(Present(name, parameters),))
+            values = made_up(
+                hidden, observed, [c.errors for c in rooms], np.random.default_rng([index, 6]), 20
+            )
+            evidence = weigh(observed, predicted, error, values)
+            table = evidence.by_effect()
+            names = [k for k in table if k != NONE]
+            over = np.array([table[k] - table[NONE] for k in names])
+            for column in over.T:
+                among = column > column.max() - SET
+                own[data].append((
+                    bool(column.max() > LEAST), names[int(column.argmax())] == name,
+                    bool(among.sum() == 1),
+                ))  # fmt: skip
+    for data, powers in power.items():
+        print(f"{data}: told effect and size, the best test detects {np.mean(powers):.3f} of "
+              f"{len(powers)}")  # fmt: skip
+        found_, right, single = np.array(own[data]).T
+        print(f"  in a world as the model says: detected {found_.mean():.3f}; of these the right name "
+              f"{right[found_].mean():.3f}, a single one {single[found_].mean():.3f}")  # fmt: skip
 
 
 def alpha(folder: str, rooms: int) -> None:

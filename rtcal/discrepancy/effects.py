@@ -245,10 +245,8 @@ class Porous(Absorber):
 
     def kinds(self) -> Sequence[Parameters]:
         """Return 10 to 200 mm, 3 to 50 kPa s/m²."""
-        return [
-            {"thickness": d, "flow_resistivity": r}
-            for d, r in product((0.01, 0.018, 0.033, 0.06, 0.11, 0.2), (4e3, 12e3, 40e3))
-        ]
+        both = product((0.01, 0.018, 0.033, 0.06, 0.11, 0.2), (4e3, 12e3, 40e3))
+        return [{"thickness": d, "flow_resistivity": r} for d, r in both]
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return the statistical alpha."""
@@ -282,10 +280,8 @@ class Resonator(Absorber):
 
     def kinds(self) -> Sequence[Parameters]:
         """Return 60 to 500 Hz, Q .7 to 5, a0 = .8."""
-        return [
-            {"resonance": f0, "quality": q}
-            for f0, q in product(np.geomspace(60, 500, 8).tolist(), (0.8, 1.6, 3.5))
-        ]
+        both = product(np.geomspace(60, 500, 8).tolist(), (0.8, 1.6, 3.5))
+        return [{"resonance": f0, "quality": q} for f0, q in both]
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, averaged over each octave."""
@@ -418,10 +414,8 @@ class NoiseFloor(Named):
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return -60 to -30 dB over one to three reverberation times."""
-        return [
-            {"level": float(x), "record": r}
-            for x, r in product(np.linspace(-62, -30, 17), (1.5, 2.5))
-        ]
+        levels = np.linspace(-62, -30, 17).tolist()
+        return [{"level": x, "record": r} for x, r in product(levels, (1.5, 2.5))]
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with this noise in its decays."""
