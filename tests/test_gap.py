@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import multiprocessing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -132,40 +133,43 @@ def stored() -> list[dict[str, Any]]:
     return [json.loads(x) for x in gzip.decompress(STORED.read_bytes()).splitlines()]
 
 
-def again(index: int, case: Case, row: dict[str, Any]) -> None:
+def differences(index: int) -> list[str]:
+    """What comes out otherwise than stored, of a room of population 1 with T20, EDT, T30."""
+    case, stored_ = Case.from_dict(read(1, "case")[index]), stored()[index]["one"]
     one = case.only("t20", "edt", "t30", configurations=[case.configurations[0].name])
     # As the stored run has it: one configuration is judged by its part of the whole case's rooms.
-    controls = [Controls(c.engine, c.errors[:, :1]) for c in control_rooms(case)]
-    finding = find(one, controls=controls)
-    assert finding.verdict == row["one"]["verdict"], index
-    assert list(finding.candidates) == row["one"]["candidates"]
+    finding = find(one, controls=[Controls(c.engine, c.errors[:, :1]) for c in control_rooms(case)])
     # The control rooms were kept in single precision.
-    assert finding.threshold == pytest.approx(row["one"]["threshold"], rel=0.02)
-    for name, value in row["one"]["evidence"].items():
-        if value > -20:
-            assert finding.evidence[name] == pytest.approx(value, rel=0.02, abs=0.1)
-    if "rmse" in row["one"]:
+    near = {
+        "threshold": finding.threshold == pytest.approx(stored_["threshold"], rel=0.02),
+        "verdict": finding.verdict == stored_["verdict"],
+        "candidates": list(finding.candidates) == stored_["candidates"],
+    } | {
+        name: finding.evidence[name] == pytest.approx(value, rel=0.02, abs=0.1)
+        for name, value in stored_["evidence"].items() if value > -20
+    }  # fmt: skip
+    if "rmse" in stored_:
         truth = read(1, "truth")[index]
         area = np.array(truth["areas"])[:, None]
         off = verify(finding).corrected.alpha - np.array(truth["alpha"])
         error = np.sqrt((area * off**2).sum() / area.sum() / off.shape[1])
-        assert error == pytest.approx(row["one"]["rmse"][2], rel=0.03)
+        near["rmse"] = error == pytest.approx(stored_["rmse"][2], rel=0.03)
+    return [name for name, is_so in near.items() if not is_so]
 
 
 @pytest.mark.parametrize("seed", [(1, 0, 7), (1, 2, 3), (1, 11, 5)])
 def test_stored_findings_are_found_again(seed: tuple[int, int, int]) -> None:
-    index = numbers(1).index(seed)
-    case = Case.from_dict(read(1, "case")[index])
-    again(index, case, stored()[index])
+    assert differences(numbers(1).index(seed)) == []
 
 
 @pytest.mark.study
 def test_the_whole_population_is_as_published() -> None:
-    """The rates that docs/discrepancy.md quotes, from the stored findings, and 20 rooms anew."""
+    """All stored findings anew, an hour on two cores; and no more false alarms than 5 %."""
     rows = stored()
-    found = [
-        r["one"]["verdict"] in ("named", "ambiguous", "unknown") for r in rows if r["kind"] == 0
-    ]
-    assert np.mean(found) <= 0.05
-    for index in np.random.default_rng(0).permutation(len(rows))[:20]:
-        again(int(index), Case.from_dict(read(1, "case")[index]), rows[index])
+    controls = [r["one"]["verdict"] for r in rows if r["kind"] == 0]
+    flagged = [v in ("named", "ambiguous", "unknown") for v in controls]
+    assert np.mean(flagged) <= 0.05
+    with multiprocessing.Pool() as pool:
+        changed = {i: d for i, d in enumerate(pool.imap(differences, range(len(rows)))) if d}
+    # On another processor a path of a control room may part from its twin in the last digit.
+    assert len(changed) <= 0.01 * len(rows), changed
