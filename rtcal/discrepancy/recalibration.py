@@ -39,6 +39,7 @@ from rtcal.types import Array
 _ROUNDS = 5
 _STEP = 0.02
 _LEAST_SLOPE = 0.05
+_SMALLEST = 1e-3
 _T20 = FEATURES.index("t20")
 
 
@@ -292,7 +293,7 @@ def _size(p: Present, effects: Mapping[str, Effect]) -> float:
 
 def _spread(p: Present, effects: Mapping[str, Effect]) -> float:
     """As wide as the size itself: the data decide it, not what they were found by."""
-    return max(_size(p, effects), 1e-3)
+    return max(_size(p, effects), _SMALLEST)
 
 
 def _resized(p: Present, effects: Mapping[str, Effect], sizes: Mapping[str, float]) -> Present:
@@ -316,8 +317,14 @@ def _gains(
                 gain.append(np.zeros_like(s.air))
                 continue
             without = state(bare, replace(c, changes={}), s.alpha)
-            change = s.surface_absorption + s.objects - without.surface_absorption - without.objects
-            gain.append(np.asarray(change / _slope(without) / _size(p, effects)))
+            # A size that the QP has driven to 0 still has a slope.
+            size = max(_size(p, effects), _SMALLEST)
+            whole = [*case.present]
+            whole[i] = _resized(p, effects, {p.effect: size})
+            there = state(replace(case, present=whole), replace(c, changes={}), s.alpha)
+            change = there.surface_absorption - without.surface_absorption
+            change += there.objects - without.objects
+            gain.append(np.asarray(change / _slope(without) / size))
         found.append((p, np.array(gain)))
     return found
 
