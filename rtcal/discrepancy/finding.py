@@ -33,9 +33,9 @@ from rtcal.discrepancy.evidence import (
 from rtcal.errors import DataError
 from rtcal.types import Array
 
-SET = 1.3
-"""Nats within which an effect is a candidate beside the best. Ten to one (2.3) holds the truth more
-often, in sets half as large again: docs/discrepancy.md."""
+SET = 1.1
+"""Nats within which an effect is a candidate beside the best: odds of three to one. Ten to one (2.3)
+holds the truth more often, in sets half as large again: docs/discrepancy.md."""
 _NOWHERE = 8.0
 """Nats under the best, where no size need be tried."""
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
