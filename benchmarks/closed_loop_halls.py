@@ -39,7 +39,7 @@ class Case:
 
 
 CASES = {
-    "lecture_hall": Case(64000, 24000, 2, relative=False),
+    "lecture_hall": Case(128000, 24000, 2, relative=False),
     "hard_hall": Case(16000, 12000, 1, relative=True),
     "theatre": Case(16000, 12800, 2, relative=True),
 }
