@@ -20,7 +20,7 @@ from rtcal.simulators.sdn import ScatteringDelayNetwork
 
 SIDES = (5.0, 7.0, 3.0)
 POINTS = {"sources": {"S": (4.5, 3.5, 2.0)}, "receivers": {"R": (2.0, 2.0, 1.5)}}
-LIMITS = {1: 60, 8: 20}  # from the issue: times real time, by bands
+LIMITS = {1: 60, 8: 20}  # times real time that are promised, by bands
 REPEATS = 7
 
 

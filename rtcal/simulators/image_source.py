@@ -130,24 +130,23 @@ class ImageSource:
         """
         alpha = check_alpha(self, alpha)
         out = np.zeros((len(self.images), alpha.shape[1], self._n_bins))
-        reflection = 1 - alpha[self.box.walls].reshape(3, 2, -1)
-        attenuation = self.room.air_attenuation
+        # What any number of hits on a wall leaves, (6, n_bands, n_hits); 0**0 is 1.
+        most = max(int(axis.max()) for found in self.images for axis in found.hits)
+        near_far = (1 - alpha[self.box.walls])[..., np.newaxis] ** np.arange(most + 1)
         weigh = _weigh
         if jit.available():
             from rtcal.simulators import image_numba
 
             weigh = image_numba.weigh
         for to, found in zip(out, self.images, strict=True):
-            for band in range(alpha.shape[1]):
-                # One table per axis: what is left after an image's hits there; 0**0 is 1.
-                x, y, z = (
-                    r[0, band] ** h[:, 0] * r[1, band] ** h[:, 1]
-                    for r, h in zip(reflection, found.hits, strict=True)
-                )
-                air = np.exp(-attenuation[band] * found.lengths)
-                to[band] = air * weigh(
-                    x, y, z, found.rows, found.starts, found.bins, found.weights, self._n_bins
-                )
+            x, y, z = (
+                near[:, hits[:, 0]] * far[:, hits[:, 1]]
+                for near, far, hits in zip(near_far[::2], near_far[1::2], found.hits, strict=True)
+            )
+            to[:] = weigh(
+                x, y, z, found.rows, found.starts, found.bins, found.weights, self._n_bins
+            )
+            to *= np.exp(-np.multiply.outer(self.room.air_attenuation, found.lengths))
         return out
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
@@ -210,11 +209,17 @@ def _weigh(
     weights: Array,
     n_bins: int,
 ) -> Array:
-    """Return the energy of each bin, (n_bins,), from each axis' table of what its hits leave."""
+    """Return the energy of each bin, (n_bands, n_bins).
+
+    ``x``, ``y`` and ``z``, (n_bands, n_lattice): what an image's hits along each axis leave.
+    """
     size = np.diff(starts)
     last = np.arange(len(bins)) + np.repeat(rows[:, 2] - starts[:-1], size)
-    left = np.repeat(x[rows[:, 0]] * y[rows[:, 1]], size) * z[last]
-    return np.asarray(np.bincount(bins, left * weights, n_bins))
+    first = np.repeat(np.arange(len(rows)), size)
+    left = x[:, rows[:, 0]] * y[:, rows[:, 1]]
+    return np.array(
+        [np.bincount(bins, b[first] * c[last] * weights, n_bins) for b, c in zip(left, z, strict=True)]
+    )
 
 
 def lattice(
