@@ -37,7 +37,7 @@ from rtcal.discrepancy.evidence import (
     weigh,
 )
 from rtcal.discrepancy.model import State, predict, sensitivities
-from rtcal.discrepancy.shapes import coupled, nondiffuse
+from rtcal.discrepancy.shapes import Coupled, NonDiffuse
 from rtcal.discrepancy.states import state
 from rtcal.errors import DataError
 
@@ -125,7 +125,7 @@ def decay_times(t: np.ndarray, left: np.ndarray) -> list[float]:
 
 def test_coupled_rooms_follow_their_energy_balance() -> None:
     one = made()
-    decay = coupled(10.0, 500.0, 0.05)(one)
+    decay = Coupled(10.0, 500.0, 0.05)(one)
     c, s1 = 343.2, one.covered(10.0, np.ones(7)).rate
     band = 2
     a2 = -np.log1p(-0.05) * 6 * 500 ** (2 / 3) + 4 * 1e-3 * 500 + 10
@@ -144,7 +144,7 @@ def test_coupled_rooms_follow_their_energy_balance() -> None:
 
 
 def test_a_dead_second_room_is_an_opening() -> None:
-    dead = predict([made(shape=coupled(10.0, 1e6, 0.9))], np.array([6.0])).features[0]
+    dead = predict([made(shape=Coupled(10.0, 1e6, 0.9))], np.array([6.0])).features[0]
     hole = predict([made().covered(10.0, np.ones(7))], np.array([6.0])).features[0]
     np.testing.assert_allclose(dead, hole, atol=2e-3)
     assert (np.abs(hole[0] - predict([made()], np.array([6.0])).features[0, 0]) > 0.1).all()
@@ -152,9 +152,9 @@ def test_a_dead_second_room_is_an_opening() -> None:
 
 def test_a_field_that_scatters_is_diffuse_and_one_that_does_not_decays_by_direction() -> None:
     even = predict([made()], np.array([6.0])).features[0]
-    much = predict([made(shape=nondiffuse(50.0))], np.array([6.0])).features[0]
+    much = predict([made(shape=NonDiffuse(50.0))], np.array([6.0])).features[0]
     np.testing.assert_allclose(much[:3], even[:3], atol=0.02)
-    little = predict([made(shape=nondiffuse(0.02))], np.array([6.0])).features[0]
+    little = predict([made(shape=NonDiffuse(0.02))], np.array([6.0])).features[0]
     assert (little[0] > even[0] + 0.1).all()  # the directions that see little absorption last
     assert (little[1] < -0.05).all()  # ... and the early decay is that of the others
     assert (little[2] > 0.01).all()

@@ -15,8 +15,8 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from rtcal.acoustics.air import Air
+from rtcal.discrepancy import shapes
 from rtcal.discrepancy.model import State
-from rtcal.discrepancy.shapes import coupled, nondiffuse
 from rtcal.types import Array
 
 Parameters = Mapping[str, float]
@@ -126,8 +126,7 @@ class Absorber(Named):
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the absorber in place of wall."""
-        spectrum = self.spectrum(state.frequencies, parameters)
-        return state.covered(parameters[self.size], spectrum)
+        return state.covered(parameters[self.size], self.spectrum(state.frequencies, parameters))
 
 
 def middle_absorption(state: State) -> float:
@@ -227,9 +226,8 @@ class Furniture(Named):
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the objects."""
-        return state.with_objects(
-            parameters["absorption_area"] * between(state.frequencies, self.SPECTRUM)
-        )
+        each = between(state.frequencies, self.SPECTRUM)
+        return state.with_objects(parameters["absorption_area"] * each)
 
 
 @dataclass(frozen=True)
@@ -265,9 +263,12 @@ def _porous(frequencies: tuple[float, ...], thickness: float, flow_resistivity: 
     angles = np.linspace(0, np.radians(78), 40)
     normal, weight = z[..., None] * np.cos(angles), np.sin(2 * angles)
     absorbed = 1 - np.abs((normal - 1) / (normal + 1)) ** 2
-    alpha = np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1)
-    alpha.setflags(write=False)
-    return np.asarray(alpha)
+    return _kept(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
+
+
+def _kept(alpha: Array) -> Array:
+    alpha.setflags(write=False)  # the cache hands it out again
+    return alpha
 
 
 @dataclass(frozen=True)
@@ -285,9 +286,13 @@ class Resonator(Absorber):
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, averaged over each octave."""
-        inside = frequencies[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9)
-        x = inside / parameters["resonance"]
-        return np.asarray((0.8 / (1 + parameters["quality"] ** 2 * (x - 1 / x) ** 2)).mean(1))
+        return _resonator(tuple(frequencies), parameters["resonance"], parameters["quality"])
+
+
+@lru_cache(maxsize=256)
+def _resonator(frequencies: tuple[float, ...], resonance: float, quality: float) -> Array:
+    x = np.array(frequencies)[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9) / resonance
+    return _kept((0.8 / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))
 
 
 @dataclass(frozen=True)
@@ -304,10 +309,8 @@ class WrongArea(Named):
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return each material at .4 to 2.5 times its area."""
         ratios = [r for r in np.geomspace(0.4, 2.5, 12) if abs(r - 1) > 0.05]
-        return [
-            {"material": float(j), "ratio": float(r)}
-            for j, r in product(range(len(state.areas)), ratios)
-        ]
+        both = product(range(len(state.areas)), ratios)
+        return [{"material": float(j), "ratio": float(r)} for j, r in both]
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with that area."""
@@ -378,9 +381,7 @@ class CoupledRoom(Named):
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room coupled to the other."""
-        return replace(state, shape=coupled(
-            parameters["aperture"], parameters["volume"], parameters["alpha"]
-        ))  # fmt: skip
+        return replace(state, shape=shapes.Coupled(**parameters))
 
 
 @dataclass(frozen=True)
@@ -399,7 +400,7 @@ class NonDiffuse(Named):
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with so little scattering."""
-        return replace(state, shape=nondiffuse(parameters["scattering"]))
+        return replace(state, shape=shapes.NonDiffuse(**parameters))
 
 
 @dataclass(frozen=True)

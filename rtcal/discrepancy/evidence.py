@@ -205,18 +205,17 @@ def _misfit(d: Array, amount: Array, feature: NDArray[np.intp], kappa: float) ->
     Of changes ``d`` (..., m) of the features that ``feature`` (m,) numbers, ``amount`` (..., m) the
     change of ln T20 in the same band and configuration.
     """
-    out = _half_common(kappa * d)
-    for name, share in BENDING:
-        own = np.flatnonzero(feature == FEATURES.index(name))
-        out[..., own[:, None], own] += _half_common(share * amount[..., own])
-    return out
+    parts = [kappa * d]
+    parts += [share * amount * (feature == FEATURES.index(name)) for name, share in BENDING]
+    return _half_common(np.stack(parts, axis=-2))
 
 
-def _half_common(e: Array) -> Array:
-    """½ e e' + ½ diag e²: errors of standard deviations e, half of it in common."""
-    out = 0.5 * e[..., :, None] * e[..., None, :]
-    diagonal = np.arange(e.shape[-1])
-    out[..., diagonal, diagonal] *= 2
+def _half_common(parts: Array) -> Array:
+    """Sum over the parts e of ½ e e' + ½ diag e²: errors e, half of each in common; (..., n, m)."""
+    parts = np.sqrt(0.5) * parts
+    out = np.swapaxes(parts, -1, -2) @ parts
+    diagonal = np.arange(parts.shape[-1])
+    out[..., diagonal, diagonal] += (parts**2).sum(-2)
     return np.asarray(out)
 
 
@@ -246,7 +245,7 @@ def alpha_variance(
             shared = np.array([
                 a == b or (m not in first and m not in second) for m in room.materials
             ], dtype=float)  # fmt: skip
-            product = np.einsum("nmk,nml,m->nkl", scaled[:, a], scaled[:, b], shared)
+            product = np.swapaxes(scaled[:, a] * shared[:, None], 1, 2) @ scaled[:, b]
             out[:, a, :, b, :] = product * rho
     return out
 

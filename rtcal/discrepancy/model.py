@@ -23,7 +23,7 @@ _STEPS = 12
 class Decay:
     """Energy density after a pulse of unit energy: sum over j of ``weights`` exp(-``rates`` t).
 
-    Both (n_bands, n_terms), in 1/m³ and 1/s.
+    Both (n_bands, n_terms), in 1/m³ and 1/s; (n, n_bands, n_terms) of many rooms.
     """
 
     weights: Array
@@ -157,17 +157,9 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
     n_bands = len(states[0].air)
     features = np.empty((len(states), len(FEATURES), n_bands))
     shifted = np.empty_like(features)
-    shapes = {i: s.decay() for i, s in enumerate(states) if s.shape is not None}
-    widths = np.array([shapes[i].rates.shape[1] if i in shapes else 1 for i in range(len(states))])
-    single = rates(states)[:, :, None]
-    for width in np.unique(widths):
-        here = np.flatnonzero(widths == width).tolist()
+    for here, decay in _alike(states):
         group = [states[i] for i in here]
-        rate = np.array([shapes[i].rates if i in shapes else single[i] for i in here])
-        weights = np.array([
-            shapes[i].weights if i in shapes else np.full((n_bands, 1), 1 / states[i].volume)
-            for i in here
-        ])  # fmt: skip
+        weights, rate = decay.weights, decay.rates
         floor = np.array([np.nan if s.floor_db is None else s.floor_db for s in group])
         record = np.array([s.record for s in group])
         direct = np.array([s.direct_db for s in group])
@@ -175,7 +167,7 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
         at = np.asarray(distance)
         features[here] = _levels(weights, rate, direct, at, c)
         shifted[here] = _levels(weights, rate / 1.01, direct, at, c)
-        if width == 1 and not np.isfinite(floor).any():
+        if rate.shape[2] == 1 and not np.isfinite(floor).any():
             features[here, 0] = np.log(_LN6 / rate[:, :, 0])
         else:
             features[here, :3] = _times(weights, rate, floor, record)
@@ -185,6 +177,37 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
     return Predicted(
         features, (shifted - features) / np.log(1.01), np.exp(features[:, FEATURES.index("t20")])
     )
+
+
+def _alike(states: Sequence[State]) -> list[tuple[list[int], Decay]]:
+    """Which states have decays of as many terms, all with a noise floor or all without; and these.
+
+    The decays are (n, n_bands, n_terms).
+    """
+    groups: dict[tuple[object, bool], list[int]] = {}
+    alone: dict[int, Decay] = {}
+    for i, s in enumerate(states):
+        kind: object = type(s.shape)
+        if s.shape is not None and not hasattr(s.shape, "together"):
+            alone[i] = s.shape(s)
+            kind = alone[i].rates.shape[1]
+        groups.setdefault((kind, s.floor_db is not None), []).append(i)
+    out = []
+    for here in groups.values():
+        group = [states[i] for i in here]
+        if here[0] in alone:
+            decays = [alone[i] for i in here]
+            decay = Decay(
+                np.array([d.weights for d in decays]), np.array([d.rates for d in decays])
+            )
+        elif (together := getattr(group[0].shape, "together", None)) is not None:
+            decay = together(group, [s.shape for s in group])
+        else:
+            rate = rates(group)[:, :, None]
+            volume = np.array([s.volume for s in group])[:, None, None]
+            decay = Decay(np.ones_like(rate) / volume, rate)
+        out.append((here, decay))
+    return out
 
 
 def _levels(weights: Array, rates: Array, direct_db: Array, distance: Array, c: float) -> Array:

@@ -218,7 +218,10 @@ def _weigh(
     first = np.repeat(np.arange(len(rows)), size)
     left = x[:, rows[:, 0]] * y[:, rows[:, 1]]
     return np.array(
-        [np.bincount(bins, b[first] * c[last] * weights, n_bins) for b, c in zip(left, z, strict=True)]
+        [
+            np.bincount(bins, b[first] * c[last] * weights, n_bins)
+            for b, c in zip(left, z, strict=True)
+        ]
     )
 
 
