@@ -61,6 +61,13 @@ def whole(place: str, value: object, least: int, error: type[RtcalError] = DataE
     return int(value)
 
 
+def flag(place: str, value: object) -> bool:
+    """Return true or false; DataError for anything else, also for 0, 1 and text."""
+    if not isinstance(value, bool | np.bool_):
+        raise DataError(f"{place} = {_shown(value)} is not true or false")
+    return bool(value)
+
+
 def instance(place: str, value: object, kind: type[T]) -> T:
     """Return what is of one of rtcal's types; DataError for anything else."""
     if not isinstance(value, kind):

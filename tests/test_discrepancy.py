@@ -488,6 +488,11 @@ def test_a_case_s_file(tmp_path: Path) -> None:
 
 
 def test_what_was_added_must_be_in_the_library() -> None:
-    case = replace(opened(), present=[Present("ghost", {"size": 1.0})])
     with pytest.raises(DataError, match='effect "ghost" is not in the library'):
-        hypotheses(case, [])
+        Present("ghost", {"size": 1.0})
+    data = opened().to_dict() | {"present": [{"effect": "ghost", "parameters": {"size": 1.0}}]}
+    with pytest.raises(DataError, match='effect "ghost" is not in the library'):
+        Case.from_dict(data)
+    lacking = replace(opened(), present=[Present("opening", {})])
+    with pytest.raises(DataError, match="\"opening\": change with no parameter raises KeyError"):
+        hypotheses(lacking, [])

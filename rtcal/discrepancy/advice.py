@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.effect_checks import checked
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.evidence import (
     NONE,
@@ -186,7 +187,7 @@ def plan(
     if not (np.isfinite(change) and change > 0):
         raise DataError(f"change = {change:g} is not finite and above 0")
     observed, _ = observe(case)
-    predicted = hypotheses(case, library() if effects is None else tuple(effects))
+    predicted = hypotheses(case, library() if effects is None else checked(effects))
     if error is None:
         shape = observed.used.shape
         spread = np.broadcast_to(np.array(GENERIC)[None, :, None] ** 2, shape).ravel()

@@ -30,7 +30,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +41,14 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.files import read_text, write_text
 from rtcal.acoustics.materials import number
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import AXES, Room
+from rtcal.acoustics.room import AXES, CalibrationRecord, Room
+from rtcal.calibration.measured import refuse_twice, times_in_room
+from rtcal.discrepancy.effect_checks import EQUATIONS
+from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
 from rtcal.types import Array
 
 _LARGEST = 50_000_000  # bytes
-EQUATIONS = ("eyring", "sabine", "kuttruff", "millington")
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
 NORMAL_90 = 1.6449
 """Standard deviations on each side that hold 90 % of a normal distribution."""
@@ -92,11 +94,25 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Present:
-    """An effect that has been added to the model: name, parameters, its size's 90 % interval."""
+    """An effect that has been added to the model: name, parameters, its size's 90 % interval.
+
+    ``own`` is the effect itself where it is not the library's; it cannot be saved. DataError if there
+    is none, and none of that name in the library.
+    """
 
     effect: str
     parameters: Mapping[str, float]
     size_interval: tuple[float, float] | None = None
+    own: Effect | None = None
+
+    def __post_init__(self) -> None:
+        if self.own is None and self.effect not in {e.name for e in library()}:
+            raise DataError(f'effect "{self.effect}" is not in the library')
+
+    @property
+    def itself(self) -> Effect:
+        """The effect: how it changes a room's state."""
+        return self.own or next(e for e in library() if e.name == self.effect)
 
     @property
     def size_sigma(self) -> float:
@@ -169,10 +185,12 @@ class Case:
         room_data = dict(_mapping(where, data, "room"))
         facing = room_data.pop("facing", None)
         climate = room_data.pop("air", None)
+        record = room_data.pop("calibration", None)
         try:
             room = Room(
                 **{"name": "room", **room_data},
                 air=_air(f"{where}: room: air", climate),
+                calibration=_record(f"{where}: room: calibration", record),
             )
         except TypeError as error:
             raise DataError(f"{where}: room: {error}") from error
@@ -195,15 +213,24 @@ class Case:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return nested plain values: what `from_dict` reads."""
+        """Return nested plain values: what `from_dict` reads.
+
+        Raises DataError where an effect was added that is not in the library.
+        """
         room = self.room
+        if own := [p.effect for p in self.present if p.own is not None]:
+            raise DataError(
+                f'effect "{own[0]}" is not in the library: a case that holds it cannot be saved, since '
+                "whoever reads it does not know the effect"
+            )
+        record = {} if room.calibration is None else {"calibration": vars(room.calibration).copy()}
         return {
             "room": {
                 "name": room.name, "volume": room.volume, "materials": list(room.materials),
                 "areas": room.areas.tolist(), "alpha": room.alpha.tolist(),
                 "sigma": room.sigma.tolist(), "band_correlation": room.band_correlation,
                 "centre_frequencies": room.centre_frequencies.tolist(),
-                "air": _air_dict(room.air), "facing": self.facing.tolist(),
+                "air": _air_dict(room.air), "facing": self.facing.tolist(), **record,
             },
             "equation": self.equation,
             "configurations": [_configuration_dict(c) for c in self.configurations],
@@ -248,12 +275,20 @@ class Case:
         )
 
     def save(self, path: str) -> None:
-        """Write the case as JSON, whole or not at all."""
+        """Write the case as JSON, whole or not at all; DataError as `to_dict`."""
         write_text(path, self.to_json())
 
     def to_json(self) -> str:
         """Return what `save` writes."""
         return json.dumps(self.to_dict(), indent=1) + "\n"
+
+    def refuse_twice(self) -> None:
+        """Raise DataError if the room was calibrated on a configuration's T: it would count twice."""
+        if self.room.calibration is None:
+            return
+        for c in self.configurations:
+            if np.isfinite(c.measured.decay_time().mean).any():
+                refuse_twice(self.room, times_in_room(self.room, c.measured))
 
     def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:
         """Return the case with some of its parameters, and some of its configurations."""
@@ -270,10 +305,14 @@ class Case:
         return replace(self, configurations=kept)
 
 
-def _mapping(where: str, data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+def _stated(where: str, data: Mapping[str, Any], name: str) -> Any:
     if name not in data:
         raise DataError(f"{where}: {name} is missing")
-    return checks.mapped(f"{where}: {name}", data[name])
+    return data[name]
+
+
+def _mapping(where: str, data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    return checks.mapped(f"{where}: {name}", _stated(where, data, name))
 
 
 def _facing(room: Room, facing: Any) -> Array:
@@ -382,6 +421,19 @@ def _present(data: Mapping[str, Any]) -> Present:
     return Present(str(data.get("effect")), values, ends)
 
 
+def _record(where: str, record: Any) -> CalibrationRecord | None:
+    if record is None:
+        return None
+    entry = checks.mapped(where, record)
+    known = [f.name for f in fields(CalibrationRecord)]
+    for name, value in entry.items():
+        if name not in known or not isinstance(value, str):
+            raise DataError(f"{where}: {name} = {value!r} is not a text for {', '.join(known)}")
+    for name in ("method", "equation", "measured"):
+        _stated(where, entry, name)
+    return CalibrationRecord(**entry)
+
+
 def _air(where: str, climate: Any) -> Air | None:
     if climate is None:
         return None
@@ -394,8 +446,7 @@ def _air(where: str, climate: Any) -> Air | None:
 def _change(where: str, value: Any) -> Change:
     entry = checks.mapped(where, value)
     for name in ("alpha", "sigma"):
-        if name not in entry:
-            raise DataError(f"{where}: {name} is missing")
+        _stated(where, entry, name)
     return Change(*(checks.array(f"{where}: {name}", entry[name]) for name in ("alpha", "sigma")))
 
 

@@ -17,7 +17,6 @@ from rtcal.acoustics.equations import Eyring, Kuttruff, Sabine
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.discrepancy.case import Case, Configuration, Present
-from rtcal.discrepancy.effects import library
 from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.discrepancy.states import distances, state, with_present
 from rtcal.errors import DataError
@@ -61,13 +60,20 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     Raises
     ------
     DataError
-        For a simulator that cannot have an effect: a coupled room, a noise floor.
+        For a simulator that cannot have an effect: a coupled room, a noise floor, an effect of your
+        own on the decay.
     """
     if make is None:
         return CaseModel(case)
     for p in case.present:
         if p.effect in _REST:
             raise DataError(f"{p.effect}: {_REST[p.effect]}")
+    for p in _settled(case)[1]:
+        if p.own is not None:
+            raise DataError(
+                f"{p.effect}: it bends the decay, which no material of a simulator does; without "
+                "make the case's own model is the simulator"
+            )
     return Spread(case, make(_stated(case)))
 
 
@@ -236,8 +242,7 @@ def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
 
 def _spread(p: Present) -> float:
     """The relative standard deviation of an absorber's size."""
-    effect = next(e for e in library() if e.name == p.effect)
-    return p.size_sigma / max(abs(p.parameters[effect.size]), 1e-9)
+    return p.size_sigma / max(abs(p.parameters[p.itself.size]), 1e-9)
 
 
 def _absorption(s: State) -> Array:

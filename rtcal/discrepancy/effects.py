@@ -16,6 +16,7 @@ import numpy as np
 
 from rtcal.acoustics.air import Air
 from rtcal.discrepancy import shapes
+from rtcal.discrepancy.effect_checks import check_spectrum
 from rtcal.discrepancy.model import State
 from rtcal.types import Array
 
@@ -126,7 +127,9 @@ class Absorber(Named):
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the absorber in place of wall."""
-        return state.covered(parameters[self.size], self.spectrum(state.frequencies, parameters))
+        alpha = self.spectrum(state.frequencies, parameters)
+        alpha = check_spectrum(self.name, alpha, state.frequencies)
+        return state.covered(parameters[self.size], alpha)
 
 
 def middle_absorption(state: State) -> float:

@@ -19,7 +19,8 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.discrepancy.case import Case, Configuration, Present
-from rtcal.discrepancy.effects import Effect, Parameters, library
+from rtcal.discrepancy.effect_checks import changed, tried
+from rtcal.discrepancy.effects import Effect, Parameters
 from rtcal.discrepancy.engines import Controls
 from rtcal.discrepancy.model import FEATURES, Predicted, State, predict, sensitivities
 from rtcal.discrepancy.states import distances, state
@@ -149,17 +150,28 @@ def hypotheses(case: Case, effects: Sequence[Effect]) -> Hypotheses:
     parameters: list[Parameters] = [{}]
     states: list[list[State]] = [base]
     for effect in effects:
-        for theta in effect.grid(base[0]):
+        for theta in tried(effect, base[0]):
             names.append(effect.name)
             parameters.append(theta)
             states.append([
-                one if c.suspect_removed and effect.removable else effect.change(one, theta)
+                one if c.suspect_removed and effect.removable else changed(effect, one, theta)
                 for one, c in zip(base, case.configurations, strict=True)
             ])  # fmt: skip
-    predicted = [
-        predict([row[c] for row in states], distances(case, configuration))
-        for c, configuration in enumerate(case.configurations)
-    ]
+    with np.errstate(all="ignore"):  # what is not finite is refused by name
+        predicted = [
+            predict([row[c] for row in states], distances(case, configuration))
+            for c, configuration in enumerate(case.configurations)
+        ]
+    for p in predicted:
+        if not (
+            finite := np.isfinite(p.features).all((1, 2)) & np.isfinite(p.slopes).all((1, 2))
+        ).all():
+            i = int(np.argmin(finite))
+            culprit = "the case's model" if i == 0 else f'effect "{names[i]}" with {parameters[i]}'
+            raise DataError(
+                f"{culprit} has no finite T, C80 and G in a room of {case.room.volume:g} m³ with "
+                f"{case.room.total_area:g} m² of walls"
+            )
     return Hypotheses(
         names=tuple(names),
         parameters=tuple(parameters),
@@ -185,7 +197,7 @@ def _present_covariance(case: Case) -> Array:
     out = np.zeros((len(base), len(base)))
     for i, one in enumerate(case.present):
         if one.size_sigma > 0:
-            size = next(e for e in library() if e.name == one.effect).size
+            size = one.itself.size
             moved = {**one.parameters, size: one.parameters[size] + one.size_sigma}
             others = list(case.present)
             others[i] = replace(one, parameters=moved)

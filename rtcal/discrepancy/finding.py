@@ -16,6 +16,7 @@ from rtcal.discrepancy.advice import next_measurement
 from rtcal.discrepancy.bootstrap import Threshold, control_rooms
 from rtcal.discrepancy.bootstrap import threshold as bootstrapped
 from rtcal.discrepancy.case import Case, Present
+from rtcal.discrepancy.effect_checks import checked
 from rtcal.discrepancy.effects import Effect, Parameters, library
 from rtcal.discrepancy.engines import Controls, Report, nothing
 from rtcal.discrepancy.evidence import (
@@ -115,7 +116,9 @@ class Finding:
         if any(p.effect == self.effect for p in case.present):
             return case
         ends = None if self.size is None else (self.size.low, self.size.high)
-        added = Present(str(self.effect), dict(self.parameters), ends)
+        effect = self.effects[str(self.effect)]
+        own = None if effect in library() else effect
+        added = Present(str(self.effect), dict(self.parameters), ends, own)
         return replace(case, present=(*case.present, added))
 
     def to_dict(self) -> dict[str, Any]:
@@ -178,9 +181,11 @@ def find(
     Raises
     ------
     DataError
-        If fewer than two engines are given.
+        If fewer than two engines are given; if the room was calibrated on one of the case's T
+        already; for an effect that breaks a rule, which the message names.
     """
-    effects = library() if effects is None else tuple(effects)
+    case.refuse_twice()
+    effects = library() if effects is None else checked(effects)
     observed, notes = observe(case)
     predicted = hypotheses(case, effects)
     if not isinstance(threshold, Threshold):

@@ -29,7 +29,6 @@ from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
 from rtcal.discrepancy.case import NORMAL_90, Case, Configuration, Present
 from rtcal.discrepancy.corrected import corrected_room
-from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.evidence import KAPPA, ModelError, observe
 from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.discrepancy.states import distances, state
@@ -104,7 +103,7 @@ class Recalibrated:
     def effects(self) -> list[dict[str, Any]]:
         """The effects with their sizes as calibrated, and the 90 % interval that all data gave."""
         return [
-            p.to_dict() | {"size": self.sizes.get(p.effect), "unit": _unit(p)}
+            p.to_dict() | {"size": self.sizes.get(p.effect), "unit": p.itself.unit}
             for p in self.case.present
         ]
 
@@ -125,10 +124,6 @@ class Recalibrated:
                 for (c, m), v in self.changed.items()
             ],
         }  # fmt: skip
-
-
-def _unit(p: Present) -> str:
-    return next(e.unit for e in library() if e.name == p.effect)
 
 
 def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
@@ -178,6 +173,11 @@ def recalibrate(case: Case, error: ModelError | None = None) -> Recalibrated:
     case : Case
     error : ModelError, optional
         The model's own, from control rooms; it widens what T is known to, and its bias is taken off.
+
+    Raises
+    ------
+    DataError
+        If the room was calibrated on one of the case's T already.
     """
     return _calibrated(case, case, error, exact=False)
 
@@ -185,6 +185,7 @@ def recalibrate(case: Case, error: ModelError | None = None) -> Recalibrated:
 def _calibrated(
     fitted: Case, whole: Case, error: ModelError | None, *, exact: bool
 ) -> Recalibrated:
+    whole.refuse_twice()
     room = fitted.room
     n, k = len(fitted.configurations), room.n_bands
     observed, _ = observe(fitted)
@@ -195,7 +196,6 @@ def _calibrated(
     variance[observed.used] = np.diag(observed.covariance)
     t = np.exp(observed.features[:, _T20] - bias[:n, _T20])
     u = np.sqrt(variance[:, _T20] + own[:n, _T20] + _misfit(fitted) ** 2)
-    effects = {e.name: e for e in library()}
     present = list(fitted.present)
     alpha, changed = np.array(room.alpha), dict[tuple[str, str], Array]()
     solved: JointResult
@@ -204,12 +204,12 @@ def _calibrated(
         states = [_state(case, c, alpha, changed) for c in fitted.configurations]
         rooms = [_room(room, c, s) for c, s in zip(fitted.configurations, states, strict=True)]
         equation = _equation(fitted, states[0])
-        gains = _gains(case, states, effects)
+        gains = _gains(case, states)
         # What the effects of the QP add is known to the target only through these unknowns.
         here, moved = (
             np.log([
                 [
-                    _qp_time(equation, r, s, [(g[c], _size(p, effects)) for p, g in gains]),
+                    _qp_time(equation, r, s, [(g[c], _size(p)) for p, g in gains]),
                     predict([s], distances(fitted, where)).reverberation_time[0],
                 ]
                 for c, (r, s, where) in enumerate(
@@ -225,21 +225,19 @@ def _calibrated(
         slope = np.clip(slope, _LEAST_SLOPE, 2.0)
         target = np.exp(here[:, 0] + np.clip((np.log(t) - here[:, 1]) / slope, -1.5, 1.5))
         terms = [
-            AddedAbsorption(p.effect, list(g), sigma=_spread(p, effects), mean=_size(p, effects))
-            for p, g in gains
+            AddedAbsorption(p.effect, list(g), sigma=_spread(p), mean=_size(p)) for p, g in gains
         ]
         solved = _solve(rooms, equation, target, u / slope, terms, exact=exact)
         alpha, changed = _values(fitted, solved)
         present = [
-            _resized(p, effects, solved.effects) if p.effect in solved.effects else p
-            for p in present
+            _resized(p, solved.effects) if p.effect in solved.effects else p for p in present
         ]
     done = replace(whole, present=present if fitted.present else whole.present)
     features = np.array([
         predict([_state(done, c, alpha, changed)], distances(whole, c)).features[0]
         for c in whole.configurations
     ])  # fmt: skip
-    sizes = {p.effect: _size(p, effects) for p in present if np.isfinite(effects[p.effect].neutral)}
+    sizes = {p.effect: _size(p) for p in present if np.isfinite(p.itself.neutral)}
     return Recalibrated(done, alpha, changed, sizes, features, solved)
 
 
@@ -287,26 +285,24 @@ def _equation(case: Case, s: State) -> LinearEquation:
     return kind(speed_of_sound=case.room.speed_of_sound)
 
 
-def _size(p: Present, effects: Mapping[str, Effect]) -> float:
-    return float(p.parameters[effects[p.effect].size])
+def _size(p: Present) -> float:
+    return float(p.parameters[p.itself.size])
 
 
-def _spread(p: Present, effects: Mapping[str, Effect]) -> float:
+def _spread(p: Present) -> float:
     """As wide as the size itself: the data decide it, not what they were found by."""
-    return max(_size(p, effects), _SMALLEST)
+    return max(_size(p), _SMALLEST)
 
 
-def _resized(p: Present, effects: Mapping[str, Effect], sizes: Mapping[str, float]) -> Present:
-    return replace(p, parameters={**p.parameters, effects[p.effect].size: sizes[p.effect]})
+def _resized(p: Present, sizes: Mapping[str, float]) -> Present:
+    return replace(p, parameters={**p.parameters, p.itself.size: sizes[p.effect]})
 
 
-def _gains(
-    case: Case, states: list[State], effects: Mapping[str, Effect]
-) -> list[tuple[Present, Array]]:
+def _gains(case: Case, states: list[State]) -> list[tuple[Present, Array]]:
     """What a unit of each additive effect adds to S'alpha, (n_configurations, n_bands), in m²."""
     found = []
     for i, p in enumerate(case.present):
-        effect = effects[p.effect]
+        effect = p.itself
         if not effect.removable or (states[0].shape is not None and effect.name == "coupled room"):
             continue
         others = [q for j, q in enumerate(case.present) if j != i]
@@ -318,9 +314,9 @@ def _gains(
                 continue
             without = state(bare, replace(c, changes={}), s.alpha)
             # A size that the QP has driven to 0 still has a slope.
-            size = max(_size(p, effects), _SMALLEST)
+            size = max(_size(p), _SMALLEST)
             whole = [*case.present]
-            whole[i] = _resized(p, effects, {p.effect: size})
+            whole[i] = _resized(p, {p.effect: size})
             there = state(replace(case, present=whole), replace(c, changes={}), s.alpha)
             change = there.surface_absorption - without.surface_absorption
             change += there.objects - without.objects

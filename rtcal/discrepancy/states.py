@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtcal.discrepancy.case import Case, Configuration, Present
-from rtcal.discrepancy.effects import library
+from rtcal.discrepancy.effect_checks import changed
 from rtcal.discrepancy.model import State
-from rtcal.errors import DataError
 from rtcal.types import Array
 
 
@@ -34,13 +33,9 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
 
 def with_present(made: State, present: Sequence[Present], configuration: Configuration) -> State:
     """Return the state with the effects that have been added to the model."""
-    effects = {e.name: e for e in library()} if present else {}
     for one in present:
-        if one.effect not in effects:
-            raise DataError(f'effect "{one.effect}" is not in the library')
-        effect = effects[one.effect]
-        if not (configuration.suspect_removed and effect.removable):
-            made = effect.change(made, one.parameters)
+        if not (configuration.suspect_removed and one.itself.removable):
+            made = changed(one.itself, made, one.parameters)
     return made
 
 

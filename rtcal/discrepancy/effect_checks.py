@@ -1,0 +1,176 @@
+"""What an effect must keep to, whoever wrote it: every rule that is broken names the effect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from rtcal import checks
+from rtcal.acoustics import bands
+from rtcal.discrepancy.model import Decay, State
+from rtcal.errors import DataError, RtcalError
+from rtcal.types import Array
+
+if TYPE_CHECKING:
+    from rtcal.discrepancy.effects import Effect, Parameters
+
+T = TypeVar("T")
+EQUATIONS = ("eyring", "sabine", "kuttruff", "millington")
+"""That a state, and so a case, can be predicted with."""
+_TEXTS = ("name", "size", "unit")
+_RESERVED = ("none", "unknown")
+_OF_BANDS = {"alpha": (0.0, 1.0), "air": (0.0, np.inf), "covering": (-np.inf, np.inf),
+             "objects": (-np.inf, np.inf)}  # fmt: skip
+_NUMBERS = {"volume": (1e-6, np.inf), "record": (1e-6, np.inf), "direct_db": (-np.inf, np.inf)}
+
+
+def checked(effects: object) -> tuple[Effect, ...]:
+    """Return effects that have all that an effect has, each a name of its own; DataError otherwise."""
+    every: tuple[Any, ...] = checks.listed("effects", effects)
+    if not every:
+        raise DataError("effects is empty; there is at least one to try")
+    for i, effect in enumerate(every):
+        _check(f"effects[{i}]", effect)
+    names = [effect.name for effect in every]
+    if twice := next((n for n in names if names.count(n) > 1), None):
+        raise DataError(f'effects has "{twice}" twice; each has a name of its own')
+    return every
+
+
+def _check(place: str, effect: Any) -> None:
+    if isinstance(effect, type):
+        raise DataError(
+            f"{place} = {effect.__name__} is a class; an effect is made: {effect.__name__}()"
+        )
+    if not all(callable(getattr(effect, name, None)) for name in ("grid", "change")):
+        raise DataError(f"{place} = {effect!r} is no effect: it has no grid and no change")
+    for name in _TEXTS:
+        text = getattr(effect, name, None)
+        blank = name != "unit" and not str(text).strip()
+        if not isinstance(text, str) or blank or not text.isprintable():
+            raise DataError(f"{place} = {effect!r}: {name} = {text!r} is not a text of one line")
+    if effect.name in _RESERVED:
+        raise DataError(f'{place}: name = "{effect.name}" is a verdict\'s; an effect has another')
+    where = f'effect "{effect.name}"'
+    checks.number(f"{where}: neutral", getattr(effect, "neutral", None))
+    error = checks.number(f"{where}: size_error", getattr(effect, "size_error", None))
+    if not 0 <= error < np.inf:
+        raise DataError(f"{where}: size_error = {error:g} is not finite and 0 or more")
+    checks.flag(f"{where}: removable", getattr(effect, "removable", None))
+    checks.listed(f"{where}: discrete", getattr(effect, "discrete", None))
+
+
+def tried(effect: Effect, state: State) -> Sequence[Parameters]:
+    """Return the effect's grid: at least one set of the same finite numbers, its size among them."""
+    where = f'effect "{effect.name}": grid'
+    grid = checks.listed(where, _run(where, lambda: effect.grid(state)))
+    if not grid:
+        raise DataError(f"{where} is empty; there is at least one set of parameters to try")
+    known = set(checks.mapped(where, grid[0]))
+    if effect.size not in known:
+        raise DataError(f'{where} has no "{effect.size}", which is the effect\'s size')
+    for theta in grid:
+        if not isinstance(theta, Mapping) or set(theta) != known:
+            raise DataError(f"{where} has {theta!r}; each of it has {', '.join(map(str, known))}")
+        for name, value in theta.items():
+            if not np.isfinite(checks.number(f"{where}: {name}", value)):
+                raise DataError(f"{where}: {name} = {value:g} is not finite")
+    return grid
+
+
+def changed(effect: Effect, state: State, parameters: Parameters) -> State:
+    """Return the state with the effect in it; DataError where that is no room's state."""
+    where = f'effect "{effect.name}": change'
+    made = _run(where, lambda: effect.change(state, parameters), parameters)
+    if not isinstance(made, State):
+        raise DataError(f"{where} returns {type(made).__name__}; it returns a State")
+    for name in _FIELDS:
+        value = getattr(made, name)
+        if value is not getattr(state, name):
+            _check_field(f"{where} with {_said(parameters)}: {name}", name, value, state)
+    if made.shape is not state.shape and not hasattr(made.shape, "together"):
+        _check_shape(effect.name, made)
+    return made
+
+
+_FIELDS = tuple(f.name for f in fields(State))
+
+
+def _check_field(where: str, name: str, value: Any, state: State) -> None:
+    if name in _OF_BANDS or name == "areas":
+        least, most = _OF_BANDS.get(name, (0.0, np.inf))
+        array = checks.array(where, value)
+        shape = getattr(state, name).shape if name in ("areas", "alpha") else state.air.shape
+        if array.shape != shape and not (array.shape == () and name in ("covering", "objects")):
+            raise DataError(f"{where} has shape {array.shape}; it is {shape}")
+        if not (np.isfinite(array) & (array >= least) & (array <= most)).all():
+            raise DataError(f"{where} is not {_rule(least, most)} in every band")
+    elif name in _NUMBERS or (name == "floor_db" and value is not None):
+        least, most = _NUMBERS.get(name, (-np.inf, np.inf))
+        found = checks.number(where, value)
+        if not (np.isfinite(found) and least <= found <= most):
+            raise DataError(f"{where} = {found:g} is not {_rule(least, most)}")
+    elif name == "equation" and value not in EQUATIONS:
+        raise DataError(f"{where} = {value!r} is not one of {', '.join(EQUATIONS)}")
+    elif name == "shape" and not (value is None or callable(value)):
+        raise DataError(f"{where} = {value!r} does not turn a state into a Decay")
+
+
+def _rule(least: float, most: float) -> str:
+    if np.isinf(least):
+        return "finite"
+    return f"finite and {least:g} or more" if np.isinf(most) else f"from {least:g} to {most:g}"
+
+
+def _check_shape(name: str, made: State) -> None:
+    where = f'effect "{name}": shape'
+    shape = made.shape
+    if shape is None:
+        return
+    decay = _run(where, lambda: shape(made))
+    if not isinstance(decay, Decay):
+        raise DataError(f"{where} returns {type(decay).__name__}; it returns a Decay")
+    weights = checks.array(f"{where}: weights", decay.weights)
+    rates = checks.array(f"{where}: rates", decay.rates)
+    n_bands = len(made.frequencies)
+    if weights.ndim != 2 or len(weights) != n_bands or rates.shape != weights.shape:
+        raise DataError(
+            f"{where}: weights and rates have shapes {weights.shape} and {rates.shape}; both are "
+            f"(n_bands = {n_bands}, n_terms)"
+        )
+    if not (np.isfinite(weights).all() and np.isfinite(rates).all() and (rates > 0).all()):
+        raise DataError(f"{where}: weights and rates are not finite, the rates above 0")
+
+
+def check_spectrum(name: str, alpha: object, frequencies: Array) -> Array:
+    """Return an absorber's alpha, (n_bands,), in [0, 1]; DataError naming effect, place and rule."""
+    where = f'effect "{name}": spectrum'
+    array = checks.array(where, alpha)
+    if array.shape != frequencies.shape:
+        raise DataError(
+            f"{where} has shape {array.shape}; it is (n_bands,) = ({len(frequencies)},)"
+        )
+    # NaN is the least and the largest of what it stands among, and holds no comparison.
+    if not (array.min() >= 0 and array.max() <= 1):
+        k = int(np.argmin((array >= 0) & (array <= 1)))
+        raise DataError(f"{where} at {bands.label(frequencies[k])} = {array[k]:g} is not in [0, 1]")
+    return array
+
+
+def _said(parameters: Parameters) -> str:
+    return ", ".join(f"{k} {v:.3g}" for k, v in parameters.items())
+
+
+def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None) -> T:
+    """Call what a user wrote: whatever it raises is said in one line, naming the effect."""
+    try:
+        return call()
+    except RtcalError:
+        raise
+    except Exception as error:  # code of anyone's
+        what = " ".join(str(error).split())
+        given = "" if parameters is None else f" with {', '.join(parameters) or 'no parameter'}"
+        raise DataError(f"{where}{given} raises {type(error).__name__}: {what}") from error

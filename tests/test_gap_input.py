@@ -1,0 +1,254 @@
+"""What a user hands to the discrepancy library: effects of one's own, cases, rooms used before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import rtcal as rt
+from rtcal.cli import cli
+from rtcal.discrepancy import (
+    Absorber,
+    Case,
+    Present,
+    corrected_room,
+    find,
+    library,
+    plan,
+    recalibrate,
+    simulator,
+    verify,
+)
+from rtcal.discrepancy.effects import Named, Opening
+from rtcal.discrepancy.model import Decay, State
+from rtcal.discrepancy.states import state
+from rtcal.errors import DataError, RtcalError
+from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
+
+
+def with_organ() -> Case:
+    bare = state(opened(), opened().configurations[0])
+    t20 = 6 * np.log(10) / bare.covered(40.0, Organ().spectrum(F, {})).rate
+    case = case_with(t20, edt=t20, t30=t20)
+    (without,) = case_with(6 * np.log(10) / bare.rate).configurations
+    return replace(case, configurations=[
+        *case.configurations, replace(without, name="without", suspect_removed=True)
+    ])  # fmt: skip
+
+
+def refused(call: Callable[[], object], *words: str) -> RtcalError:
+    with pytest.raises(DataError) as caught:
+        call()
+    text = str(caught.value)
+    assert "\n" not in text
+    for word in words:
+        assert word in text, text
+    return caught.value
+
+
+# A room that was calibrated on the case's T already.
+
+
+def test_a_room_calibrated_on_the_case_s_data_is_refused(tmp_path: Path) -> None:
+    case = opened()
+    used = rt.calibrate(case.room, case.configurations[0].measured).room
+    twice = Case(room=used, configurations=case.configurations)
+    with pytest.raises(DataError) as of_calibrate:
+        rt.calibrate(used, case.configurations[0].measured)
+    assert str(refused(lambda: find(twice, controls=controls_of(case)))) == str(of_calibrate.value)
+    refused(lambda: recalibrate(twice), "already calibrated on exactly these data")
+    # The record is kept in a saved case.
+    twice.save(str(tmp_path / "twice.json"))
+    refused(lambda: find(Case.from_file(str(tmp_path / "twice.json"))), "already calibrated")
+    other = case_with(1.2 * case.configurations[0].measured.mean("t20"))
+    fresh = Case(room=used, configurations=other.configurations)
+    assert np.isfinite(find(fresh, effects=[Opening()], controls=controls_of(case)).score)
+
+
+def test_the_command_refuses_a_calibrated_room_s_file(tmp_path: Path) -> None:
+    case = opened()
+    case.configurations[0].measured.save(str(tmp_path / "t.csv"))
+    measured = rt.Measurement.from_file(str(tmp_path / "t.csv"))
+    rt.calibrate(case.room, measured).room.save(str(tmp_path / "room.toml"))
+    (tmp_path / "case.toml").write_text(
+        'room = "room.toml"\n[[configuration]]\nname = "A"\nmeasured = "t.csv"\n'
+    )
+    done = CliRunner().invoke(cli, ["gap", "find", str(tmp_path / "case.toml")])
+    assert done.exit_code != 0
+    assert "already calibrated on exactly these data" in str(done.exception or done.output)
+
+
+# An effect of one's own, from finding to verification.
+
+
+def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path: Path) -> None:
+    case = with_organ()
+    effects = [Organ()]
+    finding = find(case, effects=effects, controls=controls_of(case, 0.01))
+    assert finding.effect == "organ"
+    seen = verify(finding)
+    assert seen.verdict == "proven"
+    assert seen.after < 0.5 * seen.before
+    assert seen.corrected.sizes["organ"] == pytest.approx(40.0, rel=0.4)
+    assert seen.corrected.effects[0]["unit"] == "m²"
+    corrected = finding.apply()
+    room = corrected_room(corrected)
+    assert room.materials[-1] == "organ"
+    t20 = simulator(corrected).simulate(room.alpha).mean("t20")
+    np.testing.assert_allclose(t20, case.configurations[0].measured.mean("t20"), rtol=0.1)
+    assert find(corrected, controls=controls_of(case, 0.01)).verdict == "none"
+    target = tmp_path / "own.json"
+    refused(lambda: corrected.save(str(target)), '"organ"', "not in the library", "cannot be saved")
+    assert not target.exists()
+
+
+def test_one_s_own_of_a_library_s_name_is_not_taken_for_the_library_s(tmp_path: Path) -> None:
+    class Wide(Opening):
+        most = 3.0
+
+    case = opened(25.0)
+    finding = find(case, effects=[Wide()], controls=controls_of(case))
+    refused(lambda: finding.apply().save(str(tmp_path / "a.json")), '"opening"', "cannot be saved")
+    find(case, effects=[Opening()], controls=controls_of(case)).apply().save(
+        str(tmp_path / "b.json")
+    )
+    assert (tmp_path / "b.json").exists()
+
+
+class Bent(Named):
+    """Two slopes: an effect of one's own on the decay."""
+
+    name: ClassVar[str] = "bent"
+    size: ClassVar[str] = "share"
+    unit: ClassVar[str] = "of the energy"
+
+    def grid(self, state: State) -> list[dict[str, float]]:
+        return [{"share": s} for s in (0.05, 0.1, 0.2)]
+
+    def change(self, state: State, parameters: Any) -> State:
+        share = parameters["share"]
+
+        def shape(s: State) -> Decay:
+            return Decay(
+                np.stack([np.full_like(s.rate, 1 - share), np.full_like(s.rate, share)], -1)
+                / s.volume,
+                np.stack([s.rate, 0.5 * s.rate], -1),
+            )
+
+        return replace(state, shape=shape)
+
+
+def test_no_simulator_is_said_to_have_a_decay_of_one_s_own() -> None:
+    case = replace(opened(), present=[Present("bent", {"share": 0.1}, None, Bent())])
+    assert np.isfinite(recalibrate(case).alpha).all()
+    plain = simulator(replace(case, present=[])).simulate(case.room.alpha)
+    assert (simulator(case).simulate(case.room.alpha).mean("t30") > 1.02 * plain.mean("t30")).all()
+
+    def make(room: rt.Room) -> object:
+        return rt.EquationSimulator(rt.Eyring(), room)
+
+    refused(lambda: simulator(case, make), "bent: it bends the decay")  # type: ignore[arg-type]
+
+
+# What is no effect, and effects that break a rule.
+
+
+def absorber(called: str, spectrum: object) -> Absorber:
+    made: Absorber = type("Own", (Absorber,), {"name": called, "spectrum": spectrum})()
+    return made
+
+
+@pytest.mark.parametrize(
+    ("spectrum", "words"),
+    [
+        (lambda s, f, p: np.full(3, 0.5), ("spectrum has shape (3,); it is (n_bands,) = (7,)",)),
+        (lambda s, f, p: 0.5, ("spectrum has shape ()",)),
+        (lambda s, f, p: "much", ("spectrum is not an array of real numbers",)),
+        (lambda s, f, p: None, ("spectrum = None is not an array of real numbers",)),
+        (lambda s: np.ones(7), ("raises TypeError", "positional argument")),
+        (lambda s, f, p: np.where(f == 500, np.nan, 0.5), ("at 500 Hz = nan is not in [0, 1]",)),
+        (lambda s, f, p: np.where(f == 250, -1.0, 0.5), ("at 250 Hz = -1 is not in [0, 1]",)),
+        (lambda s, f, p: np.full(len(f), 50.0), ("at 125 Hz = 50 is not in [0, 1]",)),
+        (lambda s, f, p: 1 / 0, ("raises ZeroDivisionError: division by zero",)),
+        (lambda s, f, p: p["colour"], ("raises KeyError: 'colour'",)),
+    ],
+)
+def test_a_spectrum_that_breaks_a_rule_is_named(spectrum: object, words: tuple[str, ...]) -> None:
+    case = opened()
+    effects = [*library(), absorber("piano", spectrum)]
+    error = refused(
+        lambda: find(case, effects=effects, controls=controls_of(case)), 'effect "piano"', *words
+    )
+    assert (error.__cause__ is not None) or "raises" not in str(error)
+    refused(lambda: plan(case, effects=effects), 'effect "piano"', *words)
+
+
+def on_state(**parts: Any) -> Named:
+    members = {
+        "name": "mine", "size": "x", "unit": "", "grid": lambda s, state: [{"x": 1.0}],
+        "change": lambda s, state, p: state,
+    }  # fmt: skip
+    made: Named = type("Mine", (Named,), members | parts)()
+    return made
+
+
+def changing(**fields: Any) -> Named:
+    return on_state(change=lambda s, state, p: replace(state, **fields))
+
+
+@pytest.mark.parametrize(
+    ("effects", "words"),
+    [
+        ("air", ("effects = 'air' is not a list",)),
+        (["air"], ("effects[0] = 'air' is no effect",)),
+        ([None], ("effects[0] = None is no effect",)),
+        ([], ("effects is empty",)),
+        (3, ("effects = 3 is not a list",)),
+        ([Opening(), Organ], ("effects[1] = Organ is a class", "Organ()")),
+        ([Absorber()], ("effects[0]", "name = None is not a text")),
+        ([*library(), Opening()], ('effects has "opening" twice',)),
+        ([on_state(name="none")], ('name = "none" is a verdict',)),
+        ([on_state(name="a\nb")], ("name = 'a\\nb' is not a text of one line",)),
+        ([on_state(size_error=-1.0)], ('effect "mine": size_error = -1',)),
+        ([on_state(neutral="no")], ('effect "mine": neutral',)),
+        ([on_state(removable="false")], ("removable = 'false' is not true or false",)),
+        ([on_state(grid=lambda s, state: [])], ('effect "mine": grid is empty',)),
+        ([on_state(grid=lambda s, state: None)], ('effect "mine": grid = None is not a list',)),
+        ([on_state(grid=lambda s, state: [{"y": 1.0}])], ('effect "mine": grid has no "x"',)),
+        ([on_state(grid=lambda s, state: [{"x": np.nan}])], ("grid: x = nan is not finite",)),
+        ([on_state(grid=lambda s, state: [{"x": "1"}])], ("grid: x = '1' is not a number",)),
+        ([on_state(grid=lambda s, state: [{"x": 1.0}, {}])], ("grid has {}; each of it has x",)),
+        ([on_state(grid=lambda s: [])], ('effect "mine": grid raises TypeError',)),
+        ([on_state(change=lambda s, state, p: None)], ("change returns NoneType; it returns a",)),
+        ([on_state(change=lambda s, state, p: 1 / 0)], ("change with x raises ZeroDivisionError",)),
+        ([changing(volume=-3.0)], ('effect "mine": change', "volume = -3")),
+        ([changing(volume="big")], ("volume = 'big' is not a number",)),
+        ([changing(areas=np.ones(2))], ("areas has shape (2,); it is (4,)",)),
+        ([changing(alpha=np.full((4, 7), 1.5))], ("alpha is not from 0 to 1",)),
+        ([changing(covering=np.ones(3))], ("covering has shape (3,); it is (7,)",)),
+        ([changing(objects=np.nan)], ("objects is not finite",)),
+        ([changing(floor_db=np.inf)], ("floor_db = inf is not finite",)),
+        ([changing(equation="norris")], ("equation = 'norris' is not one of",)),
+        ([changing(shape=3)], ("shape = 3 does not turn a state into a Decay",)),
+        ([changing(shape=lambda s: 1 / 0)], ("shape raises ZeroDivisionError",)),
+        ([changing(shape=lambda s: 3)], ("shape returns int; it returns a Decay",)),
+        (
+            [changing(shape=lambda s: Decay(np.ones((3, 1)), np.ones((3, 1))))],
+            ("weights and rates have shapes (3, 1)",),
+        ),
+        (
+            [changing(shape=lambda s: Decay(np.ones((7, 1)), -np.ones((7, 1))))],
+            ("the rates above 0",),
+        ),
+        ([changing(volume=1e-5)], ('effect "mine"', "no finite T, C80 and G")),
+    ],
+)  # fmt: skip
+def test_what_is_no_effect_is_refused(effects: Any, words: tuple[str, ...]) -> None:
+    case = opened()
+    refused(lambda: find(case, effects=effects, controls=controls_of(case)), *words)
