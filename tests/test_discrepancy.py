@@ -425,7 +425,7 @@ def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"equation": "norris"}, 'equation = "norris" is not one of'),
+        ({"equation": "norris"}, "equation = 'norris' is not one of"),
         ({"configurations": []}, "configurations is missing or empty"),
         ({"room": {"volume": 3}}, "room:"),
         ({"room": None}, "room = None is not a mapping"),
@@ -494,5 +494,5 @@ def test_what_was_added_must_be_in_the_library() -> None:
     with pytest.raises(DataError, match='effect "ghost" is not in the library'):
         Case.from_dict(data)
     lacking = replace(opened(), present=[Present("opening", {})])
-    with pytest.raises(DataError, match="\"opening\": change with no parameter raises KeyError"):
+    with pytest.raises(DataError, match='"opening": change with no parameter raises KeyError'):
         hypotheses(lacking, [])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -252,3 +254,118 @@ def changing(**fields: Any) -> Named:
 def test_what_is_no_effect_is_refused(effects: Any, words: tuple[str, ...]) -> None:
     case = opened()
     refused(lambda: find(case, effects=effects, controls=controls_of(case)), *words)
+
+
+# The case's file.
+
+ROOM = """name = "hall"
+volume = 300
+centre_frequencies = [250, 500, 1000]
+{dimensions}
+[[material]]
+name = "floor"
+area = 100
+alpha = [0.1, 0.2, 0.2]
+sigma = [0.02, 0.02, 0.02]
+[[material]]
+name = "rest"
+area = 180
+alpha = [0.1, 0.1, 0.1]
+sigma = [0.02, 0.02, 0.02]
+"""
+TABLE = "source,receiver,parameter,band,value\n" + "".join(
+    f"S,R{r},{p},{f},{v + 0.01 * r}\n"
+    for p, v in (("T20", 1.5), ("T30", 1.6), ("EDT", 1.4), ("C80", 2.0), ("G", 12.0))
+    for r in (1, 2)
+    for f in (250, 500, 1000)
+)  # fmt: skip
+MEASURED = '[[configuration]]\nname = "as built"\nmeasured = "t.csv"\n'
+PLANNED = '[[configuration]]\nname = "to do"\nparameters = ["t20"]\n'
+
+
+def written(folder: Path, case: str, room: str = ROOM, table: str = TABLE) -> Path:
+    (folder / "room.toml").write_text(room.replace("{dimensions}", ""), encoding="utf-8")
+    (folder / "t.csv").write_text(table, encoding="utf-8")
+    (folder / "case.toml").write_text('room = "room.toml"\n' + case, encoding="utf-8")
+    return folder / "case.toml"
+
+
+@pytest.mark.parametrize(
+    ("case", "words"),
+    [
+        *[
+            (MEASURED + f"suspect_removed = {v}\n", ('"as built": suspect_removed', "true or false"))
+            for v in ('"false"', "0", "1", "[]", '""', "nan", "{}")
+        ],
+        *[
+            (f"[uncertainty]\n{k} = {v}\n" + MEASURED, (f"uncertainty: {k}",))
+            for k in ("time", "level") for v in ("true", "1e300", "0", "-1", "nan", '"x"')
+        ],
+        ("[uncertainty]\ntime = 2\n" + MEASURED, ("time = 2 is not at most 1 (relative",)),
+        *[(f"uncertainty = {v}\n" + MEASURED, ("uncertainty", "mapping")) for v in ("0", '""', "[]")],
+        *[
+            (MEASURED + f"changes = {v}\n", ('"as built": changes', "is not a mapping"))
+            for v in ("0", '""', "[]", "false")
+        ],
+        (PLANNED.replace('["t20"]', '["t20", "t20"]'), ('"to do": parameters', "each once")),
+        (PLANNED.replace('["t20"]', '[["t20"]]'), ('"to do": parameters', "each once")),
+        (PLANNED + 'measured = "t.csv"\n', ("measured stands beside parameters",)),
+        (PLANNED + "t20 = [1, 1, 1]\n", ("t20 stands beside parameters",)),
+        (MEASURED + "t20 = [1, 1, 1]\n", ("t20 stands beside measured",)),
+        (PLANNED + "positions = 10000000\n", ("positions = 10000000 is not at most 1000",)),
+        (MEASURED + "air = {foo = 1}\n", ('"foo" is not one of temperature, humidity, pressure',)),
+        (MEASURED.replace('"t.csv"', '""'), ("has no measured = a measurement's file",)),
+        (MEASURED.replace('"as built"', "3"), ("name has 3, which is not a text",)),
+        ('equation = "a\\nb"\n' + MEASURED, ("equation = 'a\\nb' is not one of",)),
+        (MEASURED + "distances = [1e6, 3]\n", ("1e+06 m; at most 83.2 m",)),
+    ],
+)  # fmt: skip
+def test_a_case_s_file_that_breaks_a_rule_is_refused(
+    case: str, words: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = written(tmp_path, case)
+    refused(lambda: Case.from_file(str(path)), *words)
+
+
+@pytest.mark.parametrize(
+    ("room", "table", "words"),
+    [
+        (ROOM, re.sub(r"T20,(\d+),", r"T20,\1,1000", TABLE), ("t20 at 250 Hz", "s", "ms?")),
+        (ROOM, re.sub(r"G,(\d+),.*", r"G,\1,200", TABLE), ("g at 250 Hz = 200 dB", "-40 to 60")),
+        (ROOM, re.sub(r"C80,(\d+),.*", r"C80,\1,-90", TABLE), ("c80 at 250 Hz = -90 dB",)),
+        *[
+            (ROOM.replace("volume = 300", f"volume = {v}"), TABLE, ("volume = ", "m³"))
+            for v in ("1e-6", "1e12", "1e300")
+        ],
+        (ROOM.replace("area = 100", "area = 1e300"), TABLE, ('areas["floor"] = 1e+300',)),
+        (ROOM.replace("{dimensions}", "dimensions = [3, 3, 3]"), TABLE, ("3 x 3 x 3 m hold 27",)),
+        (ROOM.replace("sigma = [0.02,", "sigma = [1e300,"), TABLE, ('sigma["floor", 250 Hz]',)),
+    ],
+)  # fmt: skip
+def test_what_no_room_has_is_refused(
+    room: str, table: str, words: tuple[str, ...], tmp_path: Path
+) -> None:
+    refused(lambda: Case.from_file(str(written(tmp_path, MEASURED, room, table))), *words)
+
+
+def test_distances_stay_within_a_box_s_diagonal(tmp_path: Path) -> None:
+    room = ROOM.replace("{dimensions}", "dimensions = [10, 6, 5]")
+    Case.from_file(str(written(tmp_path, MEASURED + "distances = [12, 3]\n", room)))
+    path = written(tmp_path, MEASURED + "distances = [13, 3]\n", room)
+    refused(lambda: Case.from_file(str(path)), "13 m; at most 12.7 m, the room's diagonal")
+
+
+def test_a_plan_of_a_room_that_swallows_all_is_refused_in_one_line(tmp_path: Path) -> None:
+    """A litre with 280 m² of walls: no decay, and no warning of numpy's."""
+    path = written(tmp_path, PLANNED, ROOM.replace("volume = 300", "volume = 1e-3"))
+    refused(lambda: plan(Case.from_file(str(path))), "no finite T, C80 and G", "0.001 m³")
+
+
+def test_a_loaded_case_is_saved_with_the_same_bytes(tmp_path: Path) -> None:
+    case = Case.from_file(str(written(tmp_path, MEASURED)))
+    case.save(str(tmp_path / "one.json"))
+    Case.from_file(str(tmp_path / "one.json")).save(str(tmp_path / "two.json"))
+    one, two = ((tmp_path / f"{name}.json").read_bytes() for name in ("one", "two"))
+    assert one == two
+    assert list(case.configurations[0].measured.values)[1] == "t30"  # the file's order is another
+    assert len(json.loads(one)["configurations"][0]["t30"]) == 2

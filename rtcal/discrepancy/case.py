@@ -39,10 +39,10 @@ import numpy as np
 from rtcal import checks
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.files import read_text, write_text
-from rtcal.acoustics.materials import number
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import AXES, CalibrationRecord, Room
+from rtcal.acoustics.room import CalibrationRecord, Room, text_name
 from rtcal.calibration.measured import refuse_twice, times_in_room
+from rtcal.discrepancy.case_checks import check_configuration, check_room, shares
 from rtcal.discrepancy.effect_checks import EQUATIONS
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
@@ -50,6 +50,8 @@ from rtcal.types import Array
 
 _LARGEST = 50_000_000  # bytes
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
+_MOST = {"time": (1.0, " (relative: .02 is 2 %)"), "level": (20.0, " dB")}
+_MOST_POSITIONS = 1000
 NORMAL_90 = 1.6449
 """Standard deviations on each side that hold 90 % of a normal distribution."""
 
@@ -161,7 +163,7 @@ class Case:
 
     def __post_init__(self) -> None:
         if self.equation not in EQUATIONS:
-            raise DataError(f'equation = "{self.equation}" is not one of {", ".join(EQUATIONS)}')
+            raise DataError(f"equation = {self.equation!r} is not one of {', '.join(EQUATIONS)}")
         object.__setattr__(self, "configurations", tuple(self.configurations))
         object.__setattr__(self, "present", tuple(self.present))
         if not self.configurations:
@@ -169,9 +171,10 @@ class Case:
         names = [c.name for c in self.configurations]
         if len(set(names)) < len(names):
             raise DataError(f"configurations = {names}: each has a name of its own")
-        object.__setattr__(self, "facing", _facing(self.room, self.facing))
+        object.__setattr__(self, "facing", shares(self.room, self.facing))
+        check_room(self.room)
         for c in self.configurations:
-            _check(self.room, c)
+            check_configuration(self.room, c)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Case:
@@ -254,7 +257,7 @@ class Case:
         known = {"room", "equation", "uncertainty", "configuration"}
         if unknown := sorted(set(data) - known):
             raise DataError(f'{path}: "{unknown[0]}" is not one of {", ".join(sorted(known))}')
-        if not isinstance(data.get("room"), str):
+        if not isinstance(data.get("room"), str) or not data["room"].strip():
             raise DataError(f"{path}: room is not the name of a room's file")
         room = Room.from_file(str(folder / data["room"]))
         uncertainty = _uncertainty(path, data.get("uncertainty"))
@@ -265,7 +268,7 @@ class Case:
             if "parameters" in entry:
                 configurations.append(_planned(room, entry))
                 continue
-            if not isinstance(entry.get("measured"), str):
+            if not isinstance(entry.get("measured"), str) or not entry["measured"].strip():
                 raise DataError(f"{path}: a configuration has no measured = a measurement's file")
             measured = Measurement.from_file(str(folder / entry["measured"]))
             rest = {k: v for k, v in entry.items() if k != "measured"}
@@ -315,59 +318,18 @@ def _mapping(where: str, data: Mapping[str, Any], name: str) -> Mapping[str, Any
     return checks.mapped(f"{where}: {name}", _stated(where, data, name))
 
 
-def _facing(room: Room, facing: Any) -> Array:
-    n = room.n_materials
-    if facing is None:
-        sums = np.zeros((n, 3))
-        for surface in room.surfaces:
-            if surface.axis is not None:
-                row = room.material_index(surface.material)
-                sums[row, AXES.index(surface.axis)] += surface.area
-        sums[sums.sum(1) == 0] = 1.0
-        facing = sums
-    array = np.array(facing, dtype=float)
-    if array.shape != (n, 3):
-        raise DataError(f"facing has shape {array.shape}; it is (n_materials, 3) = ({n}, 3)")
-    total = array.sum(1, keepdims=True)
-    if not np.isfinite(array).all() or (array < 0).any() or (total <= 0).any():
-        raise DataError("facing has a value below 0, or a row that sums to 0")
-    # Shares that were saved are shares already: to divide again would move their last digit.
-    shares: Array = np.where(np.abs(total - 1) < 1e-12, array, array / total)
-    shares.setflags(write=False)
-    return shares
-
-
-def _check(room: Room, c: Configuration) -> None:
-    where = f'configuration "{c.name}"'
-    if c.measured.centre_frequencies.tolist() != room.centre_frequencies.tolist():
-        raise DataError(
-            f"{where} has bands {c.measured.centre_frequencies.tolist()} Hz; the room has "
-            f"{room.centre_frequencies.tolist()} Hz"
-        )
-    if "t20" not in c.measured.values and "t30" not in c.measured.values:
-        raise DataError(f"{where} has neither t20 nor t30")
-    for material, change in c.changes.items():
-        room.material_index(material)
-        for name in ("alpha", "sigma"):
-            value = getattr(change, name)
-            if value.shape != (room.n_bands,) or not ((value >= 0) & (value <= 1)).all():
-                raise DataError(
-                    f'{where}: {name} of "{material}" is not {room.n_bands} values from 0 to 1'
-                )
-    if c.distances is not None:
-        n = len(c.measured.pairs)
-        if c.distances.shape != (n,) or not (c.distances > 0).all():
-            raise DataError(f"{where}: distances is not {n} values above 0, one a pair")
-
-
 def _configuration(
     room: Room, data: Mapping[str, Any], uncertainty: Mapping[str, float],
     measured: Measurement | None = None,
 ) -> Configuration:  # fmt: skip
-    name = str(data.get("name", "measured"))
+    name = _name(data, "measured")
     known = {"name", "changes", "suspect_removed", "air", "distances", "distance"}
     if unknown := sorted(set(data) - known - set(PARAMETERS) - {"uncertainty"}):
         raise DataError(f'configuration "{name}": "{unknown[0]}" is not known')
+    if measured is not None and (beside := [p for p in (*PARAMETERS, "uncertainty") if p in data]):
+        raise DataError(
+            f'configuration "{name}": {beside[0]} stands beside measured; values come from one of them'
+        )
     if measured is None:
         values = {p: _table(name, p, data[p], room.n_bands) for p in PARAMETERS if p in data}
         if not values:
@@ -377,7 +339,10 @@ def _configuration(
             raise DataError(f'configuration "{name}": parameters for different numbers of pairs')
         pairs = [("S", f"R{i + 1}") for i in range(n.pop())]
         stated = {
-            p: _table(name, p, v, room.n_bands) for p, v in (data.get("uncertainty") or {}).items()
+            str(p): _table(name, p, v, room.n_bands)
+            for p, v in _optional(
+                f'configuration "{name}": uncertainty', data.get("uncertainty")
+            ).items()
         }
         measured = Measurement(
             centre_frequencies=room.centre_frequencies, values=values, pairs=pairs,
@@ -389,16 +354,18 @@ def _configuration(
         if p not in extra and kind in uncertainty:
             scale = v if kind == "time" else np.ones_like(v)
             extra[p] = scale * float(uncertainty[kind])
-    changes = data.get("changes") or {}
+    changes = _optional(f'configuration "{name}": changes', data.get("changes"))
     distances = data.get("distances", data.get("distance"))
     return Configuration(
         name=name,
         measured=replace(measured, uncertainty=extra),
         changes={
             str(m): _change(f'configuration "{name}": changes: "{m}"', v)
-            for m, v in checks.mapped(f'configuration "{name}": changes', changes).items()
+            for m, v in changes.items()
         },
-        suspect_removed=bool(data.get("suspect_removed", False)),
+        suspect_removed=checks.flag(
+            f'configuration "{name}": suspect_removed', data.get("suspect_removed", False)
+        ),
         air=_air(f'configuration "{name}": air', data.get("air")),
         distances=(
             None
@@ -434,13 +401,21 @@ def _record(where: str, record: Any) -> CalibrationRecord | None:
     return CalibrationRecord(**entry)
 
 
+def _name(data: Mapping[str, Any], default: str) -> str:
+    return text_name("configuration: name", data.get("name", default))
+
+
+def _optional(where: str, value: Any) -> dict[Any, Any]:
+    return {} if value is None else checks.mapped(where, value)
+
+
 def _air(where: str, climate: Any) -> Air | None:
     if climate is None:
         return None
-    try:
-        return Air(**checks.mapped(where, climate))
-    except TypeError as error:
-        raise DataError(f"{where}: {error}") from error
+    stated, known = checks.mapped(where, climate), [f.name for f in fields(Air)]
+    if unknown := sorted(set(map(str, stated)) - set(known)):
+        raise DataError(f'{where}: "{unknown[0]}" is not one of {", ".join(known)}')
+    return Air(**stated)
 
 
 def _change(where: str, value: Any) -> Change:
@@ -452,26 +427,39 @@ def _change(where: str, value: Any) -> Change:
 
 def _uncertainty(where: str, value: Any) -> dict[str, float]:
     """Stated for values that state none: ``time`` relative, ``level`` in dB."""
-    table = checks.mapped(f"{where}: uncertainty", value or {})
+    table = _optional(f"{where}: uncertainty", value)
     out = {}
     for name, stated in table.items():
         if name not in ("time", "level"):
             raise DataError(f'{where}: uncertainty: "{name}" is not time or level')
-        out[name] = number(f"{where}: uncertainty: {name}", stated, "")
+        place = f"{where}: uncertainty: {name}"
+        out[name] = checks.positive(place, stated)
+        most, unit = _MOST[name]
+        if out[name] > most:
+            raise DataError(f"{place} = {out[name]:g} is not at most {most:g}{unit}")
     return out
 
 
 def _planned(room: Room, data: Mapping[str, Any]) -> Configuration:
     """A configuration that states which parameters will be measured, and at how many positions."""
-    name = str(data.get("name", "planned"))
-    wanted = data["parameters"]
-    if not isinstance(wanted, list) or not set(wanted) <= set(PARAMETERS) or "t20" not in wanted:
+    name = _name(data, "planned")
+    if beside := [k for k in ("measured", *PARAMETERS, "uncertainty") if k in data]:
         raise DataError(
-            f'configuration "{name}": parameters is not a list of {", ".join(PARAMETERS)}, t20 in it'
+            f'configuration "{name}": {beside[0]} stands beside parameters; a configuration is '
+            "measured or planned"
+        )
+    wanted = data["parameters"]
+    fits = isinstance(wanted, list) and all(p in PARAMETERS for p in wanted) and "t20" in wanted
+    if not fits or len(set(wanted)) < len(wanted):
+        raise DataError(
+            f'configuration "{name}": parameters is not a list of {", ".join(PARAMETERS)}, '
+            "t20 in it, each once"
         )
     n = checks.whole(f'configuration "{name}": positions', data.get("positions", 4), 1)
+    if n > _MOST_POSITIONS:
+        raise DataError(f'configuration "{name}": positions = {n} is not at most {_MOST_POSITIONS}')
     rows = {p: np.ones((n, room.n_bands)).tolist() for p in wanted}
-    rest = {k: v for k, v in data.items() if k not in ("parameters", "positions", "measured")}
+    rest = {k: v for k, v in data.items() if k not in ("parameters", "positions")}
     stated = {"time": 0.02, "level": 0.3}
     return replace(_configuration(room, {**rest, **rows}, stated), planned=True)
 
@@ -508,8 +496,11 @@ def _configuration_dict(c: Configuration) -> dict[str, Any]:
 
     return {
         "name": c.name,
-        **{p: plain(v) for p, v in c.measured.values.items() if p in PARAMETERS},
-        "uncertainty": {p: plain(v) for p, v in c.measured.uncertainty.items()},
+        # In the order that a reader of the file puts them in: to save again gives the same bytes.
+        **{p: plain(c.measured.values[p]) for p in PARAMETERS if p in c.measured.values},
+        "uncertainty": {
+            p: plain(c.measured.uncertainty[p]) for p in PARAMETERS if p in c.measured.uncertainty
+        },
         "changes": {
             m: {"alpha": v.alpha.tolist(), "sigma": v.sigma.tolist()} for m, v in c.changes.items()
         },

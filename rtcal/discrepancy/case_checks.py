@@ -1,0 +1,132 @@
+"""What a case must keep to: that its parts fit, and that a room can have its values at all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtcal import checks
+from rtcal.acoustics import bands
+from rtcal.acoustics.room import AXES, Room
+from rtcal.errors import DataError
+from rtcal.types import Array
+
+if TYPE_CHECKING:
+    from rtcal.discrepancy.case import Configuration
+
+POSSIBLE = {
+    "t20": (0.0, 120.0, "s"), "t30": (0.0, 120.0, "s"), "edt": (0.0, 120.0, "s"),
+    "c80": (-30.0, 60.0, "dB"), "g": (-40.0, 60.0, "dB"),
+}  # fmt: skip
+"""Least and most that any room has. T: 120 s, over the 112 s of the oil tank of Inchindown, the longest
+known. C80: -30 dB, 10 dB under that of T = 120 s (-20 dB); 60 dB, the range of a good decay. G: -40 dB,
+20 dB under the direct sound alone at 100 m; 60 dB, 20 dB over that at 10 cm."""
+VOLUMES = (1e-3, 1e8)
+"""m³: a scale model of a litre; the largest halls have some 1e7."""
+LARGEST_AREA = 1e8
+"""m² of one material."""
+_OFF_BOX = 0.1
+"""Share by which the volume may differ from that of the stated dimensions."""
+
+
+def check_room(room: Room) -> None:
+    """Refuse a room that cannot be: volume, areas, sigma, and dimensions of another volume."""
+    least, most = VOLUMES
+    if not least <= room.volume <= most:
+        raise DataError(f"room: volume = {room.volume:g} m³ is not from {least:g} to {most:g} m³")
+    for material, area in zip(room.materials, room.areas, strict=True):
+        if area > LARGEST_AREA:
+            raise DataError(
+                f'room: areas["{material}"] = {area:g} m² is not at most {LARGEST_AREA:g} m²'
+            )
+    if (room.sigma > 1).any():
+        i, k = (int(v) for v in np.argwhere(room.sigma > 1)[0])
+        raise DataError(
+            f"room: {room.place('sigma', i, k)} = {room.sigma[i, k]:g} is not in [0, 1]"
+        )
+    if room.dimensions is not None:
+        box = float(np.prod(room.dimensions))
+        if abs(room.volume / box - 1) > _OFF_BOX:
+            sides = " x ".join(f"{side:g}" for side in room.dimensions)
+            raise DataError(
+                f"room: volume = {room.volume:g} m³, but dimensions = {sides} m hold {box:g} m³; they "
+                f"differ by at most {100 * _OFF_BOX:.0f} %"
+            )
+
+
+def shares(room: Room, facing: Any) -> Array:
+    """Return each material's shares of area along x, y and z, (n_materials, 3)."""
+    n = room.n_materials
+    if facing is None:
+        sums = np.zeros((n, 3))
+        for surface in room.surfaces:
+            if surface.axis is not None:
+                row = room.material_index(surface.material)
+                sums[row, AXES.index(surface.axis)] += surface.area
+        sums[sums.sum(1) == 0] = 1.0
+        facing = sums
+    array = checks.array("facing", facing)
+    if array.shape != (n, 3):
+        raise DataError(f"facing has shape {array.shape}; it is (n_materials, 3) = ({n}, 3)")
+    total = array.sum(1, keepdims=True)
+    if not np.isfinite(array).all() or (array < 0).any() or (total <= 0).any():
+        raise DataError("facing has a value below 0, or a row that sums to 0")
+    # Shares that were saved are shares already: to divide again would move their last digit.
+    found: Array = np.where(np.abs(total - 1) < 1e-12, array, array / total)
+    found.setflags(write=False)
+    return found
+
+
+def check_configuration(room: Room, c: Configuration) -> None:
+    """Refuse a configuration that does not fit its room, or that no room can have."""
+    where = f'configuration "{c.name}"'
+    if c.measured.centre_frequencies.tolist() != room.centre_frequencies.tolist():
+        raise DataError(
+            f"{where} has bands {c.measured.centre_frequencies.tolist()} Hz; the room has "
+            f"{room.centre_frequencies.tolist()} Hz"
+        )
+    if "t20" not in c.measured.values and "t30" not in c.measured.values:
+        raise DataError(f"{where} has neither t20 nor t30")
+    for material, change in c.changes.items():
+        room.material_index(material)
+        for name in ("alpha", "sigma"):
+            value = getattr(change, name)
+            if value.shape != (room.n_bands,) or not ((value >= 0) & (value <= 1)).all():
+                raise DataError(
+                    f'{where}: {name} of "{material}" is not {room.n_bands} values from 0 to 1'
+                )
+    if c.distances is not None:
+        n = len(c.measured.pairs)
+        if c.distances.shape != (n,) or not (c.distances > 0).all():
+            raise DataError(f"{where}: distances is not {n} values above 0, one a pair")
+        _check_distances(where, room, c.distances)
+    for name, value in c.measured.values.items():
+        if name in POSSIBLE:
+            _check_values(f"{where}: {name}", name, value, c)
+
+
+def _check_distances(where: str, room: Room, distances: Array) -> None:
+    if room.dimensions is not None:
+        longest, rule = float(np.linalg.norm(room.dimensions)), "the room's diagonal"
+    else:
+        # A convex room of volume V and surface S measures at most S²/(3 pi V): a double cone does.
+        # Three times that, since area and volume may be the very things that are wrong.
+        longest = room.total_area**2 / (np.pi * room.volume)
+        rule = "the longest that a room of this volume and area can be"
+    if distances.max() > longest:
+        raise DataError(
+            f"{where}: distances has {distances.max():g} m; at most {longest:.3g} m, {rule}"
+        )
+
+
+def _check_values(where: str, name: str, values: Array, c: Configuration) -> None:
+    least, most, unit = POSSIBLE[name]
+    if (bad := (values < least) | (values > most)).any():
+        i, k = (int(v) for v in np.argwhere(bad)[0])
+        hint = "; are these ms?" if unit == "s" else ""
+        band = bands.label(c.measured.centre_frequencies[k])
+        raise DataError(
+            f"{where} at {band} = {values[i, k]:g} {unit} is not from {least:g} to {most:g} {unit}, "
+            f"which no room exceeds{hint}"
+        )
