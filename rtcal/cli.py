@@ -172,6 +172,13 @@ for command in (report, gap, loop, measure, table, import_room, export, study):
     cli.add_command(command)
 
 
+def _warn(message: Warning | str, *_: object, **__: object) -> None:
+    """One line like an error's, in place of Python's with its source; none with ``--quiet``."""
+    asked = click.get_current_context(silent=True)
+    if asked is None or not asked.params.get("quiet"):
+        click.echo(f"rtcal: {' '.join(str(message).split())}", err=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command and exit with its code."""
     for stream in (sys.stdout, sys.stderr):
@@ -179,7 +186,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             # A name that the terminal cannot show is shown as far as it can be.
             stream.reconfigure(errors="replace")
     try:
-        code = cli.main(args=arguments, prog_name="rtcal", standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            code = cli.main(args=arguments, prog_name="rtcal", standalone_mode=False)
         sys.stdout.flush()
     except click.exceptions.Abort:
         code = 130

@@ -7,7 +7,7 @@ by one of the rules of `rtcal.loop_rules`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,13 +18,14 @@ from rtcal.acoustics.bands import label
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.files import write_text
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.quality import JND, gap_jnd
+from rtcal.acoustics.quality import JND, TrustMark, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import history, refuse_twice, times_in_room
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
-from rtcal.errors import DataError
+from rtcal.errors import DataError, RtcalError, SimulatorError
+from rtcal.loop_result import LoopResult as LoopResult
 from rtcal.loop_rules import RULES, Rule
 from rtcal.simulators.base import Simulator, run
 from rtcal.types import Array
@@ -33,12 +34,15 @@ STATUSES = ("converged", "no measured T", "unreachable", "not converging", "not 
 """What is said of a band at the end; the last one of a `LoopResult` alone."""
 
 
+_NEAR = np.log(1.1)  # of a target with a T20 and one without: nearer is not worth a simulation
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
     """One simulation: target, simulated T20 and its noise in s, (n_bands,), alpha as simulated.
 
-    The noise is the standard error of the mean over pairs: 0 where the simulator states none, NaN
-    where it cannot tell.
+    T20 is NaN where the simulator had none at this alpha. The noise is the standard error of the
+    mean over pairs: 0 where the simulator states none, NaN where it cannot tell.
     """
 
     target: Array
@@ -104,7 +108,26 @@ class Loop:
     @property
     def best(self) -> NDArray[np.int64]:
         """Which step came nearest, by band, (n_bands,)."""
-        return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps)), axis=0))
+        return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps), nan=np.inf), axis=0))
+
+    @property
+    def best_target(self) -> Array:
+        """The target T in s of each band's nearest step, (n_bands,)."""
+        return np.array([self.steps[b].target[k] for k, b in enumerate(self.best)])
+
+    @property
+    def outcome(self) -> CalibrationResult:
+        """The equation's calibration that each band's nearest step simulated."""
+        return self.calibrated(self.best_target)
+
+    @property
+    def trust_marks(self) -> tuple[TrustMark, ...]:
+        """Bands whose coefficients are at a bound, or contradict the prior (z over 2).
+
+        Of the `outcome`: the simulator has the wanted T with any coefficients that give it.
+        """
+        kinds = ("at_bound", "implausible")
+        return tuple(mark for mark in self.outcome.trust_marks if mark.kind in kinds)
 
     @property
     def _gaps(self) -> Array:
@@ -125,13 +148,15 @@ class Loop:
     @property
     def status(self) -> tuple[str, ...]:
         """One of `STATUSES` for each band, as things stand."""
-        ends = self._ends()
+        ends, near = self._ends(), np.abs(np.log(self._without / self.best_target)) < _NEAR
         found = []
         for k, (gap, goal) in enumerate(zip(self.gap, self.goal, strict=True)):
-            if np.isnan(gap):
+            if np.isnan(self.wanted[k]):
                 found.append("no measured T")
             elif abs(gap) <= goal:
                 found.append("converged")
+            elif near[k]:
+                found.append("unreachable")
             else:
                 target = self.steps[-1].target[k]
                 short = gap < 0 and target >= ends[1][k] * (1 - 1e-9)
@@ -168,15 +193,22 @@ class Loop:
         if not self.steps:
             return self.wanted.copy()
         shortest, longest = self._ends()
-        target = np.array([self.steps[b].target[k] for k, b in enumerate(self.best)])
+        target, without = self.best_target, self._without
         for k in np.flatnonzero(self._moving):
-            targets = np.array([1 / step.target[k] for step in self.steps])
-            rates = np.array([1 / step.simulated[k] for step in self.steps])
             low, high = 1 / longest[k], 1 / shortest[k]
+            known = [step for step in self.steps if np.isfinite(step.simulated[k])]
+            if not known:
+                prior = (self.equation or Eyring()).reverberation_time(self.room)[k]
+                target[k] = np.clip(prior, shortest[k], longest[k])
+                continue
+            targets = np.array([1 / step.target[k] for step in known])
+            rates = np.array([1 / step.simulated[k] for step in known])
             rate = RULES[self.rule](targets, rates, 1 / self.wanted[k], low, high)
             if self.rule == "secant" and rate <= 0:
                 rate = targets[-1]  # the paper's rule has no next target
-            target[k] = 1 / np.clip(rate, low, high)
+            aim, half = 1 / np.clip(rate, low, high), np.sqrt(target[k] * without[k])
+            beyond = (aim - half) * (without[k] - target[k]) > 0  # not without a T20 so far
+            target[k] = half if beyond else aim
         return target
 
     @property
@@ -184,23 +216,52 @@ class Loop:
         """The coefficients to simulate next, (n_materials, n_bands), as the program reads them."""
         alpha = self.rounded(self.calibrated(self.next_target).alpha)
         if self.steps:  # a band that is done keeps what did it
-            for k, status in enumerate(self.status):
-                if status == "converged" and not self._moving[k]:
-                    alpha[:, k] = self.steps[self.best[k]].alpha[:, k]
+            for k in np.flatnonzero(~self._moving):
+                alpha[:, k] = self.steps[self.best[k]].alpha[:, k]
         return alpha
 
     @property
     def _moving(self) -> NDArray[np.bool_]:
         """The bands whose target the next step moves, (n_bands,)."""
         status = np.array(self.status)
-        rough = np.abs(self.gap) > self.goal / 2
-        return np.asarray((status == "not converging") | ((status == "converged") & rough))
+        rough = (np.abs(self.gap) > self.goal / 2) & np.isnan(self._without)
+        needed = status == "not converging"
+        return np.asarray(needed | ((status == "converged") & rough & needed.any()))
 
-    def record(self, alpha: Array, found: Measurement) -> Loop:
+    @property
+    def _without(self) -> Array:
+        """The target nearest to the best one at which there was no T20, (n_bands,), else NaN."""
+        gaps, targets = self._gaps, np.array([step.target for step in self.steps])
+        none = np.isnan(gaps) & np.isfinite(self.wanted)
+        far = np.where(none, np.abs(np.log(targets / self.best_target)), np.inf)
+        nearest = targets[np.argmin(far, axis=0), np.arange(self.room.n_bands)]
+        known = np.isfinite(gaps).any(axis=0)
+        return np.asarray(np.where(none.any(axis=0) & known, nearest, np.nan))
+
+    def repeats(self, alpha: Array, found: Measurement) -> bool:
+        """Whether T20 is the last step's in every band although ``alpha`` is another one.
+
+        Then the outcome is most likely the last step's, handed in twice.
+        """
+        if not self.steps or np.array_equal(alpha, self.steps[-1].alpha):
+            return False
+        last = self.steps[-1].simulated
+        return np.array_equal(found.mean("t20"), last, equal_nan=True)
+
+    def back(self) -> Loop:
+        """Return the loop as it was before its last step."""
+        if not self.steps:
+            raise DataError("the loop has no simulation yet: there is none to take back")
+        return replace(self, steps=self.steps[:-1])
+
+    def record(self, alpha: Array, found: Measurement, without: Sequence[int] = ()) -> Loop:
         """Return the loop after ``alpha``, its `next_alpha`, was simulated with this outcome.
 
+        A band that had a T20 before and has none now (in some pair, or it is among ``without``) is
+        brought back towards where it had one.
+
         Raises DataError if the loop is done, or if the outcome has other bands or lacks a T20 where
-        T was measured: a mean over the other pairs would hide it.
+        T was measured, at the first step or in every band: a mean over the other pairs would hide it.
         """
         if self.finished:
             raise DataError("the loop is done: no band is left that another simulation helps")
@@ -210,16 +271,22 @@ class Loop:
             raise DataError("what was simulated has other bands than the room")
         if "t20" not in found.values:
             raise DataError("what was simulated has no T20")
-        lost = np.isnan(found.values["t20"]) & np.isfinite(self.wanted)
-        if lost.any():
-            pair, k = (int(i) for i in np.argwhere(lost)[0])
+        wanted = np.isfinite(self.wanted)
+        missing = np.isnan(found.values["t20"]) & wanted
+        lost = np.asarray(missing.any(axis=0))
+        before = np.zeros(lost.shape, dtype=bool)
+        for step in self.steps:
+            before |= np.isfinite(step.simulated)
+        refused = lost if lost[wanted].all() else lost & ~before
+        if refused.any():
+            pair, k = (int(i) for i in np.argwhere(missing & refused)[0])
             raise DataError(
                 f"simulated T20[{' to '.join(found.pairs[pair])}, {label(bands[k])}] is missing, "
                 "but T was measured there"
             )
-        step = Step(
-            target=self.next_target, alpha=alpha, simulated=found.mean("t20"), noise=_noise(found)
-        )
+        simulated = np.where(lost, np.nan, found.mean("t20"))
+        simulated[np.array(without, dtype=int)] = np.nan
+        step = Step(target=self.next_target, alpha=alpha, simulated=simulated, noise=_noise(found))
         return replace(self, steps=(*self.steps, step))
 
     def _ends(self) -> tuple[Array, Array]:
@@ -255,89 +322,6 @@ class Loop:
         """
         fields, steps = loop_state.read(path, room, equation)
         return cls(**fields, steps=tuple(Step(**step) for step in steps))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LoopResult:
-    """A calibrated simulator.
-
-    Attributes
-    ----------
-    room : Room
-        With the coefficients to give to the simulator, and the record of which simulator.
-    simulator : str
-        The coefficients belong to it and to no other.
-    loop : Loop
-        Every step, and the `status` and `gap` of every band.
-    simulations : int
-        Calls of the simulator until the loop ended.
-    before, after : Measurement
-        Simulated with the equation's calibration alone, and with the coefficients returned; of
-        these, T20 was fitted, EDT, C50, C80 and the rest were not.
-    confirmation : Measurement or None
-        The same coefficients with a fresh seed; None for a deterministic simulator.
-    """
-
-    room: Room
-    simulator: str
-    loop: Loop
-    simulations: int
-    before: Measurement
-    after: Measurement
-    confirmation: Measurement | None
-
-    @property
-    def alpha(self) -> Array:
-        """The calibrated coefficients, (n_materials, n_bands)."""
-        return self.room.alpha
-
-    @property
-    def final(self) -> Measurement:
-        """What the coefficients give, with fresh random numbers where there are any."""
-        return self.confirmation or self.after
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        """What is said of each band, one of `STATUSES`; see `Loop.confirmed`."""
-        return self.loop.confirmed(self.final)
-
-    @property
-    def gap(self) -> Array:
-        """Gap of T20 in JND of `final`, (n_bands,)."""
-        return gap_jnd(self.final.mean("t20"), self.loop.wanted)
-
-    def to_json(self) -> str:
-        """Return the loop and what the simulator had before and after, as JSON text.
-
-        `Loop.load` reads the loop in it, ``rtcal report`` all of it.
-        """
-        return loop_state.text(self.loop, loop_state.ends(self))
-
-    def save(self, path: str) -> None:
-        """Write `to_json` to a file, whole or not at all."""
-        write_text(path, self.to_json())
-
-    def __str__(self) -> str:
-        lines = [f"Coefficients for {self.simulator} only; {self.simulations} simulations"]
-        lines.append(
-            f"{'Hz':>7}{'T20 wanted':>12}{'found':>8}{'JND':>7}  EDT, C50, C80 before/after"
-        )
-        status, gap = self.status, self.gap
-        for k, f in enumerate(self.room.centre_frequencies):
-            others = "  ".join(
-                f"{self.before.mean(p)[k]:.2f}/{self.final.mean(p)[k]:.2f}"
-                for p in ("edt", "c50", "c80")
-            )
-            lines.append(
-                f"{f:7g}{self.loop.wanted[k]:12.3f}{self.final.mean('t20')[k]:8.3f}{gap[k]:7.2f}"
-                f"  {others}  {status[k]}"
-            )
-        if "not confirmed" in status:
-            lines.append(
-                "Not confirmed: fresh random numbers are further off than tolerance and noise, or "
-                "the noise alone is more than the tolerance. Simulate with less noise (more paths)."
-            )
-        return "\n".join(lines)
 
 
 def start(
@@ -399,6 +383,7 @@ def calibrate_simulator(
         JND; a band is done when its gap is within it less the simulator's noise, and confirmed
         when fresh random numbers keep within it and their noise.
     max_simulations : int
+        One more may be spent where a band has no T20.
     seed : int
         All steps share it, so that they differ by alpha alone; the confirmation uses the next.
     after_step : callable, optional
@@ -413,7 +398,8 @@ def calibrate_simulator(
     Raises
     ------
     SimulatorError, TooShortError
-        From the simulator.
+        From the simulator. A band that has no T20 at some coefficients, since too little is
+        reflected or the equation does not hold, ends as unreachable instead.
     DataError
         If simulator and room differ in materials or bands.
 
@@ -450,18 +436,20 @@ def calibrate_simulator(
         tolerance=tolerance,
     )  # fmt: skip
     found: list[Measurement] = []
-    while not loop.finished and len(found) < max_simulations:
+    calls = 0
+    while not loop.finished and calls < max_simulations:
         alpha = loop.next_alpha
-        found.append(run(simulator, alpha, seed=seed))
-        loop = loop.record(alpha, found[-1])
+        answer, without = _answer(simulator, loop, alpha, seed)
+        calls += 1 + bool(without)
+        found.append(answer)
+        loop = loop.record(alpha, answer, without)
         if after_step is not None:
             after_step(loop)
     alpha = np.stack([loop.steps[b].alpha[:, k] for k, b in enumerate(loop.best)], axis=1)
-    target = np.array([loop.steps[b].target[k] for k, b in enumerate(loop.best)])
     # Bands that did not converge may have been nearest at different steps: never simulated together.
     together = np.array_equal(alpha, loop.steps[-1].alpha)
     after = found[-1] if together else run(simulator, alpha, seed=seed)
-    calibrated = loop.calibrated(target).room
+    calibrated = loop.outcome.room
     record = calibrated.calibration and replace(
         calibrated.calibration,
         measured=loop.measured,
@@ -471,11 +459,32 @@ def calibrate_simulator(
         room=calibrated.replace(alpha=alpha, calibration=record),
         simulator=simulator.name,
         loop=loop,
-        simulations=len(found),
+        simulations=calls,
         before=found[0],
         after=after,
         confirmation=None if simulator.deterministic else run(simulator, alpha, seed=seed + 1),
     )
+
+
+def _answer(
+    simulator: Simulator, loop: Loop, alpha: Array, seed: int
+) -> tuple[Measurement, tuple[int, ...]]:
+    """Simulate; where bands have no T20 at ``alpha``, simulate them as before, and name them.
+
+    Before the first step that is the prior. NaN there is an error, and so is no T20 in any band.
+    """
+    try:
+        return run(simulator, alpha, seed=seed), ()
+    except RtcalError as error:
+        nan_at_first = isinstance(error, SimulatorError) and not loop.steps
+        if not error.bands or nan_at_first or 1 < len(alpha[0]) == len(error.bands):
+            raise
+        without = error.bands
+    again = alpha.copy()
+    for k in without:
+        known = [s for s in loop.steps if np.isfinite(s.simulated[k])]
+        again[:, k] = known[-1].alpha[:, k] if known else loop.rounded(loop.room.alpha[:, k])
+    return run(simulator, again, seed=seed), without
 
 
 def _noise(found: Measurement) -> Array:

@@ -8,9 +8,17 @@ cause says why.  ``MissingDependencyError``: install an extra.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import TypeVar
+
 
 class RtcalError(Exception):
-    """Base of every error that rtcal raises on purpose."""
+    """Base of every error that rtcal raises on purpose.
+
+    ``bands`` are the columns of alpha that have no T, where others have one; see `of_bands`.
+    """
+
+    bands: tuple[int, ...] = ()
 
 
 class DataError(RtcalError, ValueError):
@@ -39,6 +47,21 @@ class SimulatorError(RtcalError):
 
 class MissingDependencyError(RtcalError, ImportError):
     """An optional library is not installed; the message says which extra brings it."""
+
+
+E = TypeVar("E", bound=RtcalError)
+
+
+def of_bands(error: E, bands: Iterable[int]) -> E:
+    """Return the error with the columns of alpha that it is about: the closed loop goes on without.
+
+    Examples
+    --------
+    >>> of_bands(ModelError("no T"), [2]).bands
+    (2,)
+    """
+    error.bands = tuple(int(k) for k in bands)
+    return error
 
 
 class RtcalWarning(UserWarning):

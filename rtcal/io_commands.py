@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from rtcal.acoustics.files import spare
 from rtcal.console import bar_wanted, json_option, quiet_option, tell
@@ -52,6 +53,8 @@ def measure(
             responses, bands=bands, minimum_range=_assignments(ranges, "DB"),
             progress=lambda: shown.update(1),
         )  # fmt: skip
+    if all(np.isnan(v).all() for v in analysis.measurement.values.values()):
+        click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
     notes = {
         "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,
         "missing": analysis.missing, "notes": analysis.notes,

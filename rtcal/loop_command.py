@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -49,22 +50,29 @@ def start(
 ) -> None:
     """Write ROOM (TOML) with the coefficients to simulate first, for MEASURED (CSV).
 
+    A state that holds simulations is not written over: delete it to begin anew.
+
     Example: rtcal loop start room.toml t.csv --state loop.json --out next.toml --decimals 2
     """
     from rtcal import closed_loop
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
+    from rtcal.calibration.measured import times_in_room
 
     spare([state, out], [room, measured])
+    _refuse_progress(state)
+    data = Measurement.from_file(measured)
     begun = closed_loop.start(
-        Room.from_file(room), Measurement.from_file(measured), rule=rule,  # type: ignore[arg-type]
+        Room.from_file(room), data, rule=rule,  # type: ignore[arg-type]
         method=method, decimals=decimals,
     )  # fmt: skip
     first = begun.calibrated(begun.wanted)
     _write(begun, state, out)
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
-    record = {"state": state, "simulate": out, "unreachable": beyond}
-    tell("\n".join([*beyond, f"Simulate {out} first."]), record, quiet=quiet, as_json=as_json)
+    taken = [p.upper() for p in sorted(set(times_in_room(begun.room, data).parameter)) if p]
+    record = {"state": state, "simulate": out, "unreachable": beyond, "measured": taken}
+    lines = [f"Measured T: {' and '.join(taken)}.", *beyond, f"Simulate {out} first."]
+    tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 
 @loop.command(name="next", short_help="Go on: take in what was simulated.")
@@ -74,16 +82,23 @@ def start(
     "--state", type=click.Path(dir_okay=False), required=True, help="State to go on from."
 )
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
+@click.option(
+    "--again", is_flag=True, help="Take a table that is the last step's: T depends not on alpha."
+)
 @json_option
 @quiet_option
-def next_(room: str, simulated: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
+def next_(
+    room: str, simulated: str, state: str, out: str, again: bool, as_json: bool, quiet: bool
+) -> None:
     """Take in what the program SIMULATED (CSV) and write what to simulate next.
 
-    ROOM is the file that `start` was given. `rtcal report STATE` shows the path so far.
+    ROOM is the file that `start` was given. `rtcal report STATE` shows the path so far, `rtcal loop
+    back` takes the last step back.
 
     Example: rtcal loop next room.toml simulated.csv --state loop.json --out next.toml
     """
     from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.quality import explained
     from rtcal.acoustics.room import Room
     from rtcal.closed_loop import Loop
 
@@ -95,23 +110,76 @@ def next_(room: str, simulated: str, state: str, out: str, as_json: bool, quiet:
             "next` wrote last has the coefficients, and `rtcal report` shows the path"
         )
     found = Measurement.from_file(simulated)
+    alpha = going.next_alpha
+    if not again and going.repeats(alpha, found):
+        raise DataError(
+            f"{simulated}: the table is the last step's, though alpha changed: was the room that was "
+            "written last simulated? (--again takes it all the same)"
+        )
     try:
-        going = going.record(going.next_alpha, found)
+        going = going.record(alpha, found)
     except DataError as error:
         raise DataError(f"{simulated}: {error}") from error
     _write(going, state, out)
     finished, frequencies = going.finished, going.room.centre_frequencies
     said = ["not yet" if s == "not converging" and not finished else s for s in going.status]
     lines = [
-        f"{frequency:7g} Hz  {gap:+6.2f} JND  {status}"
+        f"{frequency:7g} Hz  {'-' if gap != gap else format(gap, '+.2f'):>6} JND  {status}"
         for frequency, gap, status in zip(frequencies, going.gap, said, strict=True)
     ]
-    lines.append("Done." if finished else f"Simulate {out} next.")
+    lines += explained(going.trust_marks)
+    lines.append(_end(going, out) if finished else f"Simulate {out} next.")
     record = {
         "finished": finished, "state": state, "simulate": out,
         "centre_frequencies": frequencies, "gap_jnd": going.gap, "status": said,
+        "trust_marks": [vars(mark) for mark in going.trust_marks],
     }  # fmt: skip
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
+
+
+@loop.command(short_help="Take the last step back.")
+@click.argument("room", type=click.Path())
+@click.option(
+    "--state", type=click.Path(dir_okay=False), required=True, help="State to go back from."
+)
+@click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
+@json_option
+@quiet_option
+def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
+    """Forget the table that `next` took in last, and write what it should have been simulated with.
+
+    Example: rtcal loop back room.toml --state loop.json --out next.toml
+    """
+    from rtcal.acoustics.room import Room
+    from rtcal.closed_loop import Loop
+
+    spare([state, out], [room])
+    going = Loop.load(state, Room.from_file(room)).back()
+    _write(going, state, out)
+    record = {"simulations": len(going.steps), "state": state, "simulate": out}
+    text = f"{len(going.steps)} simulations left in {state}. Simulate {out} next."
+    tell(text, record, quiet=quiet, as_json=as_json)
+
+
+def _refuse_progress(state: str) -> None:
+    """Raise DataError where a state would be written over that someone simulated for."""
+    from rtcal.closed_loop import Loop
+
+    if Path(state).exists() and (n := len(Loop.load(state).steps)):
+        raise DataError(
+            f"{state} holds {n} simulation{'s' * (n > 1)} of a loop: delete it to begin anew, or name "
+            "another state"
+        )
+
+
+def _end(going: Loop, out: str) -> str:
+    """What to do with the last room that is written."""
+    left = len([s for s in going.status if s not in ("converged", "no measured T")])
+    missed = f", but {left} of {going.room.n_bands} bands were not reached" if left else ""
+    return (
+        f"Done{missed}. {out} has the coefficients, those of each band's best step: give it to the "
+        "program a last time."
+    )
 
 
 def _write(going: Loop, state: str, out: str) -> None:
@@ -120,4 +188,8 @@ def _write(going: Loop, state: str, out: str) -> None:
     from rtcal.acoustics.room_files import room_text
 
     room = going.room.replace(alpha=going.next_alpha, calibration=None)
-    write_all({out: room_text(room).encode(), state: going.to_json().encode()})
+    n, of = len(going.steps), f"of the loop in {Path(state).name!r}"
+    note = f"# To simulate: run {n + 1} {of}.\n"
+    if n and going.finished:
+        note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
+    write_all({out: (note + room_text(room)).encode(), state: going.to_json().encode()})

@@ -4,28 +4,37 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from dataclasses import fields as fields_of
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.acoustics.equations import Eyring, Kuttruff, LinearEquation, Sabine
 from rtcal.acoustics.files import read_text
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_files import parse_room, room_text
-from rtcal.errors import DataError
+from rtcal.calibration.presets import preset
+from rtcal.errors import DataError, ModelError
 from rtcal.loop_rules import RULES
 from rtcal.types import Array
 
 if TYPE_CHECKING:
-    from rtcal.closed_loop import Loop, LoopResult
+    from rtcal.closed_loop import Loop
+    from rtcal.loop_result import LoopResult
 
 KIND = "loop 2"
 """What the key ``rtcal`` of a saved loop says."""
 MAX_BYTES = 2**25
 MOST_DECIMALS = 12
 
+_LIMITS = (1e-6, 1e6)  # s, of T: a hard room without air has a longer one than was ever measured
+_KEYS = (
+    "rtcal", "room", "measured", "wanted", "rule", "method", "equation", "decimals", "tolerance",
+    "steps",
+)  # fmt: skip
 _STEP = ("target", "alpha", "simulated", "noise")
 _EQUATIONS = {e.name: e for e in (Sabine, Eyring, Kuttruff)}
 
@@ -53,46 +62,62 @@ def read(
     """
     content = read_text(path, MAX_BYTES)
     try:
-        data = json.loads(content)
-        if not isinstance(data, dict) or data.get("rtcal") != KIND:
-            raise DataError(f"{path} is no state of a loop: it lacks the mark of one")
-        own = parse_room(data["room"], f"{path}, room")
-        if room is not None and fingerprint(room) != fingerprint(own):
+        data = json.loads(content, parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path} is no state of a loop: not JSON: {error}") from error
+    if not isinstance(data, dict) or data.get("rtcal") != KIND:
+        raise DataError(f"{path} is no state of a loop: it lacks the mark of one")
+    try:
+        fields, steps = _read(data, equation)
+    except (DataError, ModelError) as error:
+        raise DataError(f"{path} is no state of a loop: {error}") from error
+    if room is not None:
+        if fingerprint(room) != fingerprint(fields["room"]):
             raise DataError(
                 f'{path} is the state of another room, or room "{room.name}" was changed since'
             )
-        if data["rule"] not in RULES:
-            raise KeyError("rule")
-        decimals = data["decimals"]
-        if decimals is not None and (
-            type(decimals) is not int or not 1 <= decimals <= MOST_DECIMALS
-        ):
-            raise ValueError(f"decimals = {decimals!r}")
-        steps = [{name: _array(step[name]) for name in _STEP} for step in data["steps"]]
-        fields = {
-            "room": own if room is None else room, "wanted": _array(data["wanted"]),
-            "measured": str(data["measured"]), "rule": data["rule"], "method": str(data["method"]),
-            "equation": equation or _equation(data["equation"]), "decimals": decimals,
-            "tolerance": float(data["tolerance"]),
-        }  # fmt: skip
-        if not fields["tolerance"] > 0:
-            raise ValueError("tolerance is not above 0")
-    except (
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-        OverflowError,
-    ) as error:
-        if isinstance(error, DataError):
-            raise
-        what = f"{error} is missing or unknown" if isinstance(error, KeyError) else error
-        raise DataError(f"{path} is no state of a loop: {what}") from error
+        fields["room"] = room
+    return fields, steps
+
+
+def _read(
+    data: dict[str, Any], equation: LinearEquation | None
+) -> tuple[dict[str, Any], list[dict[str, Array]]]:
+    _keys("the file", data, _KEYS, ("result",))
+    for key in ("room", "measured", "rule", "method"):
+        if not isinstance(data[key], str):
+            raise DataError(f"{key} = {str(data[key])[:40]!r} is not a text")
+    own = parse_room(data["room"], "room")
+    if data["rule"] not in RULES:
+        raise DataError(f'rule = "{data["rule"][:40]}" is not one of {", ".join(RULES)}')
+    preset(data["method"], own)
+    decimals = data["decimals"]
+    if decimals is not None and checks.whole("decimals", decimals, 1) > MOST_DECIMALS:
+        raise DataError(f"decimals = {decimals} is more than {MOST_DECIMALS}")
     shape = own.alpha.shape
-    vectors = [fields["wanted"], *(s[name] for s in steps for name in _STEP if name != "alpha")]
-    if any(v.shape != shape[1:] for v in vectors) or any(s["alpha"].shape != shape for s in steps):
-        raise DataError(f"{path} is no state of a loop: its shapes are not the room's")
+    fields = {
+        "room": own, "wanted": _times("wanted", data["wanted"], own.n_bands, missing=True),
+        "measured": data["measured"], "rule": data["rule"], "method": data["method"],
+        "equation": equation or _equation(data["equation"]), "decimals": decimals,
+        "tolerance": checks.positive("tolerance", data["tolerance"], "JND"),
+    }  # fmt: skip
+    if np.isnan(fields["wanted"]).all():
+        raise DataError("wanted = null in every band: there is nothing to calibrate to")
+    if not isinstance(data["steps"], list):
+        raise DataError(f"steps = {str(data['steps'])[:40]!r} is not a list")
+    steps = []
+    for i, step in enumerate(data["steps"]):
+        at = f"steps[{i}]"
+        _keys(at, step, _STEP)
+        found = _times(f"{at}.simulated", step["simulated"], own.n_bands, missing=True)
+        steps.append({
+            "target": _times(f"{at}.target", step["target"], own.n_bands),
+            "alpha": _array(f"{at}.alpha", step["alpha"], shape, (0.0, 1.0)),
+            "simulated": found,
+            "noise": _array(
+                f"{at}.noise", step["noise"], shape[1:], (0.0, _LIMITS[1]), missing=True
+            ),
+        })  # fmt: skip
     return fields, steps
 
 
@@ -121,9 +146,28 @@ def fingerprint(room: Room) -> str:
     return digest.hexdigest()[:16]
 
 
-def _equation(stated: Mapping[str, Any]) -> LinearEquation:
-    own = dict(stated)
-    return _EQUATIONS[own.pop("name")](**own)
+def _equation(stated: Any) -> LinearEquation:
+    own = dict(checks.mapped("equation", stated))
+    name = own.pop("name", None)
+    if not isinstance(name, str) or name not in _EQUATIONS:
+        raise DataError(f"equation.name = {str(name)[:40]!r} is not one of {', '.join(_EQUATIONS)}")
+    kind = _EQUATIONS[name]
+    _keys("equation", own, [f.name for f in fields_of(kind)])
+    return kind(**own)
+
+
+def _keys(place: str, found: Any, needed: Sequence[str], more: Sequence[str] = ()) -> None:
+    """Raise DataError unless it is an object with these keys and no others."""
+    if not isinstance(found, dict):
+        raise DataError(f"{place} = {str(found)[:40]!r} is not an object")
+    if missing := [key for key in needed if key not in found]:
+        raise DataError(f"{place} lacks {missing[0]}")
+    if unknown := [key for key in found if key not in (*needed, *more)]:
+        raise DataError(f'{place} has the key "{unknown[0][:40]}", which means nothing')
+
+
+def _no_number(text: str) -> None:
+    raise ValueError(f"{text} is no number of JSON's")
 
 
 def _plain(values: Array) -> list[object]:
@@ -133,5 +177,27 @@ def _plain(values: Array) -> list[object]:
     ]
 
 
-def _array(values: object) -> Array:
-    return np.array(values, dtype=float)
+def _times(place: str, values: Any, n_bands: int, missing: bool = False) -> Array:
+    return _array(place, values, (n_bands,), _LIMITS, missing)
+
+
+def _array(
+    place: str,
+    values: Any,
+    shape: tuple[int, ...],
+    limits: tuple[float, float],
+    missing: bool = False,
+) -> Array:
+    """Return nested lists of numbers within the limits, null where one is missing, as an array."""
+    if shape:
+        if not isinstance(values, list) or len(values) != shape[0]:
+            raise DataError(f"{place} is not a list of {shape[0]} values")
+        return np.array([
+            _array(f"{place}[{i}]", v, shape[1:], limits, missing) for i, v in enumerate(values)
+        ])  # fmt: skip
+    if values is None and missing:
+        return np.array(np.nan)
+    value = checks.number(place, values)
+    if not limits[0] <= value <= limits[1]:
+        raise DataError(f"{place} = {value:g} is not from {limits[0]:g} to {limits[1]:g}")
+    return np.array(value)

@@ -296,3 +296,169 @@ def test_a_loop_that_is_done_takes_no_more(cr2):
         loop.record(loop.next_alpha, simulator.simulate(loop.next_alpha))
     with pytest.raises(DataError, match="no simulation yet"):
         _ = closed_loop.start(room, measured).status
+
+
+def test_a_band_that_no_equation_gives_ends_alone(cr2):
+    """Kuttruff's equation has no T for the alpha that Eyring's asks for: the others go on."""
+    room, measured = cr2
+    times = measured.mean("t30").copy()
+    times[0] = 0.03
+    far = rt.Measurement.from_values(room.centre_frequencies, t20=times)
+    result = calibrate_simulator(EquationSimulator(rt.Kuttruff(), room), room, far)
+    assert result.status == ("unreachable", *["converged"] * 5)
+    assert np.isnan(result.loop.steps[0].simulated[0])  # the first alpha had none
+    prior = rt.Kuttruff().reverberation_time(room)[0]
+    assert 0.03 < result.final.mean("t20")[0] < 0.4 * prior  # as near as it goes
+    assert np.abs(result.gap[1:]).max() <= 1
+
+
+def dead_above(room, limit):
+    """A simulator without a T20 in the first band where its mean alpha is above a limit."""
+
+    def run(alpha, seed):
+        times = rt.Eyring().time(room, room.areas @ alpha)
+        dead = room.areas @ alpha[:, 0] / room.total_area > limit
+        return np.where((np.arange(room.n_bands) == 0) & dead, np.nan, 1.5 * times)
+
+    return External(room=room, run=run, name="dead above")
+
+
+def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
+    room, measured = cr2
+    mean = room.areas @ calibrate_simulator(
+        EquationSimulator(rt.Eyring(), room), room, measured
+    ).alpha[:, 0] / room.total_area  # fmt: skip
+    with pytest.raises(SimulatorError, match="finite time above 0"):
+        calibrate_simulator(dead_above(room, 0.9 * mean), room, measured)
+    result = calibrate_simulator(dead_above(room, 1.2 * mean), room, measured)  # needs 1.5
+    assert result.status == ("unreachable", *["converged"] * 5)
+    reached = room.areas @ result.alpha[:, 0] / room.total_area
+    assert mean < reached <= 1.2 * mean
+    assert result.simulations > len(result.loop.steps)  # the calls without a T20 count
+    everywhere = External(
+        room=room, name="gone",
+        run=lambda alpha, seed: dead_above(room, mean * 1.2).run(alpha, seed)[:1].repeat(room.n_bands),
+    )  # fmt: skip
+    with pytest.raises(SimulatorError, match="finite time above 0"):
+        calibrate_simulator(everywhere, room, measured)
+
+
+def test_a_loop_without_a_t20_somewhere_is_kept(cr2, tmp_path):
+    room, measured = cr2
+    loop = calibrate_simulator(EquationSimulator(rt.Kuttruff(), room), room, measured).loop
+    gone = loop.steps[0].simulated.copy()
+    gone[3] = np.nan
+    begun = closed_loop.start(room, measured)
+    simulated = rt.Measurement.from_values(room.centre_frequencies, t20=1.4 * loop.wanted)
+    once = begun.record(begun.next_alpha, simulated)
+    lacking = rt.Measurement.from_values(room.centre_frequencies, t20=gone)
+    with pytest.raises(DataError, match="1000 Hz] is missing"):
+        begun.record(begun.next_alpha, lacking)
+    twice = once.record(once.next_alpha, lacking)
+    twice.save(str(tmp_path / "loop.json"))
+    again = closed_loop.Loop.load(str(tmp_path / "loop.json"), room)
+    assert np.isnan(again.steps[1].simulated[3])
+    aims = [once.steps[0].target[3], once.next_target[3]]
+    assert again.next_target[3] == pytest.approx(np.sqrt(np.prod(aims)))  # halfway back
+
+
+def test_absurd_coefficients_are_marked(cr2):
+    room, measured = cr2
+    lively = External(
+        room=room, name="lively",
+        run=lambda alpha, seed: 4 * rt.Eyring().time(room, room.areas @ alpha),
+    )  # fmt: skip
+    result = calibrate_simulator(lively, room, measured)
+    assert set(result.status) == {"converged"}
+    implausible = [m for m in result.trust_marks if m.kind == "implausible"]
+    assert len(implausible) == room.n_bands
+    assert "[z]" in str(result)
+    assert "T asks for more absorption than was stated" in str(result)
+    assert len(str(result).splitlines()) <= 2 + room.n_bands + 4
+    plain = calibrate_simulator(EquationSimulator(rt.Eyring(), room), room, measured)
+    marked = {m.frequency for m in plain.trust_marks if m.kind == "implausible"}
+    z = rt.calibrate(room, measured.mean("t30")).plausibility.z
+    assert marked == set(room.centre_frequencies[np.abs(z) > 2])
+    for value in z:
+        assert f"{value:+.1f}" in str(plain)
+
+
+def test_nan_is_not_printed(cr2):
+    room, measured = cr2
+    times = measured.mean("t30").copy()
+    times[2] = np.nan
+    partial = rt.Measurement.from_values(room.centre_frequencies, t30=times)
+    text = str(calibrate_simulator(EquationSimulator(rt.Eyring(), room), room, partial))
+    assert "nan" not in text
+    assert "EDT" not in text
+    assert "C50" not in text
+
+
+def test_the_last_room_is_each_bands_best_step(cr2):
+    room, measured = cr2
+    factors = np.where(np.arange(room.n_bands) == 2, 1.5, 1.04)
+    loop = closed_loop.start(room, measured)
+    while not loop.finished:
+        alpha = loop.next_alpha
+        times = factors * rt.Eyring().time(room, room.areas @ alpha)
+        loop = loop.record(alpha, rt.Measurement.from_values(room.centre_frequencies, t20=times))
+    for k, b in enumerate(loop.best):
+        assert np.array_equal(loop.next_alpha[:, k], loop.steps[b].alpha[:, k])
+
+
+MUTATIONS = [
+    ("wanted", [0], -1, "wanted[0] = -1 is not from"),
+    ("wanted", [0], "a", "wanted[0] = 'a' is not a number"),
+    ("wanted", [0], True, "wanted[0] = True is not a number"),
+    ("wanted", [], [1.5], "wanted is not a list of 6"),
+    ("wanted", [], "abc", "wanted is not a list of 6"),
+    ("decimals", [], 2.5, "decimals = 2.5 is not a whole number"),
+    ("tolerance", [], "1", "tolerance = '1' is not a number"),
+    ("tolerance", [], 0, "tolerance = 0 JND is not finite and above 0"),
+    ("steps", [], {}, "steps = '{}' is not a list"),
+    ("steps", [], [1], "steps[0] = '1' is not an object"),
+    ("steps", [0, "alpha", 0, 0], 2.0, "steps[0].alpha[0][0] = 2 is not from 0 to 1"),
+    ("steps", [0, "alpha", 0, 0], None, "steps[0].alpha[0][0] = None is not a number"),
+    ("steps", [0, "simulated", 0], 1e308, "steps[0].simulated[0] = 1e+308 is not from"),
+    ("steps", [0, "simulated", 0], -1, "steps[0].simulated[0] = -1 is not from"),
+    ("steps", [0, "noise", 0], -1, "steps[0].noise[0] = -1 is not from"),
+    ("steps", [0, "target", 0], None, "steps[0].target[0] = None is not a number"),
+    ("steps", [0, "extra"], 1, 'steps[0] has the key "extra"'),
+    ("room", [], 5, "room = '5' is not a text"),
+    ("method", [], [], "method = '[]' is not a text"),
+    ("method", [], "guess", 'method "guess" is unknown'),
+    ("rule", [], {}, "rule = '{}' is not a text"),
+    ("equation", [], None, "equation = None is not a mapping"),
+    ("equation", ["name"], "Fitzroy", "equation.name = 'Fitzroy' is not one of"),
+    ("equation", ["speed_of_sound"], -5, "speed_of_sound = -5 m/s"),
+    ("extra", [], 1, 'the file has the key "extra"'),
+]
+
+
+@pytest.mark.parametrize(("key", "where", "value", "message"), MUTATIONS)
+def test_values_of_a_state_are_checked(cr2, tmp_path, key, where, value, message):
+    room, measured = cr2
+    loop = closed_loop.start(room, measured)
+    simulated = rt.Measurement.from_values(room.centre_frequencies, t20=1.4 * loop.wanted)
+    data = json.loads(loop.record(loop.next_alpha, simulated).to_json())
+    inner, path = data, [key, *where]
+    for step in path[:-1]:
+        inner = inner[step]
+    inner[path[-1]] = value
+    file = tmp_path / "loop.json"
+    file.write_text(json.dumps(data))
+    with pytest.raises(DataError) as caught:
+        closed_loop.Loop.load(str(file), room)
+    assert str(caught.value).startswith(f"{file} is no state of a loop: ")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_state_with_nan_is_not_json(cr2, tmp_path):
+    room, measured = cr2
+    file = tmp_path / "loop.json"
+    for value in ("NaN", "Infinity"):
+        text = closed_loop.start(room, measured).to_json()
+        file.write_text(text.replace('"tolerance": 1.0', f'"tolerance": {value}'))
+        with pytest.raises(DataError, match=f"not JSON: {value} is no number"):
+            closed_loop.Loop.load(str(file), room)

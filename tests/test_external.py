@@ -1,5 +1,7 @@
 """Other programs as simulators: callables, commands, and how they fail."""
 
+import os
+import pathlib
 import sys
 import time
 
@@ -12,6 +14,8 @@ from rtcal.simulators import base
 from rtcal.simulators.external import External, command
 
 PROGRAM = """
+import os
+import pathlib
 import sys
 import rtcal as rt
 given, found, seed = sys.argv[1:]
@@ -98,3 +102,89 @@ def test_a_callable_that_raises_or_takes_too_long(cr2):
         slow.simulate(room.alpha)
     with pytest.raises(DataError, match="time_limit"):
         external(room, fails, time_limit=0.0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="asks for a process by its number")
+def test_what_a_command_started_is_ended_with_it(cr2, tmp_path):
+    room, _ = cr2
+    number = tmp_path / "number"
+    program = (
+        "import subprocess, sys\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        f"open({str(number)!r}, 'w').write(str(child.pid)); child.wait()"
+    )
+    run = command([sys.executable, "-c", program], room, time_limit=3.0)
+    with pytest.raises(SimulatorError, match="ran for longer than 3 s"):
+        external(room, run).simulate(room.alpha)
+    child = int(number.read_text())
+    for _ in range(50):
+        if ended(child):
+            break
+        time.sleep(0.1)
+    assert ended(child)
+
+
+def ended(number):
+    """Whether a process is gone, or dead and not yet fetched by its parent."""
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return True
+    state = pathlib.Path(f"/proc/{number}/stat")
+    return state.exists() and state.read_text().rsplit(")", 1)[1].split()[0] == "Z"
+
+
+@pytest.mark.parametrize(
+    ("written", "message"),
+    [
+        ("b''", "no rows"),
+        (r"b'source,receiver,parameter,band,value\nS1,R1,T20,500,nan\n'", "not finite"),
+        (r"b'\xff\xfe\x00\x81'", "not UTF-8"),
+        (r"b'source,receiver,parameter,band,value\nS1,R1,T20,500,900\n'", "is it in seconds"),
+    ],
+)
+def test_what_a_command_writes_is_no_measurement(cr2, written, message):
+    room, _ = cr2
+    program = f"import sys; open(sys.argv[2], 'wb').write({written})"
+    run = command([sys.executable, "-c", program], room)
+    with pytest.raises(SimulatorError, match=message) as caught:
+        external(room, run).simulate(room.alpha)
+    assert f"{sys.executable} wrote no measurement: measured.csv" in str(caught.value)
+    assert "rtcal-" not in str(caught.value)  # the folder is gone
+
+
+def test_what_a_program_is_called_and_started_with(cr2):
+    room, _ = cr2
+    for arguments, message in (
+        ([], "names no program"),
+        ([3], "has 3, which is not a text"),
+        ("prog", "is not a list"),
+    ):
+        with pytest.raises(DataError, match=message):
+            command(arguments, room)
+    for limit in (-1, 0, np.nan, "x"):
+        with pytest.raises(DataError, match="time_limit"):
+            command(["prog"], room, time_limit=limit)
+    for name in ("", " ", "two\nlines", 5):
+        with pytest.raises(DataError, match="name"):
+            External(room=room, run=lambda alpha, seed: alpha[0], name=name)
+    with pytest.raises(DataError, match="deterministic = 'no' is not True or False"):
+        external(room, lambda alpha, seed: alpha[0], deterministic="no")
+
+
+def test_times_that_are_no_times(cr2):
+    room, _ = cr2
+    n = room.n_bands
+    for answer, message in (
+        (np.full(n, 1 + 5j), "complex128"),
+        ([True] * n, "bool"),
+        (np.full(n, 1400.0), "is it in seconds"),
+    ):
+        with pytest.raises(SimulatorError, match=message):
+            external(room, lambda alpha, seed, answer=answer: answer).simulate(room.alpha)
+
+    def fails(alpha, seed):
+        raise RuntimeError("first\nsecond")
+
+    with pytest.raises(SimulatorError, match="raised RuntimeError: first second"):
+        base.run(external(room, fails), room.alpha)

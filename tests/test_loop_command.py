@@ -1,10 +1,13 @@
 """`rtcal loop start` and `next`: a program run by hand, between runs of the command."""
 
+import warnings
+
 import numpy as np
+import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.cli import cli
+from rtcal.cli import cli, main
 
 
 def test_a_program_run_by_hand_is_calibrated(cr2, tmp_path):
@@ -117,9 +120,132 @@ def test_what_is_no_state_is_said_plainly(cr2, tmp_path):
         (good[:150], "is no state of a loop"),
         ("[1]", "lacks the mark of one"),
         ("{}", "lacks the mark of one"),
-        (good.replace('"rule": "safeguarded"', '"rule": "huh"'), "'rule' is missing or unknown"),
-        (good.replace('"wanted"', '"wnated"'), "'wanted' is missing or unknown"),
+        (good.replace('"rule": "safeguarded"', '"rule": "huh"'), "is not one of secant"),
+        (good.replace('"wanted"', '"wnated"'), "lacks wanted"),
     ):
         state.write_text(content)
         done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files])
         assert message in str(done.exception)
+
+
+def simulate(tmp_path, factor=1.4):
+    """A program: what it makes of next.toml, in s.csv."""
+    room = rt.Room.from_file(str(tmp_path / "next.toml"))
+    times = factor * rt.Eyring().reverberation_time(room)
+    rt.Measurement.from_values(room.centre_frequencies, t20=times).save(str(tmp_path / "s.csv"))
+    return str(tmp_path / "s.csv")
+
+
+def test_the_same_table_twice_is_refused(cr2, tmp_path):
+    room, measured = cr2
+    _, runner, command, files = begun(room, measured, tmp_path)
+    table = simulate(tmp_path)
+    assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
+    before = [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")]
+    done = runner.invoke(cli, [*command, table, *files])
+    assert "the table is the last step's, though alpha changed" in str(done.exception)
+    assert [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")] == before
+    done = runner.invoke(cli, [*command, table, *files, "--again"])
+    assert done.exit_code == 0, done.output
+    done = runner.invoke(cli, [*command, simulate(tmp_path), *files])
+    assert done.exit_code == 0, done.output
+
+
+def test_t_that_depends_not_on_alpha_is_unreachable(cr2, tmp_path):
+    room, measured = cr2
+    _, runner, command, files = begun(room, measured, tmp_path)
+    table = str(tmp_path / "s.csv")
+    rt.Measurement.from_values(room.centre_frequencies, t20=[30.0] * room.n_bands).save(table)
+    for _ in range(12):
+        done = runner.invoke(cli, [*command, table, *files, "--again"])
+        assert done.exit_code == 0, done.output
+        if "Done" in done.output:
+            break
+    assert done.output.count("unreachable") == room.n_bands
+    assert "Done, but 6 of 6 bands were not reached." in done.output
+
+
+def test_the_last_step_is_taken_back(cr2, tmp_path):
+    room, measured = cr2
+    _, runner, command, files = begun(room, measured, tmp_path)
+    names = ("loop.json", "next.toml")
+    kept = [[(tmp_path / n).read_bytes() for n in names]]
+    for factor in (1.4, 1.9):
+        assert runner.invoke(cli, [*command, simulate(tmp_path, factor), *files]).exit_code == 0
+        kept.append([(tmp_path / n).read_bytes() for n in names])
+    assert kept[0] != kept[1] != kept[2]
+    back = ["loop", "back", str(tmp_path / "room.toml"), *files]
+    for left in (1, 0):
+        done = runner.invoke(cli, back)
+        assert f"{left} simulations left" in done.output
+        assert [(tmp_path / n).read_bytes() for n in names] == kept[left]
+    assert "none to take back" in str(runner.invoke(cli, back).exception)
+
+
+def test_a_loop_in_progress_is_not_written_over(cr2, tmp_path):
+    room, measured = cr2
+    begun(room, measured, tmp_path)
+    done, runner, command, files = begun(room, measured, tmp_path)
+    assert done.exit_code == 0  # nothing was simulated yet
+    runner.invoke(cli, [*command, simulate(tmp_path), *files])
+    before = (tmp_path / "loop.json").read_bytes()
+    done, *_ = begun(room, measured, tmp_path)
+    assert "holds 1 simulation of a loop: delete it to begin anew" in str(done.exception)
+    assert (tmp_path / "loop.json").read_bytes() == before
+    (tmp_path / "loop.json").unlink()
+    assert begun(room, measured, tmp_path)[0].exit_code == 0
+
+
+def test_the_room_says_which_run_it_is_for_and_the_end_what_to_do(cr2, tmp_path):
+    room, measured = cr2
+    done, runner, command, files = begun(room, measured, tmp_path)
+    assert "Measured T: T30." in done.output
+    note = (tmp_path / "next.toml").read_text().split("\n")[0]
+    assert note == "# To simulate: run 1 of the loop in 'loop.json'."
+    for run in range(2, 9):
+        done = runner.invoke(cli, [*command, simulate(tmp_path), *files])
+        note = (tmp_path / "next.toml").read_text().split("\n")[0]
+        if "Done" in done.output:
+            break
+        assert note == f"# To simulate: run {run} of the loop in 'loop.json'."
+    end = f"the end of the loop in 'loop.json', after {run - 1} runs."
+    assert note == f"# Calibrated for the program simulated: {end}"
+    assert "those of each band's best step: give it to the program a last time." in done.output
+    assert "[z]" in done.output  # 1.4 times asks for more absorption than was stated
+
+
+def test_times_in_ms_are_refused(cr2, tmp_path):
+    room, measured = cr2
+    _, runner, command, files = begun(room, measured, tmp_path)
+    table = tmp_path / "s.csv"
+    for t in (1000.0, 0.0014):
+        rt.Measurement.from_values(room.centre_frequencies, t20=[t] * 6).save(str(table))
+        done = runner.invoke(cli, [*command, str(table), *files])
+        assert f"line 2: T20 = {t:g} s is not from 0.01 to 120 s" in str(done.exception)
+        assert "is it in seconds?" in str(done.exception)
+
+
+def test_a_band_without_t_is_printed_without_nan(cr2, tmp_path):
+    room, measured = cr2
+    times = measured.mean("t30").copy()
+    times[2] = np.nan
+    partial = rt.Measurement.from_values(room.centre_frequencies, t20=times)
+    _, runner, command, files = begun(room, partial, tmp_path)
+    done = runner.invoke(cli, [*command, simulate(tmp_path), *files])
+    assert "nan" not in done.output
+    assert "500 Hz       - JND  no measured T" in done.output
+
+
+def test_a_warning_is_one_line(cr2, tmp_path, capsys):
+    room, measured = cr2
+    room.with_air(None).save(str(tmp_path / "room.toml"))
+    measured.save(str(tmp_path / "t.csv"))
+    files = ["--state", str(tmp_path / "loop.json"), "--out", str(tmp_path / "next.toml")]
+    start = ["loop", "start", str(tmp_path / "room.toml"), str(tmp_path / "t.csv"), *files]
+    for more in ([], ["--quiet"]):
+        with warnings.catch_warnings(), pytest.raises(SystemExit):
+            warnings.simplefilter("always")
+            main([*start, *more])
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == (not more)
+        assert all(line.startswith("rtcal: ") and "air" in line for line in lines)

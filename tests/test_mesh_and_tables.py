@@ -149,3 +149,22 @@ def test_native_files_are_bounded(tmp_path: Path) -> None:
     path.write_bytes(b"#" * (2**21 + 1))
     with pytest.raises(DataError, match="more than 2097152 bytes"):
         rt.Measurement.from_file(str(path))
+
+
+@pytest.mark.parametrize("content", [
+    b"Frequency [Hz];T20 [s]\n125;1.5\n130;1.4\n",
+    b"Parameter;125 Hz;130 Hz\nT20;1.5;1.4\n",
+])  # fmt: skip
+def test_a_band_that_is_none_is_refused(content: bytes) -> None:
+    with pytest.raises(DataError, match="130 Hz is no octave or third-octave"):
+        tables.parse(content)
+
+
+def test_a_wrong_unit_is_noticed() -> None:
+    with pytest.raises(DataError, match=r"line 3: T20 = 0\.0014 s is not from 0\.01 to 120 s"):
+        tables.parse(b"Frequency [Hz];T20 [ms]\n125;1520\n250;1.400\n")
+    with pytest.raises(DataError, match=r"T20 = 1400 s is not from .*: is it in seconds"):
+        tables.parse(b"Frequency [Hz];T20\n125;1400\n")
+    assert (
+        tables.parse(b"Frequency [Hz];EDT [ms]\n125;1.4\n").measurement.values["edt"][0] == 0.0014
+    )

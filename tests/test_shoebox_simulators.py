@@ -243,3 +243,31 @@ def test_the_protocol() -> None:
 def _triples(places: list[np.ndarray]) -> list[tuple]:
     x, y, z = (list(enumerate(p)) for p in places)
     return [(a, b, c) for a in x for b in y for c in z]
+
+
+@pytest.mark.parametrize("dimensions", [(5, 7, 3), (2, 2.5, 2.2), (4, 40, 3)])
+def test_the_lowest_sampling_rate_has_the_right_t20(dimensions: tuple[float, ...]) -> None:
+    """Within 5.5 % of 44.1 kHz at alpha = .3, where delays are whole samples."""
+    x, y, z = dimensions
+    areas = [2 * (x * y + x * z + y * z)]
+    room = rt.Room(
+        name="box", volume=x * y * z, materials=["all"], areas=areas, alpha=[[0.3]],
+        sigma=[[0.1]], centre_frequencies=[1000], dimensions=dimensions,
+    )  # fmt: skip
+    places = {
+        "sources": {"S": np.array(dimensions) * [0.8, 0.4, 0.6]},
+        "receivers": {"R": np.array(dimensions) * [0.3, 0.3, 0.45],
+                      "Q": np.array(dimensions) * [0.55, 0.7, 0.4]},
+    }  # fmt: skip
+    least = 10 * room.speed_of_sound * areas[0] / (4 * room.volume)
+    low = ScatteringDelayNetwork(room=room, sampling_rate=least, **places)
+    full = ScatteringDelayNetwork(room=room, **places)
+    ratio = low.simulate(room.alpha).mean("t20") / full.simulate(room.alpha).mean("t20")
+    assert ratio == pytest.approx(1.0, abs=0.055)
+    with pytest.raises(DataError, match=r"sampling_rate = \S+ Hz is too low for delays in whole"):
+        ScatteringDelayNetwork(room=room, sampling_rate=0.99 * least, **places)
+
+
+def test_bins_wider_than_c50_bears_are_refused() -> None:
+    with pytest.raises(DataError, match=r"bin_width = 5 s is more than 0\.01 s"):
+        ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=2.5, bin_width=5)

@@ -214,6 +214,7 @@ def mean_t20(energy):
         ({"room": HALL.room.replace(scattering=None)}, "no scattering coefficients"),
         ({"n_batches": 1}, "at least two batches"),
         ({"bin_width": -1.0}, "bin_width"),
+        ({"bin_width": 10.0}, "bin_width = 10 s is more than 0.01 s"),
         ({"radius": 0.0}, "radius"),
         ({"geometry": Polyhedron.shoebox((9, 11, 4), "velvet")}, '"velvet" is no material'),
     ],

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.errors import DataError, TooShortError
+from rtcal.errors import DataError, TooShortError, of_bands
 from rtcal.types import Array
 
 RANGES: dict[str, tuple[float, float]] = {
@@ -26,6 +26,17 @@ RANGES: dict[str, tuple[float, float]] = {
 MARGIN_DB = 15.0
 """How far below a range's lower end the energy that was cut off has to be. Cutting an exponential
 off there lowers T20 by 0.4 %."""
+
+
+MAX_BIN = 0.01
+"""s; the widest bins that a simulator may be built with: five fill C50's 50 ms."""
+
+
+def bins(bin_width: float) -> float:
+    """Return a simulator's bin width in s; DataError unless above 0 and at most `MAX_BIN`."""
+    if checks.positive("bin_width", bin_width, "s") > MAX_BIN:
+        raise DataError(f"bin_width = {bin_width:g} s is more than {MAX_BIN:g} s, too wide for C50")
+    return float(bin_width)
 
 
 def decay_curve_db(energy: Array) -> Array:
@@ -187,7 +198,8 @@ def measurement(
                 f"{-RANGES['t20'][1] + MARGIN_DB:.0f} dB are needed. The room is more reverberant "
                 "than the decay is long: simulate longer"
             )
-        raise DataError(f"the decay from {where} has no T20: too little is reflected")
+        error = DataError(f"the decay from {where} has no T20: too little is reflected")
+        raise of_bands(error, np.flatnonzero(lost.any(axis=0)))
     return Measurement(
         centre_frequencies=np.asarray(centre_frequencies, dtype=float),
         values=found,

@@ -16,7 +16,7 @@ import numpy as np
 from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, InfeasibleError, ModelError
+from rtcal.errors import DataError, InfeasibleError, ModelError, of_bands
 from rtcal.types import Array
 
 PAPER_SPEED_OF_SOUND = 24 * np.log(10) / 0.164
@@ -270,11 +270,13 @@ class Kuttruff(LinearEquation):
 
     def exponent(self, mean_alpha: Array) -> Array:
         """Return a' (1 - gamma² a' / 2); ModelError beyond the peak, where it does not hold."""
-        if np.any(np.asarray(mean_alpha) > self.largest_mean_alpha * (1 + 1e-12)):
-            raise ModelError(
+        beyond = np.atleast_1d(mean_alpha) > self.largest_mean_alpha * (1 + 1e-12)
+        if beyond.any():
+            error = ModelError(
                 f"a mean absorption coefficient of {np.max(mean_alpha):.3f} is beyond "
                 f"{self.largest_mean_alpha:.3f}, up to which Kuttruff's equation holds"
             )
+            raise of_bands(error, np.flatnonzero(beyond.reshape(-1, beyond.shape[-1]).any(axis=0)))
         eyring = -np.log1p(-np.asarray(mean_alpha, dtype=float))
         return np.asarray(eyring * (1 - self.path_variance * eyring / 2))
 

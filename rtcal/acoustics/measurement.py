@@ -20,6 +20,9 @@ UNITS: dict[str, str] = {
 """Unit of each parameter (ISO 3382-1); D50 is a fraction."""
 
 DECAY_TIMES = ("t20", "t30", "edt")
+T_LIMITS = (0.01, 120.0)
+"""s; T20 and T30 that are handed in lie within. A lined box of a litre has .01 s or more; the longest
+T known is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic Wonderland, 2014)."""
 SUMMARY = "*"
 """Name of the source and of the receiver in a row that sums several pairs up."""
 
@@ -28,6 +31,19 @@ SUMMARY = "*"
 # ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
 _ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
 _DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
+
+
+def plausible_time(place: str, seconds: float, parameter: str = "t20") -> None:
+    """Raise DataError for a T handed in that no room has: it is most likely in another unit.
+
+    EDT may be as short as it likes: the direct sound makes it so.
+    """
+    low, high = T_LIMITS
+    if seconds > high or (seconds < low and parameter != "edt"):
+        raise DataError(
+            f"{place} = {seconds:g} s is not from {low:g} to {high:g} s, as in any room: "
+            "is it in seconds?"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.files import read_text, write_text
-from rtcal.acoustics.measurement import DECAY_TIMES, SUMMARY, UNITS, Measurement
+from rtcal.acoustics.measurement import DECAY_TIMES, SUMMARY, UNITS, Measurement, plausible_time
 from rtcal.errors import DataError
 from rtcal.types import Array
 
@@ -101,6 +101,8 @@ def _measurement_row(
     value = numbers["value"]
     if parameter in DECAY_TIMES and value <= 0:
         raise DataError(f"{place}: {cell['parameter']} = {value:g} s is not above 0")
+    if parameter in DECAY_TIMES and np.isfinite(value):
+        plausible_time(f"{place}: {cell['parameter']}", value, parameter)
     for column in _OPTIONAL_COLUMNS:
         if numbers.get(column, 0.0) < 0:
             raise DataError(f"{place}: {column} = {numbers[column]:g} is below 0")

@@ -343,7 +343,10 @@ def _check_wav(path: str | os.PathLike[str]) -> None:
                     break
                 name, length = struct.unpack("<4sI", chunk)
                 if position + 8 + length > size:
-                    raise DataError(f"{path}, byte {position}: {name!r} is longer than the file")
+                    raise DataError(
+                        f"{path}, byte {position}: chunk {name.decode('latin-1')!r} is longer than "
+                        "the file"
+                    )
                 if name == b"fmt ":
                     block = _block(stream.read(min(length, 40)), f"{path}, byte {position}")
                 elif name == b"data" and block is not None:

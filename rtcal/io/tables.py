@@ -20,7 +20,7 @@ import numpy as np
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics.files import read_bytes
 from rtcal.acoustics.materials import text_name
-from rtcal.acoustics.measurement import DECAY_TIMES, UNITS, Measurement
+from rtcal.acoustics.measurement import DECAY_TIMES, UNITS, Measurement, plausible_time
 from rtcal.errors import DataError
 from rtcal.io.source import MAX_TEXT, number, shown
 from rtcal.types import Array
@@ -187,6 +187,13 @@ def _frequency(text: str) -> float | None:
     return _bands.nominal(value) if value > 0 else None
 
 
+def _band(frequency: float, place: str) -> float:
+    """Return a nominal centre; DataError where there is none: a typing error, or no band at all."""
+    if frequency not in (12.5, 16.0, *_bands.THIRD_OCTAVES):
+        raise DataError(f"{place}: {frequency:g} Hz is no octave or third-octave (IEC 61260-1)")
+    return frequency
+
+
 def _column(cell: str, place: str, decay_time: str | None) -> _Column:
     match = re.fullmatch(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]?\s*([^\])]*?)\s*[\])]?", cell)
     name, unit = (match.group(1).strip(), match.group(2)) if match else (cell, "")
@@ -198,7 +205,7 @@ def _column(cell: str, place: str, decay_time: str | None) -> _Column:
                 f'{place}: column "{_shown(cell)}" is no band; is the line with the names of the '
                 "columns missing?"
             )
-        return _Column("of", band=frequency)
+        return _Column("of", band=_band(frequency, place))
     key = re.sub(r"[\s_]+", "", name.lower())
     if key in _COLUMNS:
         if unit and not (_COLUMNS[key] == "band" and unit.lower() == "hz"):
@@ -249,6 +256,7 @@ def _row(
         row_band = _frequency(held["band"])
         if row_band is None:
             raise DataError(f'{place}: band "{_shown(held["band"])}" is no frequency in Hz')
+        row_band = _band(row_band, place)
     found = []
     for column, cell in zip(columns, cells, strict=True):
         if column.kind not in ("of", "value") or cell.lower() in _MISSING:
@@ -266,6 +274,8 @@ def _row(
         value = scale * number(cell.replace(",", ".") if comma else cell, place)
         if parameter in DECAY_TIMES and not value > 0:
             raise DataError(f"{place}: {parameter.upper()} = {value:g} s is not above 0")
+        if parameter in DECAY_TIMES:
+            plausible_time(f"{place}: {parameter.upper()}", value, parameter)
         if parameter == "d50" and not 0 <= value <= 1:
             raise DataError(f"{place}: D50 = {value:g} is not in [0, 1]; percent need their unit")
         found.append(((source, receiver, parameter, float(band)), value))

@@ -20,7 +20,7 @@ import numpy as np
 from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.errors import DataError, RtcalError, SimulatorError
+from rtcal.errors import DataError, RtcalError, SimulatorError, of_bands
 from rtcal.types import Array
 
 
@@ -103,7 +103,8 @@ def run(simulator: Simulator, alpha: Array, *, seed: int = 0) -> Measurement:
     except RtcalError:
         raise
     except Exception as error:
-        raise SimulatorError(f"{simulator.name} raised {type(error).__name__}: {error}") from error
+        said = " ".join(str(error).split())
+        raise SimulatorError(f"{simulator.name} raised {type(error).__name__}: {said}") from error
     return check_measurement(simulator, found)
 
 
@@ -123,8 +124,9 @@ def check_measurement(simulator: Simulator, found: object) -> Measurement:
         raise SimulatorError(f"{simulator.name} returned no t20, only {', '.join(found.values)}")
     if (lost := np.isnan(found.values["t20"])).any():
         pair, band = (int(i) for i in np.argwhere(lost)[0])
-        raise SimulatorError(
+        error = SimulatorError(
             f"{simulator.name} returned NaN for t20[{' to '.join(found.pairs[pair])}, "
             f"{bands.label(own[band])}]; a mean over the other pairs would hide it"
         )
+        raise of_bands(error, np.flatnonzero(lost.any(axis=0)))
     return found

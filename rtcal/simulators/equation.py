@@ -10,7 +10,7 @@ from rtcal import checks
 from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
+from rtcal.errors import DataError, of_bands
 from rtcal.simulators.base import check_alpha
 from rtcal.types import Array
 
@@ -64,6 +64,7 @@ class EquationSimulator:
         """Return T for alpha (n_materials, n_bands), in s, as a T20; DataError where it is infinite."""
         alpha = check_alpha(self, alpha)
         times = self.equation.reverberation_time(self.room.replace(alpha=alpha, calibration=None))
-        if not np.isfinite(times).all():
-            raise DataError(f"{self.name} has no finite T: nothing absorbs")
+        if not (finite := np.isfinite(times)).all():
+            error = DataError(f"{self.name} has no finite T: nothing absorbs")
+            raise of_bands(error, np.flatnonzero(~finite))
         return Measurement.from_values(self.centre_frequencies, t20=times)

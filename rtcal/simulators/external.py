@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from rtcal import checks
-from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.bands import label
+from rtcal.acoustics.materials import text_name
+from rtcal.acoustics.measurement import Measurement, plausible_time
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, SimulatorError
+from rtcal.errors import DataError, SimulatorError, of_bands
 from rtcal.simulators.base import check_alpha
 from rtcal.types import Array
 
@@ -36,7 +42,7 @@ class External:
         Whether the seed changes nothing.
     time_limit : float, optional
         s; beyond it `SimulatorError`. Python cannot end the function: a thread stays behind until
-        it returns. A `command` is ended.
+        it returns. Give a `command` its own limit, which ends the program.
 
     Examples
     --------
@@ -58,8 +64,10 @@ class External:
         checks.instance("room", self.room, Room)
         if not callable(self.run):
             raise DataError(f"run = {self.run!r} cannot be called")
-        if not isinstance(self.name, str):
-            raise DataError(f"name = {self.name!r} is not a text")
+        if not text_name("name", self.name).strip():
+            raise DataError('name = "" is empty: coefficients belong to the program of this name')
+        if not isinstance(self.deterministic, bool):
+            raise DataError(f"deterministic = {self.deterministic!r} is not True or False")
         if self.time_limit is not None:
             checks.positive("time_limit", self.time_limit, "s")
 
@@ -92,20 +100,32 @@ class External:
         if isinstance(found, Measurement):
             return found
         try:
-            times = np.array(found, dtype=float)
+            times = np.array(found)
         except (TypeError, ValueError) as error:
             raise SimulatorError(
                 f"{self.name} returned {type(found).__name__}, neither a Measurement nor times"
             ) from error
+        if times.dtype.kind not in "iuf":
+            raise SimulatorError(
+                f"{self.name} returned {type(found).__name__} of {times.dtype}, neither a "
+                "Measurement nor times"
+            )
+        times = times.astype(float)
         if times.shape != (self.room.n_bands,):
             raise SimulatorError(
                 f"{self.name} returned T20 of shape {times.shape}; the room's bands ask for "
                 f"({self.room.n_bands},)"
             )
-        if not (np.isfinite(times) & (times > 0)).all():
-            raise SimulatorError(
+        if not (good := np.isfinite(times) & (times > 0)).all():
+            none = SimulatorError(
                 f"{self.name} returned T20 = {times.tolist()} s; each is a finite time above 0"
             )
+            raise of_bands(none, np.flatnonzero(~good))
+        for f, time in zip(self.centre_frequencies, times, strict=True):
+            try:
+                plausible_time(f"T20[{label(f)}]", float(time))
+            except DataError as error:
+                raise SimulatorError(f"{self.name} returned {error}") from error
         return Measurement.from_values(self.centre_frequencies, t20=times)
 
     def _within_time_limit(self, call: Callable[[], object]) -> object:
@@ -138,33 +158,81 @@ def command(
     The program is started as ``arguments + [room file, measurement file, seed]``: it reads the room
     with the new coefficients (TOML) and writes the measurement (CSV; both in rtcal's own formats).
 
+    Parameters
+    ----------
+    arguments : sequence of str
+        The program and what comes before the files.
+    room : Room
+    time_limit : float, optional
+        s; beyond it the program is ended, and whatever it started itself with it.
+
     Raises
     ------
+    DataError
+        For arguments that are no texts, or a limit that is not above 0.
     SimulatorError
         From the returned function: if the program cannot be started, ends with another status than
-        0, outlives ``time_limit`` (s; it is ended) or writes no measurement.
+        0, outlives ``time_limit``, or writes no measurement or one that cannot be read.
     """
     checks.instance("room", room, Room)
-    started = [str(argument) for argument in checks.listed("arguments", arguments)]
+    started = list(checks.listed("arguments", arguments))
+    if not started or not started[0]:
+        raise DataError(f"arguments = {started!r} names no program")
+    for argument in started:
+        if not isinstance(argument, str | os.PathLike):
+            raise DataError(f"arguments has {argument!r}, which is not a text")
+    if time_limit is not None:
+        checks.positive("time_limit", time_limit, "s")
 
     def run(alpha: Array, seed: int) -> Measurement:
         with tempfile.TemporaryDirectory(prefix="rtcal-") as folder:
             given, found = Path(folder, "room.toml"), Path(folder, "measured.csv")
             room.replace(alpha=alpha, calibration=None).save(str(given))
-            line = [*started, str(given), str(found), str(seed)]
-            try:
-                done = subprocess.run(
-                    line, capture_output=True, text=True, timeout=time_limit, check=False
-                )
-            except subprocess.TimeoutExpired as error:
-                raise SimulatorError(f"{line[0]} ran for longer than {time_limit:g} s") from error
-            except OSError as error:
-                raise SimulatorError(f"{line[0]} cannot be started: {error}") from error
-            if done.returncode:
-                said = done.stderr.strip().splitlines()[-1:] or ["nothing on its error output"]
-                raise SimulatorError(f"{line[0]} ended with status {done.returncode}: {said[0]}")
+            line = [*map(os.fspath, started), str(given), str(found), str(seed)]
+            status, errors = _ended(line, time_limit)
+            if status:
+                said = errors.strip().splitlines()[-1:] or ["nothing on its error output"]
+                raise SimulatorError(f"{line[0]} ended with status {status}: {said[0]}")
             if not found.exists():
                 raise SimulatorError(f"{line[0]} wrote no {found.name}")
-            return Measurement.from_file(str(found))
+            try:
+                return Measurement.from_file(str(found))
+            except DataError as error:
+                why = str(error).replace(str(found), found.name)
+                raise SimulatorError(f"{line[0]} wrote no measurement: {why}") from error
 
     return run
+
+
+def _ended(line: list[str], time_limit: float | None) -> tuple[int, str]:
+    """Run a program to its end; return its status and error output.
+
+    In a session of its own, so that it can be ended together with what it started: else a program
+    behind a shell script would run on.
+    """
+    try:
+        program = subprocess.Popen(
+            line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+            text=True, errors="replace", start_new_session=True,
+        )  # fmt: skip
+    except (OSError, ValueError) as error:
+        raise SimulatorError(f"{line[0]} cannot be started: {error}") from error
+    with program:
+        try:
+            errors = program.communicate(timeout=time_limit)[1]
+        except BaseException as error:  # too long, or the user interrupts
+            _end(program)
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
+            raise SimulatorError(f"{line[0]} ran for longer than {time_limit:g} s") from error
+    return program.returncode, errors
+
+
+def _end(program: subprocess.Popen[str]) -> None:
+    """End a program and what it started."""
+    if sys.platform == "win32":
+        subprocess.run(["taskkill", "/F", "/T", "/PID", str(program.pid)],
+                       capture_output=True, check=False)  # fmt: skip
+    else:
+        with suppress(ProcessLookupError):
+            os.killpg(program.pid, signal.SIGKILL)

@@ -63,7 +63,7 @@ class ImageSource:
         s after the direct sound; two thirds of the longest T that is to be simulated. The number
         of images grows with its cube.
     bin_width : float
-        s.
+        s, at most .01.
 
     Raises
     ------
@@ -97,8 +97,8 @@ class ImageSource:
     images: tuple[Images, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("duration", "bin_width"):
-            checks.positive(name, getattr(self, name), "s")
+        checks.positive("duration", self.duration, "s")
+        decay.bins(self.bin_width)
         box = shoebox(self.room, self.sources, self.receivers)
         radius = self.duration * self.room.speed_of_sound
         number = 4 / 3 * np.pi * radius**3 / np.prod(box.dimensions)

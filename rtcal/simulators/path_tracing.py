@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rtcal import checks
+from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -44,7 +45,7 @@ class PathTracing:
         cut to the distance to the nearest wall. The mean energy does not depend on it, its noise
         does.
     bin_width : float
-        Of the energy decays in s.
+        Of the energy decays in s, at most .01.
     n_batches : int
         Independent parts that the noise is estimated from.
     workers : int, optional
@@ -101,7 +102,7 @@ class PathTracing:
                 f"n_paths = {self.n_paths} in n_batches = {self.n_batches}: at least two batches "
                 "with a path each are needed to tell the noise"
             )
-        checks.positive("bin_width", self.bin_width, "s")
+        decay.bins(self.bin_width)
         if self.radius is not None:
             checks.positive("radius", self.radius, "m")
         for material in self.geometry.materials:

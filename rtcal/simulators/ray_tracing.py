@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal import checks
+from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, MissingDependencyError
@@ -61,7 +62,7 @@ class RayTracing:
     radius : float, optional
         Of all receivers in m; as in `PathTracing`, the smallest for all.
     bin_width : float
-        Of the energy decays in s, a multiple of half a millisecond.
+        Of the energy decays in s, at most .01, a multiple of half a millisecond.
     n_batches : int
         Independent parts that the noise is estimated from.
 
@@ -107,7 +108,7 @@ class RayTracing:
                 f"n_rays = {self.n_rays} in n_batches = {self.n_batches}: at least two batches "
                 "with a ray each are needed to tell the noise"
             )
-        if not np.isclose(checks.positive("bin_width", self.bin_width, "s") / _FINE % 1, 0):
+        if not np.isclose(decay.bins(self.bin_width) / _FINE % 1, 0):
             raise DataError(f"bin_width = {self.bin_width:g} s is not a multiple of {_FINE:g} s")
         if self.radius is not None:
             checks.positive("radius", self.radius, "m")

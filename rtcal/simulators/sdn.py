@@ -27,6 +27,7 @@ from rtcal.types import Array
 Point = Sequence[float]
 _NODES = 6
 _PORTS = 5
+_LEAST_SAMPLES = 10  # of a mean free path; below, T at alpha = .3 moves by more than one JND
 # Port j of node k leads to node j, or to j + 1 from k on: a node has no line to itself.
 _NEIGHBOUR = np.array([[j + (j >= k) for j in range(_PORTS)] for k in range(_NODES)])
 
@@ -77,7 +78,7 @@ class ScatteringDelayNetwork:
     sources, receivers : mapping of name to (x, y, z)
         In m, inside the room.
     sampling_rate : float
-        Hz.
+        Hz; at least 10 samples along the mean free path 4V/S, since delays are whole samples.
     line_of_sight : bool
         Whether the direct sound is in the response.
     longest : float
@@ -120,6 +121,12 @@ class ScatteringDelayNetwork:
         box = shoebox(self.room, self.sources, self.receivers)
         object.__setattr__(self, "box", box)
         rate = self.sampling_rate / self.room.speed_of_sound
+        if (least := _LEAST_SAMPLES / self.mean_free_path) > rate * (1 + 1e-9):
+            raise DataError(
+                f"sampling_rate = {self.sampling_rate:g} Hz is too low for delays in whole samples: "
+                f"at least {least * self.room.speed_of_sound:.0f} Hz are {_LEAST_SAMPLES} samples "
+                "along this room's mean free path"
+            )
         networks = (
             _network(box.dimensions, s, r, rate) for s, r in product(box.sources, box.receivers)
         )
@@ -129,6 +136,11 @@ class ScatteringDelayNetwork:
     def name(self) -> str:
         """The simulator's name."""
         return f"scattering delay network ({self.sampling_rate:g} Hz)"
+
+    @property
+    def mean_free_path(self) -> float:
+        """4V/S in m."""
+        return 4 * self.room.volume / self.room.total_area
 
     @property
     def materials(self) -> Sequence[str]:
