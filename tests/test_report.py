@@ -555,7 +555,8 @@ def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
         (["export", "catt", "w.toml", "hall.geo"], "change_jnd"),
         (["table", "table.csv", "--out", "u.csv"], "values"),
         (["loop", "start", "room.toml", "t.csv", *state], "simulate"),
-        (["loop", "next", "room.toml", "s.csv", *state], "finished"),
+        (["loop", "next", "room.toml", "s.csv", *state, "--again"], "finished"),
+        (["loop", "back", "room.toml", *state], "simulations"),
         (["study", "--trials", 0, "--realisations", 20, "--sigma-r", 0.1], "studies"),
         (["calibrate", "room.toml", "t.csv"], "materials"),
     ]
