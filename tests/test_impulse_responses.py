@@ -131,7 +131,7 @@ def test_bad_input(tmp_path: Path) -> None:
     good = wav(np.exp(-np.arange(8000) / 800))
     for content, rule in (
         (b"", "byte 0: not a WAV file"),
-        (good[:100], "byte 36: b'data' is longer than the file"),
+        (good[:100], "byte 36: chunk 'data' is longer than the file"),
         (good[:36], "no samples"),
         (
             good.replace(struct.pack("<HH", 1, 1), struct.pack("<HH", 2, 1), 1),
