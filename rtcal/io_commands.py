@@ -53,7 +53,7 @@ def measure(
             responses, bands=bands, minimum_range=_assignments(ranges, "DB"),
             progress=lambda: shown.update(1),
         )  # fmt: skip
-    if all(np.isnan(v).all() for v in analysis.measurement.values.values()):
+    if not quiet and all(np.isnan(v).all() for v in analysis.measurement.values.values()):
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
     notes = {
         "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,
