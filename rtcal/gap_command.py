@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import shlex
+import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.acoustics.files import spare
+from rtcal.acoustics.files import read_text, spare
 from rtcal.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
 from rtcal.progress import bar
 
 if TYPE_CHECKING:
     from rtcal.discrepancy import Case, Finding
+
+NOTHING_TO_ADD = 6
+"""The exit code of ``rtcal gap apply`` where the model lacks nothing that could be added."""
 
 
 @click.group(short_help="Find what a model misses.")
@@ -74,7 +81,7 @@ def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: b
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
-@gap.command(short_help="Add the named effect to the model.")
+@gap.command(short_help="Add the named effect, or the best candidate, to the model.")
 @_common
 @click.option(
     "--out", type=click.Path(dir_okay=False), required=True, help="The case with the effect (JSON)."
@@ -89,6 +96,9 @@ def apply(
 ) -> None:  # fmt: skip
     """Add the named effect to CASE's model, and say what calibration then gives.
 
+    Where the finding is ambiguous, the best candidate is added, and the others are named. Where there
+    is nothing to add, nothing is written and the exit code is 6.
+
     The case that is written is a case like any other; it and the room are not calibrated yet.
 
     Example: rtcal gap apply case.toml --out corrected.json --room corrected.toml
@@ -97,23 +107,32 @@ def apply(
     from rtcal.acoustics.room_files import room_text
     from rtcal.discrepancy import corrected_room, recalibrate
     from rtcal.discrepancy.recalibration import table
+    from rtcal.discrepancy.wording import added, nothing_to_add
 
     written = [out] if room is None else [out, room]
-    spare([Path(p) for p in written], [case])
-    finding = _find(_case(case), engines, seed, quiet)
+    finding = _find(_case(case, written), engines, seed, quiet)
+    record: dict[str, Any] = {
+        "verdict": finding.verdict, "effect": finding.effect,
+        "candidates": list(finding.candidates), "evidence": dict(finding.evidence),
+    }  # fmt: skip
+    if (nothing := nothing_to_add(finding)) is not None:
+        text = f"{nothing}\nNothing is written."
+        tell(text, {**record, "sentence": nothing, "written": []}, quiet=quiet, as_json=as_json)
+        raise click.exceptions.Exit(NOTHING_TO_ADD)
     corrected = finding.apply()
     calibrated = recalibrate(corrected, finding.error)
     contents = {Path(out): corrected.to_json().encode()}
     if room is not None:
         contents[Path(room)] = room_text(corrected_room(corrected)).encode()
     write_all(contents)
-    lines = [f"Added {finding.effect}.", *table(corrected.room, {"corrected": calibrated})]
-    values = {
-        "present": [p.to_dict() for p in corrected.present], "calibrated": calibrated.to_dict(),
-        "written": written,
+    sentence = added(finding)
+    lines = [sentence, *table(corrected.room, {"corrected": calibrated})]
+    record |= {
+        "sentence": sentence, "present": [p.to_dict() for p in corrected.present],
+        "calibrated": calibrated.to_dict(), "written": written,
     }  # fmt: skip
     text = "\n".join([*lines, f"Written: {', '.join(written)}"])
-    tell(text, values, quiet=quiet, as_json=as_json)
+    tell(text, record, quiet=quiet, as_json=as_json)
 
 
 @gap.command(short_help="Compare the gaps with and without the effect.")
@@ -121,11 +140,20 @@ def apply(
 def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
+    That tells whether the model gets better, not whether the name is right: its rivals are printed with
+    it. Where there is nothing to add, that is said.
+
     Example: rtcal gap verify case.toml
     """
     from rtcal.discrepancy import verify as verified
+    from rtcal.discrepancy.wording import nothing_to_add
 
-    result = verified(_find(_case(case), engines, seed, quiet))
+    finding = _find(_case(case), engines, seed, quiet)
+    if (nothing := nothing_to_add(finding)) is not None:
+        record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
+        tell(nothing, record, quiet=quiet, as_json=as_json)
+        return
+    result = verified(finding)
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
@@ -139,21 +167,45 @@ def report(
 ) -> None:
     """Write finding, verification and their figures into a folder.
 
+    The page says what is missing and how sure that is, and has the coefficients with it in the model.
+
     Example: rtcal gap report case.toml --out gap
     """
-    from rtcal.report.gap_report import write
+    from rtcal.report.gap_report import WRITTEN, Reproduction, write
 
-    finding = _find(_case(case), engines, seed, quiet)
-    written = write(finding, Path(out))
+    if not out:
+        raise DataError("--out is empty; it is a folder")
+    read = _case(case, [str(Path(out) / name) for name in WRITTEN])
+    finding = _find(read, engines, seed, quiet)
+    chosen = [x for e in finding.engines for x in ("--engine", e)]
+    command = shlex.join(
+        ["rtcal", "gap", "report", case, "--seed", str(seed), *chosen, "--out", out]
+    )
+    files = [os.fspath(p) for p in _read_by(case)]
+    written = write(finding, Path(out), Reproduction(command, tuple(files), seed))
     names = [str(p) for p in written]
     text = f"{finding}\nWritten: {', '.join(names)}"
     tell(text, {"written": names, **finding.to_dict()}, quiet=quiet, as_json=as_json)
 
 
-def _case(path: str) -> Case:
+def _case(path: str, written: Sequence[str] = ()) -> Case:
+    """Read the case; DataError if a file to be written is one that it is read from."""
     from rtcal.discrepancy import Case
 
-    return Case.from_file(path)
+    spare(written, [path])
+    case = Case.from_file(path)
+    spare(written, _read_by(path))
+    return case
+
+
+def _read_by(path: str) -> list[Path]:
+    """The files that a case, which has been read without error, is made of."""
+    files = [Path(path)]
+    if not path.endswith(".json"):
+        data = tomllib.loads(read_text(path, Path(path).stat().st_size))
+        names = [data["room"], *(c.get("measured") for c in data.get("configuration", ()))]
+        files += [files[0].parent / name for name in names if name is not None]
+    return files
 
 
 def _find(case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Finding:

@@ -15,8 +15,12 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.cli import cli
-from rtcal.discrepancy import Case, control_rooms, find, verify
+from rtcal.discrepancy import Case, Finding, control_rooms, find, verify
 from rtcal.discrepancy.engines import Controls
+from rtcal.discrepancy.finding import Size
+from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.states import distances, state
+from rtcal.report.gap_report import summary
 
 pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
 
@@ -58,7 +62,7 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     assert found["engines"] == ["path tracing", "network"]
     assert found["size"]["low"] < 39.6 < found["size"]["high"]  # the truth, datasets/hidden_room
     out = folder / "corrected.json"
-    assert "Added" in run("apply", case, "--out", str(out))
+    assert "Added opening" in run("apply", case, "--out", str(out))
     again = json.loads(run("find", str(out), "--json"))
     assert again["verdict"] in ("none", "hint")
     assert again["score"] < 0.2 * found["score"]
@@ -71,17 +75,137 @@ def test_the_report_is_written_whole(folder: Path) -> None:
     pytest.importorskip("jinja2", reason="needs the extra report")
     run("report", str(folder / "case.toml"), "--out", str(folder / "out"))
     names = {p.name for p in (folder / "out").iterdir()}
-    assert {"finding.json", "report.html", "evidence.png", "residuals.png", "decay.png",
+    # An opening bends no decay, so none is drawn.
+    assert {"finding.json", "report.html", "evidence.png", "residuals.png",
             "reverberation_time.png", "shifts.png"} == names  # fmt: skip
     page = (folder / "out" / "report.html").read_text(encoding="utf-8")
-    assert "opening" in page
+    assert "Corrected coefficients, with opening in the model" in page
+    # Its shape is no nearer to the measured one than plain calibration's; the page says so.
+    assert "Nothing but the evidence supports them" in page
+    assert "The name may be wrong" in page
+    assert "--seed 0 --engine &#39;path tracing&#39; --engine network --out" in page
+    assert "measured.csv" in page
     assert len(page) < 2_000_000
     record = json.loads((folder / "out" / "finding.json").read_text(encoding="utf-8"))
     assert record["verification"]["gaps"]
 
 
+@pytest.mark.parametrize(
+    ("read", "command"),
+    [
+        ("room.toml", ["apply", "--out", "room.toml"]),
+        ("measured.csv", ["apply", "--out", "measured.csv"]),
+        ("case.toml", ["apply", "--out", "case.toml"]),
+        ("room.toml", ["apply", "--out", "new.json", "--room", "room.toml"]),
+        ("out/report.html", ["report", "--out", "out"]),
+    ],
+)
+def test_nothing_is_written_over_what_was_read(
+    folder: Path, tmp_path: Path, read: str, command: list[str]
+) -> None:
+    text = (folder / "case.toml").read_text()
+    if read.startswith("out/"):  # a report's own name, for a measurement
+        text = text.replace("measured.csv", read)
+        (tmp_path / "out").mkdir()
+        (tmp_path / read).write_bytes((folder / "measured.csv").read_bytes())
+    for name in ("room.toml", "measured.csv"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    (tmp_path / "case.toml").write_text(text)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    name, *options = [str(tmp_path / x) if "." in x or x == "out" else x for x in command]
+    with pytest.raises(rt.errors.DataError, match="would be written over"):
+        run(name, str(tmp_path / "case.toml"), *options)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+@pytest.fixture(scope="module")
+def finding(folder: Path) -> Finding:
+    return find(Case.from_file(str(folder / "case.json")))
+
+
+def unsure(finding: Finding) -> Finding:
+    """The same, where a material's area explains the data best and the opening hardly less."""
+    evidence = {"area": 6.5, "opening": 5.7}
+    return replace(
+        finding, verdict="ambiguous", effect="area", candidates=("area", "opening"), score=6.5,
+        evidence=evidence, runner_up="opening", parameters={"material": 1.0, "ratio": 1.3},
+        size=Size(1.4, 1.2, 1.6, "of the stated area"),
+    )  # fmt: skip
+
+
+def test_the_verdict_stands_beside_what_is_supported(finding: Finding) -> None:
+    seen = verify(finding)
+    assert seen.sentence.startswith(f"{seen.verdict.capitalize()}: with opening in the model")
+    sure = replace(seen, verdict="proven")
+    numbers = f"from {sure.before:.2f} to {sure.after:.2f} JND"
+    assert numbers in sure.sentence
+    assert "Proven" not in str(sure)
+    assert f"(named: opening {finding.score:+.1f} nats; next {finding.runner_up}" in sure.sentence
+    torn = replace(sure, finding=unsure(finding))
+    name = f'area of "{finding.case.room.materials[1]}"'
+    assert torn.sentence.startswith(f"Supported, but not told apart from opening: with {name} in")
+    assert f"ambiguous: {name} +6.5 nats; opening +5.7, not told apart" in torn.sentence
+    assert torn.to_dict()["finding"]["candidates"] == ["area", "opening"]
+    page = summary(torn.finding, torn)
+    assert page["plain"].endswith(f"not to be used, the model lacks {name} or opening")
+    assert "opening would explain the data about as well" in page["unknowable"]
+    assert torn.sentence in page["summary"]
+    corrected = page["corrected"]["materials"][0]["cells"][0]
+    assert corrected["low"] < corrected["after"] == torn.corrected.alpha[0, 0] < corrected["high"]
+    hardly = replace(torn, before=0.35, after=0.31)
+    assert "from 0.35 to 0.31 JND, which is little." in hardly.sentence
+    assert "which is little" not in replace(torn, before=0.85, after=0.31).sentence
+
+
+def test_an_ambiguous_effect_is_not_added_silently(
+    folder: Path, finding: Finding, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rt.discrepancy, "find", lambda *_, **__: unsure(finding))
+    out = folder / "torn.json"
+    text = run("apply", str(folder / "case.json"), "--out", str(out))
+    name = f'area of "{finding.case.room.materials[1]}"'
+    assert text.startswith(
+        f"Added {name}. Ambiguous: it is the best, but opening is only 0.8 nats behind"
+    )
+    assert f"{name}, as added, the most probable: 1.3 times the stated area" in text
+    assert Case.from_file(str(out)).present[0].parameters["material"] == 1.0
+
+
+def test_parameters_have_names_and_units(finding: Finding) -> None:
+    room = finding.case.room
+    area = unsure(finding)
+    assert f'one of area of "{room.materials[1]}", opening.' in str(area)
+    assert "1.4 times the stated area" in str(area)
+    record = area.to_dict()
+    assert record["parameters"]["material"] == 1.0
+    assert record["material"] == room.materials[1]
+    air = replace(
+        finding, effect="air", size=None, parameters={"temperature": 5.0, "humidity": 10.3}
+    )
+    assert "temperature 5 °C, humidity 10.3 % (found together" in str(air)
+    assert air.to_dict()["material"] is None
+
+
+def test_a_sound_model_is_no_input_error(folder: Path) -> None:
+    case = Case.from_file(str(folder / "case.json"))
+    where = case.configurations[0]
+    seen = predict([state(case, where)], distances(case, where)).reverberation_time[0]
+    path, out = folder / "sound.json", folder / "never.json"
+    sound = {"name": "as stated", "t20": np.repeat(seen[None], 4, axis=0).tolist()}
+    path.write_text(json.dumps(case.to_dict() | {"configurations": [sound]}))
+    assert run("verify", str(path)).startswith("Nothing to add: prior, measurement and model agree")
+    assert json.loads(run("verify", str(path), "--json"))["verdict"] is None
+    done = CliRunner().invoke(cli, ["gap", "apply", str(path), "--out", str(out)])
+    assert done.exit_code == 6
+    assert done.output.startswith("Nothing to add")
+    assert not out.exists()
+
+
 def test_a_plan_needs_no_measurement(folder: Path) -> None:
-    assert "Cannot be told apart" in run("plan", str(folder / "plan.toml"))
+    text = run("plan", str(folder / "plan.toml"))
+    assert "Cannot be told apart" in text
+    assert "furniture" in text.splitlines()[-20]  # a head, not cut
+    assert "999.0" not in text
     with pytest.raises(rt.errors.DataError, match="can only be planned"):
         run("find", str(folder / "plan.toml"))
 

@@ -139,28 +139,69 @@ class Plan:
         lines = [
             f"With {', '.join(self.parameters)}: evidence (nats) to expect for the effect in the row, "
             f"where it changes T by {100 * self.change:.0f} %,",
-            "against the effect in the column; over 2.3 (ten to one) they can be told apart.",
+            "against the effect in the column; over 2.3 (ten to one) they can be told apart;",
+            f"over {_MOST:.0f} is certain, and no number is printed.",
         ]
-        width = max(map(len, names)) + 1
-        lines.append(" " * width + "".join(f"{n[:8]:>9}" for n in (NONE, *names)))
-        for a in names:
-            cells = "".join(
-                "        ." if a == b else f"{min(self.separations[a, b], 999):9.1f}"
-                for b in (NONE, *names)
+        heads = [n.replace("-", "- ").split() for n in (NONE, *names)]
+        rows = max(map(len, heads))
+        widths = [max(7, *(len(word) + 1 for word in head)) for head in heads]
+        first = max(map(len, names)) + 1
+        for row in range(rows):
+            words = [["", *[""] * (rows - 1 - len(h)), *h][row - rows] for h in heads]
+            lines.append(
+                " " * first + "".join(f"{w:>{n}}" for w, n in zip(words, widths, strict=True))
             )
-            lines.append(f"{a:<{width}}{cells}")
-        blind = [
-            f"{a} from {b}" for i, a in enumerate(names) for b in names[i + 1 :]
-            if min(self.separations[a, b], self.separations[b, a]) < 2.3
-        ]  # fmt: skip
-        lines.append("Cannot be told apart: " + ("; ".join(blind) or "none of them") + ".")
+        for a in names:
+            cells = ["." if a == b else _cell(self.separations[a, b]) for b in (NONE, *names)]
+            lines.append(
+                f"{a:<{first}}" + "".join(f"{c:>{n}}" for c, n in zip(cells, widths, strict=True))
+            )
+        pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+        both, one_way = _blind(self.separations, pairs)
+        unseen = [a for a in names if self.separations[a, NONE] < _TOLD]
+        if unseen:
+            lines.append(
+                "Cannot be told from a model that lacks nothing: " + ", ".join(unseen) + "."
+            )
+        lines.append("Cannot be told apart: " + (_paired(both, " and ") or "none of them") + ".")
+        if one_way:
+            lines.append(
+                "The first may pass for the second, not the second for the first: "
+                + _paired(one_way, " for ") + "."
+            )  # fmt: skip
         for label, table in self.more.items():
-            gained = [
-                f"{a} from {b}" for i, a in enumerate(names) for b in names[i + 1 :]
-                if f"{a} from {b}" in blind and min(table[a, b], table[b, a]) >= 2.3
-            ]  # fmt: skip
-            lines.append(f"With {label} as well: " + ("; ".join(gained) or "no more") + ".")
+            still, half = _blind(table, pairs)
+            gained = [p for p in both if p not in still and p not in half and p[::-1] not in half]
+            gained += [p for p in one_way if p not in half]
+            lines.append(f"With {label} as well: " + (_paired(gained, " from ") or "no more") + ".")
         return "\n".join(lines)
+
+
+_TOLD = 2.3
+"""Nats, odds of ten to one, from which two effects are told apart."""
+_MOST = 99.0
+"""Nats beyond which the table has no number: certain by any measure."""
+Pairs = list[tuple[str, str]]
+
+
+def _cell(nats: float) -> str:
+    return f"{nats:.1f}" if nats <= _MOST else f">{_MOST:.0f}"
+
+
+def _paired(pairs: Pairs, between: str) -> str:
+    return "; ".join(a + between + b for a, b in pairs)
+
+
+def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[Pairs, Pairs]:
+    """Pairs that are not told apart, and those where only the first is taken for the second."""
+    both, one_way = [], []
+    for a, b in pairs:
+        weak = (separations[a, b] < _TOLD, separations[b, a] < _TOLD)
+        if all(weak):
+            both.append((a, b))
+        elif any(weak):
+            one_way.append((a, b) if weak[0] else (b, a))
+    return both, one_way
 
 
 GENERIC = (0.04, 0.04, 0.02, 0.7, 0.7)
@@ -203,7 +244,10 @@ def plan(
         more = used.copy()
         more[:, [FEATURES.index(f) for f in features]] = True
         if more.sum() > used.sum():
-            masks[label] = more
+            lacking = [i for i in range(len(case.configurations)) if (more[i] & ~used[i]).any()]
+            where = [f'"{case.configurations[i].name}"' for i in lacking]
+            there = len(where) < len(case.configurations)
+            masks[label + (f" of {' and '.join(where)}" if there else "")] = more
     tables: dict[str, dict[tuple[str, str], float]] = {m: {} for m in masks}
     for a in names:
         rows = [i for i, n in enumerate(predicted.names) if n == a]

@@ -31,6 +31,14 @@ from rtcal.discrepancy.evidence import (
     standardised,
     weigh,
 )
+from rtcal.discrepancy.wording import (
+    NATS,
+    amount,
+    best,
+    in_words,
+    material_of,
+    runner_up,
+)
 from rtcal.errors import DataError
 from rtcal.types import Array
 
@@ -128,6 +136,7 @@ class Finding:
             "verdict": self.verdict, "effect": self.effect, "candidates": list(self.candidates),
             "evidence": dict(self.evidence), "score": self.score, "threshold": self.threshold,
             "engines": list(self.engines), "parameters": dict(self.parameters),
+            "material": material_of(self.parameters, self.case.room),
             "size": None if size is None else {
                 "mean": size.mean, "low": size.low, "high": size.high, "unit": size.unit
             },
@@ -397,29 +406,27 @@ def _notes(case: Case) -> list[str]:
 
 def _lines(finding: Finding) -> list[str]:
     f = finding
+    others = [c for c in f.candidates if c != f.effect]
     what = {
         "none": "No disagreement beyond what prior, measurement and model error allow.",
-        "hint": f"A hint of {f.effect}, under the threshold.",
-        "named": f"Missing from the model: {f.effect}.",
-        "ambiguous": f"Missing from the model: one of {', '.join(f.candidates)}.",
+        "hint": f"A hint of {best(f)}, under the threshold.",
+        "named": f"Missing from the model: {best(f)}.",
+        "ambiguous": f"Missing from the model: one of {', '.join([best(f), *others])}.",
         "unknown": "Something is missing that no effect of the library explains.",
     }[f.verdict]
     lines = [f"{f.verdict}: {what}"]
     if f.size is not None and f.verdict in ("named", "ambiguous"):
         s = f.size
-        rest = ", ".join(
-            f"{k} {v:.3g}" for k, v in f.parameters.items() if k != f.effects[str(f.effect)].size
-        )
+        rest = in_words(f.parameters, without=f.effects[str(f.effect)].size)
         lines.append(
-            f"  size of {f.effect}: {s.mean:.3g} {s.unit} (90 %: {s.low:.3g} to {s.high:.3g})"
+            f"  size of {best(f)}: {amount(s.mean, s.unit)} (mean; 90 %: {s.low:.3g} to {s.high:.3g})"
             + (f"; {rest}" if rest else "")
         )
     elif f.parameters:
-        lines.append("  " + ", ".join(f"{k} {v:.3g}" for k, v in f.parameters.items()))
+        lines.append("  " + in_words(f.parameters))
     lines.append(
-        f"  evidence {f.score:+.1f} nats; threshold {f.threshold:.1f}, bootstrapped on "
-        f"{' and '.join(f.engines) or 'no engine'}; runner-up {f.runner_up} "
-        f"({f.evidence.get(f.runner_up, 0.0):+.1f})"
+        f"  evidence {f.score:+.1f} nats ({NATS}); threshold {f.threshold:.1f}, bootstrapped on "
+        f"{' and '.join(f.engines) or 'no engine'}; runner-up {runner_up(f)}"
     )
     for c, table in zip(f.case.configurations, f.residuals, strict=True):
         lines.append(f'  residuals of "{c.name}", in standard deviations (measured - model):')

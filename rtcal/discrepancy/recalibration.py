@@ -32,6 +32,7 @@ from rtcal.discrepancy.corrected import corrected_room
 from rtcal.discrepancy.evidence import KAPPA, ModelError, observe
 from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.discrepancy.states import distances, state
+from rtcal.discrepancy.wording import amount, in_words, material_of, titled
 from rtcal.errors import MissingAirWarning
 from rtcal.types import Array
 
@@ -101,11 +102,19 @@ class Recalibrated:
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """The effects with their sizes as calibrated, and the 90 % interval that all data gave."""
+        """The effects with their sizes, and the 90 % interval that all data gave.
+
+        ``calibrated`` ones were unknowns of the QP, to T20 alone; the others are as they were added.
+        """
         return [
-            p.to_dict() | {"size": self.sizes.get(p.effect), "unit": p.itself.unit}
+            p.to_dict()
+            | {
+                "size": self.sizes.get(p.effect), "unit": p.itself.unit,
+                "material": material_of(p.parameters, self.case.room),
+                "calibrated": p.effect in self.joint.effects,
+            }
             for p in self.case.present
-        ]
+        ]  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -138,21 +147,20 @@ def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
     for i, material in enumerate(room.materials):
         cells = (f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values())
         lines.append(f"  {material:{width - 2}}" + "".join(f"{cell:>16}" for cell in cells))
-    for effect in [e for c in columns.values() for e in c.effects]:
-        lines.append("  " + _said(effect))
+    for c in columns.values():
+        lines += ["  " + effect_said(effect, room) for effect in c.effects]
     return lines
 
 
-def _said(effect: Mapping[str, Any]) -> str:
+def effect_said(effect: Mapping[str, Any], room: Room) -> str:
+    """Return one of `Recalibrated.effects` in words: how much of it there is, and from what."""
     size, ends = effect["size"], effect["size_interval"]
+    name = titled(effect["effect"], effect["parameters"], room)
     if size is None:
-        return (
-            f"{effect['effect']}: "
-            + ", ".join(f"{k} {v:.3g}" for k, v in effect["parameters"].items())
-            + f" ({effect['unit']})"
-        )
+        return f"{name}: {in_words(effect['parameters'])}"
+    what = "calibrated to T20 alone" if effect["calibrated"] else "as added, the most probable"
     known = "" if ends is None else f" (90 %, from all data: {ends[0]:.3g} to {ends[1]:.3g})"
-    return f"{effect['effect']}, calibrated: {size:.3g} {effect['unit']}{known}"
+    return f"{name}, {what}: {amount(size, effect['unit'])}{known}"
 
 
 def plain(case: Case) -> Recalibrated:

@@ -1,9 +1,10 @@
-"""Did the gap shrink, where alpha could not make it: the proof of a finding, or its withdrawal.
+"""Did the gap shrink, where alpha could not make it: what supports a finding, or withdraws it.
 
 Plain calibration bends alpha until T20 fits, whatever is missing: a smaller gap in what was fitted
 proves nothing. So the two models are compared in what alpha cannot absorb: the decay's shape (EDT,
 T30), the level (C80, G), and T20 of every configuration but the first (another absorber, another
-humidity, the suspect removed).
+humidity, the suspect removed). A gap that shrinks there proves that the model is better, not that
+the name is right: a rival that does the same would shrink it too.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
 from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, table
 from rtcal.discrepancy.states import distances, state
+from rtcal.discrepancy.wording import best, listed, rivals, standing
 from rtcal.types import Array
 
 _JND = {"t20": 0.05, "edt": 0.05, "t30": 0.05, "c80": 1.0, "g": 1.0}
@@ -62,7 +64,9 @@ class Verification:
         Nats by which the corrected model predicts each band, left out in turn, better than the
         model without the effect.
     verdict : {"proven", "unproven", "withdrawn"}
-        ``unproven``: the data have nothing that alpha could not absorb, or it does not change.
+        ``proven``: the model got better where alpha cannot have made it so, whatever the effect's
+        right name is; ``unproven``: the data have nothing that alpha could not absorb, or it does
+        not change.
     plain, corrected : Recalibrated
     """
 
@@ -78,7 +82,12 @@ class Verification:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
-            "verdict": self.verdict,
+            "verdict": self.verdict, "sentence": self.sentence,
+            "finding": {
+                "verdict": self.finding.verdict, "effect": self.finding.effect,
+                "candidates": list(self.finding.candidates),
+                "runner_up": self.finding.runner_up, "evidence": dict(self.finding.evidence),
+            },
             "before_jnd": _listed([self.before])[0], "after_jnd": _listed([self.after])[0],
             "predictive_nats": self.predictive,
             "gaps": [
@@ -104,24 +113,45 @@ class Verification:
             ],
         }  # fmt: skip
 
+    @property
+    def sentence(self) -> str:
+        """What became of the gap, in numbers, and how sure the effect's name is."""
+        f, name = self.finding, best(self.finding)
+        sure = f"The finding was {standing(f)}."
+        if np.isnan(self.before):
+            return (
+                f"Unproven: nothing was measured that tells {name} from bent coefficients. {sure}"
+            )
+        gap = (
+            f"with {name} in the model the gap that alpha cannot close goes from {self.before:.2f} to "
+            f"{self.after:.2f} JND"
+        )
+        if self.verdict == "proven":
+            little = self.before - self.after < _WORSE
+            others = rivals(f)
+            apart = f", but not told apart from {listed(others)}" if others else ""
+            return (
+                f"Supported{apart}: {gap}{', which is little' if little else ''}. That speaks for the "
+                f"model, not for the name ({standing(f)})."
+            )
+        return (
+            f"{self.verdict.capitalize()}: {gap}, and each band is predicted from the others "
+            f"{_better(self.predictive)}. {sure}"
+        )
+
     def __str__(self) -> str:
         """Return what a user reads."""
-        lines = [
-            {
-                "proven": f"Proven: with the {self.finding.effect} in the model the gap shrinks where "
-                "alpha cannot make it.",
-                "unproven": "Unproven: nothing was measured that tells it from bent coefficients.",
-                "withdrawn": f"Withdrawn: with the {self.finding.effect} in the model the gap does not "
-                "shrink where alpha cannot make it.",
-            }[self.verdict],
-            f"{'mean gap in JND':34}{'plain':>8}{'corrected':>11}",
-        ]
+        lines = [self.sentence, f"{'mean gap in JND':34}{'plain':>8}{'corrected':>11}"]
         for g in self.gaps:
             name = f"{g.quantity} of {g.configuration}" + (" (fitted)" if g.fitted else "")
             lines.append(f"  {name:32}{g.before:8.2f}{g.after:11.2f}")
         if np.isfinite(self.before):
             lines.append(f"  {'what alpha cannot absorb':32}{self.before:8.2f}{self.after:11.2f}")
-        lines.append(f"Each band predicted from the others: {self.predictive:+.1f} nats better.")
+        lines += [
+            f"Each band predicted from the others: {_better(self.predictive)}.",
+            "Plain calibration meets the fitted T20 exactly; the corrected one as closely as the "
+            "uncertainty of T deserves.",
+        ]
         room = self.finding.case.room
         lines += table(room, {"plain": self.plain, "corrected": self.corrected})
         return "\n".join(lines)
@@ -186,6 +216,10 @@ def reverberation_times(verification: Verification) -> list[dict[str, Array]]:
         }
         for i, c in enumerate(case.configurations)
     ]
+
+
+def _better(nats: float) -> str:
+    return f"{abs(nats):.1f} nats {'better' if nats >= 0 else 'worse'}"
 
 
 def _listed(values: Array | Sequence[float]) -> list[float | None]:

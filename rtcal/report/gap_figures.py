@@ -10,6 +10,7 @@ from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
 from rtcal.discrepancy.states import state
 from rtcal.discrepancy.verification import Verification, residual_map, reverberation_times
+from rtcal.discrepancy.wording import best
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.types import Array
 
@@ -17,6 +18,8 @@ MOST_PANELS = 12
 """Materials that `shifts` draws."""
 _STRONG = 4.0
 """Standard deviations at which the residual map's colours end."""
+_BENT = 0.01
+"""The least change of ln EDT/T20 or ln T30/T20 that a drawn decay shows."""
 
 
 def reverberation_time(verification: Verification) -> Any:
@@ -30,7 +33,7 @@ def reverberation_time(verification: Verification) -> Any:
     for name, colour, marker, style, label in (
         ("prior", ORANGE, "s", "--", "prior"),
         ("plain", GREEN, "^", ":", "plainly calibrated"),
-        ("corrected", BLUE, "D", "-", f"with {finding.effect}, calibrated"),
+        ("corrected", BLUE, "D", "-", f"with {best(finding)}, calibrated"),
     ):
         values = times[name]
         axes.plot(f, values, color=colour, marker=marker, linestyle=style, fillstyle="none",
@@ -46,7 +49,7 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
     """Return the residual map: feature by band and configuration; before, and after the effect."""
     maps = [("the model as stated", finding.residuals)]
     if verification is not None:
-        maps.append((f"with {finding.effect}", residual_map(verification)))
+        maps.append((f"with {best(finding)}", residual_map(verification)))
     f = finding.case.room.centre_frequencies
     rows = [
         (c, k) for c in range(len(finding.residuals)) for k in range(len(FEATURE_NAMES))
@@ -70,7 +73,9 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
         axis.set_yticks(range(len(rows)), labels, fontsize=8)
         axis.set_xticks(range(len(f)), [f"{v:g}" for v in f], rotation=90 if len(f) > 10 else 0)
         axis.set_title(shown(title), fontsize=9)
-        figure.colorbar(image, ax=axis, label="measured - model / sd")
+        beyond = np.array([np.nanmin(cells) < -_STRONG, np.nanmax(cells) > _STRONG])
+        extend = {(1, 1): "both", (1, 0): "min", (0, 1): "max"}.get(tuple(beyond), "neither")
+        figure.colorbar(image, ax=axis, label="measured - model / sd", extend=extend)
     axis.set_xlabel("Band centre frequency / Hz")
     return figure
 
@@ -83,7 +88,7 @@ def evidence(finding: Finding) -> Any:
     figure, axes = new_figure(7.0, 0.8 + 0.28 * len(names))
     at = np.arange(len(names))[::-1]
     here = [n in finding.candidates for n in names]
-    # What is far below nothing is told apart no more; the bar ends at the axis.
+    # What is far below nothing is told apart no more: its bar is cut, which an arrow marks.
     low = -0.15 * top
     drawn = np.maximum(values, low)
     axes.barh(
@@ -92,6 +97,12 @@ def evidence(finding: Finding) -> Any:
     )  # fmt: skip
     for y, value, end in zip(at, values, drawn, strict=True):
         axes.text(max(end, 0.0), y, f" {value:+.1f}", va="center", fontsize=8)
+    cut = values < low
+    if cut.any():
+        axes.plot(
+            np.full(cut.sum(), 0.85 * low), at[cut], color=BLACK, marker="<", linestyle="none",
+            markersize=5, label="cut: the number is beyond the axis",
+        )  # fmt: skip
     axes.axvline(finding.threshold, color=ORANGE, linestyle="--",
                  label=f"threshold {finding.threshold:.1f}")  # fmt: skip
     axes.axvline(0, color=BLACK, linewidth=0.8)
@@ -100,6 +111,12 @@ def evidence(finding: Finding) -> Any:
     axes.set_xlabel("Evidence over “nothing is missing” / nats; hatched: candidates")
     axes.legend(loc="lower right")
     return figure
+
+
+def bends(verification: Verification) -> bool:
+    """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change by what one can see."""
+    shapes = [found.features[:, 1:3] for found in (verification.plain, verification.corrected)]
+    return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
 
 
 def decay(verification: Verification) -> Any:

@@ -4,29 +4,44 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.files import write_all
 from rtcal.calibration.presets import calibrate
 from rtcal.discrepancy.corrected import EQUATIONS
 from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.recalibration import table
+from rtcal.discrepancy.recalibration import effect_said
 from rtcal.discrepancy.verification import Verification, verify
+from rtcal.discrepancy.wording import best, listed, nothing_to_add, rivals, runner_up
 from rtcal.errors import DataError, MissingAirWarning
 from rtcal.report import gap_figures
 from rtcal.report.figures import rendered
 from rtcal.report.page import page
+
+FIGURES = ("evidence", "residuals", "reverberation_time", "decay", "shifts")
+WRITTEN = ("finding.json", "report.html", *(f"{name}.png" for name in FIGURES))
+"""The files of a report; ``decay`` only where the effect bends the decay."""
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What the same finding comes from: shell command, the case's files, seed."""
+
+    command: str
+    files: Sequence[str]
+    seed: int
 
 
 def figures(finding: Finding, verification: Verification | None) -> dict[str, tuple[Any, str]]:
     """Return the figures by name, each with its caption."""
     drawn = {"evidence": (
         gap_figures.evidence(finding),
-        "Evidence of every effect over the model as it stands; a finding must exceed the threshold.",
+        "Evidence of every effect over the model as it stands; a finding must exceed the threshold. "
+        "An arrow marks a bar that is cut: its number is printed.",
     )}  # fmt: skip
     if verification is None:
         drawn["residuals"] = (
@@ -43,21 +58,24 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
             gap_figures.reverberation_time(verification),
             "T(f). Plain calibration meets T whatever is missing: that proves nothing.",
         ),
-        "decay": (
-            gap_figures.decay(verification),
-            "The decay in the band whose shape differs most. Alpha cannot change this shape.",
-        ),
         "shifts": (
             gap_figures.shifts(verification),
             "How far the coefficients had to move, with and without the effect in the model, and "
             "their 90 % intervals: a plain calibration's count on a model that lacks nothing.",
         ),
     }
+    if gap_figures.bends(verification):
+        drawn["decay"] = (
+            gap_figures.decay(verification),
+            "The decay in the band whose shape differs most: alpha cannot bend it, the effect does.",
+        )
     return drawn
 
 
-def write(finding: Finding, folder: Path) -> list[Path]:
+def write(finding: Finding, folder: Path, reproduction: Reproduction | None = None) -> list[Path]:
     """Write finding.json, the figures (PNG) and report.html; return their paths.
+
+    ``reproduction``, where it is given, is printed on the page.
 
     Raises DataError if the folder cannot be made, MissingDependencyError without matplotlib or jinja2.
     """
@@ -73,7 +91,8 @@ def write(finding: Finding, folder: Path) -> list[Path]:
             finding.case.room, first.measured, unreachable="nearest",
             equation=EQUATIONS.get(finding.case.equation, Eyring()),
         )  # fmt: skip
-    text = page(usual, finding=summary(finding, verified), finding_figures=list(drawn.values()))
+    told = summary(finding, verified, reproduction)
+    text = page(usual, finding=told, finding_figures=list(drawn.values()))
     contents = {
         folder / "finding.json": (json.dumps(record, indent=1) + "\n").encode(),
         folder / "report.html": text.encode(),
@@ -87,22 +106,77 @@ def write(finding: Finding, folder: Path) -> list[Path]:
     return list(contents)
 
 
-def summary(finding: Finding, verification: Verification | None) -> dict[str, Any]:
-    """Return what the page says of a finding."""
-    lines = str(finding).splitlines()
-    sentences = [lines[0], *(x.strip() for x in lines[1:] if x.startswith("  ") and ":" in x[:20])]
-    if verification is not None:
-        sentences += [
-            str(verification).splitlines()[0],
-            "What alpha cannot absorb: nothing of it was measured."
-            if np.isnan(verification.before)
-            else f"What alpha cannot absorb: {verification.before:.2f} JND with plain calibration, "
-            f"{verification.after:.2f} JND with the effect.",
-            *table(verification.finding.case.room, {"corrected": verification.corrected})[-1:],
-        ]
-    return {
-        "summary": [s for s in sentences if not s.startswith(("note:", "residuals"))],
-        "verdict": finding.verdict, "effect": finding.effect or "",
+def summary(
+    finding: Finding, verification: Verification | None, reproduction: Reproduction | None = None
+) -> dict[str, Any]:
+    """Return what the page says of a finding: `rtcal.report.page.page` has the keys."""
+    lines = [line.strip() for line in str(finding).splitlines()]
+    at = next(i for i, line in enumerate(lines) if line.startswith("evidence"))
+    sentences = [*lines[:at], *(line for line in lines[at:] if line.startswith("next: "))]
+    first = finding.case.configurations[0].name
+    told: dict[str, Any] = {
+        "verdict": finding.verdict, "effect": "" if finding.effect is None else best(finding),
         "candidates": list(finding.candidates), "evidence": dict(finding.evidence),
         "notes": list(finding.notes),
+        "plain": f'plain calibration to T20 of "{first}"',
     }  # fmt: skip
+    if verification is None:
+        if (nothing := nothing_to_add(finding)) is not None:
+            sentences.append(nothing)
+    else:
+        sentences.append(verification.sentence)
+        supported = verification.verdict == "proven"
+        told["corrected"] = _corrected(verification)
+        told["unknowable"] = _unknowable(finding)
+        if supported:
+            lacking = " or ".join([best(finding), *rivals(finding)])
+            told["plain"] += f": not to be used, the model lacks {lacking}"
+    if reproduction is not None:
+        told["reproduce"] = {
+            "command": reproduction.command, "files": list(reproduction.files),
+            "seed": reproduction.seed, "engines": list(finding.engines),
+        }  # fmt: skip
+    return {**told, "summary": sentences}
+
+
+def _corrected(verification: Verification) -> dict[str, Any]:
+    """The coefficients with the effect in the model, and how much there is of it."""
+    room, found = verification.finding.case.room, verification.corrected
+    low, high = found.interval
+    names = [f'"{c.name}"' for c in verification.finding.case.configurations]
+    use = {
+        "proven": "These are the ones to use, if the name is right.",
+        "unproven": "Nothing but the evidence supports them.",
+        "withdrawn": "Not to be used: the finding is withdrawn.",
+    }[verification.verdict]
+    return {
+        "title": f"with {best(verification.finding)} in the model, calibrated to T20 of "
+        + listed(names),
+        "use": use,
+        "effects": [effect_said(effect, room) for effect in found.effects],
+        "materials": [
+            {
+                "name": m, "area": room.areas[i],
+                "cells": [
+                    {"before": room.alpha[i, k], "after": found.alpha[i, k],
+                     "low": low[i, k], "high": high[i, k], "star": ""}
+                    for k in range(room.n_bands)
+                ],
+            }
+            for i, m in enumerate(room.materials)
+        ],
+    }  # fmt: skip
+
+
+def _unknowable(finding: Finding) -> str:
+    """What no calibration tells: whether the name is right."""
+    others = rivals(finding)
+    next_to = (
+        f"{listed(others)} would explain the data about as well"
+        if others
+        else f"the next best is {runner_up(finding)} nats"
+    )
+    return (
+        f"What cannot be known: whether it is {best(finding)}. The name may be wrong; {next_to}. "
+        "That the gap shrinks says that the model is better, not which effect is in the room."
+    )

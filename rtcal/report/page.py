@@ -49,7 +49,9 @@ def page(
     finding : mapping, optional
         What the model may be missing: ``summary`` (list of sentences), ``verdict``, ``effect``,
         ``candidates`` (list of names), ``evidence`` (name to nats) and ``notes`` (list of
-        sentences), each optional.
+        sentences), each optional; ``plain`` (what the calibration's own tables are called then),
+        ``corrected`` (title, use, effects, materials with their cells), ``unknowable`` (a sentence),
+        ``reproduce`` (command, files, seed, engines).
     finding_figures : sequence of (figure, caption)
         Its figures.
     progress : callable, optional
@@ -259,6 +261,10 @@ def _finding(
         "candidates": list(given.get("candidates", ())),
         "evidence": sorted(dict(given.get("evidence", {})).items(), key=lambda e: -e[1]),
         "notes": list(given.get("notes", ())),
+        "plain": given.get("plain", ""),
+        "corrected": given.get("corrected"),
+        "unknowable": given.get("unknowable", ""),
+        "reproduce": given.get("reproduce"),
         "figures": [
             {"source": _source(figure, step), "alt": caption, "caption": caption}
             for figure, caption in pictures

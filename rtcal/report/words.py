@@ -272,7 +272,8 @@ def _measured(seen: Saved) -> str:
     if not known.any():
         return text + "; its uncertainty is not known."
     share = 100 * seen.uncertainty[known] / seen.measured[known]
-    return text + f"; its standard uncertainty is {share.min():.1f} to {share.max():.1f} %."
+    ends = dict.fromkeys([f"{share.min():.1f}", f"{share.max():.1f}"])
+    return text + f"; its standard uncertainty is {' to '.join(ends)} %."
 
 
 def command(seen: Saved) -> str | None:
