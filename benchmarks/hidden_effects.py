@@ -336,7 +336,10 @@ def mending(here: list[Any]) -> None:
             for _, x in two if "rmse" in x
         ]  # fmt: skip
         print("two hidden effects: both named in two rounds", rate(both))
-        print("  alpha's RMSE at most half of plain's      ", rate(better))
+        # Where nothing was detected, alpha stays as plainly calibrated: no better.
+        missing = [False] * (len(two) - len(better))
+        print("  alpha's RMSE at most half of plain's      ", rate([*better, *missing]),
+              f"({sum(better)}; {len(missing)} with nothing detected)")  # fmt: skip
         missed = Counter(
             " + ".join(sorted(NAMES[e["kind"]] for e in r["truth"]))
             for (r, _), ok in zip(two, both, strict=True) if not ok

@@ -79,8 +79,23 @@ def test_the_room_has_the_corrected_model_s_time(
         assert room.areas.sum() == pytest.approx(hidden[0].room.areas.sum())
         assert room.materials[-1] == effect.effect
     if effect is OPENING and equation != "millington":
-        assert room.areas[-1] == pytest.approx(40.0)
-        np.testing.assert_allclose(room.alpha[-1], 1.0)
+        # 18 m² more, as far as its interval reaches: there alpha = 1.
+        assert room.areas[-1] == pytest.approx(40.0 + 18.0)
+        np.testing.assert_allclose(room.alpha[-1] + 1.6449 * room.sigma[-1], 1.0, rtol=1e-3)
+        assert "rtcal gap: 40 m²" in room.sources["opening"]
+
+
+def test_an_absorber_at_its_own_size_raises_no_alarm(hidden: tuple[Case, np.ndarray]) -> None:
+    """It may be larger as well as smaller: no bound is active, and p is printed."""
+    room = corrected_room(replace(hidden[0], present=[OPENING]))
+    t = rt.Eyring().reverberation_time(room)
+    for factor in (0.97, 1.03):
+        result = rt.calibrate(
+            room, rt.Measurement.from_values(room.centre_frequencies, t20=t * factor)
+        )
+        assert not [m for m in result.trust_marks if m.kind == "at_bound"]
+        assert result.plausibility.p_value is not None
+        assert ((result.alpha[-1] - room.alpha[-1]) * (1 - factor) > 0).all()
 
 
 def test_alpha_and_sizes_have_intervals(hidden: tuple[Case, np.ndarray]) -> None:

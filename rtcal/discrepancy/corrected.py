@@ -1,8 +1,10 @@
 """The corrected room in the rest of the package: as a `Room`, and as a `Simulator`.
 
-What absorbs stands in the room as a further material: as many m² of the walls, all of them in
-proportion, as would absorb everything in the band where it absorbs most. Volume, areas and air are
-what was found. A decay's shape and noise are no room's: only the simulator has them.
+What absorbs stands in the room as a further material, in place of walls, all of them in proportion:
+as many m² as would absorb everything, in the band where it absorbs most, if it were as large as its
+size's 90 % interval allows. So a calibration may find more of it as well as less: at alpha = 1 it
+could only find less. Volume, areas and air are what was found. A decay's shape and noise are no
+room's: only the simulator has them.
 """
 
 from __future__ import annotations
@@ -16,15 +18,18 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, Kuttruff, Sabine
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.case import Case, Configuration, Present
+from rtcal.discrepancy.case import NORMAL_90, Case, Configuration, Present
 from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.discrepancy.states import distances, state, with_present
+from rtcal.discrepancy.wording import amount
 from rtcal.errors import DataError
 from rtcal.simulators.base import Simulator, check_alpha, run
 from rtcal.types import Array
 
 EQUATIONS = {"sabine": Sabine(), "eyring": Eyring(), "kuttruff": Kuttruff()}
 """Those of a case's that a calibration can invert."""
+_LARGEST_SHARE = 0.5
+"""Of the walls, that an absorber takes so that more of it may be found."""
 _LARGEST_EXPONENT = -np.log1p(-0.999)
 """Of an absorber under Millington's equation, where alpha = 1 has none."""
 _REST = {
@@ -38,7 +43,8 @@ def corrected_room(case: Case) -> Room:
 
     It has the T of the case's model under the model's equation (Eyring's for Millington's model
     where it is calibrated), but for a decay's shape and noise. Absorbers are materials after the
-    stated ones; their sigma is what their size's interval leaves open. Where volume or areas
+    stated ones; their sigma is what their size's interval leaves open, and their area is larger than
+    the effect's, so that alpha = 1 is the interval's upper end. Where volume or areas
     are others than stated, dimensions and surfaces are left out.
     """
     return _settled(case)[0]
@@ -208,7 +214,7 @@ def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
     """The corrected room, and the effects that it cannot hold."""
     made, at, base = _stated(case), _bare(case), _base(case)
     areas, alpha, sigma = made.areas, [*made.alpha], [*made.sigma]
-    names, rest = list(made.materials), []
+    names, rest, sources = list(made.materials), list[Present](), dict(made.sources)
     for p in case.present:
         after = with_present(at, [p], base)
         if after.shape is not None or after.floor_db is not None or after.direct_db:
@@ -220,10 +226,13 @@ def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
             continue  # another volume, area, air or equation: the room has it already
         top = _LARGEST_EXPONENT if at.equation == "millington" else 1.0
         w = float(max(((both - wall) / (top - wall)).max(), ((wall - both) / wall).max()))
+        w = max(w, min(w * (1 + NORMAL_90 * _spread(p)), _LARGEST_SHARE))
         own = np.clip(wall + (both - wall) / w, 0, top)
         areas = np.append((1 - w) * areas, w * made.total_area)
         names.append(p.effect if p.effect not in names else f"{p.effect} (found)")
         alpha.append(-np.expm1(-own) if at.equation == "millington" else own)
+        if p.size_interval is not None:
+            sources[names[-1]] = _source(p)
         sigma.append(np.abs(alpha[-1] - made.absorption_area / made.total_area) * _spread(p))
         at = after
     new = len(names) - made.n_materials
@@ -233,11 +242,18 @@ def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
     further = {"alpha_min": 0.0, "scattering": 0.5}
     return made.replace(
         materials=names, areas=areas, alpha=alpha, sigma=sigma, surfaces=(), dimensions=None,
+        sources=sources,
         **{
             name: np.vstack([rows, np.full((new, made.n_bands), further[name])])
             for name, rows in walls.items() if rows is not None
         },
     ), tuple(rest)  # fmt: skip
+
+
+def _source(p: Present) -> str:
+    low, high = p.size_interval or (np.nan, np.nan)
+    size = amount(p.parameters[p.itself.size], p.itself.unit)
+    return f"rtcal gap: {size}, 90 % {low:.3g} to {high:.3g}; the area leaves room for more"
 
 
 def _spread(p: Present) -> float:
