@@ -86,14 +86,33 @@ class NonDiffuse:
         nothing = np.zeros_like(states[0].air)
         everywhere = c * np.array([s.air + (s.objects + nothing) / (4 * s.volume) for s in states])
         nu = np.array([[s.scattering] for s in shapes]) * c * area / (4 * volume)
-        root = np.sqrt(weight)
-        system = np.zeros((*rate.shape, len(weight)))
-        index = np.arange(len(weight))
-        system[..., index, index] = rate + nu[:, :, None]
-        system -= (nu[:, :, None] * np.outer(root, root)[None])[:, None]
-        values, vectors = np.linalg.eigh(system)
-        weights = np.einsum("d,sbdj->sbj", root, vectors) ** 2 / volume[:, :, None]
-        return Decay(weights, np.maximum(values + everywhere[..., None], 1e-3))
+        terms, share = _terms(rate + nu[:, :, None], nu, np.sqrt(weight))
+        return Decay(share / volume[:, :, None], np.maximum(terms + everywhere[..., None], 1e-3))
+
+
+_TERMS = 12
+
+
+def _terms(diagonal: Array, nu: Array, root: Array) -> tuple[Array, Array]:
+    """Rates and shares of root' exp(-M t) root, M = diag(``diagonal``) - ``nu`` root root'.
+
+    As many as Lanczos' steps from ``root``: a dozen give the decay to seven digits.
+    """
+    basis = np.zeros((*diagonal.shape[:-1], _TERMS, len(root)))
+    small = np.zeros((*diagonal.shape[:-1], _TERMS, _TERMS))
+    q = np.broadcast_to(root, diagonal.shape)
+    for j in range(_TERMS):
+        basis[..., j, :] = q
+        w = diagonal * q - nu[..., None] * (q @ root)[..., None] * root
+        small[..., j, j] = (w * q).sum(-1)
+        for _ in range(2):  # once more, against rounding
+            w = w - (np.swapaxes(basis, -1, -2) @ (basis @ w[..., None]))[..., 0]
+        length = np.linalg.norm(w, axis=-1)
+        if j + 1 < _TERMS:
+            small[..., j, j + 1] = small[..., j + 1, j] = length
+            q = w / np.maximum(length, 1e-300)[..., None]
+    values, vectors = np.linalg.eigh(small)
+    return values, vectors[..., 0, :] ** 2
 
 
 def _first(decay: Decay) -> Decay:
