@@ -281,11 +281,11 @@ def _size(
     def at(x: Array, kinds: Sequence[Any]) -> Array:
         return weighed([{**dict(k), effect.size: float(s)} for k in kinds for s in size_of(x)])
 
-    coarse = np.linspace(first, last, 33)
+    coarse = np.linspace(first, last, 25)
     log_p = at(coarse, likely[:1])
     there = coarse[log_p > log_p.max() - _NOWHERE]
     step = coarse[1] - coarse[0] + 2.6 * effect.size_error
-    fine = np.linspace(there[0] - step, there[-1] + step, 49)
+    fine = np.linspace(there[0] - step, there[-1] + step, 37)
     log_p = at(fine, likely)
     by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
     by_size = _widened(by_size, fine, effect.size_error)

@@ -256,7 +256,9 @@ def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Arra
         past = after < wanted
         low, high = np.where(past, low, at), np.where(past, at, high)
         step = at + np.log(after / wanted) * after / loss
-        at = np.where(step <= high, np.maximum(step, low), 0.5 * (low + high))
+        last, at = at, np.where(step <= high, np.maximum(step, low), 0.5 * (low + high))
+        if np.all(np.abs(at - last) <= 1e-12 * at):
+            break
     at = np.concatenate([np.zeros((*total.shape, 1)), at], axis=-1)
     steps = np.linspace(0, 1, 24)
 
