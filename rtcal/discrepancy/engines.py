@@ -26,12 +26,13 @@ from rtcal.types import Array
 
 _AXIS_OF_WALL = (0, 0, 1, 1, 2, 2)
 SCATTERING: Mapping[Scattering, tuple[float, float]] = {
-    "random": (0.3, 0.9), "vector": (0.5, 0.9)
+    "random": (0.4, 0.9), "vector": (0.5, 0.9)
 }  # fmt: skip
 """Of a control room's walls, by what is meant by it: what is taken for an ordinary room.
 
-A sum of vectors with less than half of it scattered turns paths towards the walls' normals, hit by
-hit, until T is a fifth under any equation's in a flat room: that is no room with nothing hidden.
+Up to .3 of the paths is the effect "non-diffuse field". A sum of vectors with less than half of it
+scattered turns paths towards the walls' normals, hit by hit: in a flat room T falls to a fifth under
+any equation's.
 """
 _RECEIVERS = 4
 _PATHS = 6000
