@@ -269,9 +269,9 @@ def _sigma(case: Case, configuration: Configuration) -> Array:
     return sigma
 
 
-LEVEL_DB = 0.5
-"""Standard uncertainty that C80 and G of the diffuse-field theory have in common in all bands."""
-_C80, _G = FEATURES.index("c80"), FEATURES.index("g")
+COMMON: Mapping[str, float] = {"edt": 0.018, "t30": 0.006, "c80": 0.5, "g": 0.5}
+"""Standard uncertainty of theory in all bands and configurations alike, in ln and dB: what one
+engine's scatter does not show, since others see another field (`hidden_effects engines`)."""
 
 
 def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
@@ -294,12 +294,9 @@ def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
     between = np.array(means) - bias
     covariance = np.mean(spreads, axis=0)
     covariance += between.T @ between / max(len(controls) - 1, 1)
-    # Of all bands and configurations alike: what no engine's scatter shows, since all take the same
-    # direct sound and the same theory of it.
-    level = np.zeros((len(FEATURES), len(FEATURES)))
-    level[_C80, _C80] = level[_G, _G] = LEVEL_DB**2
+    common = np.diag([COMMON.get(name, 0.0) ** 2 for name in FEATURES])
     ones = np.ones((n, n)), np.ones((k, k))
-    covariance += np.einsum("ab,fg,kl->afkbgl", ones[0], level, ones[1]).reshape(size, size)
+    covariance += np.einsum("ab,fg,kl->afkbgl", ones[0], common, ones[1]).reshape(size, size)
     shrunk = 0.6 * covariance + 0.4 * np.diag(np.diag(covariance))
     return ModelError(bias, shrunk * 1.2, tuple(c.engine for c in controls))
 
