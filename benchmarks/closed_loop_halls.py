@@ -41,7 +41,7 @@ class Case:
 CASES = {
     "lecture_hall": Case(128000, 24000, 2, relative=False),
     "hard_hall": Case(16000, 12000, 1, relative=True),
-    "theatre": Case(16000, 12800, 2, relative=True),
+    "theatre": Case(32000, 25600, 2, relative=True),
 }
 TOLERANCE = (
     0.5  # JND, of the loop: the other half is left to the noise of simulator and measurement

@@ -95,6 +95,7 @@ class ImageSource:
     smooth: ClassVar[bool] = True
     box: Shoebox = field(init=False)
     images: tuple[Images, ...] = field(init=False)
+    attenuation: Array = field(init=False)
 
     def __post_init__(self) -> None:
         checks.positive("duration", self.duration, "s")
@@ -111,6 +112,7 @@ class ImageSource:
         object.__setattr__(self, "images", tuple(
             self._count(s, r) for s, r in product(box.sources, box.receivers)
         ))  # fmt: skip
+        object.__setattr__(self, "attenuation", self.room.air_attenuation)
 
     @property
     def materials(self) -> Sequence[str]:
@@ -146,7 +148,7 @@ class ImageSource:
             to[:] = weigh(
                 x, y, z, found.rows, found.starts, found.bins, found.weights, self._n_bins
             )
-            to *= np.exp(-np.multiply.outer(self.room.air_attenuation, found.lengths))
+            to *= np.exp(-np.multiply.outer(self.attenuation, found.lengths))
         return out
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
