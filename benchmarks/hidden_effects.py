@@ -3,6 +3,7 @@
     python -m benchmarks.hidden_effects run --folder out      # an hour or so; can be resumed
     python -m benchmarks.hidden_effects table                 # of the stored run, or --folder out
     python -m benchmarks.hidden_effects engines --rooms 40    # leave one engine out
+    python -m benchmarks.hidden_effects speed --rooms 20      # processor time of each step
     python -m benchmarks.hidden_effects bound --folder out    # what any test could detect at best
     python -m benchmarks.hidden_effects alpha --folder out --rooms 30   # do alpha's intervals hold it?
     python -m benchmarks.hidden_effects bras ../shared/data/bras
@@ -17,9 +18,10 @@ import csv
 import gzip
 import json
 import multiprocessing
+import time
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -75,7 +77,7 @@ def one(case: Case) -> Case:
     return case.only("t20", "edt", "t30", configurations=[case.configurations[0].name])
 
 
-def first(controls: Sequence[Controls]) -> list[Controls]:
+def first_of(controls: Sequence[Controls]) -> list[Controls]:
     """The control rooms of the first configuration."""
     return [Controls(c.engine, c.errors[:, :1]) for c in controls]
 
@@ -140,14 +142,14 @@ def work(job: tuple[int, int, str]) -> None:
     truth = TRUTHS[population][index]
     controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
     row: dict[str, Any] = {"kind": truth["seed"][1], "truth": truth["effects"]}
-    row["one"] = examined(one(case), first(controls), truth)
+    row["one"] = examined(one(case), first_of(controls), truth)
     if len(case.configurations) > 1:
         row["all"] = examined(case, controls, truth)
     if row["kind"] == 0:
         for label, factor in (("half", 0.5), ("double", 2.0)):
             room = case.room.replace(sigma=np.minimum(case.room.sigma * factor, 1))
             other = one(replace(case, room=room))
-            row[label] = find(other, controls=first(controls)).verdict
+            row[label] = find(other, controls=first_of(controls)).verdict
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(row), encoding="utf-8")
 
@@ -359,11 +361,11 @@ def inside(right: list[Any]) -> list[bool]:
     return out
 
 
-def engines(rooms: int) -> None:
+def engines(first: int, rooms: int) -> None:
     """Leave one engine out: rooms of each, judged by a threshold from the other two."""
     load(1)
     alarms: dict[str, list[bool]] = {}
-    for index in range(rooms):
+    for index in range(first, first + rooms):
         case = one(Case.from_dict(ROOMS[1][index]))
         controls = control_rooms(case, engines=("path tracing", "network", "rays"))
         observed, _ = observe(case)
@@ -375,10 +377,38 @@ def engines(rooms: int) -> None:
             values = made_up(case, observed, [left.errors], rng, 20)
             scores = score(weigh(observed, predicted, model_error(case, others), values))
             alarms.setdefault(left.engine, []).extend((scores > limit.value).tolist())
-        print(f"\r{index + 1}/{rooms}", end="", flush=True)
+        print(f"\r{index + 1 - first}/{rooms}", end="", flush=True)
     print("\nfalse alarms in control rooms of an engine that the threshold was not learnt from")
     for name, flags in alarms.items():
         print(f"  {name:14} {rate(flags)}")
+
+
+def speed(first: int, rooms: int) -> None:
+    """Processor time of each step, rooms with two configurations."""
+    load(1)
+    times: dict[str, list[float]] = {}
+
+    def timed(label: str, call: Callable[[], Any]) -> Any:
+        start = time.process_time()
+        out = call()
+        times.setdefault(label, []).append(time.process_time() - start)
+        return out
+
+    cases = [Case.from_dict(room) for room in ROOMS[1][first:]]
+    for case in [c for c in cases if len(c.configurations) == 2][:rooms]:
+        controls = timed("control rooms", lambda c=case: control_rooms(c))
+        for label, data, rooms_of in (
+            ("one configuration", one(case), first_of(controls)), ("all data", case, controls)
+        ):  # fmt: skip
+            observed, _ = observe(data)
+            predicted = hypotheses(data, library())
+            limit = timed(
+                f"threshold, {label}",
+                lambda d=data, o=observed, p=predicted, c=rooms_of: threshold(d, o, p, c),
+            )
+            timed(f"find, {label}", lambda d=data, t=limit: find(d, threshold=t))
+    for label, taken in times.items():
+        print(f"  {label:30} median {np.median(taken):6.2f} s, most {max(taken):6.2f} s")
 
 
 def bound(folder: str) -> None:
@@ -399,7 +429,7 @@ def bound(folder: str) -> None:
         case = Case.from_dict(ROOMS[1][index])
         controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
         name, parameters = NAMES[truth["seed"][1]], parameters_of(truth["effects"][0])
-        for data, part, rooms in (("one", one(case), first(controls)), ("all", case, controls)):
+        for data, part, rooms in (("one", one(case), first_of(controls)), ("all", case, controls)):
             observed, _ = observe(part)
             error, predicted = model_error(part, rooms), hypotheses(part, library())
             base = [state(part, c) for c in part.configurations]
@@ -451,7 +481,7 @@ def alpha(folder: str, rooms: int) -> None:
             case = Case.from_dict(ROOMS[1][index])
             controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
             if data == "one":
-                case, controls = one(case), first(controls)
+                case, controls = one(case), first_of(controls)
             finding = find(case, controls=controls)
             if finding.verdict in ("named", "ambiguous"):
                 right = finding.effect == NAMES[truth["seed"][1]]
@@ -546,12 +576,13 @@ def bras(folder: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=(
-        "run", "table", "store", "engines", "bound", "alpha", "bras"
+        "run", "table", "store", "engines", "speed", "bound", "alpha", "bras"
     ))  # fmt: skip
     parser.add_argument("data", nargs="?", help="the folder of BRAS' tables")
     parser.add_argument("--folder")
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument("--step", type=int, default=1, help="every so many rooms")
+    parser.add_argument("--first", type=int, default=0, help="room to begin with")
     parser.add_argument("--rooms", type=int, default=40)
     given = parser.parse_args()
     if given.what == "run":
@@ -565,7 +596,9 @@ def main() -> None:
     elif given.what == "alpha":
         alpha(given.folder, given.rooms)
     elif given.what == "engines":
-        engines(given.rooms)
+        engines(given.first, given.rooms)
+    elif given.what == "speed":
+        speed(given.first, given.rooms)
     else:
         bras(given.data)
 
