@@ -8,6 +8,7 @@ import numpy as np
 
 from rtcal import checks
 from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import T_LIMITS
 from rtcal.acoustics.room import AXES, Room
 from rtcal.errors import DataError
 from rtcal.types import Array
@@ -16,11 +17,11 @@ if TYPE_CHECKING:
     from rtcal.discrepancy.case import Configuration
 
 POSSIBLE = {
-    "t20": (0.0, 120.0, "s"), "t30": (0.0, 120.0, "s"), "edt": (0.0, 120.0, "s"),
+    "t20": (*T_LIMITS, "s"), "t30": (*T_LIMITS, "s"), "edt": (0.0, T_LIMITS[1], "s"),
     "c80": (-30.0, 60.0, "dB"), "g": (-40.0, 60.0, "dB"),
 }  # fmt: skip
-"""Least and most that any room has. T: 120 s, over the 112 s of the oil tank of Inchindown, the longest
-known. C80: -30 dB, 10 dB under that of T = 120 s (-20 dB); 60 dB, the range of a good decay. G: -40 dB,
+"""Least and most that any room has. C80: -30 dB, 10 dB under that of T = 120 s (-20 dB); 60 dB, the
+range of a good decay. G: -40 dB,
 20 dB under the direct sound alone at 100 m; 60 dB, 20 dB over that at 10 cm."""
 VOLUMES = (1e-3, 1e8)
 """m³: a scale model of a litre; the largest halls have some 1e7."""
