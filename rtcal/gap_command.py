@@ -211,10 +211,6 @@ def _read_by(path: str) -> list[Path]:
 def _find(case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Finding:
     from rtcal import discrepancy
 
-    if any(c.planned for c in case.configurations):
-        raise DataError(
-            "a configuration states parameters but no measurement: it can only be planned"
-        )
     chosen = engines or ("path tracing", "network")
     with bar(0, "room", bar_wanted(quiet)) as shown:
 

@@ -369,3 +369,29 @@ def test_a_loaded_case_is_saved_with_the_same_bytes(tmp_path: Path) -> None:
     assert one == two
     assert list(case.configurations[0].measured.values)[1] == "t30"  # the file's order is another
     assert len(json.loads(one)["configurations"][0]["t30"]) == 2
+
+
+def test_a_saved_case_keeps_what_its_measurement_is(tmp_path: Path) -> None:
+    """A summary's spread tells how uncertain T is; a plan's values are none."""
+    case = opened()
+    t20 = case.configurations[0].measured.mean("t20")
+    summary = rt.Measurement(
+        centre_frequencies=F, values={"t20": t20[None]}, standard_deviation={"t20": 0.3 * t20},
+        n_sources=1, n_receivers=4,
+    )  # fmt: skip
+    room = case.room.replace(alpha_min=0.1 * case.room.alpha, scattering=0 * case.room.alpha + 0.3)
+    spread = replace(
+        case, room=room, configurations=[replace(case.configurations[0], measured=summary)]
+    )
+    spread.save(str(tmp_path / "spread.json"))
+    loaded = Case.from_file(str(tmp_path / "spread.json"))
+    again = loaded.configurations[0].measured
+    np.testing.assert_array_equal(again.mean_uncertainty("t20"), summary.mean_uncertainty("t20"))
+    assert again.pairs == summary.pairs
+    np.testing.assert_array_equal(loaded.room.alpha_min, room.alpha_min)
+    np.testing.assert_array_equal(loaded.room.scattering, room.scattering)
+
+    planned = replace(case, configurations=[replace(case.configurations[0], planned=True)])
+    planned.save(str(tmp_path / "planned.json"))
+    loaded = Case.from_file(str(tmp_path / "planned.json"))
+    refused(lambda: find(loaded, controls=controls_of(case)), "it can only be planned")

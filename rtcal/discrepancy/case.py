@@ -226,14 +226,20 @@ class Case:
                 f'effect "{own[0]}" is not in the library: a case that holds it cannot be saved, since '
                 "whoever reads it does not know the effect"
             )
-        record = {} if room.calibration is None else {"calibration": vars(room.calibration).copy()}
+        more: dict[str, Any] = {
+            name: np.asarray(value).tolist()
+            for name in ("alpha_min", "scattering", "dimensions")
+            if (value := getattr(room, name)) is not None
+        }
+        if room.calibration is not None:
+            more["calibration"] = vars(room.calibration).copy()
         return {
             "room": {
                 "name": room.name, "volume": room.volume, "materials": list(room.materials),
                 "areas": room.areas.tolist(), "alpha": room.alpha.tolist(),
                 "sigma": room.sigma.tolist(), "band_correlation": room.band_correlation,
                 "centre_frequencies": room.centre_frequencies.tolist(),
-                "air": _air_dict(room.air), "facing": self.facing.tolist(), **record,
+                "air": _air_dict(room.air), "facing": self.facing.tolist(), **more,
             },
             "equation": self.equation,
             "configurations": [_configuration_dict(c) for c in self.configurations],
@@ -285,8 +291,14 @@ class Case:
         """Return what `save` writes."""
         return json.dumps(self.to_dict(), indent=1) + "\n"
 
-    def refuse_twice(self) -> None:
-        """Raise DataError if the room was calibrated on a configuration's T: it would count twice."""
+    def require_fresh(self) -> None:
+        """Raise DataError for a configuration that was not measured, or whose T the room was fitted to."""
+        for c in self.configurations:
+            if c.planned:
+                raise DataError(
+                    f'configuration "{c.name}" states parameters but no measurement: it can only be '
+                    "planned"
+                )
         if self.room.calibration is None:
             return
         for c in self.configurations:
@@ -324,9 +336,10 @@ def _configuration(
 ) -> Configuration:  # fmt: skip
     name = _name(data, "measured")
     known = {"name", "changes", "suspect_removed", "air", "distances", "distance"}
-    if unknown := sorted(set(data) - known - set(PARAMETERS) - {"uncertainty"}):
+    inline = (*PARAMETERS, "uncertainty", *_SAVED)
+    if unknown := sorted(set(data) - known - set(inline)):
         raise DataError(f'configuration "{name}": "{unknown[0]}" is not known')
-    if measured is not None and (beside := [p for p in (*PARAMETERS, "uncertainty") if p in data]):
+    if measured is not None and (beside := [p for p in inline if p in data]):
         raise DataError(
             f'configuration "{name}": {beside[0]} stands beside measured; values come from one of them'
         )
@@ -337,7 +350,10 @@ def _configuration(
         n = {len(v) for v in values.values()}
         if len(n) > 1:
             raise DataError(f'configuration "{name}": parameters for different numbers of pairs')
-        pairs = [("S", f"R{i + 1}") for i in range(n.pop())]
+        pairs = data.get("pairs", [("S", f"R{i + 1}") for i in range(n.pop())])
+        spread = _optional(
+            f'configuration "{name}": standard_deviation', data.get("standard_deviation")
+        )
         stated = {
             str(p): _table(name, p, v, room.n_bands)
             for p, v in _optional(
@@ -346,7 +362,11 @@ def _configuration(
         }
         measured = Measurement(
             centre_frequencies=room.centre_frequencies, values=values, pairs=pairs,
-            uncertainty=stated,
+            uncertainty=stated, n_sources=data.get("n_sources"),
+            n_receivers=data.get("n_receivers"),
+            standard_deviation={
+                str(p): _table(name, p, v, room.n_bands)[0] for p, v in spread.items()
+            },
         )  # fmt: skip
     extra = dict(measured.uncertainty)
     for p, v in measured.values.items():
@@ -367,6 +387,7 @@ def _configuration(
             f'configuration "{name}": suspect_removed', data.get("suspect_removed", False)
         ),
         air=_air(f'configuration "{name}": air', data.get("air")),
+        planned=checks.flag(f'configuration "{name}": planned', data.get("planned", False)),
         distances=(
             None
             if distances is None
@@ -490,10 +511,25 @@ def _air_dict(air: Air | None) -> dict[str, float] | None:
     }  # fmt: skip
 
 
+_SAVED = ("pairs", "standard_deviation", "n_sources", "n_receivers", "planned")
+"""What a configuration in JSON may have beside its parameters."""
+
+
 def _configuration_dict(c: Configuration) -> dict[str, Any]:
     def plain(table: Array) -> list[list[float | None]]:
         return [[None if np.isnan(v) else float(v) for v in row] for row in table]
 
+    m = c.measured
+    more: dict[str, Any] = {"pairs": [list(pair) for pair in m.pairs]}
+    if m.standard_deviation:
+        more["standard_deviation"] = {
+            p: plain(m.standard_deviation[p][None])[0]
+            for p in PARAMETERS
+            if p in m.standard_deviation
+        }
+    more |= {k: v for k in ("n_sources", "n_receivers") if (v := getattr(m, k)) is not None}
+    if c.planned:
+        more["planned"] = True
     return {
         "name": c.name,
         # In the order that a reader of the file puts them in: to save again gives the same bytes.
@@ -507,4 +543,5 @@ def _configuration_dict(c: Configuration) -> dict[str, Any]:
         "suspect_removed": c.suspect_removed,
         "air": _air_dict(c.air),
         "distances": None if c.distances is None else c.distances.tolist(),
+        **more,
     }

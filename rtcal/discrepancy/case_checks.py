@@ -21,8 +21,8 @@ POSSIBLE = {
     "c80": (-30.0, 60.0, "dB"), "g": (-40.0, 60.0, "dB"),
 }  # fmt: skip
 """Least and most that any room has. C80: -30 dB, 10 dB under that of T = 120 s (-20 dB); 60 dB, the
-range of a good decay. G: -40 dB,
-20 dB under the direct sound alone at 100 m; 60 dB, 20 dB over that at 10 cm."""
+range of a good decay. G: -40 dB, 20 dB under the direct sound alone at 100 m; 60 dB, 20 dB over that
+at 10 cm."""
 VOLUMES = (1e-3, 1e8)
 """m³: a scale model of a litre; the largest halls have some 1e7."""
 LARGEST_AREA = 1e8

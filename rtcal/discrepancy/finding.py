@@ -193,7 +193,7 @@ def find(
         If fewer than two engines are given; if the room was calibrated on one of the case's T
         already; for an effect that breaks a rule, which the message names.
     """
-    case.refuse_twice()
+    case.require_fresh()
     effects = library() if effects is None else checked(effects)
     observed, notes = observe(case)
     predicted = hypotheses(case, effects)

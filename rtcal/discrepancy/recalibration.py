@@ -193,7 +193,7 @@ def recalibrate(case: Case, error: ModelError | None = None) -> Recalibrated:
 def _calibrated(
     fitted: Case, whole: Case, error: ModelError | None, *, exact: bool
 ) -> Recalibrated:
-    whole.refuse_twice()
+    whole.require_fresh()
     room = fitted.room
     n, k = len(fitted.configurations), room.n_bands
     observed, _ = observe(fitted)
