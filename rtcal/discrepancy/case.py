@@ -292,7 +292,7 @@ class Case:
         return json.dumps(self.to_dict(), indent=1) + "\n"
 
     def require_fresh(self) -> None:
-        """Raise DataError for a configuration that was not measured, or whose T the room was fitted to."""
+        """Raise DataError where a configuration was not measured, or the room fitted to its T."""
         for c in self.configurations:
             if c.planned:
                 raise DataError(
