@@ -1,7 +1,7 @@
 """Speed of the exact batch solver and of the study, as ratios in one run, one thread each.
 
 `python benchmarks/exact_batch.py [--rows 1000000]`. Each pair is timed in turn and the least of
-several CPU times is taken, so that a busy machine touches both alike; the limits are the issue's.
+several CPU times is taken, so that a busy machine touches both alike; the limits are what is promised.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from rtcal.simulators import path_numpy, paths
 from rtcal.simulators.path_tracing import PathTracing
 
 SECONDS = 1.5
-LIMIT = 20  # from the issue: re-weighting at least this many times quicker than tracing
+LIMIT = 20  # promised: re-weighting at least this many times quicker than tracing
 
 
 def seconds(call: Callable[[], object]) -> float:

@@ -21,7 +21,7 @@ import rtcal as rt
 from rtcal.calibration.presets import preset
 
 BANDS = 8
-# From the issue: rebuild at least this many times slower, and Clarabel's own time at most this
+# Promised: rebuild at least this many times slower, and Clarabel's own time at most this
 # many times quicker.
 LIMITS = {6: (3, 8), 23: (3, 4), 40: (2, 4)}
 IMPORT_LIMIT = 1.5
