@@ -12,7 +12,7 @@ from rtcal.console import json_option, quiet_option, tell
 from rtcal.errors import DataError
 
 if TYPE_CHECKING:
-    from rtcal.closed_loop import Loop
+    from rtcal.loop import Loop
 
 
 @click.group(short_help="The closed loop with a program that is run by hand.")
@@ -54,15 +54,15 @@ def start(
 
     Example: rtcal loop start room.toml t.csv --state loop.json --out next.toml --decimals 2
     """
-    from rtcal import closed_loop
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.calibration.measured import times_in_room
+    from rtcal.loop import start as begin
 
     spare([state, out], [room, measured])
     _refuse_progress(state)
     data = Measurement.from_file(measured)
-    begun = closed_loop.start(
+    begun = begin(
         Room.from_file(room), data, rule=rule,  # type: ignore[arg-type]
         method=method, decimals=decimals,
     )  # fmt: skip
@@ -100,7 +100,7 @@ def next_(
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.quality import explained
     from rtcal.acoustics.room import Room
-    from rtcal.closed_loop import Loop
+    from rtcal.loop import Loop
 
     spare([state, out], [room, simulated])
     going = Loop.load(state, Room.from_file(room))
@@ -151,7 +151,7 @@ def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
     Example: rtcal loop back room.toml --state loop.json --out next.toml
     """
     from rtcal.acoustics.room import Room
-    from rtcal.closed_loop import Loop
+    from rtcal.loop import Loop
 
     spare([state, out], [room])
     going = Loop.load(state, Room.from_file(room)).back()
@@ -163,7 +163,7 @@ def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
 
 def _refuse_progress(state: str) -> None:
     """Raise DataError where a state would be written over that someone simulated for."""
-    from rtcal.closed_loop import Loop
+    from rtcal.loop import Loop
 
     if Path(state).exists() and (n := len(Loop.load(state).steps)):
         raise DataError(

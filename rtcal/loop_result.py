@@ -15,7 +15,7 @@ from rtcal.acoustics.room import Room
 from rtcal.types import Array
 
 if TYPE_CHECKING:
-    from rtcal.closed_loop import Loop
+    from rtcal.loop import Loop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,7 +22,7 @@ from rtcal.loop_rules import RULES
 from rtcal.types import Array
 
 if TYPE_CHECKING:
-    from rtcal.closed_loop import Loop
+    from rtcal.loop import Loop
     from rtcal.loop_result import LoopResult
 
 KIND = "loop 2"
@@ -91,14 +91,12 @@ def _read(
     if data["rule"] not in RULES:
         raise DataError(f'rule = "{data["rule"][:40]}" is not one of {", ".join(RULES)}')
     preset(data["method"], own)
-    decimals = data["decimals"]
-    if decimals is not None and checks.whole("decimals", decimals, 1) > MOST_DECIMALS:
-        raise DataError(f"decimals = {decimals} is more than {MOST_DECIMALS}")
     shape = own.alpha.shape
     fields = {
         "room": own, "wanted": _times("wanted", data["wanted"], own.n_bands, missing=True),
         "measured": data["measured"], "rule": data["rule"], "method": data["method"],
-        "equation": equation or _equation(data["equation"]), "decimals": decimals,
+        "equation": equation or _equation(data["equation"]),
+        "decimals": readable(data["decimals"]),
         "tolerance": checks.positive("tolerance", data["tolerance"], "JND"),
     }  # fmt: skip
     if np.isnan(fields["wanted"]).all():
@@ -133,6 +131,15 @@ def ends(result: LoopResult) -> dict[str, Any]:
             for name, measurement in found.items()
         },
     }
+
+
+def readable(decimals: Any) -> int | None:
+    """Return the decimals of alpha that a program reads, None for all; DataError where not 1 to 12."""
+    if decimals is None:
+        return None
+    if (found := checks.whole("decimals", decimals, 1)) > MOST_DECIMALS:
+        raise DataError(f"decimals = {found} is more than {MOST_DECIMALS}")
+    return found
 
 
 def fingerprint(room: Room) -> str:

@@ -17,7 +17,7 @@ PACKAGE = Path(rt.__file__).parent
 LAYERS = {
     "types": 0, "errors": 0, "jit": 0, "checks": 0, "progress": 0,
     "acoustics": 1, "priors": 2, "calibration": 3, "simulators": 4,
-    "loop_rules": 5, "loop_state": 5, "loop_result": 5, "closed_loop": 5,
+    "loop": 5, "loop_rules": 5, "loop_state": 5, "loop_result": 5, "closed_loop": 5,
     "studies": 5, "discrepancy": 5,
     "io": 6, "report": 6, "datasets": 6, "cli": 7, "study_command": 7, "io_commands": 7,
     "loop_command": 7, "report_command": 7, "gap_command": 7, "console": 7,

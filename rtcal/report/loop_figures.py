@@ -11,7 +11,7 @@ from rtcal.errors import DataError
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, jnd_band, new_figure, shown
 
 if TYPE_CHECKING:
-    from rtcal.closed_loop import Loop
+    from rtcal.loop import Loop
 
 _MARKERS = "o^vDPX<>"
 _STYLES = ("-", "--", "-.", ":")

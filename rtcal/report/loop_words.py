@@ -13,7 +13,7 @@ from rtcal.errors import DataError
 from rtcal.report.words import hertz
 
 if TYPE_CHECKING:
-    from rtcal.closed_loop import Loop
+    from rtcal.loop import Loop
 
 _SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
 _SAID = {

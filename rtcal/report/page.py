@@ -19,8 +19,9 @@ from rtcal import loop_state
 from rtcal.acoustics import room_files
 from rtcal.acoustics.files import write_text
 from rtcal.acoustics.quality import letters
-from rtcal.closed_loop import Loop, LoopResult
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.loop import Loop
+from rtcal.loop_result import LoopResult
 from rtcal.report import figures, loop_figures, loop_words, material_figures, words
 from rtcal.report.saved import Saved, from_dict, read_json, saved
 
