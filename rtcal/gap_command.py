@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import shlex
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.acoustics.files import read_text, spare
+from rtcal.acoustics.files import spare
 from rtcal.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
 from rtcal.progress import bar
@@ -171,6 +170,7 @@ def report(
 
     Example: rtcal gap report case.toml --out gap
     """
+    from rtcal.discrepancy.case_files import files as files_of
     from rtcal.report.gap_report import WRITTEN, Reproduction, write
 
     if not out:
@@ -181,7 +181,7 @@ def report(
     command = shlex.join(
         ["rtcal", "gap", "report", case, "--seed", str(seed), *chosen, "--out", out]
     )
-    files = [os.fspath(p) for p in _read_by(case)]
+    files = [os.fspath(p) for p in files_of(case)]
     written = write(finding, Path(out), Reproduction(command, tuple(files), seed))
     names = [str(p) for p in written]
     text = f"{finding}\nWritten: {', '.join(names)}"
@@ -191,21 +191,12 @@ def report(
 def _case(path: str, written: Sequence[str] = ()) -> Case:
     """Read the case; DataError if a file to be written is one that it is read from."""
     from rtcal.discrepancy import Case
+    from rtcal.discrepancy.case_files import files as files_of
 
     spare(written, [path])
     case = Case.from_file(path)
-    spare(written, _read_by(path))
+    spare(written, files_of(path))
     return case
-
-
-def _read_by(path: str) -> list[Path]:
-    """The files that a case, which has been read without error, is made of."""
-    files = [Path(path)]
-    if not path.endswith(".json"):
-        data = tomllib.loads(read_text(path, Path(path).stat().st_size))
-        names = [data["room"], *(c.get("measured") for c in data.get("configuration", ()))]
-        files += [files[0].parent / name for name in names if name is not None]
-    return files
 
 
 def _find(case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Finding:
