@@ -43,9 +43,7 @@ CASES = {
     "hard_hall": Case(16000, 12000, 1, relative=True),
     "theatre": Case(32000, 25600, 2, relative=True),
 }
-TOLERANCE = (
-    0.5  # JND, of the loop: the other half is left to the noise of simulator and measurement
-)
+TOLERANCE = 0.5  # JND: the other half is left to the noise of simulator and measurement
 RELATIVE_SIGMA = 0.3  # large hard walls would hit alpha = 0 with absolute sigma
 COLUMNS = ("simulations", "prior", "equation", "after", "held out", "C50", "C80", "own noise")
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from rtcal import checks
 from rtcal.acoustics.equations import Eyring, Kuttruff, LinearEquation, Sabine
-from rtcal.acoustics.files import read_text
+from rtcal.acoustics.files import json_numbers, read_text
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_files import parse_room, room_text
 from rtcal.calibration.presets import preset
@@ -42,10 +42,10 @@ _EQUATIONS = {e.name: e for e in (Sabine, Eyring, Kuttruff)}
 def text(loop: Loop, result: Mapping[str, Any] | None = None) -> str:
     """Return a loop as JSON text; the room as the text of its file, ``result`` as `ends` gives it."""
     equation = loop.equation or Eyring()
-    steps = [{name: _plain(getattr(step, name)) for name in _STEP} for step in loop.steps]
+    steps = [{name: json_numbers(getattr(step, name)) for name in _STEP} for step in loop.steps]
     return json.dumps({
         "rtcal": KIND, "room": room_text(loop.room), "measured": loop.measured,
-        "wanted": _plain(loop.wanted), "rule": loop.rule, "method": loop.method,
+        "wanted": json_numbers(loop.wanted), "rule": loop.rule, "method": loop.method,
         "equation": {"name": equation.name, **asdict(equation)}, "decimals": loop.decimals,
         "tolerance": loop.tolerance, "steps": steps,
         **({} if result is None else {"result": dict(result)}),
@@ -127,7 +127,7 @@ def ends(result: LoopResult) -> dict[str, Any]:
         "confirmed": result.confirmation is not None,
         "status": list(result.status),
         **{
-            name: {p: _plain(measurement.mean(p)) for p in measurement.values}
+            name: {p: json_numbers(measurement.mean(p)) for p in measurement.values}
             for name, measurement in found.items()
         },
     }
@@ -175,13 +175,6 @@ def _keys(place: str, found: Any, needed: Sequence[str], more: Sequence[str] = (
 
 def _no_number(text: str) -> None:
     raise ValueError(f"{text} is no number of JSON's")
-
-
-def _plain(values: Array) -> list[object]:
-    """JSON has no NaN."""
-    return [
-        _plain(v) if v.ndim else (None if np.isnan(v) else float(v)) for v in np.asarray(values)
-    ]
 
 
 def _times(place: str, values: Any, n_bands: int, missing: bool = False) -> Array:

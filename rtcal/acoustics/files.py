@@ -8,6 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from rtcal.errors import DataError
 
 
@@ -92,3 +95,11 @@ def write_all(contents: Mapping[Any, bytes]) -> None:
     finally:
         for temporary, _ in temporaries:
             Path(temporary).unlink(missing_ok=True)
+
+
+def json_numbers(values: ArrayLike) -> Any:
+    """Return numbers as nested lists for JSON, None where there is none: JSON has no NaN."""
+    array = np.asarray(values, dtype=float)
+    if array.ndim:
+        return [json_numbers(v) for v in array]
+    return float(array) if np.isfinite(array) else None

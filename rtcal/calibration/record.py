@@ -11,11 +11,11 @@ import numpy as np
 
 import rtcal
 from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.files import json_numbers
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import measurement_text
 from rtcal.acoustics.room_files import room_text
 from rtcal.calibration.certificate import Certificate
-from rtcal.types import Array
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
@@ -44,21 +44,21 @@ def record(result: CalibrationResult) -> dict[str, Any]:
         "constraints": [repr(row) for row in twin.row_constraints],
         "volume": room.volume,
         "air": None if room.air is None else vars(room.air),
-        "centre_frequencies": _listed(room.centre_frequencies),
+        "centre_frequencies": json_numbers(room.centre_frequencies),
         "measured": {
-            "reverberation_time": _listed(result.measured),
-            "uncertainty": _listed(result.measured_uncertainty),
+            "reverberation_time": json_numbers(result.measured),
+            "uncertainty": json_numbers(result.measured_uncertainty),
             "parameter": list(result.measured_data.parameter),
             "bands_not_in_room": list(result.measured_data.ignored),
             "fingerprint": result.measured_data.fingerprint,
             "caution": result.measured_data.caution,
         },
-        "reverberation_time_before": _listed(result.reverberation_time_before),
-        "reverberation_time_after": _listed(result.reverberation_time_after),
-        "gap_before_jnd": _listed(result.gap_before),
-        "gap_after_jnd": _listed(result.gap_after),
-        "target": _listed(result.target),
-        "target_uncertainty": _listed(result.target_uncertainty),
+        "reverberation_time_before": json_numbers(result.reverberation_time_before),
+        "reverberation_time_after": json_numbers(result.reverberation_time_after),
+        "gap_before_jnd": json_numbers(result.gap_before),
+        "gap_after_jnd": json_numbers(result.gap_after),
+        "target": json_numbers(result.target),
+        "target_uncertainty": json_numbers(result.target_uncertainty),
         "materials": _materials(result),
         "material_correlation": [
             {"materials": list(pair), "value": value}
@@ -66,16 +66,16 @@ def record(result: CalibrationResult) -> dict[str, Any]:
         ],
         "band_correlation": room.band_correlation,
         "plausibility": {
-            "z": _listed(plausible.z),
+            "z": json_numbers(plausible.z),
             "q": plausible.q,
             "degrees_of_freedom": plausible.degrees_of_freedom,
             "p_value": plausible.p_value,
         },
         "effects": result.effects,
-        "added_absorption": _listed(result.added_absorption),
-        "air_share": _listed(result.air_share),
+        "added_absorption": json_numbers(result.added_absorption),
+        "air_share": json_numbers(result.air_share),
         "trust_marks": [vars(mark) for mark in result.trust_marks],
-        "multipliers": _listed(result.multipliers),
+        "multipliers": json_numbers(result.multipliers),
         "unreachable": [str(u) for u in result.unreachable],
         "certificate": _certificate(result.certificate),
         "solver": {
@@ -85,7 +85,7 @@ def record(result: CalibrationResult) -> dict[str, Any]:
             "seconds": None if np.isnan(result.raw.seconds) else result.raw.seconds,
             "polished": result.polished,
             "raw_certificate": _certificate(result.raw.certificate),
-            "raw_alpha": [_listed(row) for row in result.raw.alpha],
+            "raw_alpha": json_numbers(result.raw.alpha),
         },
         "inputs": {"room": room_text(room), "measured": measurement_text(_means(result))},
     }
@@ -111,15 +111,17 @@ def _materials(result: CalibrationResult) -> list[dict[str, Any]]:
             "name": name,
             "area": float(room.areas[i]),
             "source": room.sources.get(name, ""),
-            "alpha_before": _listed(room.alpha[i]),
-            "sigma_before": _listed(room.sigma[i]),
-            "alpha_after": _listed(result.alpha[i]),
-            "sigma_after": _listed(result.posterior_sigma[i]),
-            "interval_after": None if interval is None else [_listed(end[i]) for end in interval],
-            "alpha_min": None if room.alpha_min is None else _listed(room.alpha_min[i]),
-            "shift_in_sigmas": _listed(result.shift_in_sigmas[i]),
+            "alpha_before": json_numbers(room.alpha[i]),
+            "sigma_before": json_numbers(room.sigma[i]),
+            "alpha_after": json_numbers(result.alpha[i]),
+            "sigma_after": json_numbers(result.posterior_sigma[i]),
+            "interval_after": None
+            if interval is None
+            else [json_numbers(end[i]) for end in interval],
+            "alpha_min": None if room.alpha_min is None else json_numbers(room.alpha_min[i]),
+            "shift_in_sigmas": json_numbers(result.shift_in_sigmas[i]),
             "at_bound": [bounds[int(v)] for v in result.active[i]],
-            "error_bound": _listed(result.certificate.alpha_error_bound[i]),
+            "error_bound": json_numbers(result.certificate.alpha_error_bound[i]),
         }
         for i, name in enumerate(room.materials)
     ]
@@ -142,13 +144,9 @@ def _means(result: CalibrationResult) -> Measurement:
     )
 
 
-def _listed(values: Array) -> list[float | None]:
-    return [float(v) if np.isfinite(v) else None for v in values]
-
-
 def _certificate(certificate: Certificate) -> dict[str, list[float | None]]:
     return {
-        "primal_residual": _listed(certificate.primal_residual),
-        "dual_residual": _listed(certificate.dual_residual),
-        "duality_gap": _listed(certificate.duality_gap),
+        "primal_residual": json_numbers(certificate.primal_residual),
+        "dual_residual": json_numbers(certificate.dual_residual),
+        "duality_gap": json_numbers(certificate.duality_gap),
     }

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.discrepancy.bootstrap import LEAST
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effect_checks import checked
 from rtcal.discrepancy.effects import Effect, library
@@ -139,7 +140,7 @@ class Plan:
         lines = [
             f"With {', '.join(self.parameters)}: evidence (nats) to expect for the effect in the row, "
             f"where it changes T by {100 * self.change:.0f} %,",
-            "against the effect in the column; over 2.3 (ten to one) they can be told apart;",
+            f"against the effect in the column; over {LEAST} (ten to one) they can be told apart;",
             f"over {_MOST:.0f} is certain, and no number is printed.",
         ]
         heads = [n.replace("-", "- ").split() for n in (NONE, *names)]
@@ -158,7 +159,7 @@ class Plan:
             )
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
         both, one_way = _blind(self.separations, pairs)
-        unseen = [a for a in names if self.separations[a, NONE] < _TOLD]
+        unseen = [a for a in names if self.separations[a, NONE] < LEAST]
         if unseen:
             lines.append(
                 "Cannot be told from a model that lacks nothing: " + ", ".join(unseen) + "."
@@ -177,8 +178,6 @@ class Plan:
         return "\n".join(lines)
 
 
-_TOLD = 2.3
-"""Nats, odds of ten to one, from which two effects are told apart."""
 _MOST = 99.0
 """Nats beyond which the table has no number: certain by any measure."""
 Pairs = list[tuple[str, str]]
@@ -196,7 +195,7 @@ def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[
     """Pairs that are not told apart, and those where only the first is taken for the second."""
     both, one_way = [], []
     for a, b in pairs:
-        weak = (separations[a, b] < _TOLD, separations[b, a] < _TOLD)
+        weak = (separations[a, b] < LEAST, separations[b, a] < LEAST)
         if all(weak):
             both.append((a, b))
         elif any(weak):

@@ -8,7 +8,7 @@ import numpy as np
 
 from rtcal import checks
 from rtcal.acoustics import bands
-from rtcal.acoustics.measurement import T_LIMITS
+from rtcal.acoustics.measurement import DECAY_TIMES, plausible_time
 from rtcal.acoustics.room import AXES, Room
 from rtcal.errors import DataError
 from rtcal.types import Array
@@ -16,13 +16,9 @@ from rtcal.types import Array
 if TYPE_CHECKING:
     from rtcal.discrepancy.case import Configuration
 
-POSSIBLE = {
-    "t20": (*T_LIMITS, "s"), "t30": (*T_LIMITS, "s"), "edt": (0.0, T_LIMITS[1], "s"),
-    "c80": (-30.0, 60.0, "dB"), "g": (-40.0, 60.0, "dB"),
-}  # fmt: skip
-"""Least and most that any room has. C80: -30 dB, 10 dB under that of T = 120 s (-20 dB); 60 dB, the
-range of a good decay. G: -40 dB, 20 dB under the direct sound alone at 100 m; 60 dB, 20 dB over that
-at 10 cm."""
+LEVELS = {"c80": (-30.0, 60.0), "g": (-40.0, 60.0)}
+"""Least and most that any room has, in dB. C80: -30, 10 dB under that of T = 120 s (-20); 60, the range
+of a good decay. G: -40, 20 dB under the direct sound alone at 100 m; 60, 20 dB over that at 10 cm."""
 VOLUMES = (1e-3, 1e8)
 """m³: a scale model of a litre; the largest halls have some 1e7."""
 LARGEST_AREA = 1e8
@@ -103,8 +99,8 @@ def check_configuration(room: Room, c: Configuration) -> None:
             raise DataError(f"{where}: distances is not {n} values above 0, one a pair")
         _check_distances(where, room, c.distances)
     for name, value in c.measured.values.items():
-        if name in POSSIBLE:
-            _check_values(f"{where}: {name}", name, value, c)
+        if name in (*DECAY_TIMES, *LEVELS):
+            _check_values(where, room, name, value)
 
 
 def _check_distances(where: str, room: Room, distances: Array) -> None:
@@ -121,13 +117,13 @@ def _check_distances(where: str, room: Room, distances: Array) -> None:
         )
 
 
-def _check_values(where: str, name: str, values: Array, c: Configuration) -> None:
-    least, most, unit = POSSIBLE[name]
-    if (bad := (values < least) | (values > most)).any():
-        i, k = (int(v) for v in np.argwhere(bad)[0])
-        hint = "; are these ms?" if unit == "s" else ""
-        band = bands.label(c.measured.centre_frequencies[k])
-        raise DataError(
-            f"{where} at {band} = {values[i, k]:g} {unit} is not from {least:g} to {most:g} {unit}, "
-            f"which no room exceeds{hint}"
-        )
+def _check_values(where: str, room: Room, name: str, values: Array) -> None:
+    for i, k in np.argwhere(np.isfinite(values)):
+        place, value = f"{where}: {name} at {bands.label(room.centre_frequencies[k])}", values[i, k]
+        if name in DECAY_TIMES:
+            plausible_time(place, value, name)
+        elif not LEVELS[name][0] <= value <= LEVELS[name][1]:
+            least, most = LEVELS[name]
+            raise DataError(
+                f"{place} = {value:g} dB is not from {least:g} to {most:g} dB, which no room exceeds"
+            )

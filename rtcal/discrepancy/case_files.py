@@ -38,7 +38,7 @@ import numpy as np
 
 from rtcal import checks
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.files import read_text
+from rtcal.acoustics.files import json_numbers, read_text
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import CalibrationRecord, Room, text_name
 from rtcal.discrepancy.case import Case, Change, Configuration, Present
@@ -352,14 +352,11 @@ _SAVED = ("pairs", "standard_deviation", "n_sources", "n_receivers", "planned")
 
 
 def _configuration_dict(c: Configuration) -> dict[str, Any]:
-    def plain(table: Array) -> list[list[float | None]]:
-        return [[None if np.isnan(v) else float(v) for v in row] for row in table]
-
     m = c.measured
     more: dict[str, Any] = {"pairs": [list(pair) for pair in m.pairs]}
     if m.standard_deviation:
         more["standard_deviation"] = {
-            p: plain(m.standard_deviation[p][None])[0]
+            p: json_numbers(m.standard_deviation[p])
             for p in PARAMETERS
             if p in m.standard_deviation
         }
@@ -369,12 +366,13 @@ def _configuration_dict(c: Configuration) -> dict[str, Any]:
     return {
         "name": c.name,
         # In the order that a reader of the file puts them in: to save again gives the same bytes.
-        **{p: plain(c.measured.values[p]) for p in PARAMETERS if p in c.measured.values},
+        **{p: json_numbers(m.values[p]) for p in PARAMETERS if p in m.values},
         "uncertainty": {
-            p: plain(c.measured.uncertainty[p]) for p in PARAMETERS if p in c.measured.uncertainty
+            p: json_numbers(m.uncertainty[p]) for p in PARAMETERS if p in m.uncertainty
         },
         "changes": {
-            m: {"alpha": v.alpha.tolist(), "sigma": v.sigma.tolist()} for m, v in c.changes.items()
+            material: {"alpha": v.alpha.tolist(), "sigma": v.sigma.tolist()}
+            for material, v in c.changes.items()
         },
         "suspect_removed": c.suspect_removed,
         "air": _air_dict(c.air),

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import product
 from typing import ClassVar, Protocol
 
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.discrepancy import shapes
+from rtcal.discrepancy import shapes, spectra
 from rtcal.discrepancy.effect_checks import check_spectrum
 from rtcal.discrepancy.model import State
 from rtcal.types import Array
@@ -177,12 +176,6 @@ class Opening(Absorber):
         return np.ones_like(frequencies)
 
 
-def between(frequencies: Array, octaves: Sequence[float]) -> Array:
-    """Read values at 63 Hz to 8 kHz between the octaves, over the logarithm of the frequency."""
-    centres = np.log(62.5 * 2.0 ** np.arange(8))
-    return np.asarray(np.interp(np.log(frequencies), centres, octaves))
-
-
 @dataclass(frozen=True)
 class Audience(Named):
     """People: seated, as an area; or standing, each with an absorption area (Beranek; EN 12354-6)."""
@@ -206,9 +199,9 @@ class Audience(Named):
         """Return the room with the audience."""
         area = parameters["absorption_area"]
         if parameters["standing"]:
-            return state.with_objects(area * between(state.frequencies, self.STANDING))
+            return state.with_objects(area * spectra.between(state.frequencies, self.STANDING))
         top = 0.86  # alpha of a seated audience at 1 kHz (Beranek 1996)
-        spectrum = np.minimum(top * between(state.frequencies, self.SEATED), 1.0)
+        spectrum = np.minimum(top * spectra.between(state.frequencies, self.SEATED), 1.0)
         return state.covered(area / top, spectrum)
 
 
@@ -229,7 +222,7 @@ class Furniture(Named):
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the objects."""
-        each = between(state.frequencies, self.SPECTRUM)
+        each = spectra.between(state.frequencies, self.SPECTRUM)
         return state.with_objects(parameters["absorption_area"] * each)
 
 
@@ -251,27 +244,8 @@ class Porous(Absorber):
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return the statistical alpha."""
-        return _porous(tuple(frequencies), parameters["thickness"], parameters["flow_resistivity"])
-
-
-@lru_cache(maxsize=256)  # the grid asks for each layer in many sizes
-def _porous(frequencies: tuple[float, ...], thickness: float, flow_resistivity: float) -> Array:
-    # Averaged over the octave: a narrow resonance of a thin layer is not measured as such.
-    inside = np.array(frequencies)[:, None] * 2.0 ** np.array([-0.33, 0.0, 0.33])
-    ratio = inside / flow_resistivity
-    k = 2 * np.pi * inside / 343.2
-    impedance = 1 + 0.0699 * ratio**-0.632 - 1j * 0.1071 * ratio**-0.632
-    number = k * (1 + 0.1093 * ratio**-0.618 - 1j * 0.1597 * ratio**-0.618)
-    z = -1j * impedance / np.tan(number * thickness)
-    angles = np.linspace(0, np.radians(78), 40)
-    normal, weight = z[..., None] * np.cos(angles), np.sin(2 * angles)
-    absorbed = 1 - np.abs((normal - 1) / (normal + 1)) ** 2
-    return _kept(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
-
-
-def _kept(alpha: Array) -> Array:
-    alpha.setflags(write=False)  # the cache hands it out again
-    return alpha
+        thickness, resistivity = parameters["thickness"], parameters["flow_resistivity"]
+        return spectra.porous(tuple(frequencies), thickness, resistivity)
 
 
 @dataclass(frozen=True)
@@ -289,13 +263,7 @@ class Resonator(Absorber):
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, averaged over each octave."""
-        return _resonator(tuple(frequencies), parameters["resonance"], parameters["quality"])
-
-
-@lru_cache(maxsize=256)
-def _resonator(frequencies: tuple[float, ...], resonance: float, quality: float) -> Array:
-    x = np.array(frequencies)[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9) / resonance
-    return _kept((0.8 / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))
+        return spectra.resonator(tuple(frequencies), parameters["resonance"], parameters["quality"])
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
+from rtcal.acoustics.files import json_numbers
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.evidence import (
     NONE,
@@ -88,7 +89,7 @@ class Verification:
                 "candidates": list(self.finding.candidates),
                 "runner_up": self.finding.runner_up, "evidence": dict(self.finding.evidence),
             },
-            "before_jnd": _listed([self.before])[0], "after_jnd": _listed([self.after])[0],
+            "before_jnd": json_numbers(self.before), "after_jnd": json_numbers(self.after),
             "predictive_nats": self.predictive,
             "gaps": [
                 {
@@ -99,13 +100,13 @@ class Verification:
             ],
             "plain": self.plain.to_dict(), "corrected": self.corrected.to_dict(),
             "reverberation_time": [
-                {"configuration": c.name, **{k: _listed(v) for k, v in times.items()}}
+                {"configuration": c.name, **{k: json_numbers(v) for k, v in times.items()}}
                 for c, times in zip(
                     self.finding.case.configurations, reverberation_times(self), strict=True
                 )
             ],
             "residuals_after": [
-                {"configuration": c.name, "feature": name, "values": _listed(row)}
+                {"configuration": c.name, "feature": name, "values": json_numbers(row)}
                 for c, table in zip(
                     self.finding.case.configurations, residual_map(self), strict=True
                 )
@@ -220,10 +221,6 @@ def reverberation_times(verification: Verification) -> list[dict[str, Array]]:
 
 def _better(nats: float) -> str:
     return f"{abs(nats):.1f} nats {'better' if nats >= 0 else 'worse'}"
-
-
-def _listed(values: Array | Sequence[float]) -> list[float | None]:
-    return [float(v) if np.isfinite(v) else None for v in values]
 
 
 def _gap(feature: int, measured: Array, modelled: Array) -> Array:
