@@ -13,7 +13,6 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from rtcal.acoustics.air import Air
 from rtcal.discrepancy import shapes, spectra
 from rtcal.discrepancy.effect_checks import check_spectrum
 from rtcal.discrepancy.model import State
@@ -160,8 +159,8 @@ class OmittedAir(Named):
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with this air."""
-        air = Air(parameters["temperature"], parameters["humidity"])
-        return replace(state, air=air.attenuation(state.frequencies))
+        climate = parameters["temperature"], parameters["humidity"]
+        return replace(state, air=spectra.air(tuple(state.frequencies), *climate))
 
 
 @dataclass(frozen=True)

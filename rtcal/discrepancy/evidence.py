@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.discrepancy.case import Case, Configuration, Present
@@ -143,24 +142,26 @@ def _features(configuration: Configuration) -> tuple[Array, Array]:
     return table, block
 
 
-def hypotheses(case: Case, effects: Sequence[Effect]) -> Hypotheses:
-    """Predict the case under every effect and parameter."""
+def hypotheses(
+    case: Case, effects: Sequence[Effect], grids: Sequence[Sequence[Parameters]] | None = None
+) -> Hypotheses:
+    """Predict the case under every effect and parameter: of each effect's ``grids``, or its own."""
     base = [state(case, c) for c in case.configurations]
+    if grids is None:
+        grids = [tried(effect, base[0]) for effect in effects]
     names: list[str] = [NONE]
     parameters: list[Parameters] = [{}]
-    states: list[list[State]] = [base]
-    for effect in effects:
-        for theta in tried(effect, base[0]):
-            names.append(effect.name)
-            parameters.append(theta)
-            states.append([
-                one if c.suspect_removed and effect.removable else changed(effect, one, theta)
-                for one, c in zip(base, case.configurations, strict=True)
-            ])  # fmt: skip
+    states: list[list[State]] = [[one] for one in base]  # by configuration
+    for effect, grid in zip(effects, grids, strict=True):
+        names += [effect.name] * len(grid)
+        parameters += grid
+        for c, one, column in zip(case.configurations, base, states, strict=True):
+            absent = c.suspect_removed and effect.removable
+            column += [one] * len(grid) if absent else changed(effect, one, grid)
     with np.errstate(all="ignore"):  # what is not finite is refused by name
         predicted = [
-            predict([row[c] for row in states], distances(case, configuration))
-            for c, configuration in enumerate(case.configurations)
+            predict(column, distances(case, c))
+            for c, column in zip(case.configurations, states, strict=True)
         ]
     for p in predicted:
         if not (
@@ -185,6 +186,9 @@ def hypotheses(case: Case, effects: Sequence[Effect]) -> Hypotheses:
 
 def _present_covariance(case: Case) -> Array:
     """What the effects in the model leave open: sizes and misfit, over all features raveled."""
+    if not case.present:
+        n = len(case.configurations) * len(FEATURES) * case.room.n_bands
+        return np.zeros((n, n))
 
     def features(present: Sequence[Present]) -> Array:
         changed = replace(case, present=present)
@@ -237,15 +241,14 @@ def alpha_variance(
     """Return the prior's covariance of ln T20, (n, n_configurations, n_bands, same, same).
 
     d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha; a material that a configuration changed is
-    independent there of what it is elsewhere.
+    independent there of what it is elsewhere. ``states`` and ``predicted`` by configuration.
     """
     room = case.room
     octaves = np.abs(np.subtract.outer(*[np.log2(room.centre_frequencies)] * 2))
     rho = room.band_correlation**octaves if room.band_correlation > 0 else np.eye(len(octaves))
     pull = np.stack([
-        sensitivities([row[c] for row in states])
-        * p.reverberation_time[:, None, :] / (6 * np.log(10))
-        for c, p in enumerate(predicted)
+        sensitivities(column) * p.reverberation_time[:, None, :] / (6 * np.log(10))
+        for column, p in zip(states, predicted, strict=True)
     ], axis=1)  # fmt: skip  # (n, configurations, materials, bands)
     n, count, _, bands = pull.shape
     out = np.zeros((n, count, bands, count, bands))
@@ -315,7 +318,7 @@ class Evidence:
         out = {}
         for name in dict.fromkeys(self.names):
             rows = self.log_likelihood[names == name]
-            out[name] = logsumexp(rows, axis=0) - np.log(len(rows))
+            out[name] = np.logaddexp.reduce(rows) - np.log(len(rows))
         out[UNKNOWN] = self.unknown
         return out
 
@@ -325,40 +328,53 @@ def weigh(
     kappa: float = KAPPA,
 ) -> Evidence:  # fmt: skip
     """Return the evidence for the observed features, or for other ``values`` (n_draws, n) of them."""
+    y = np.atleast_2d(observed.values if values is None else values)
+    likelihood = log_likelihood(observed, predicted, error, y, kappa)
     mask = observed.used.ravel()
-    y = observed.values if values is None else values
-    rest = observed.covariance + error.covariance[np.ix_(mask, mask)]
-    rest = rest + predicted.present_covariance[np.ix_(mask, mask)]
-    bias = error.bias[mask]
-    y = np.atleast_2d(y)
+    residual = y - predicted.features[0].ravel()[mask] - error.bias[mask]
+    covariance = alpha_covariance(predicted, 0)[np.ix_(mask, mask)]
+    covariance += _without_alpha(observed, predicted, error)
+    unknown = _unknown(residual, covariance, observed.used)
+    if values is None:
+        return Evidence(likelihood[:, 0], unknown[0], predicted.names)
+    return Evidence(likelihood, unknown, predicted.names)
+
+
+def log_likelihood(
+    observed: Observed, predicted: Hypotheses, error: ModelError, values: Array,
+    kappa: float = KAPPA,
+) -> Array:  # fmt: skip
+    """Return log N(y; y_k + bias, C) of ``values`` (n_draws, n), (n_hypotheses, n_draws), in nats."""
+    rest = _without_alpha(observed, predicted, error)
     c, f, b = np.nonzero(observed.used)
     centres = predicted.features[:, c, f, b]
     slopes = predicted.slopes[:, c, f, b]
-    at = c * observed.used.shape[2] + b
-    pairs = (at[:, None] * observed.used.shape[0] * observed.used.shape[2] + at).ravel()
-    variances = predicted.alpha_variance.reshape(len(centres), -1)
+    count, _, bands = observed.used.shape
+    own = c[:, None] * bands + b[:, None] == np.arange(count * bands)  # each feature's ln T20
+    variances = predicted.alpha_variance.reshape(-1, count * bands, count * bands)
     d = centres - centres[0]
     amount = predicted.features[:, c, 0, b] - predicted.features[0, c, 0, b]
-    out = np.empty((len(predicted.names), len(y)))
-    unknown = np.empty(len(y))
-    # A few hundred hypotheses at once, so that their covariances need not all stand in memory.
+    out = np.empty((len(centres), len(values)))
+    # A few hypotheses at once, so that their covariances stay in the processor's cache.
     for begin in range(0, len(out), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
-        covariance = variances[part].take(pairs, axis=1).reshape(-1, len(at), len(at))
-        covariance *= slopes[part, :, None]
-        covariance *= slopes[part, None, :]
+        jacobian = slopes[part, :, None] * own
+        covariance = jacobian @ variances[part] @ jacobian.swapaxes(-1, -2)
         covariance += rest
         covariance += _misfit(d[part], amount[part], f, kappa)
-        residual = y - (centres[part] + bias)[:, None]
+        residual = values - (centres[part] + error.bias[observed.used.ravel()])[:, None]
         out[part] = _log_normal(residual, covariance)
-        if begin == 0:
-            unknown = _unknown(residual[0], covariance[0], observed.used)
-    if values is None:
-        return Evidence(out[:, 0], unknown[0], predicted.names)
-    return Evidence(out, unknown, predicted.names)
+    return out
 
 
-_AT_ONCE = 128
+def _without_alpha(observed: Observed, predicted: Hypotheses, error: ModelError) -> Array:
+    """R + D and what is not known of the effects in the model, of the features that are there."""
+    mask = observed.used.ravel()
+    both = error.covariance + predicted.present_covariance
+    return np.asarray(observed.covariance + both[np.ix_(mask, mask)])
+
+
+_AT_ONCE = 32
 _LARGE = 1e30
 
 
@@ -402,7 +418,7 @@ def _unknown(residual: Array, covariance: Array, used: Array) -> Array:
     mask = used.ravel()
     extra = full.reshape(size, size)[np.ix_(mask, mask)]
     parts = [_log_normal(residual, covariance + s**2 * extra) for s in _SPREADS]
-    return np.asarray(logsumexp(parts, axis=0) - np.log(len(parts)))
+    return np.asarray(np.logaddexp.reduce(parts) - np.log(len(parts)))
 
 
 def standardised(observed: Observed, predicted: Hypotheses, error: ModelError) -> Array:

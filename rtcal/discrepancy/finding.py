@@ -27,6 +27,7 @@ from rtcal.discrepancy.evidence import (
     ModelError,
     Observed,
     hypotheses,
+    log_likelihood,
     observe,
     standardised,
     weigh,
@@ -258,8 +259,8 @@ def _size(
     grid = [predicted.parameters[i] for i in rows]
 
     def weighed(thetas: Sequence[Parameters]) -> Array:
-        tried = hypotheses(case, [_Tried(effect, tuple(thetas))])
-        return weigh(observed, tried, error).log_likelihood[1:]
+        tried = hypotheses(case, [effect], [thetas])
+        return log_likelihood(observed, tried, error, observed.values[None])[1:, 0]
 
     best = _searched(grid, grid[int(np.argmax(likelihood))], effect.discrete, weighed)
     if not np.isfinite(effect.neutral):
@@ -333,49 +334,10 @@ def _searched(
     points, rounds = {1: (9, 3), 2: (5, 5)}.get(len(names), (3, 5))
     lattice = np.array(list(product(np.linspace(-1, 1, points), repeat=len(names))))
     for _ in range(rounds):
-        tried = np.clip(at + lattice * step, 0, 1)
+        tried = np.unique(np.clip(at + lattice * step, 0, 1), axis=0)
         at = tried[np.argmax(weighed([theta_of(x) for x in tried]))]
         step = step * 2 / (points - 1) if points > 3 else step / 2
     return theta_of(at)
-
-
-@dataclass(frozen=True)
-class _Tried:
-    """An effect with a grid of one's own."""
-
-    effect: Effect
-    thetas: tuple[Parameters, ...]
-    neutral: float = 0.0
-
-    @property
-    def name(self) -> str:
-        return self.effect.name
-
-    @property
-    def size(self) -> str:
-        return self.effect.size
-
-    @property
-    def unit(self) -> str:
-        return self.effect.unit
-
-    @property
-    def removable(self) -> bool:
-        return self.effect.removable
-
-    @property
-    def discrete(self) -> Sequence[str]:
-        return self.effect.discrete
-
-    @property
-    def size_error(self) -> float:
-        return self.effect.size_error
-
-    def grid(self, state: Any) -> Sequence[Parameters]:
-        return self.thetas
-
-    def change(self, state: Any, parameters: Parameters) -> Any:
-        return self.effect.change(state, parameters)
 
 
 def _notes(case: Case) -> list[str]:

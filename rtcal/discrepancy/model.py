@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -71,6 +72,11 @@ class State:
         """k = c (S a + 4 m V + A_objects) / 4 V in 1/s, (n_bands,), so that T = 6 ln 10 / k."""
         return np.asarray(rates([self])[0])
 
+    @cached_property
+    def _wall(self) -> Array:
+        """Mean alpha of the materials; kept, since a grid covers one state in many ways."""
+        return np.asarray(self.areas @ self.alpha / self.total_area)
+
     def decay(self) -> Decay:
         """Return the decay: one exponential, unless the state has a shape of its own."""
         if self.shape is not None:
@@ -80,10 +86,9 @@ class State:
 
     def covered(self, area: float, spectrum: Array) -> State:
         """Return the state with ``area`` m² of wall replaced by something of this spectrum."""
-        wall = self.areas @ self.alpha / self.total_area
-        gain = area * (spectrum - wall)
+        gain = area * (spectrum - self._wall)
         if self.equation == "millington":
-            gain = area * (-np.log1p(-np.minimum(spectrum, 0.999)) + np.log1p(-wall))
+            gain = area * (-np.log1p(-np.minimum(spectrum, 0.999)) + np.log1p(-self._wall))
         return replace(self, covering=self.covering + gain)
 
     def with_objects(self, absorption_area: Array) -> State:
@@ -93,8 +98,10 @@ class State:
 
 def _each(states: Sequence[State], name: str) -> Array:
     """One attribute of all states, (n, n_bands)."""
-    nothing = np.zeros(len(states[0].air))
-    return np.array([getattr(s, name) + nothing for s in states])
+    out = np.empty((len(states), len(states[0].air)))
+    for i, s in enumerate(states):
+        out[i] = getattr(s, name)
+    return out
 
 
 def _mean_alpha(states: Sequence[State]) -> Array:
@@ -112,12 +119,12 @@ def surface_absorption(states: Sequence[State]) -> Array:
     exponent = np.where(equation == "sabine", mean, exponent)
     # gamma² = .4 (Kuttruff 2016, Sect. 5.4)
     exponent = np.where(equation == "kuttruff", exponent * (1 - 0.2 * exponent), exponent)
-    out = np.array([s.total_area for s in states])[:, None] * exponent
+    out = np.array([s.areas for s in states]).sum(1)[:, None] * exponent
     for i, s in enumerate(states):
         if s.equation != "millington":
             continue
         out[i] = s.areas @ -np.log1p(-np.minimum(s.alpha, 1 - 1e-6)) + s.covering
-    return out
+    return np.asarray(out)
 
 
 def rates(states: Sequence[State]) -> Array:
@@ -135,12 +142,13 @@ def sensitivities(states: Sequence[State]) -> Array:
     slope = 1 / (1 - mean)
     slope = np.where(equation == "sabine", 1.0, slope)
     slope = np.where(equation == "kuttruff", slope * (1 + 0.4 * np.log1p(-mean)), slope)
-    flow = np.array([s.speed_of_sound / (4 * s.volume) * s.areas for s in states])
+    volume = np.array([s.volume for s in states])[:, None]
+    flow = states[0].speed_of_sound / (4 * volume) * np.array([s.areas for s in states])
     out = flow[:, :, None] * slope[:, None, :]
     for i, s in enumerate(states):
         if s.equation == "millington":
             out[i] = flow[i][:, None] / (1 - np.minimum(s.alpha, 0.99))
-    return out
+    return np.asarray(out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,11 +248,13 @@ def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Arra
 
     whole = (total + density * end)[..., None]
 
+    both = np.stack([energy, weights], axis=2)
+
     def left(t: Array) -> tuple[Array, Array]:
         """Energy after t, and what it loses there in a second; t (n, n_bands, n_times)."""
-        each = energy[..., None] * np.exp(-rates[..., None] * t[:, :, None, :])
-        after = np.sum(each, axis=2) + density[..., None] * np.maximum(end[..., None] - t, 0)
-        return after, np.sum(rates[..., None] * each, axis=2) + density[..., None]
+        sums = both @ np.exp(-rates[..., None] * t[:, :, None, :])
+        after = sums[:, :, 0] + density[..., None] * np.maximum(end[..., None] - t, 0)
+        return after, sums[:, :, 1] + density[..., None]
 
     wanted = 10 ** (np.array([-5.0, -10.0, -25.0, -35.0]) / 10) * whole
     # ln of a sum of exponentials is convex, and Newton's steps never pass the root; a noise floor
@@ -260,14 +270,10 @@ def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Arra
         if np.all(np.abs(at - last) <= 1e-12 * at):
             break
     at = np.concatenate([np.zeros((*total.shape, 1)), at], axis=-1)
-    steps = np.linspace(0, 1, 24)
-
-    def time(first: int, last: int) -> Array:
-        t = at[..., first, None] + (at[..., last, None] - at[..., first, None]) * steps
-        y = 10 * np.log10(left(t)[0])
-        t = t - t.mean(-1, keepdims=True)
-        slope = (t * y).sum(-1) / (t * t).sum(-1)
-        return np.asarray(np.log(-60 / slope))
-
-    t20 = time(1, 3)
-    return np.stack([t20, time(0, 2) - t20, time(1, 4) - t20], axis=1)
+    # T20, EDT and T30: a line through 24 points from -5 to -25, 0 to -10 and -5 to -35 dB.
+    first, last = at[..., [1, 0, 1], None], at[..., [3, 2, 4], None]
+    t = first + (last - first) * np.linspace(0, 1, 24)
+    y = 10 * np.log10(left(t.reshape(*total.shape, -1))[0]).reshape(t.shape)
+    t = t - t.mean(-1, keepdims=True)
+    t20, edt, t30 = np.moveaxis(np.log(-60 * (t * t).sum(-1) / (t * y).sum(-1)), -1, 0)
+    return np.stack([t20, edt - t20, t30 - t20], axis=1)

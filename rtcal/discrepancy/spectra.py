@@ -1,4 +1,4 @@
-"""What the library's absorbers absorb, by band; kept, since a grid asks for each in many sizes."""
+"""What absorbers and the air absorb, by band; kept, since each is asked for in many sizes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from rtcal.acoustics.air import Air
 from rtcal.types import Array
 
 
@@ -39,6 +40,12 @@ def resonator(frequencies: tuple[float, ...], resonance: float, quality: float) 
     return _kept((0.8 / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))
 
 
-def _kept(alpha: Array) -> Array:
-    alpha.setflags(write=False)  # the cache hands it out again
-    return alpha
+@lru_cache(maxsize=256)
+def air(frequencies: tuple[float, ...], temperature: float, humidity: float) -> Array:
+    """Return the air's energy attenuation in 1/m, (n_bands,)."""
+    return _kept(Air(temperature, humidity).attenuation(frequencies))
+
+
+def _kept(values: Array) -> Array:
+    values.setflags(write=False)  # the cache hands it out again
+    return values

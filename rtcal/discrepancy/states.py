@@ -35,7 +35,7 @@ def with_present(made: State, present: Sequence[Present], configuration: Configu
     """Return the state with the effects that have been added to the model."""
     for one in present:
         if not (configuration.suspect_removed and one.itself.removable):
-            made = changed(one.itself, made, one.parameters)
+            (made,) = changed(one.itself, made, [one.parameters])
     return made
 
 
