@@ -43,7 +43,7 @@ from rtcal.discrepancy import (
 )
 from rtcal.discrepancy.bootstrap import LEAST, made_up, score, threshold
 from rtcal.discrepancy.case import NORMAL_90
-from rtcal.discrepancy.engines import Controls
+from rtcal.discrepancy.engines import Controls, levelled
 from rtcal.discrepancy.evidence import (
     NONE,
     alpha_covariance,
@@ -374,7 +374,8 @@ def engines(first: int, rooms: int) -> None:
             others = [c for c in controls if c is not left]
             limit = threshold(case, observed, predicted, others)
             rng = np.random.default_rng([index, 5])
-            values = made_up(case, observed, [left.errors], rng, 20)
+            judged = levelled([*others, left])[-1]
+            values = made_up(case, observed, [judged.errors], rng, 20)
             scores = score(weigh(observed, predicted, model_error(case, others), values))
             alarms.setdefault(left.engine, []).extend((scores > limit.value).tolist())
         print(f"\r{index + 1 - first}/{rooms}", end="", flush=True)
@@ -444,9 +445,8 @@ def bound(folder: str) -> None:
             delta = float(np.sqrt(d @ np.linalg.solve(covariance, d)))
             power[data].append(float(norm.cdf(delta - norm.ppf(0.95))))
             hidden = replace(part, present=(Present(name, parameters),))
-            values = made_up(
-                hidden, observed, [c.errors for c in rooms], np.random.default_rng([index, 6]), 20
-            )
+            errors = [c.errors for c in levelled(rooms)]
+            values = made_up(hidden, observed, errors, np.random.default_rng([index, 6]), 20)
             evidence = weigh(observed, predicted, error, values)
             table = evidence.by_effect()
             names = [k for k in table if k != NONE]

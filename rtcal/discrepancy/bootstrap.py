@@ -14,7 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.engines import ENGINES, Controls, Report, draw_alpha, nothing
+from rtcal.discrepancy.engines import (
+    ENGINES,
+    Controls,
+    Report,
+    draw_alpha,
+    levelled,
+    nothing,
+)
 from rtcal.discrepancy.evidence import (
     NONE,
     Evidence,
@@ -73,7 +80,7 @@ def threshold(
     scores = []
     for fold in (0, 1):
         learn = [_part(c, fold) for c in controls]
-        test = [_part(c, 1 - fold).errors for c in controls]
+        test = [c.errors for c in levelled([_part(c, 1 - fold) for c in controls])]
         values = made_up(case, observed, test, rng, draws // 2)
         scores.append(score(weigh(observed, predicted, model_error(case, learn), values)))
     every = np.concatenate(scores)

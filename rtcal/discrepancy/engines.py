@@ -34,6 +34,13 @@ Up to .3 of the paths is the effect "non-diffuse field". A sum of vectors with l
 scattered turns paths towards the walls' normals, hit by hit: in a flat room T falls to a fifth under
 any equation's.
 """
+RELATIVE: Mapping[str, tuple[str, ...]] = {"network": FEATURES, "rays": ("g",)}
+"""Features of which an engine tells how they scatter, not where they lie; see `levelled`.
+
+A network's nodes count alike, however large their walls: in a flat room its T is up to half as long
+again as any equation's and its decay is bent, and its reverberation is some 3 dB too weak everywhere.
+pyroomacoustics hears twice what walls scatter.
+"""
 _RECEIVERS = 4
 _PATHS = 6000
 _RAYS = 4000
@@ -56,6 +63,33 @@ class Controls:
 
     engine: str
     errors: Array
+
+
+def levelled(controls: Sequence[Controls]) -> list[Controls]:
+    """Return the controls, the means that an engine cannot tell (`RELATIVE`) taken from the others.
+
+    From the mean of those engines that can; where none can, the model is taken to be right.
+    """
+    means = [_mean(c.errors) for c in controls]
+    out = []
+    for c, own in zip(controls, means, strict=True):
+        shift = np.zeros_like(own)
+        for feature in RELATIVE.get(c.engine, ()):
+            row = FEATURES.index(feature)
+            known = [
+                mean[:, row]
+                for other, mean in zip(controls, means, strict=True)
+                if feature not in RELATIVE.get(other.engine, ())
+            ]
+            shift[:, row] = (np.mean(known, axis=0) if known else 0.0) - own[:, row]
+        out.append(Controls(c.engine, c.errors + shift))
+    return out
+
+
+def _mean(errors: Array) -> Array:
+    """Mean over the control rooms of what could be evaluated, 0 where nothing could."""
+    there = np.isfinite(errors)
+    return np.asarray(np.where(there, errors, 0).sum(0) / np.maximum(there.sum(0), 1))
 
 
 def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
@@ -152,12 +186,7 @@ def path_tracing(
 def network(
     case: Case, seed: int, *, setups: int = 6, draws: int = 1, report: Report = nothing
 ) -> Controls:
-    """Run scattering delay networks.
-
-    A network's nodes count alike, however large their walls: in a flat room its T is up to half as
-    long again as any equation's. So it tells what shapes do, and how they scatter; its amounts
-    (T20) and levels (G) are taken from their own mean.
-    """
+    """Run scattering delay networks, which tell only how features scatter (`RELATIVE`)."""
     rng = np.random.default_rng([seed, 2])
     errors = []
     for number in range(setups):
@@ -179,16 +208,13 @@ def network(
                 found.append(_features(aligned, 1 / _RATE, 100.0))
             errors.append(found - _theory(case, room, share, alpha, source, receivers))
         report("network", number + 1, setups)
-    table = np.array(errors)
-    own = [FEATURES.index(f) for f in ("t20", "edt", "c80", "g")]
-    table[:, :, own] -= np.nanmean(table[:, :, own], axis=0)
-    return Controls("network", table)
+    return Controls("network", np.array(errors))
 
 
 def rays(
     case: Case, seed: int, *, setups: int = 6, draws: int = 1, report: Report = nothing
 ) -> Controls:
-    """Trace rays with pyroomacoustics (extra ``geometry``); its G is taken from its own mean."""
+    """Trace rays with pyroomacoustics (extra ``geometry``), which do not tell G (`RELATIVE`)."""
     rng = np.random.default_rng([seed, 4])
     scattering = _scattering(["vector"] * setups, rng)
     errors = []
@@ -206,10 +232,7 @@ def rays(
                 found.append(_features(energy.mean((0, 1)), tracer.bin_width, 400 * np.pi))
             errors.append(found - _theory(case, room, share, alpha, source, receivers))
         report("rays", number + 1, setups)
-    table = np.array(errors)
-    level = FEATURES.index("g")
-    table[:, :, level] -= np.nanmean(table[:, :, level], axis=0)
-    return Controls("rays", table)
+    return Controls("rays", np.array(errors))
 
 
 def _scattering(meanings: Sequence[Scattering], rng: np.random.Generator) -> list[float]:

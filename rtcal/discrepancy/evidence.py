@@ -20,7 +20,7 @@ from rtcal.acoustics import bands
 from rtcal.discrepancy.case import Case, Configuration, Present
 from rtcal.discrepancy.effect_checks import changed, tried
 from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.engines import Controls
+from rtcal.discrepancy.engines import Controls, levelled
 from rtcal.discrepancy.model import FEATURES, Predicted, State, predict, sensitivities
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
@@ -280,13 +280,14 @@ engine's scatter does not show, since others see another field (`hidden_effects 
 def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
     """Return bias and covariance of the model's error from control rooms.
 
-    The bias is the mean over engines; the covariance is what scatters within each and what lies between
-    them. A sample covariance of few rooms is drawn halfway to its diagonal.
+    The bias is the mean over the engines that can tell it (`levelled`); the covariance is what
+    scatters within each and what lies between them. A sample covariance of few rooms is drawn halfway
+    to its diagonal.
     """
     n, k = len(case.configurations), case.room.n_bands
     size = n * len(FEATURES) * k
     means, spreads = [], []
-    for c in controls:
+    for c in levelled(controls):
         table = c.errors.reshape(len(c.errors), size)
         there = np.isfinite(table)
         mean = np.where(there, table, 0).sum(0) / np.maximum(there.sum(0), 1)
