@@ -35,7 +35,7 @@ scattered turns paths towards the walls' normals, hit by hit: in a flat room T f
 any equation's.
 """
 RELATIVE: Mapping[str, tuple[str, ...]] = {"network": FEATURES, "rays": ("g",)}
-"""Features of which an engine tells how they scatter, not where they lie; see `levelled`.
+"""Features of which an engine tells how they scatter, not where they lie.
 
 A network's nodes count alike, however large their walls: in a flat room its T is up to half as long
 again as any equation's and its decay is bent, and its reverberation is some 3 dB too weak everywhere.
@@ -65,25 +65,33 @@ class Controls:
     errors: Array
 
 
-def levelled(controls: Sequence[Controls]) -> list[Controls]:
-    """Return the controls, the means that an engine cannot tell (`RELATIVE`) taken from the others.
+def witnesses(controls: Sequence[Controls]) -> Array:
+    """Return what the model errs by after each witness, (n_controls + 1, *one control's shape).
 
-    From the mean of those engines that can; where none can, the model is taken to be right.
+    NaN where an engine cannot tell (`RELATIVE`). The last witness is the model itself, with 0: what
+    one simulator sees beside the model, another one sees in part only.
     """
-    means = [_mean(c.errors) for c in controls]
     out = []
-    for c, own in zip(controls, means, strict=True):
-        shift = np.zeros_like(own)
-        for feature in RELATIVE.get(c.engine, ()):
-            row = FEATURES.index(feature)
-            known = [
-                mean[:, row]
-                for other, mean in zip(controls, means, strict=True)
-                if feature not in RELATIVE.get(other.engine, ())
-            ]
-            shift[:, row] = (np.mean(known, axis=0) if known else 0.0) - own[:, row]
-        out.append(Controls(c.engine, c.errors + shift))
+    for c in controls:
+        mean = _mean(c.errors)
+        mean[:, _relative(c)] = np.nan
+        out.append(mean)
+    return np.array([*out, np.zeros_like(out[0])])
+
+
+def levelled(controls: Sequence[Controls]) -> list[Controls]:
+    """Return the controls, the means that an engine cannot tell taken from the witnesses."""
+    bias = np.nanmean(witnesses(controls), axis=0)
+    out = []
+    for c in controls:
+        rows, errors = _relative(c), c.errors.copy()
+        errors[:, :, rows] += (bias - _mean(c.errors))[:, rows]
+        out.append(Controls(c.engine, errors))
     return out
+
+
+def _relative(controls: Controls) -> list[int]:
+    return [FEATURES.index(f) for f in RELATIVE.get(controls.engine, ())]
 
 
 def _mean(errors: Array) -> Array:

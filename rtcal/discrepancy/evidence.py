@@ -20,7 +20,7 @@ from rtcal.acoustics import bands
 from rtcal.discrepancy.case import Case, Configuration, Present
 from rtcal.discrepancy.effect_checks import changed, tried
 from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.engines import Controls, levelled
+from rtcal.discrepancy.engines import Controls, witnesses
 from rtcal.discrepancy.model import FEATURES, Predicted, State, predict, sensitivities
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
@@ -272,38 +272,36 @@ def _sigma(case: Case, configuration: Configuration) -> Array:
     return sigma
 
 
-COMMON: Mapping[str, float] = {"t20": 0.019, "edt": 0.018, "t30": 0.006, "c80": 0.5, "g": 0.5}
+COMMON: Mapping[str, float] = {"edt": 0.018, "t30": 0.006, "c80": 0.5, "g": 0.5}
 """Standard uncertainty of theory in all bands and configurations alike, in ln and dB: what one
-engine's scatter does not show, since others see another field (`hidden_effects engines`). Of T20 and
-C80 it is what lies between the means of path tracing and of pyroomacoustics' rays."""
+engine's scatter does not show, since others see another field (`hidden_effects engines`)."""
 
 
 def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
     """Return bias and covariance of the model's error from control rooms.
 
-    The bias is the mean over the engines that can tell it (`levelled`); the covariance is what
-    scatters within each and what lies between them. A sample covariance of few rooms is drawn halfway
-    to its diagonal.
+    The bias is the mean over the witnesses, the model itself among them; the covariance is what
+    scatters within each engine and what lies between the witnesses. A sample covariance of few rooms
+    is drawn halfway to its diagonal.
     """
     n, k = len(case.configurations), case.room.n_bands
     size = n * len(FEATURES) * k
-    means, spreads = [], []
-    for c in levelled(controls):
+    said = witnesses(controls)
+    bias = np.nanmean(said, axis=0)
+    degrees = np.maximum(np.isfinite(said).sum(axis=0) - 1, 1)
+    between = (np.nan_to_num(said - bias) / np.sqrt(degrees)).reshape(len(said), size)
+    covariance = between.T @ between
+    for c in controls:
         table = c.errors.reshape(len(c.errors), size)
         there = np.isfinite(table)
         mean = np.where(there, table, 0).sum(0) / np.maximum(there.sum(0), 1)
         centred = np.nan_to_num(table - mean)
-        means.append(mean)
-        spreads.append(centred.T @ centred / max(len(table) - 1, 1))
-    bias = np.mean(means, axis=0)
-    between = np.array(means) - bias
-    covariance = np.mean(spreads, axis=0)
-    covariance += between.T @ between / max(len(controls) - 1, 1)
+        covariance += centred.T @ centred / max(len(table) - 1, 1) / len(controls)
     common = np.diag([COMMON.get(name, 0.0) ** 2 for name in FEATURES])
     ones = np.ones((n, n)), np.ones((k, k))
     covariance += np.einsum("ab,fg,kl->afkbgl", ones[0], common, ones[1]).reshape(size, size)
     shrunk = 0.6 * covariance + 0.4 * np.diag(np.diag(covariance))
-    return ModelError(bias, shrunk * 1.2, tuple(c.engine for c in controls))
+    return ModelError(bias.ravel(), shrunk * 1.2, tuple(c.engine for c in controls))
 
 
 @dataclass(frozen=True, eq=False)
