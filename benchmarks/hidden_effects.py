@@ -209,6 +209,7 @@ def table(folder: str | None) -> None:
         confusion(here)
         by_size(here)
         roc(here)
+        floors(here)
         mending(here)
 
 
@@ -290,6 +291,23 @@ def roc(here: list[Any]) -> None:
         print(f"  {alarms:.2f}: {np.mean(some > limit):.3f}", end="")
     area = np.mean(some[:, None] > none) + 0.5 * np.mean(some[:, None] == none)
     print(f"   area {area:.3f}")
+
+
+def floors(here: list[Any]) -> None:
+    """What a higher floor under the threshold would give: fewer rooms, named better."""
+    none = [x for r, x in here if r["kind"] == 0]
+    some = [(NAMES[r["kind"]], x) for r, x in here if 1 <= r["kind"] <= 12]
+    print("\nat another floor in nats: flagged; detected; of these right name, single name")
+    for floor in (LEAST, 3.0, 4.0, 5.0):
+
+        def over(x: dict[str, Any], floor: float = floor) -> bool:
+            return bool(x["score"] > max(floor, x["threshold"]))
+
+        caught = [(n, x) for n, x in some if over(x)]
+        right = np.mean([x["effect"] == n for n, x in caught])
+        single = np.mean([x["verdict"] == "named" for _, x in caught])
+        print(f"  {floor:.1f}: {np.mean([over(x) for x in none]):.3f}; {len(caught) / len(some):.3f}; "
+              f"{right:.3f}, {single:.3f}")  # fmt: skip
 
 
 def mending(here: list[Any]) -> None:
