@@ -297,7 +297,7 @@ class WrongVolume(Named):
     size: ClassVar[str] = "ratio"
     unit: ClassVar[str] = "of the stated volume"
     neutral: ClassVar[float] = 1.0
-    size_error: ClassVar[float] = 0.0
+    size_error: ClassVar[float] = 0.04
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return .7 to 1.4."""
