@@ -283,7 +283,7 @@ def size_of(row: dict[str, Any]) -> float:
 def roc(here: list[Any]) -> None:
     none = np.array([x["score"] for r, x in here if r["kind"] == 0])
     some = np.array([x["score"] for r, x in here if 1 <= r["kind"] <= 12])
-    if not len(none):
+    if not len(none) or not len(some):
         return
     print("\nROC: detected at a share of false alarms")
     for alarms in (0.01, 0.02, 0.05, 0.1, 0.2):
@@ -297,6 +297,8 @@ def floors(here: list[Any]) -> None:
     """What a higher floor under the threshold would give: fewer rooms, named better."""
     none = [x for r, x in here if r["kind"] == 0]
     some = [(NAMES[r["kind"]], x) for r, x in here if 1 <= r["kind"] <= 12]
+    if not none or not some:
+        return
     print("\nat another floor in nats: flagged; detected; of these right name, single name")
     for floor in (LEAST, 3.0, 4.0, 5.0):
 
