@@ -64,6 +64,13 @@ class Controls:
     engine: str
     errors: Array
 
+    @property
+    def mean(self) -> Array:
+        """Mean error of the rooms where it could be evaluated, 0 where it could in none."""
+        there = np.isfinite(self.errors)
+        found = np.where(there, self.errors, 0).sum(0)
+        return np.asarray(found / np.maximum(there.sum(0), 1))
+
 
 def witnesses(controls: Sequence[Controls]) -> Array:
     """Return what the model errs by after each witness, (n_controls + 1, *one control's shape).
@@ -73,7 +80,7 @@ def witnesses(controls: Sequence[Controls]) -> Array:
     """
     out = []
     for c in controls:
-        mean = _mean(c.errors)
+        mean = c.mean
         mean[:, _relative(c)] = np.nan
         out.append(mean)
     return np.array([*out, np.zeros_like(out[0])])
@@ -85,19 +92,13 @@ def levelled(controls: Sequence[Controls]) -> list[Controls]:
     out = []
     for c in controls:
         rows, errors = _relative(c), c.errors.copy()
-        errors[:, :, rows] += (bias - _mean(c.errors))[:, rows]
+        errors[:, :, rows] += (bias - c.mean)[:, rows]
         out.append(Controls(c.engine, errors))
     return out
 
 
 def _relative(controls: Controls) -> list[int]:
     return [FEATURES.index(f) for f in RELATIVE.get(controls.engine, ())]
-
-
-def _mean(errors: Array) -> Array:
-    """Mean over the control rooms of what could be evaluated, 0 where nothing could."""
-    there = np.isfinite(errors)
-    return np.asarray(np.where(there, errors, 0).sum(0) / np.maximum(there.sum(0), 1))
 
 
 def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:

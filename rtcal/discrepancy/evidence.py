@@ -292,11 +292,8 @@ def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
     between = (np.nan_to_num(said - bias) / np.sqrt(degrees)).reshape(len(said), size)
     covariance = between.T @ between
     for c in controls:
-        table = c.errors.reshape(len(c.errors), size)
-        there = np.isfinite(table)
-        mean = np.where(there, table, 0).sum(0) / np.maximum(there.sum(0), 1)
-        centred = np.nan_to_num(table - mean)
-        covariance += centred.T @ centred / max(len(table) - 1, 1) / len(controls)
+        centred = np.nan_to_num(c.errors - c.mean).reshape(-1, size)
+        covariance += centred.T @ centred / max(len(centred) - 1, 1) / len(controls)
     common = np.diag([COMMON.get(name, 0.0) ** 2 for name in FEATURES])
     ones = np.ones((n, n)), np.ones((k, k))
     covariance += np.einsum("ab,fg,kl->afkbgl", ones[0], common, ones[1]).reshape(size, size)
