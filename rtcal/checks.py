@@ -86,9 +86,11 @@ def array(place: str, value: object, error: type[RtcalError] = DataError) -> Arr
     if value is None:
         raise error(f"{place} = None is not an array of real numbers")
     try:
-        return np.asarray(value, dtype=float)
+        if not np.iscomplexobj(np.asarray(value)):
+            return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as cause:
         raise error(f"{place} is not an array of real numbers: {cause}") from cause
+    raise error(f"{place} is not an array of real numbers: it has complex ones")
 
 
 def listed(place: str, value: object) -> tuple[Any, ...]:

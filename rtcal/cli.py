@@ -17,7 +17,7 @@ import click
 
 import rtcal
 from rtcal.acoustics.files import spare
-from rtcal.console import json_option, quiet_option
+from rtcal.console import WRITTEN, json_option, quiet_option
 from rtcal.errors import (
     DataError,
     MissingAirWarning,
@@ -25,7 +25,7 @@ from rtcal.errors import (
     RtcalError,
     SolverError,
 )
-from rtcal.gap_command import gap
+from rtcal.gap_command import NOTHING_TO_ADD, gap
 from rtcal.io_commands import export, import_room, measure, table
 from rtcal.loop_command import loop
 from rtcal.report_command import report
@@ -39,16 +39,13 @@ EQUATIONS = {
     "fitzroy": "Fitzroy", "arau": "ArauPuchades",
 }  # fmt: skip
 
-WRITTEN = ("room.toml", "result.json", "reverberation_time.png")
-"""What `calibrate` writes into its folder."""
-
-
 EXIT_CODES = {
     0: "done",
     2: "the input, the model or the target cannot be used",
     3: "the solver failed",
     4: "an optional library is missing",
     5: "the output cannot be printed",
+    NOTHING_TO_ADD: "`rtcal gap apply` only: nothing to add, nothing written",
     130: "interrupted",
 }
 

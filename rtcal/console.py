@@ -14,6 +14,9 @@ import numpy as np
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
 
+WRITTEN = ("room.toml", "result.json", "reverberation_time.png")
+"""What `calibrate` writes into its folder."""
+
 
 def tell(text: str, record: Mapping[str, Any], *, quiet: bool, as_json: bool) -> None:
     """Print a text, or with ``--json`` the record of the same; nothing with ``--quiet``."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rtcal.console import bar_wanted, json_option, quiet_option, tell
+from rtcal.console import WRITTEN, bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
 
 _FIGURES = 5
@@ -35,8 +35,9 @@ def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
     if out == "":
         raise DataError("--out is empty; it is a file")
     folder = Path(result) if Path(result).is_dir() else Path(result).parent
+    kept = [folder / name for name in WRITTEN if (folder / name).exists()]
     target = Path(out) if out is not None else folder / "report.html"
-    spare([target], [result])
+    spare([target], [result, *kept])
     with bar(_FIGURES, "figure", bar_wanted(quiet)) as shown:
         text = page.page_of(result, progress=lambda: shown.update(1))
     page.write(target, text)

@@ -45,6 +45,11 @@ GOOD = {
         ({"alpha": [[0.1, -0.1], [0.3, 1]]}, r'alpha\["wall", 1000 Hz\] = -0.1 is not in'),
         ({"alpha": [[0.1, float("nan")], [0.3, 1]]}, r'alpha\["wall", 1000 Hz\] = nan is not'),
         ({"alpha": [["a", 0.1], [0.3, 1]]}, "alpha is not an array of real numbers"),
+        (
+            {"alpha": [[0.1j, 0.1], [0.3, 1]]},
+            "alpha is not an array of real numbers: it has complex",
+        ),
+        ({"materials": ["wall", " "]}, "materials has ' '; a name is not blank"),
         ({"sigma": [[0.1, 0.1], [0.3, -1]]}, r'sigma\["carpet", 1000 Hz\] = -1 is not a finite'),
         ({"sigma": [[0.1, 0.1], [0.3, float("inf")]]}, r'sigma\["carpet", 1000 Hz\] = inf is not'),
         ({"centre_frequencies": [1000, 500]}, "500 Hz after 1000 Hz; bands must increase"),

@@ -172,6 +172,7 @@ def absorber(called: str, spectrum: object) -> Absorber:
         (lambda s, f, p: np.full(3, 0.5), ("spectrum has shape (3,); it is (n_bands,) = (7,)",)),
         (lambda s, f, p: 0.5, ("spectrum has shape ()",)),
         (lambda s, f, p: "much", ("spectrum is not an array of real numbers",)),
+        (lambda s, f, p: f * (0.0001 + 1j), ("spectrum is not an array", "it has complex ones")),
         (lambda s, f, p: None, ("spectrum = None is not an array of real numbers",)),
         (lambda s: np.ones(7), ("raises TypeError", "positional argument")),
         (lambda s, f, p: np.where(f == 500, np.nan, 0.5), ("at 500 Hz = nan is not in [0, 1]",)),
@@ -346,6 +347,34 @@ def test_what_no_room_has_is_refused(
     room: str, table: str, words: tuple[str, ...], tmp_path: Path
 ) -> None:
     refused(lambda: Case.from_file(str(written(tmp_path, MEASURED, room, table))), *words)
+
+
+def test_bands_that_were_not_measured_are_left_empty(tmp_path: Path) -> None:
+    """What the refusal says to do, done: empty values, or the room in the measured bands."""
+    kept = [line for line in TABLE.splitlines() if ",1000," not in line]
+    few = "\n".join(kept) + "\n"
+    path = written(tmp_path, MEASURED, table=few)
+    refused(lambda: Case.from_file(str(path)), "leave the values of bands", "empty in the CSV",
+            "or state the room in the measured bands")  # fmt: skip
+    path = written(tmp_path, MEASURED, table=few + "S,R1,T20,1000,\n")
+    t20 = Case.from_file(str(path)).configurations[0].measured.mean("t20")
+    np.testing.assert_array_equal(np.isfinite(t20), [True, True, False])
+    room = ROOM.replace(", 1000]", "]").replace("2, 0.2]", "2]").replace("1, 0.1]", "1]")
+    room = room.replace("2, 0.02]", "2]")
+    assert Case.from_file(str(written(tmp_path, MEASURED, room, few))).room.n_bands == 2
+
+
+@pytest.mark.parametrize("name", ["", "  "])
+def test_a_configuration_has_a_name(name: str, tmp_path: Path) -> None:
+    path = written(tmp_path, MEASURED.replace("as built", name))
+    refused(lambda: Case.from_file(str(path)), f"configuration: name = {name!r} is blank")
+
+
+@pytest.mark.parametrize("stated", ["[9, 7]", "9", "[]", "[9, 7, 3, 2]"])
+def test_dimensions_are_three_lengths(stated: str, tmp_path: Path) -> None:
+    room = ROOM.replace("{dimensions}", f"dimensions = {stated}")
+    path = written(tmp_path, MEASURED, room)
+    refused(lambda: Case.from_file(str(path)), f"dimensions = {stated} is not the three lengths")
 
 
 def test_distances_stay_within_a_box_s_diagonal(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from rtcal import console
 from rtcal.cli import EXIT_CODES, cli, main
 from rtcal.closed_loop import Loop, LoopResult
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.gap_command import NOTHING_TO_ADD
 from rtcal.report import saved as saving
 from rtcal.report import words
 from rtcal.simulators.equation import EquationSimulator
@@ -492,6 +493,14 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
                       ("", "--out is empty")):  # fmt: skip
         assert run("report", folder / "result.json", "--out", out) == 2
         assert said in capsys.readouterr().err
+    for name in console.WRITTEN:  # what calibrate keeps there stays as it is, however it is named
+        (folder / name).touch()
+        before = (folder / name).read_bytes()
+        for source in (folder, folder / "result.json"):
+            assert run("report", source, "--out", folder / ".." / folder.name / name) == 2
+            assert f"would be written over {folder / name}" in capsys.readouterr().err
+        assert (folder / name).read_bytes() == before
+    kept = sorted(p.name for p in folder.iterdir())
     (folder / "result.json").write_text("{}")
     assert run("report", folder) == 2
     assert (folder / "report.html").read_text(encoding="utf-8") == text
@@ -526,6 +535,7 @@ def test_every_command_has_the_same_manners(name, command, capsys) -> None:
 
 def test_help_names_the_exit_codes(capsys) -> None:
     assert run("--help") == 0
+    assert NOTHING_TO_ADD in EXIT_CODES
     text = capsys.readouterr().out
     assert "..." not in text.split("Commands:")[1]
     for code, meaning in EXIT_CODES.items():

@@ -200,7 +200,7 @@ def test_from_surfaces_refuses_what_it_cannot_use() -> None:
         ("volume = 100", "volume = " + "[" * 5000, "not valid TOML"),
         ("area = 80", "area = 1" + "0" * 400, "is not a number"),
         ("sigma = 0.05", "sigma = 1" + "0" * 400, "too large a number"),
-        ('name = "r"', 'name = "r"\ndimensions = 5', "dimensions = 5 is not a list"),
+        ('name = "r"', 'name = "r"\ndimensions = 5', "dimensions = 5 is not the three lengths"),
         ('name = "r"', 'name = "r"\ndimensions = ["1", "2", "3"]', "which is not a number"),
         ('name = "r"', "name = [1, 2]", "is of the wrong kind"),
         ("[air]", '[calibration]\nmethod = "mle"\n[air]', "[calibration] lacks equation"),

@@ -120,6 +120,8 @@ class Room:
                 raise DataError(f"{name} is missing; a room states it")
         materials = checks.listed("materials", self.materials)
         put("materials", tuple(text_name("materials", m) for m in materials))
+        if blank := [m for m in self.materials if not m.strip()]:
+            raise DataError(f"materials has {blank[0]!r}; a name is not blank")
         put("name", text_name("name", self.name))
         put("surfaces", checks.listed("surfaces", self.surfaces or ()))
         put("sources", checks.mapped("sources", self.sources or {}))

@@ -142,6 +142,9 @@ def _room(content: Mapping[str, Any]) -> Room:
         }
     dimensions = content.get("dimensions")
     if dimensions is not None:
+        if not isinstance(dimensions, list) or len(dimensions) != 3:
+            said = str(dimensions)[:40]
+            raise DataError(f"dimensions = {said} is not the three lengths of a shoebox in m")
         dimensions = _values(content, "dimensions", 3, "the file", scalar=False).tolist()
     room = Room.from_surfaces(
         name=_get(content, "name", str, "the file", "room"),

@@ -9,7 +9,7 @@ import numpy as np
 from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import DECAY_TIMES, plausible_time
-from rtcal.acoustics.room import AXES, Room
+from rtcal.acoustics.room import AXES, Room, text_name
 from rtcal.errors import DataError
 from rtcal.types import Array
 
@@ -77,11 +77,14 @@ def shares(room: Room, facing: Any) -> Array:
 
 def check_configuration(room: Room, c: Configuration) -> None:
     """Refuse a configuration that does not fit its room, or that no room can have."""
+    if not text_name("configuration: name", c.name).strip():
+        raise DataError(f"configuration: name = {c.name!r} is blank")
     where = f'configuration "{c.name}"'
     if c.measured.centre_frequencies.tolist() != room.centre_frequencies.tolist():
         raise DataError(
             f"{where} has bands {c.measured.centre_frequencies.tolist()} Hz; the room has "
-            f"{room.centre_frequencies.tolist()} Hz"
+            f"{room.centre_frequencies.tolist()} Hz. A case needs the same: leave the values of bands "
+            "that were not measured empty in the CSV, or state the room in the measured bands"
         )
     if "t20" not in c.measured.values and "t30" not in c.measured.values:
         raise DataError(f"{where} has neither t20 nor t30")
