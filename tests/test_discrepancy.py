@@ -406,8 +406,36 @@ def test_the_plan_knows_what_cannot_be_told_apart() -> None:
     with_level = made_plan.more["C80 and G"]
     assert with_level["volume", "opening"] > made_plan.separations["volume", "opening"] + 1
     json.dumps(made_plan.to_dict())
-    with pytest.raises(DataError, match="change = -1"):
-        plan(case, change=-1)
+
+
+def test_the_plan_says_what_change_of_t_each_size_makes() -> None:
+    """Without air T is proportional to the volume, whatever the walls: a ratio is its own change."""
+    case = opened().only("t20")
+    case = replace(case, room=case.room.replace(air=None))
+    as_built = case.configurations[0]
+    removed = replace(as_built, name="taken away", suspect_removed=True)
+    # First in the list is a configuration where T is as if nothing were there.
+    case = replace(case, configurations=[removed, as_built])
+    offs = np.array([abs(p["ratio"] - 1) for p in WrongVolume().grid(made())])
+    for change in (0.02, 0.2, 1.0):
+        planned = plan(case, change=change)
+        nearest = offs[np.argmin(np.abs(offs - change))]
+        assert planned.reached["volume"] == pytest.approx(nearest, rel=1e-6)
+        assert planned.to_dict()["reached"] == planned.reached
+        text = str(planned)
+        assert f"nearest to {100 * change:g} %" in text
+        for name, reached in planned.reached.items():
+            row = next(line for line in text.splitlines() if line.startswith(name + " "))
+            assert row.removeprefix(name).split()[:2] == [f"{100 * reached:.1f}", "%"]
+        assert planned.reached["direct sound"] == 0
+        # An effect that can be taken away has its size from where it is there.
+        assert 0.01 < planned.reached["opening"] < 1
+
+
+@pytest.mark.parametrize("change", [-1, 0, 1.01, 1e9, float("nan"), float("inf"), "a", None, True])
+def test_a_plan_s_change_is_a_share_of_t(change: object) -> None:
+    with pytest.raises(DataError, match=r"^change = .* is not (a number|above 0 and at most 1)"):
+        plan(opened(), change=change)  # type: ignore[arg-type]
 
 
 def test_two_engines_are_the_least() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.discrepancy.bootstrap import LEAST
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effect_checks import checked
@@ -113,12 +114,14 @@ def next_measurement(
 class Plan:
     """Which effects a case's data could tell apart.
 
-    ``separations`` (effect, effect) to nats: the evidence to expect for the first, at the size that
-    changes T by about ``change``, against the nearest of the second.
+    ``separations`` (effect, effect) to nats: the evidence to expect for the first, at that of its
+    sizes whose change of T is nearest to ``change``, against the nearest of the second. ``reached``:
+    effect to the change of T that this size makes, as a share of T; some effects have none near.
     """
 
     parameters: tuple[str, ...]
     change: float
+    reached: Mapping[str, float]
     separations: Mapping[tuple[str, str], float]
     more: Mapping[str, Mapping[tuple[str, str], float]]
 
@@ -130,6 +133,7 @@ class Plan:
 
         return {
             "parameters": list(self.parameters), "change": self.change,
+            "reached": dict(self.reached),
             "separations": rows(self.separations),
             "with_more": {label: rows(table) for label, table in self.more.items()},
         }  # fmt: skip
@@ -139,11 +143,13 @@ class Plan:
         names = list(dict.fromkeys(a for a, _ in self.separations))
         lines = [
             f"With {', '.join(self.parameters)}: evidence (nats) to expect for the effect in the row, "
-            f"where it changes T by {100 * self.change:.0f} %,",
+            "at the size",
+            f"whose change of T (its own column) is nearest to {100 * self.change:g} %,",
             f"against the effect in the column; over {LEAST} (ten to one) they can be told apart;",
             f"over {_MOST:.0f} is certain, and no number is printed.",
         ]
         heads = [n.replace("-", "- ").split() for n in (NONE, *names)]
+        heads = [["change", "of T"], *heads]
         rows = max(map(len, heads))
         widths = [max(7, *(len(word) + 1 for word in head)) for head in heads]
         first = max(map(len, names)) + 1
@@ -153,7 +159,8 @@ class Plan:
                 " " * first + "".join(f"{w:>{n}}" for w, n in zip(words, widths, strict=True))
             )
         for a in names:
-            cells = ["." if a == b else _cell(self.separations[a, b]) for b in (NONE, *names)]
+            cells = [f"{100 * self.reached[a]:.1f} %"]
+            cells += ["." if a == b else _cell(self.separations[a, b]) for b in (NONE, *names)]
             lines.append(
                 f"{a:<{first}}" + "".join(f"{c:>{n}}" for c, n in zip(cells, widths, strict=True))
             )
@@ -220,12 +227,19 @@ def plan(
     effects : sequence of Effect, optional
         The whole library if not given.
     change : float
-        How much each effect is to change T20 in the band that it changes most.
+        How much each effect is to change T20, as a share of it, where it changes T20 most: above 0,
+        at most 1. Of an effect's sizes the one that comes nearest is taken.
     error : ModelError, optional
         Of the case's control rooms; `GENERIC` if not given.
+
+    Raises
+    ------
+    DataError
+        If ``change`` is no such number, or an effect breaks a rule.
     """
-    if not (np.isfinite(change) and change > 0):
-        raise DataError(f"change = {change:g} is not finite and above 0")
+    change = checks.number("change", change)
+    if not 0 < change <= 1:
+        raise DataError(f"change = {change:g} is not above 0 and at most 1 (a share of T)")
     observed, _ = observe(case)
     predicted = hypotheses(case, library() if effects is None else checked(effects))
     if error is None:
@@ -248,11 +262,14 @@ def plan(
             there = len(where) < len(case.configurations)
             masks[label + (f" of {' and '.join(where)}" if there else "")] = more
     tables: dict[str, dict[tuple[str, str], float]] = {m: {} for m in masks}
+    reached: dict[str, float] = {}
     for a in names:
         rows = [i for i, n in enumerate(predicted.names) if n == a]
-        # The size whose largest change of T over the bands is nearest to the one asked for.
-        moved = np.abs(predicted.features[rows][:, 0, 0] - base[0, 0]).max(-1)
-        first = rows[int(np.argmin(np.abs(moved - change)))]
+        # The size whose largest change of T, over configurations (it may be taken away in some) and
+        # bands, is nearest to the one asked for.
+        moved = np.abs(np.expm1(predicted.features[rows][:, :, 0] - base[:, 0])).max((1, 2))
+        nearest = int(np.argmin(np.abs(moved - change)))
+        first, reached[a] = rows[nearest], float(moved[nearest])
         covariance = _covariance(predicted, error, variances, first)
         for label, mask in masks.items():
             for b in (NONE, *names):
@@ -263,4 +280,4 @@ def plan(
         if any(p in c.measured.values for c in case.configurations)
     )  # fmt: skip
     rest = {label: t for label, t in tables.items() if label}
-    return Plan(measured, change, tables[""], rest)
+    return Plan(measured, change, reached, tables[""], rest)
