@@ -320,7 +320,7 @@ PRIOR = rt.terms.PriorDeviation()
 def tracer(**change):
     """A path tracer in a box of the two materials."""
     walls = dict.fromkeys(SHOEBOX_WALLS, "a") | {"floor": "b"}
-    fine = {"geometry": Polyhedron.shoebox((5, 4, 3), walls), "room": room(),
+    fine = {"geometry": Polyhedron.shoebox((5, 4, 3), walls), "room": room(volume=60),
             "sources": {"S": (1, 1, 1)}, "receivers": {"R": (3, 3, 2)}}  # fmt: skip
     return PathTracing(**{**fine, "n_paths": 32, "scattering": 0.5, **change})
 

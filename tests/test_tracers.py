@@ -37,6 +37,17 @@ def ray_tracer(**options):
 
 
 @pytest.mark.parametrize("make", [path_tracer, ray_tracer])
+def test_walls_hold_the_room_s_volume(make):
+    for share in (0.92, 1.08):
+        make(room=HALL.room.replace(volume=share * HALL.geometry.volume))
+    for share in (0.5, 0.88, 1.12):
+        volume = share * HALL.geometry.volume
+        said = f"volume = {volume:g} m³, but the geometry holds {HALL.geometry.volume:g} m³"
+        with pytest.raises(DataError, match=said):
+            make(room=HALL.room.replace(volume=volume))
+
+
+@pytest.mark.parametrize("make", [path_tracer, ray_tracer])
 def test_they_are_simulators(make):
     simulator = make()
     assert isinstance(simulator, base.Simulator)

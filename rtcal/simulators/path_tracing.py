@@ -20,6 +20,9 @@ from rtcal.types import Array
 
 RADIUS_SHARE = 0.075
 """A receiver's default radius over the cube root of the volume: .5 m in 300 m³, 1.6 m in 10,000."""
+OFF_VOLUME = 0.1
+"""Share by which the room's volume may differ from the geometry's, as a case's from its dimensions':
+plans are no better, T is proportional to it, and beyond that one of the two is another room's."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,6 +53,12 @@ class PathTracing:
         Independent parts that the noise is estimated from.
     workers : int, optional
         Threads; as many as there are processors if not given.
+
+    Raises
+    ------
+    DataError
+        For points outside the room, walls that are not the room's or hold another volume (by over
+        `OFF_VOLUME`), coefficients outside [0, 1], numbers that do not fit.
 
     Notes
     -----
@@ -105,8 +114,7 @@ class PathTracing:
         decay.bins(self.bin_width)
         if self.radius is not None:
             checks.positive("radius", self.radius, "m")
-        for material in self.geometry.materials:
-            self.room.material_index(material)
+        check_walls(self.geometry, self.room)
         put("scattering", scattering_coefficients(self.room, self.scattering))
 
     @property
@@ -191,6 +199,17 @@ class PathTracing:
             meaning=self.meaning,
             seed=seed,
             workers=self.workers,
+        )
+
+
+def check_walls(geometry: Polyhedron, room: Room) -> None:
+    """Refuse walls of materials that the room has not, or that hold another volume than it states."""
+    for material in geometry.materials:
+        room.material_index(material)
+    if abs(room.volume / geometry.volume - 1) > OFF_VOLUME:
+        raise DataError(
+            f"room: volume = {room.volume:g} m³, but the geometry holds {geometry.volume:g} m³; they "
+            f"differ by at most {100 * OFF_VOLUME:.0f} %"
         )
 
 

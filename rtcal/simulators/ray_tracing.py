@@ -34,7 +34,7 @@ from rtcal.errors import DataError, MissingDependencyError
 from rtcal.simulators import energies, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import RADIUS_SHARE, scattering_coefficients
+from rtcal.simulators.path_tracing import RADIUS_SHARE, check_walls, scattering_coefficients
 from rtcal.types import Array
 
 ENERGY_THRESHOLD = 1e-16
@@ -69,7 +69,9 @@ class RayTracing:
     Raises
     ------
     DataError
-        For points outside the room, coefficients outside [0, 1], numbers that do not fit.
+        For points outside the room, walls that are not the room's or hold another volume (by over
+        `rtcal.simulators.path_tracing.OFF_VOLUME`), coefficients outside [0, 1], numbers that do
+        not fit.
     MissingDependencyError
         Where pyroomacoustics is not installed.
 
@@ -112,8 +114,7 @@ class RayTracing:
             raise DataError(f"bin_width = {self.bin_width:g} s is not a multiple of {_FINE:g} s")
         if self.radius is not None:
             checks.positive("radius", self.radius, "m")
-        for material in self.geometry.materials:
-            self.room.material_index(material)
+        check_walls(self.geometry, self.room)
         put("scattering", scattering_coefficients(self.room, self.scattering))
 
     @property
