@@ -105,6 +105,7 @@ def apply(
     from rtcal.acoustics.files import write_all
     from rtcal.acoustics.room_files import room_text
     from rtcal.discrepancy import corrected_room, recalibrate
+    from rtcal.discrepancy.corrected import not_in_room
     from rtcal.discrepancy.recalibration import table
     from rtcal.discrepancy.wording import added, nothing_to_add
 
@@ -126,9 +127,14 @@ def apply(
     write_all(contents)
     sentence = added(finding)
     lines = [sentence, *table(corrected.room, {"corrected": calibrated})]
+    if finding.notes:
+        lines += [f"  note: {n}" for n in finding.notes]
+    absent = [] if room is None else not_in_room(corrected)
+    lines += [f"  not in {room}: {line}" for line in absent]
     record |= {
         "sentence": sentence, "present": [p.to_dict() for p in corrected.present],
-        "calibrated": calibrated.to_dict(), "written": written,
+        "calibrated": calibrated.to_dict(), "written": written, "notes": list(finding.notes),
+        "not_in_room": absent,
     }  # fmt: skip
     text = "\n".join([*lines, f"Written: {', '.join(written)}"])
     tell(text, record, quiet=quiet, as_json=as_json)

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
 import rtcal as rt
 from rtcal.discrepancy import (
@@ -26,6 +26,7 @@ from rtcal.discrepancy import (
     verify,
 )
 from rtcal.discrepancy.bootstrap import control_rooms
+from rtcal.discrepancy.corrected import not_in_room
 from rtcal.discrepancy.effects import Opening, Porous, Resonator, WrongArea, WrongVolume
 from rtcal.discrepancy.engines import Controls, levelled
 from rtcal.discrepancy.evidence import (
@@ -34,11 +35,13 @@ from rtcal.discrepancy.evidence import (
     hypotheses,
     model_error,
     observe,
+    surprise,
     weigh,
 )
 from rtcal.discrepancy.model import State, predict, sensitivities
 from rtcal.discrepancy.shapes import Coupled, NonDiffuse
 from rtcal.discrepancy.states import state
+from rtcal.discrepancy.wording import wrong
 from rtcal.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)
@@ -454,6 +457,100 @@ def test_a_threshold_may_be_given() -> None:
     assert known.verdict == "named"
     with pytest.raises(DataError, match="nan nats is not finite"):
         find(case, effects=[Opening()], threshold=float("nan"), controls=controls_of(case))
+
+
+def test_what_no_effect_explains_is_said_so() -> None:
+    """The best effect of a gross mistake is still a best: the notes say what to look for."""
+    case = opened()
+    finding = find(case, controls=controls_of(case))
+    assert not any("does not explain" in n or "mistake" in n for n in finding.notes)
+    measured = case.configurations[0].measured
+    times = {k: 10 * v for k, v in measured.values.items()}
+    errors = {k: 10 * v for k, v in measured.uncertainty.items()}
+    wrong = replace(measured, values=times, uncertainty=errors)
+    tenfold = replace(case, configurations=[replace(case.configurations[0], measured=wrong)])
+    notes = find(tenfold, controls=controls_of(tenfold)).notes
+    assert any("does not explain the measurement" in n for n in notes)
+    assert any("times the model's: look for a mistake" in n for n in notes)
+
+
+def test_surprise_is_chi_square_s() -> None:
+    case = opened()
+    observed, _ = observe(case)
+    predicted = hypotheses(case, [Opening()])
+    error = model_error(case, controls_of(case))
+    times, probability = surprise(observed, predicted, error, 0)
+    mask = observed.used.ravel()
+    covariance = alpha_covariance(predicted, 0) + error.covariance
+    covariance = covariance[np.ix_(mask, mask)] + observed.covariance
+    off = observed.values - predicted.features[0].ravel()[mask] - error.bias[mask]
+    square = off @ np.linalg.inv(covariance) @ off
+    assert times == pytest.approx(np.sqrt(square / len(off)), rel=1e-9)
+    assert probability == pytest.approx(chi2.sf(square, len(off)), rel=1e-9)
+
+
+def test_the_end_of_what_is_tried_is_said() -> None:
+    case = opened(60.0)  # three times the room's absorption; 1.2 times is tried
+    finding = find(case, effects=[Opening()], controls=controls_of(case))
+    assert any(
+        n.startswith("opening: ") and "is the end of what is tried" in n for n in finding.notes
+    )
+
+
+def test_what_is_stated_is_wrong_and_what_is_not_is_missing() -> None:
+    case = opened()
+    finding = find(case, controls=controls_of(case))
+    assert "opening" in finding.candidates
+    for names, words in (
+        (("opening",), "Missing from the model"),
+        (("volume", "area"), "Not as stated"),
+        (("air",), "Not as stated"),
+        (("opening", "volume"), "Missing from the model, or not as stated"),
+    ):
+        assert wrong(replace(finding, candidates=names)) == words
+    dry = replace(case, room=case.room.replace(air=None))
+    assert wrong(replace(finding, case=dry, candidates=("air",))) == "Missing from the model"
+
+
+def test_a_field_of_walls_that_absorb_nothing_decays() -> None:
+    decay = NonDiffuse(0.1)(made(alpha=np.zeros_like(ALPHA)))
+    assert np.isfinite(decay.weights).all()
+    assert (decay.rates > 0).all()
+
+
+def test_control_rooms_of_another_case_are_refused() -> None:
+    case = opened()
+    good = controls_of(case)
+    one_band = [Controls(c.engine, c.errors[..., :1]) for c in good]
+    for controls, words in (
+        (one_band, "they are of another case"),
+        (good[:1], "at least two engines"),
+        ((), "no engine"),
+        ("abc", "is not a list"),
+        ([1, 2], "is not a rtcal.Controls"),
+    ):
+        with pytest.raises(DataError, match=words):
+            find(case, controls=controls)  # type: ignore[arg-type]
+    for seed in (-1, 1.5, None):
+        with pytest.raises(DataError, match="seed"):
+            find(case, seed=seed)  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="case = None"):
+        find(None)  # type: ignore[arg-type]
+    for engines in (None, (["network"], "rays")):
+        with pytest.raises(DataError, match="engine"):
+            find(case, engines=engines)  # type: ignore[arg-type]
+    for threshold in (-5.0, "5", np.inf):
+        with pytest.raises(DataError, match="threshold"):
+            find(case, controls=good, threshold=threshold)  # type: ignore[arg-type]
+
+
+def test_what_a_room_cannot_hold_is_said() -> None:
+    case = opened()
+    coupled = Present("coupled room", {"aperture": 8.0, "volume": 300.0, "alpha": 0.05})
+    assert not_in_room(replace(case, present=(Present("opening", {"area": 8.0}),))) == []
+    assert "coupled room" in not_in_room(replace(case, present=(coupled,)))[0]
+    sabine = replace(case, present=(Present("formula", {"equation": 0.0}),))
+    assert "sabine" in not_in_room(sabine)[0]
 
 
 def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal import checks
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.engines import (
     ENGINES,
@@ -31,7 +32,7 @@ from rtcal.discrepancy.evidence import (
     model_error,
     weigh,
 )
-from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 from rtcal.types import Array
@@ -64,11 +65,32 @@ def control_rooms(
     report: Report = nothing,
 ) -> tuple[Controls, ...]:  # fmt: skip
     """Run the case's control rooms through the engines; DataError for fewer than two."""
-    if unknown := sorted(set(engines) - set(ENGINES)):
+    names = dict.fromkeys(map(str, checks.listed("engines", engines)))
+    if unknown := sorted(set(names) - set(ENGINES)):
         raise DataError(f'engine "{unknown[0]}" is not one of {", ".join(ENGINES)}')
-    if len(set(engines)) < 2:
-        raise DataError(f"engines = {list(engines)}: a threshold needs at least two engines")
-    return tuple(ENGINES[name](case, seed, report=report) for name in engines)
+    if len(names) < 2:
+        raise DataError(f"engines = {list(names)}: a threshold needs at least two engines")
+    return tuple(ENGINES[name](case, seed, report=report) for name in names)
+
+
+def check_controls(case: Case, controls: object) -> tuple[Controls, ...]:
+    """Return control rooms of at least two engines and of this case's shape; DataError otherwise."""
+    every = tuple(
+        checks.instance("controls", c, Controls) for c in checks.listed("controls", controls)
+    )
+    if len({c.engine for c in every}) < 2:
+        raise DataError(
+            f"controls are of {', '.join(c.engine for c in every) or 'no engine'}: a threshold needs "
+            "at least two engines"
+        )
+    shape = len(case.configurations), len(FEATURES), case.room.n_bands
+    for c in every:
+        if c.errors.shape[1:] != shape or not len(c.errors):
+            raise DataError(
+                f'controls of "{c.engine}" have shape {c.errors.shape}; this case\'s are (n_controls, '
+                f"{', '.join(map(str, shape))}): they are of another case"
+            )
+    return every
 
 
 def threshold(

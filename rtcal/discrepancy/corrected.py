@@ -50,6 +50,14 @@ def corrected_room(case: Case) -> Room:
     return _settled(case)[0]
 
 
+def not_in_room(case: Case) -> list[str]:
+    """Return what a room cannot hold of the effects, in words: a decay's shape, noise, an equation."""
+    out = [f"{p.effect}: a room has surfaces and air only" for p in _settled(case)[1]]
+    if (equation := _bare(case).equation) != case.equation:
+        out.append(f"formula: a room names no equation; calibrate it with {equation}")
+    return out
+
+
 def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Simulator:
     """Return a simulator of the corrected room; the rows of alpha are `corrected_room`'s.
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from rtcal.acoustics import bands
 from rtcal.discrepancy.case import Case, Configuration, Present
@@ -362,6 +363,25 @@ def log_likelihood(
         residual = values - (centres[part] + error.bias[observed.used.ravel()])[:, None]
         out[part] = _log_normal(residual, covariance)
     return out
+
+
+def surprise(
+    observed: Observed, predicted: Hypotheses, error: ModelError, i: int
+) -> tuple[float, float]:
+    """Return how far the measurement is from hypothesis ``i``, and how probable as much or more is.
+
+    The distance is the root of r' C^-1 r over its number of features, 1 where all is as expected; the
+    probability chi-square's (Gelman, Meng & Stern 1996, without their draws: C holds the prior).
+    """
+    mask = observed.used.ravel()
+    c, f, b = np.nonzero(observed.used)
+    d = (predicted.features[i] - predicted.features[0])[c, f, b]
+    amount = (predicted.features[i] - predicted.features[0])[c, 0, b]
+    covariance = alpha_covariance(predicted, i)[np.ix_(mask, mask)]
+    covariance += _without_alpha(observed, predicted, error) + _misfit(d, amount, f, KAPPA)
+    residual = observed.values - predicted.features[i].ravel()[mask] - error.bias[mask]
+    square = float(residual @ np.linalg.solve(covariance, residual))
+    return float(np.sqrt(square / len(residual))), float(chdtrc(len(residual), square))
 
 
 def _without_alpha(observed: Observed, predicted: Hypotheses, error: ModelError) -> Array:

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
+from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
 from rtcal.discrepancy.advice import next_measurement
-from rtcal.discrepancy.bootstrap import Threshold, control_rooms
+from rtcal.discrepancy.bootstrap import Threshold, check_controls, control_rooms
 from rtcal.discrepancy.bootstrap import threshold as bootstrapped
 from rtcal.discrepancy.case import Case, Present
 from rtcal.discrepancy.effect_checks import checked
@@ -30,6 +31,7 @@ from rtcal.discrepancy.evidence import (
     log_likelihood,
     observe,
     standardised,
+    surprise,
     weigh,
 )
 from rtcal.discrepancy.wording import (
@@ -39,6 +41,7 @@ from rtcal.discrepancy.wording import (
     in_words,
     material_of,
     runner_up,
+    wrong,
 )
 from rtcal.errors import DataError
 from rtcal.types import Array
@@ -191,20 +194,26 @@ def find(
     Raises
     ------
     DataError
-        If fewer than two engines are given; if the room was calibrated on one of the case's T
-        already; for an effect that breaks a rule, which the message names.
+        If fewer than two engines are given, or control rooms of another case; if the room was
+        calibrated on one of the case's T already; for an effect that breaks a rule, which the message
+        names.
     """
-    case.require_fresh()
+    checks.instance("case", case, Case).require_fresh()
+    checks.whole("seed", seed, 0)
     effects = library() if effects is None else checked(effects)
     observed, notes = observe(case)
     predicted = hypotheses(case, effects)
     if not isinstance(threshold, Threshold):
         if controls is None:
             controls = control_rooms(case, seed, engines, report)
+        else:
+            controls = check_controls(case, controls)
         learnt = bootstrapped(case, observed, predicted, controls, seed)
-        limit = learnt.value if threshold is None else float(threshold)
-        if not np.isfinite(limit):
-            raise DataError(f"threshold = {limit:g} nats is not finite")
+        limit = learnt.value if threshold is None else checks.number("threshold", threshold)
+        if not 0 <= limit < np.inf:
+            raise DataError(f"threshold = {limit:g} nats is not finite and 0 or more")
+        if threshold is not None:
+            notes.append("the threshold was given, not bootstrapped")
     else:
         learnt, limit = threshold, threshold.value
     return judge(case, observed, predicted, learnt.error, limit, notes)
@@ -231,15 +240,17 @@ def judge(
         candidates = ()
     parameters: Parameters = {}
     size = None
+    doubts: list[str] = []
     if verdict != "none" and best != UNKNOWN:
         parameters, size = _size(case, observed, predicted, error, evidence, best)
+        doubts = _doubts(case, observed, predicted, error, best, parameters)
     return Finding(
         case=case, verdict=verdict, effect=None if verdict == "none" else best,
         candidates=candidates, evidence={k: over[k] for k in order}, score=score, threshold=limit,
         engines=error.engines, parameters=parameters, size=size,
         runner_up=order[1] if len(order) > 1 else NONE,
         advice=next_measurement(case, observed, predicted, error, evidence, candidates),
-        residuals=standardised(observed, predicted, error), notes=(*notes, *_notes(case)),
+        residuals=standardised(observed, predicted, error), notes=(*doubts, *notes, *_notes(case)),
         error=error, effects=predicted.effects,
     )  # fmt: skip
 
@@ -293,6 +304,45 @@ def _size(
     cumulated = np.cumsum(by_size) - 0.5 * by_size
     ends = [float(np.interp(q, cumulated, size_of(fine))) for q in (0.05, 0.95)]
     return best, Size(float(by_size @ size_of(fine)), ends[0], ends[1], effect.unit)
+
+
+_SURPRISING = 1e-3
+"""Probability under which the best effect is said not to explain the measurement."""
+_GROSS = np.log(2.0)
+"""Of ln T, beyond which what is stated is to be looked at before anything is believed."""
+
+
+def _doubts(
+    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, name: str,
+    parameters: Parameters,
+) -> list[str]:  # fmt: skip
+    """What speaks against the best effect, though no other is better."""
+    effect = predicted.effects[name]
+    out = []
+    change = float(np.nanmedian((observed.features - predicted.features[0])[:, 0]))
+    if abs(change) > _GROSS:
+        out.append(
+            f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
+            "coefficients and units before any effect is believed"
+        )
+    here = hypotheses(case, [effect], [[parameters]])
+    times, probability = surprise(observed, here, error, 1)
+    if probability < _SURPRISING:
+        out.append(
+            f"{name} is the best of the effects and does not explain the measurement: with it in the "
+            f"model it is {times:.1f} times as far off as all uncertainties allow. Check volume, "
+            "areas, coefficients, units and bands"
+        )
+    tried = [
+        theta[effect.size]
+        for n, theta in zip(predicted.names, predicted.parameters, strict=True)
+        if n == name
+    ]
+    value, least, most = parameters[effect.size], min(tried), max(tried)
+    at_end = bool(np.isclose(value, [least, most], rtol=1e-6).any())
+    if effect.size not in effect.discrete and least < most and at_end:
+        out.append(f"{name}: {value:.3g} is the end of what is tried ({least:.3g} to {most:.3g})")
+    return out
 
 
 def _widened(p: Array, at: Array, spread: float) -> Array:
@@ -372,8 +422,8 @@ def _lines(finding: Finding) -> list[str]:
     what = {
         "none": "No disagreement beyond what prior, measurement and model error allow.",
         "hint": f"A hint of {best(f)}, under the threshold.",
-        "named": f"Missing from the model: {best(f)}.",
-        "ambiguous": f"Missing from the model: one of {', '.join([best(f), *others])}.",
+        "named": f"{wrong(f)}: {best(f)}.",
+        "ambiguous": f"{wrong(f)}: one of {', '.join([best(f), *others])}.",
         "unknown": "Something is missing that no effect of the library explains.",
     }[f.verdict]
     lines = [f"{f.verdict}: {what}"]

@@ -77,9 +77,10 @@ class NonDiffuse:
         c = states[0].speed_of_sound
         volume = np.array([[s.volume] for s in states])
         area = np.array([[s.total_area] for s in states])
-        # By axis, of what the equation says that the surfaces absorb.
+        # By axis, of what the equation says that the surfaces absorb; alike where they absorb nothing.
         by_axis = np.array([
-            (s.facing * s.areas[:, None]).T @ s.alpha / (s.areas @ s.alpha) for s in states
+            (s.facing * s.areas[:, None]).T @ alpha / (s.areas @ alpha)
+            for s in states for alpha in [np.maximum(s.alpha, 1e-9)]
         ])  # fmt: skip
         absorbed = by_axis * surface_absorption(states)[:, None, :]
         rate = c / (2 * volume[:, :, None]) * (u.T @ absorbed).swapaxes(1, 2)

@@ -62,6 +62,19 @@ def amount(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}"
 
 
+def wrong(finding: Finding) -> str:
+    """Return how a finding begins: what is stated is wrong, or something is missing, or either."""
+    stated = ["volume", "area", "formula"]
+    if finding.case.room.air is not None:
+        stated.append("air")
+    kinds = {name in stated for name in finding.candidates}
+    if kinds == {True}:
+        return "Not as stated"
+    return (
+        "Missing from the model" if kinds == {False} else "Missing from the model, or not as stated"
+    )
+
+
 def rivals(finding: Finding) -> list[str]:
     """Return the candidates beside the best."""
     return [c for c in finding.candidates if c != finding.effect]

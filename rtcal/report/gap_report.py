@@ -127,7 +127,7 @@ def summary(
         sentences.append(verification.sentence)
         supported = verification.verdict == "proven"
         told["corrected"] = _corrected(verification)
-        told["unknowable"] = _unknowable(finding)
+        told["unknowable"] = _unknowable(finding, supported)
         if supported:
             lacking = " or ".join([best(finding), *rivals(finding)])
             told["plain"] += f": not to be used, the model lacks {lacking}"
@@ -168,7 +168,7 @@ def _corrected(verification: Verification) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _unknowable(finding: Finding) -> str:
+def _unknowable(finding: Finding, supported: bool) -> str:
     """What no calibration tells: whether the name is right."""
     others = rivals(finding)
     next_to = (
@@ -176,7 +176,10 @@ def _unknowable(finding: Finding) -> str:
         if others
         else f"the next best is {runner_up(finding)} nats"
     )
-    return (
-        f"What cannot be known: whether it is {best(finding)}. The name may be wrong; {next_to}. "
-        "That the gap shrinks says that the model is better, not which effect is in the room."
+    shrinks = (
+        " That the gap shrinks says that the model is better, not which effect is in the room."
+        if supported
+        else ""
     )
+    name = f"whether it is {best(finding)}. The name may be wrong; {next_to}"
+    return f"What cannot be known: {name}.{shrinks}"
