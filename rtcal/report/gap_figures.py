@@ -73,9 +73,13 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
         axis.set_yticks(range(len(rows)), labels, fontsize=8)
         axis.set_xticks(range(len(f)), [f"{v:g}" for v in f], rotation=90 if len(f) > 10 else 0)
         axis.set_title(shown(title), fontsize=9)
-        beyond = np.array([np.nanmin(cells) < -_STRONG, np.nanmax(cells) > _STRONG])
-        extend = {(1, 1): "both", (1, 0): "min", (0, 1): "max"}.get(tuple(beyond), "neither")
-        figure.colorbar(image, ax=axis, label="measured - model / sd", extend=extend)
+    # One bar for all maps: beside a flat one its label would not fit.
+    all_cells = np.array([[table[c, k] for c, k in rows] for _, table in maps])
+    beyond = np.array([np.nanmin(all_cells) < -_STRONG, np.nanmax(all_cells) > _STRONG])
+    extend = {(1, 1): "both", (1, 0): "min", (0, 1): "max"}.get(tuple(beyond), "neither")
+    figure.colorbar(
+        image, ax=[*np.atleast_1d(axes)], label="(measured - model) / sd", extend=extend
+    )
     axis.set_xlabel("Band centre frequency / Hz")
     return figure
 
