@@ -4,7 +4,7 @@ acoustic-spaces (GPL-3, PyPI) calibrates the absorption of its own ray tracer, b
 anew and tracing again at what it found. It cannot drive another simulator; so here it gets the truths
 and tasks of `comparators.py` in its own one: the lecture hall at 1 kHz, "measured" by its own tracer
 with the truth and the same seed, calibrated from the prior or from a random point of the search box.
-Its search box is .01 to .99; what it takes for the prior is where it starts. One simulation is one
+Its search box is 0.01 to 0.99; what it takes for the prior is where it starts. One simulation is one
 trace.
 
 Run it where acoustic-spaces and rtcal are installed side by side; rtcal does not depend on it.
@@ -48,21 +48,27 @@ def scene(ours: comparators.Scene, rays: int, folder: str) -> Scene:
     path = Path(folder, "hall.obj")
     path.write_text(obj(ours.tracer.geometry), encoding="utf-8")
     room = ours.room
-    return Scene.model_validate({
-        "name": "lecture hall", "geometry": {"file": str(path), "units": "m", "up_axis": "z"},
-        "materials": {
-            named(m): {"absorption": [float(a)] * 8, "scattering": float(s)}
-            for m, a, s in zip(room.materials, ours.prior, room.scattering[:, 0], strict=True)
-        },
-        "assignments": {named(m): named(m) for m in room.materials},
-        "sources": [{"name": n, "position": p} for n, p in ours.tracer.sources.items()],
-        "listeners": [{"name": n, "position": p} for n, p in ours.tracer.receivers.items()],
-        "air": {"temperature_c": room.air.temperature, "humidity_percent": room.air.humidity},
-        "simulation": {
-            "seed": 0, "ir_length_s": 3.0, "early": {"diffraction": "none"}, "late": {"rays": rays},
-            "scattering": {"method": "random", "from_size": False},
-        },
-    })  # fmt: skip
+    return Scene.model_validate(
+        {
+            "name": "lecture hall",
+            "geometry": {"file": str(path), "units": "m", "up_axis": "z"},
+            "materials": {
+                named(m): {"absorption": [float(a)] * 8, "scattering": float(s)}
+                for m, a, s in zip(room.materials, ours.prior, room.scattering[:, 0], strict=True)
+            },
+            "assignments": {named(m): named(m) for m in room.materials},
+            "sources": [{"name": n, "position": p} for n, p in ours.tracer.sources.items()],
+            "listeners": [{"name": n, "position": p} for n, p in ours.tracer.receivers.items()],
+            "air": {"temperature_c": room.air.temperature, "humidity_percent": room.air.humidity},
+            "simulation": {
+                "seed": 0,
+                "ir_length_s": 3.0,
+                "early": {"diffraction": "none"},
+                "late": {"rays": rays},
+                "scattering": {"method": "random", "from_size": False},
+            },
+        }
+    )
 
 
 def gaps(found: dict, measured: dict, task: str) -> np.ndarray:
@@ -99,9 +105,9 @@ class Counter:
 def only_band(parameters: peer.RoomParameters) -> peer.RoomParameters:
     """The parameters at 1 kHz; the other bands are left as they are where nothing was measured."""
     kept = np.arange(8) == BAND
-    return replace(parameters, **{
-        n: np.where(kept, getattr(parameters, n), np.nan) for n in FITTED["P"]
-    })  # fmt: skip
+    return replace(
+        parameters, **{n: np.where(kept, getattr(parameters, n), np.nan) for n in FITTED["P"]}
+    )
 
 
 def main() -> None:
@@ -123,8 +129,10 @@ def main() -> None:
         traced = simulate(absorbing(base, truth))
         return truth, {p: traced[p].parameters() for p in pairs}
 
-    print(f"acoustic-spaces {peer.__version__}; {arguments.trials} trials, at most "
-          f"{arguments.rounds + 1} traces of {arguments.rays} rays each")  # fmt: skip
+    print(
+        f"acoustic-spaces {peer.__version__}; {arguments.trials} trials, at most "
+        f"{arguments.rounds + 1} traces of {arguments.rays} rays each"
+    )
     print(f"{'task':5}{'start':8}{'simulations to the goal':26}{'mean |alpha error|'}")
     with tempfile.TemporaryDirectory() as folder:
         base = scene(ours, arguments.rays, folder)
@@ -139,13 +147,17 @@ def main() -> None:
                     with contextlib.suppress(comparators.BudgetSpent):
                         calibration.calibrate(
                             absorbing(base, np.clip(x0, ours.lo, ours.hi)),
-                            {p: only_band(m) for p, m in measured.items()}, materials,
-                            parameters=FITTED[task], rounds=arguments.rounds,
-                        )  # fmt: skip
+                            {p: only_band(m) for p, m in measured.items()},
+                            materials,
+                            parameters=FITTED[task],
+                            rounds=arguments.rounds,
+                        )
                     needed.append(counter.met)
                     errors.append(np.abs(counter.alpha - truth).mean())
-                print(f"{task:5}{start:8}{comparators.shown(needed):26}{np.mean(errors):.4f}",
-                      flush=True)  # fmt: skip
+                print(
+                    f"{task:5}{start:8}{comparators.shown(needed):26}{np.mean(errors):.4f}",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

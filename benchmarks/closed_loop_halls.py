@@ -22,8 +22,8 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.acoustics.quality import JND, gap_jnd
-from rtcal.closed_loop import calibrate_simulator
 from rtcal.datasets import halls
+from rtcal.loop.calibrate import calibrate_simulator
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
 
@@ -82,10 +82,13 @@ def measure(name: str, case: Case, trial: int) -> rt.Measurement:
         room.alpha + room.sigma * rng.standard_normal((room.n_materials, 1)), 0.01, 0.95
     )
     return RayTracing(
-        geometry=hall.geometry, room=room, sources=chosen(hall, case),
-        receivers=moved({**hall.receivers, **hall.held_out}, rng), n_rays=case.n_rays,
+        geometry=hall.geometry,
+        room=room,
+        sources=chosen(hall, case),
+        receivers=moved({**hall.receivers, **hall.held_out}, rng),
+        n_rays=case.n_rays,
         scattering=np.minimum(1.5 * room.scattering, 1),
-    ).simulate(truth, seed=trial)  # fmt: skip
+    ).simulate(truth, seed=trial)
 
 
 def prior(hall: halls.Hall, case: Case) -> rt.Room:
@@ -105,9 +108,12 @@ def run(name: str, case: Case, trial: int) -> list[float]:
 
     def tracer(receivers: dict[str, halls.Point], n_paths: int) -> PathTracing:
         return PathTracing(
-            geometry=hall.geometry, room=room, sources=chosen(hall, case), receivers=receivers,
+            geometry=hall.geometry,
+            room=room,
+            sources=chosen(hall, case),
+            receivers=receivers,
             n_paths=n_paths,
-        )  # fmt: skip
+        )
 
     seen, unseen = only(measured, hall.receivers), only(measured, hall.held_out)
     simulator = tracer(dict(hall.receivers), case.n_paths)
@@ -119,10 +125,15 @@ def run(name: str, case: Case, trial: int) -> list[float]:
     )
     noise = seen.mean_uncertainty("t20") / seen.mean("t20") / JND["t20"]
     return [
-        result.simulations, largest(with_prior, seen, "t20"), largest(result.before, seen, "t20"),
-        largest(after, seen, "t20"), largest(confirmed, unseen, "t20"),
-        largest(confirmed, unseen, "c50"), largest(confirmed, unseen, "c80"), float(noise.max()),
-    ]  # fmt: skip
+        result.simulations,
+        largest(with_prior, seen, "t20"),
+        largest(result.before, seen, "t20"),
+        largest(after, seen, "t20"),
+        largest(confirmed, unseen, "t20"),
+        largest(confirmed, unseen, "c50"),
+        largest(confirmed, unseen, "c80"),
+        float(noise.max()),
+    ]
 
 
 def main() -> None:
@@ -132,12 +143,17 @@ def main() -> None:
     arguments = parser.parse_args()
 
     def show(name: str, trial: str, row: list[float]) -> None:
-        cells = "".join(f"{v:{len(c) + 2}.{2 * (i > 0)}f}"
-                        for i, (c, v) in enumerate(zip(COLUMNS, row, strict=True)))  # fmt: skip
+        cells = "".join(
+            f"{v:{len(c) + 2}.{2 * (i > 0)}f}"
+            for i, (c, v) in enumerate(zip(COLUMNS, row, strict=True))
+        )
         print(f"{name:14}{trial:>7}{cells}", flush=True)
 
-    print(f"{'hall':14}{'trial':>7}" + "".join(f"  {c}" for c in COLUMNS)
-          + "   (largest gap over bands, JND)")  # fmt: skip
+    print(
+        f"{'hall':14}{'trial':>7}"
+        + "".join(f"  {c}" for c in COLUMNS)
+        + "   (largest gap over bands, JND)"
+    )
     for name in arguments.hall or CASES:
         rows = []
         for trial in range(arguments.trials):

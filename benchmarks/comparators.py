@@ -1,8 +1,8 @@
 """Ways to calibrate a simulator, compared: `python benchmarks/comparators.py`.
 
 One simulator with a call counter (path tracing of the invented lecture hall at 1 kHz, nine
-materials, four receivers, one seed: deterministic), one search box (prior ± 3 sigma within .01 to
-.99), two tasks: (T) mean T20 within one JND; (P) T20, EDT and C80 within one JND at every position.
+materials, four receivers, one seed: deterministic), one search box (prior ± 3 sigma within 0.01 to
+0.99), two tasks: (T) mean T20 within one JND; (P) T20, EDT and C80 within one JND at every position.
 The truth is drawn from the prior, again where the prior is within two JND of its T20; "measured" is
 the same simulator with it, so that every task can be met. Runs start from the prior (seeded) or from
 a random point of the box. The closed loop keeps to the lower end of the box and to 1.
@@ -131,7 +131,7 @@ def largest_area_first(
 
 
 def least_squares(counter, room, start, lo, hi, rng) -> None:  # type: ignore[no-untyped-def]
-    # Steps of .02: smaller ones would differentiate the bins of the histogram.
+    # Steps of 0.02: smaller ones would differentiate the bins of the histogram.
     optimize.least_squares(
         counter.residuals, start, bounds=(lo, hi), diff_step=0.02, x_scale=hi - lo
     )
@@ -139,9 +139,14 @@ def least_squares(counter, room, start, lo, hi, rng) -> None:  # type: ignore[no
 
 def differential_evolution(counter, room, start, lo, hi, rng) -> None:  # type: ignore[no-untyped-def]
     optimize.differential_evolution(
-        counter.loss, list(zip(lo, hi, strict=True)), popsize=3, rng=rng, x0=start, polish=False,
+        counter.loss,
+        list(zip(lo, hi, strict=True)),
+        popsize=3,
+        rng=rng,
+        x0=start,
+        polish=False,
         maxiter=counter.budget,
-    )  # fmt: skip
+    )
 
 
 def genetic(counter, room, start, lo, hi, rng) -> None:  # type: ignore[no-untyped-def]
@@ -184,14 +189,18 @@ class Scene:
     def of(cls, n_paths: int) -> Scene:
         hall = halls.lecture_hall()
         room = hall.room.replace(
-            alpha=hall.room.alpha[:, BAND : BAND + 1], sigma=hall.room.sigma[:, BAND : BAND + 1],
+            alpha=hall.room.alpha[:, BAND : BAND + 1],
+            sigma=hall.room.sigma[:, BAND : BAND + 1],
             scattering=hall.room.scattering[:, BAND : BAND + 1],
             centre_frequencies=hall.room.centre_frequencies[BAND : BAND + 1],
-        )  # fmt: skip
+        )
         tracer = PathTracing(
-            geometry=hall.geometry, room=room, sources={"S1": hall.sources["S1"]},
-            receivers=hall.receivers, n_paths=n_paths,
-        )  # fmt: skip
+            geometry=hall.geometry,
+            room=room,
+            sources={"S1": hall.sources["S1"]},
+            receivers=hall.receivers,
+            n_paths=n_paths,
+        )
         mu, sigma = room.alpha[:, 0], room.sigma[:, 0]
         lo, hi = np.clip(mu - 3 * sigma, 0.01, 0.99), np.clip(mu + 3 * sigma, 0.01, 0.99)
         return cls(room, tracer, lo, hi)

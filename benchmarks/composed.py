@@ -16,8 +16,32 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.presets import METHODS, preset
 
-THIRDS = [50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000,
-          2500, 3150, 4000, 5000, 6300, 8000, 10000]  # fmt: skip
+THIRDS = [
+    50,
+    63,
+    80,
+    100,
+    125,
+    160,
+    200,
+    250,
+    315,
+    400,
+    500,
+    630,
+    800,
+    1000,
+    1250,
+    1600,
+    2000,
+    2500,
+    3150,
+    4000,
+    5000,
+    6300,
+    8000,
+    10000,
+]
 SIZES = (5, 10, 20, 40, 80, 208)
 COMPOSED = {
     "correlated": lambda: rt.Calibration(terms.PriorDeviation(band_correlation=0.5)),
@@ -30,10 +54,15 @@ COMPOSED = {
 def room_of(n: int, rng: np.random.Generator) -> tuple[rt.Room, np.ndarray]:
     shape = (n, len(THIRDS))
     room = rt.Room(
-        name="bench", volume=100.0 * n, materials=[f"m{i}" for i in range(n)],
-        areas=rng.uniform(5, 60, n), alpha=rng.uniform(0.1, 0.6, shape),
-        sigma=rng.uniform(0.02, 0.1, shape), centre_frequencies=THIRDS, air=rt.Air(),
-    )  # fmt: skip
+        name="bench",
+        volume=100.0 * n,
+        materials=[f"m{i}" for i in range(n)],
+        areas=rng.uniform(5, 60, n),
+        alpha=rng.uniform(0.1, 0.6, shape),
+        sigma=rng.uniform(0.02, 0.1, shape),
+        centre_frequencies=THIRDS,
+        air=rt.Air(),
+    )
     drawn = room.alpha + room.sigma * rng.standard_normal(shape)
     return room, rt.Eyring().time(room, room.areas @ np.clip(drawn, 0.01, 0.99))
 
@@ -55,10 +84,16 @@ def run(sizes: tuple[int, ...], repeats: int) -> dict[str, list[tuple[float, ...
                 result = problem.solve(t * (1 + 0.01 * (i + 1)))
                 again.append(time.perf_counter() - began)
                 own.append(result.raw.seconds)
-            rows.setdefault(name, []).append((
-                n * len(THIRDS), first, float(np.median(again)), float(np.median(own)),
-                result.certificate.worst, float(result.certificate.alpha_error_bound.max()),
-            ))  # fmt: skip
+            rows.setdefault(name, []).append(
+                (
+                    n * len(THIRDS),
+                    first,
+                    float(np.median(again)),
+                    float(np.median(own)),
+                    result.certificate.worst,
+                    float(result.certificate.alpha_error_bound.max()),
+                )
+            )
     return rows
 
 

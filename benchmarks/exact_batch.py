@@ -82,8 +82,10 @@ def batch(rows: int) -> list[tuple[str, float, str, bool]]:
     )
     per = exact / rows
     print(f"{rows:,} problems of {N}, {100 * share:.1f} % with an active bound, one thread:")
-    print(f"  closed form {1e9 * closed / rows:.0f} ns, exact {1e9 * per:.0f} ns, "
-          f"NumPy twin {1e9 * numpy_time / 200_000:.0f} ns a problem")  # fmt: skip
+    print(
+        f"  closed form {1e9 * closed / rows:.0f} ns, exact {1e9 * per:.0f} ns, "
+        f"NumPy twin {1e9 * numpy_time / 200_000:.0f} ns a problem"
+    )
     print(f"  NumPy twin / kernel {numpy_time / kernel:.1f}")
     general = [one_daqp(mu, sigma, areas, target), one_cvxpy(mu, sigma, areas, target)]
     return [
@@ -133,8 +135,10 @@ def one_cvxpy(mu: np.ndarray, sigma: np.ndarray, areas: np.ndarray, target: np.n
 def study() -> list[tuple[str, float, str, bool]]:
     found = []
     realisations, trials = 100, 10_000
-    for name, areas in (("shoebox", studies.rooms.SHOEBOX),
-                        ("lecture hall", tuple(studies.rooms.LECTURE_HALL.values()))):  # fmt: skip
+    for name, areas in (
+        ("shoebox", studies.rooms.SHOEBOX),
+        ("lecture hall", tuple(studies.rooms.LECTURE_HALL.values())),
+    ):
         for level in paper.SIGMA_R:
             rng = np.random.Generator(np.random.SFC64(1))
             block = np.empty((trials, len(areas)))

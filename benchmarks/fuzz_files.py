@@ -23,9 +23,13 @@ def main(examples: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
 
         @settings(
-            max_examples=examples, deadline=None, database=None, derandomize=True,
-            phases=(Phase.generate, Phase.shrink), suppress_health_check=list(HealthCheck),
-        )  # fmt: skip
+            max_examples=examples,
+            deadline=None,
+            database=None,
+            derandomize=True,
+            phases=(Phase.generate, Phase.shrink),
+            suppress_health_check=list(HealthCheck),
+        )
         @given(fuzz.broken())
         def run(case: tuple[str, bytes]) -> None:
             counts[case[0], fuzz.check(*case, Path(folder))] += 1

@@ -61,15 +61,33 @@ from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 
 STORED = Path(__file__).parents[1] / "tests" / "hidden_world" / "population_1_findings.jsonl.gz"
 NAMES = {
-    1: "air", 2: "opening", 3: "audience", 4: "furniture", 5: "porous", 6: "resonator", 7: "area",
-    8: "volume", 9: "formula", 10: "coupled room", 11: "non-diffuse field", 12: "noise floor",
+    1: "air",
+    2: "opening",
+    3: "audience",
+    4: "furniture",
+    5: "porous",
+    6: "resonator",
+    7: "area",
+    8: "volume",
+    9: "formula",
+    10: "coupled room",
+    11: "non-diffuse field",
+    12: "noise floor",
     13: "unknown",
-}  # fmt: skip
+}
 SHAPES = ("coupled room", "non-diffuse field", "noise floor")
 SIZES = {
-    2: "size", 3: "size", 4: "size", 5: "size", 6: "size", 7: "ratio", 8: "ratio", 10: "size",
-    11: "scattering", 12: "level",
-}  # fmt: skip
+    2: "size",
+    3: "size",
+    4: "size",
+    5: "size",
+    6: "size",
+    7: "ratio",
+    8: "ratio",
+    10: "size",
+    11: "scattering",
+    12: "level",
+}
 
 
 def one(case: Case) -> Case:
@@ -104,21 +122,27 @@ def examined(case: Case, controls: list[Controls], truth: dict[str, Any]) -> dic
     finding = find(case, controls=controls)
     size = finding.size
     row: dict[str, Any] = {
-        "verdict": finding.verdict, "effect": finding.effect,
-        "candidates": list(finding.candidates), "score": finding.score,
-        "threshold": finding.threshold, "parameters": dict(finding.parameters),
+        "verdict": finding.verdict,
+        "effect": finding.effect,
+        "candidates": list(finding.candidates),
+        "score": finding.score,
+        "threshold": finding.threshold,
+        "parameters": dict(finding.parameters),
         "evidence": {k: round(v, 2) for k, v in finding.evidence.items()},
         "size": None if size is None else [size.mean, size.low, size.high],
-    }  # fmt: skip
+    }
     if finding.verdict in ("named", "ambiguous"):
         seen = verify(finding)
         row |= {
-            "rmse": [rmse(a, truth) for a in (case.room.alpha, seen.plain.alpha,
-                                              seen.corrected.alpha)],
-            "verification": seen.verdict, "before": seen.before, "after": seen.after,
+            "rmse": [
+                rmse(a, truth) for a in (case.room.alpha, seen.plain.alpha, seen.corrected.alpha)
+            ],
+            "verification": seen.verdict,
+            "before": seen.before,
+            "after": seen.after,
             "predictive": seen.predictive,
             "gaps": [[g.configuration, g.quantity, g.before, g.after] for g in seen.gaps],
-        }  # fmt: skip
+        }
         if len(truth["effects"]) == 2:
             again = find(finding.apply(), controls=controls)
             row["second"] = {
@@ -308,8 +332,10 @@ def floors(here: list[Any]) -> None:
         caught = [(n, x) for n, x in some if over(x)]
         right = np.mean([x["effect"] == n for n, x in caught])
         single = np.mean([x["verdict"] == "named" for _, x in caught])
-        print(f"  {floor:.1f}: {np.mean([over(x) for x in none]):.3f}; {len(caught) / len(some):.3f}; "
-              f"{right:.3f}, {single:.3f}")  # fmt: skip
+        print(
+            f"  {floor:.1f}: {np.mean([over(x) for x in none]):.3f}; {len(caught) / len(some):.3f}; "
+            f"{right:.3f}, {single:.3f}"
+        )
 
 
 def mending(here: list[Any]) -> None:
@@ -335,16 +361,20 @@ def mending(here: list[Any]) -> None:
             if NAMES[r["kind"]] == name and any(g[1] in quantities for g in x["gaps"])
         ]
         if gains:
-            print(f"{name:18} {' and '.join(quantities)} after/before, median {np.median(gains):.2f}"
-                  f" of {len(gains)}")  # fmt: skip
+            print(
+                f"{name:18} {' and '.join(quantities)} after/before, median {np.median(gains):.2f}"
+                f" of {len(gains)}"
+            )
     wrong = [x for r, x in done if x["effect"] != NAMES[r["kind"]]]
     right = [(r, x) for r, x in done if x["effect"] == NAMES[r["kind"]]]
     print(
         "wrongly named: withdrawn or ambiguous",
         rate(x["verification"] == "withdrawn" or x["verdict"] == "ambiguous" for x in wrong),
     )
-    print("rightly named: withdrawn             ",
-          rate(x["verification"] == "withdrawn" for _, x in right))  # fmt: skip
+    print(
+        "rightly named: withdrawn             ",
+        rate(x["verification"] == "withdrawn" for _, x in right),
+    )
     print("rightly named: the interval holds the size", rate(inside(right)))
     two = [(r, x) for r, x in here if r["kind"] == DOUBLE]
     if two:
@@ -355,17 +385,22 @@ def mending(here: list[Any]) -> None:
         ]
         better = [
             x.get("second", {}).get("rmse", x["rmse"][2]) <= 0.5 * x["rmse"][1]
-            for _, x in two if "rmse" in x
-        ]  # fmt: skip
+            for _, x in two
+            if "rmse" in x
+        ]
         print("two hidden effects: both named in two rounds", rate(both))
         # Where nothing was detected, alpha stays as plainly calibrated: no better.
         missing = [False] * (len(two) - len(better))
-        print("  alpha's RMSE at most half of plain's      ", rate([*better, *missing]),
-              f"({sum(better)}; {len(missing)} with nothing detected)")  # fmt: skip
+        print(
+            "  alpha's RMSE at most half of plain's      ",
+            rate([*better, *missing]),
+            f"({sum(better)}; {len(missing)} with nothing detected)",
+        )
         missed = Counter(
             " + ".join(sorted(NAMES[e["kind"]] for e in r["truth"]))
-            for (r, _), ok in zip(two, both, strict=True) if not ok
-        )  # fmt: skip
+            for (r, _), ok in zip(two, both, strict=True)
+            if not ok
+        )
         print("  missed:", ", ".join(f"{k} {v}" for k, v in missed.most_common()))
 
 
@@ -403,9 +438,11 @@ def engines(first: int, rooms: int) -> None:
             alarms.setdefault(left.engine, []).extend((scores > limit.value).tolist())
         print(f"\r{index + 1 - first}/{rooms}", end="", flush=True)
     apart = np.sqrt(np.mean(np.square(between), axis=0))
-    print("\nbetween the means of path tracing and of rays, root mean square over rooms: "
-          f"T20 {apart[0]:.3f}, EDT/T20 {apart[1]:.3f}, T30/T20 {apart[2]:.3f} (ln), "
-          f"C80 {apart[3]:.2f} dB")  # fmt: skip
+    print(
+        "\nbetween the means of path tracing and of rays, root mean square over rooms: "
+        f"T20 {apart[0]:.3f}, EDT/T20 {apart[1]:.3f}, T30/T20 {apart[2]:.3f} (ln), "
+        f"C80 {apart[3]:.2f} dB"
+    )
     print("false alarms in control rooms of an engine that the threshold was not learnt from")
     for name, flags in alarms.items():
         print(f"  {name:14} {rate(flags)}")
@@ -426,8 +463,9 @@ def speed(first: int, rooms: int) -> None:
     for case in [c for c in cases if len(c.configurations) == 2][:rooms]:
         controls = timed("control rooms", lambda c=case: control_rooms(c))
         for label, data, rooms_of in (
-            ("one configuration", one(case), first_of(controls)), ("all data", case, controls)
-        ):  # fmt: skip
+            ("one configuration", one(case), first_of(controls)),
+            ("all data", case, controls),
+        ):
             observed, _ = observe(data)
             predicted = hypotheses(data, library())
             limit = timed(
@@ -462,10 +500,12 @@ def bound(folder: str) -> None:
             error, predicted = model_error(part, rooms), hypotheses(part, library())
             base = [state(part, c) for c in part.configurations]
             changed = [effects[name].change(s, parameters) for s in base]
-            d = np.array([
-                np.diff(predict([a, b], distances(part, c)).features, axis=0)[0]
-                for a, b, c in zip(base, changed, part.configurations, strict=True)
-            ])[observed.used]  # fmt: skip
+            d = np.array(
+                [
+                    np.diff(predict([a, b], distances(part, c)).features, axis=0)[0]
+                    for a, b, c in zip(base, changed, part.configurations, strict=True)
+                ]
+            )[observed.used]
             mask = observed.used.ravel()
             open_ = alpha_covariance(predicted, 0) + error.covariance
             covariance = open_[np.ix_(mask, mask)] + observed.covariance
@@ -480,16 +520,23 @@ def bound(folder: str) -> None:
             over = np.array([table[k] - table[NONE] for k in names])
             for column in over.T:
                 among = column > column.max() - SET
-                own[data].append((
-                    bool(column.max() > LEAST), names[int(column.argmax())] == name,
-                    bool(among.sum() == 1),
-                ))  # fmt: skip
+                own[data].append(
+                    (
+                        bool(column.max() > LEAST),
+                        names[int(column.argmax())] == name,
+                        bool(among.sum() == 1),
+                    )
+                )
     for data, powers in power.items():
-        print(f"{data}: told effect and size, the best test detects {np.mean(powers):.3f} of "
-              f"{len(powers)}")  # fmt: skip
+        print(
+            f"{data}: told effect and size, the best test detects {np.mean(powers):.3f} of "
+            f"{len(powers)}"
+        )
         found_, right, single = np.array(own[data]).T
-        print(f"  in a world as the model says: detected {found_.mean():.3f}; of these the right name "
-              f"{right[found_].mean():.3f}, a single one {single[found_].mean():.3f}")  # fmt: skip
+        print(
+            f"  in a world as the model says: detected {found_.mean():.3f}; of these the right name "
+            f"{right[found_].mean():.3f}, a single one {single[found_].mean():.3f}"
+        )
 
 
 def alpha(folder: str, rooms: int) -> None:
@@ -499,9 +546,10 @@ def alpha(folder: str, rooms: int) -> None:
     stored = rows_of(None)
     for data in ("one", "all"):
         seen = [
-            i for i, r in enumerate(stored)
+            i
+            for i, r in enumerate(stored)
             if 1 <= r["kind"] <= 12 and r.get(data, {}).get("verdict") in ("named", "ambiguous")
-        ]  # fmt: skip
+        ]
         shares: dict[bool, list[list[float]]] = {True: [], False: []}
         for index in np.random.default_rng(0).permutation(seen)[:rooms]:
             truth = TRUTHS[1][index]
@@ -548,15 +596,18 @@ def parameters_of(effect: dict[str, Any]) -> dict[str, float]:
     return {
         2: lambda: {"area": effect["size"]},
         4: lambda: {"absorption_area": effect["size"]},
-        5: lambda: {"area": effect["size"], "thickness": effect["depth"],
-                    "flow_resistivity": 1e3 * effect["flow"]},
+        5: lambda: {
+            "area": effect["size"],
+            "thickness": effect["depth"],
+            "flow_resistivity": 1e3 * effect["flow"],
+        },
         6: lambda: {"area": effect["size"], "resonance": effect["f0"], "quality": effect["q"]},
         7: lambda: {"material": effect["material"], "ratio": effect["ratio"]},
         8: lambda: {"ratio": effect["ratio"]},
         9: lambda: {"equation": 1.0},
         11: lambda: {"scattering": effect["scattering"]},
         12: lambda: {"level": effect["level"], "record": 2.0},
-    }[kind]()  # fmt: skip
+    }[kind]()
 
 
 def bras(folder: str) -> None:
@@ -573,26 +624,42 @@ def bras(folder: str) -> None:
             r["parameter"]: r for r in lines("measured_third_octave.csv") if r["room"] == name
         }
         bands = [k for k in measured["T20"] if k.isdigit()]
-        areas = {r["material"]: float(r["area_m2"]) for r in lines("surfaces.csv")
-                 if r["room"] == name}  # fmt: skip
-        alpha = {r["material"]: [float(r[b]) for b in bands]
-                 for r in lines("absorption_third_octave.csv")
-                 if r["room"] == name and r["set"] == "initial"}  # fmt: skip
+        areas = {
+            r["material"]: float(r["area_m2"]) for r in lines("surfaces.csv") if r["room"] == name
+        }
+        alpha = {
+            r["material"]: [float(r[b]) for b in bands]
+            for r in lines("absorption_third_octave.csv")
+            if r["room"] == name and r["set"] == "initial"
+        }
         values = np.array([alpha[m] for m in areas])
         climate = rt.Air(float(facts["temperature_C"]), float(facts["rel_humidity_pct"]))
         t20, edt = (np.array([[float(measured[p][b]) for b in bands]]) for p in ("T20", "EDT"))
         for air in (None, climate):
             room = rt.Room(
-                name=name, volume=float(facts["volume_m3"]), materials=list(areas),
-                areas=list(areas.values()), alpha=values, band_correlation=0.7, air=air,
-                sigma=np.maximum(0.3 * values, 0.02), centre_frequencies=[float(b) for b in bands],
-            )  # fmt: skip
-            case = Case(room=room, configurations=[Configuration(
-                name="measured", measured=rt.Measurement(
-                    centre_frequencies=room.centre_frequencies, values={"t20": t20, "edt": edt},
-                    uncertainty={"t20": 0.05 * t20, "edt": 0.05 * edt},
-                ),
-            )])  # fmt: skip
+                name=name,
+                volume=float(facts["volume_m3"]),
+                materials=list(areas),
+                areas=list(areas.values()),
+                alpha=values,
+                band_correlation=0.7,
+                air=air,
+                sigma=np.maximum(0.3 * values, 0.02),
+                centre_frequencies=[float(b) for b in bands],
+            )
+            case = Case(
+                room=room,
+                configurations=[
+                    Configuration(
+                        name="measured",
+                        measured=rt.Measurement(
+                            centre_frequencies=room.centre_frequencies,
+                            values={"t20": t20, "edt": edt},
+                            uncertainty={"t20": 0.05 * t20, "edt": 0.05 * edt},
+                        ),
+                    )
+                ],
+            )
             print(f"\n{name}, {'no air stated' if air is None else 'with air'}:")
             finding = find(case)
             print(finding)
@@ -602,9 +669,9 @@ def bras(folder: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=(
-        "run", "table", "store", "engines", "speed", "bound", "alpha", "bras"
-    ))  # fmt: skip
+    parser.add_argument(
+        "what", choices=("run", "table", "store", "engines", "speed", "bound", "alpha", "bras")
+    )
     parser.add_argument("data", nargs="?", help="the folder of BRAS' tables")
     parser.add_argument("--folder")
     parser.add_argument("--population", type=int, default=1)

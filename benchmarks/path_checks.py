@@ -5,7 +5,7 @@ paths, and against Eyring's. specular: the same box with scattering 0, energy in
 the image sources'. meanings: T20 of the two meanings of scattering in the corridor. noise: the stated
 standard error of T20 in the lecture hall against the spread over 12 seeds. engines: pyroomacoustics
 against ours, both with vector scattering, in the lecture hall and the corridor; T20 (mean over
-receivers) by the worst of seven bands with the noise of the difference there, and the energy of .5 s,
+receivers) by the worst of seven bands with the noise of the difference there, and the energy of 0.5 s,
 which pyroomacoustics counts up to twice where walls scatter. With scattering 0 the corridor's image
 sources judge both, energy and T20.
 """
@@ -38,10 +38,16 @@ BIN = 0.002  # s, the tracers' own
 def box(n_bands: int) -> rt.Room:
     """The box, all of one material, without air."""
     return rt.Room(
-        name="box", volume=float(np.prod(SIDES)), materials=["wall"], areas=[142.0],
-        alpha=np.full((1, n_bands), 0.2), sigma=np.full((1, n_bands), 0.1), dimensions=SIDES,
-        centre_frequencies=125.0 * 2.0 ** np.arange(n_bands), scattering=np.ones((1, n_bands)),
-    )  # fmt: skip
+        name="box",
+        volume=float(np.prod(SIDES)),
+        materials=["wall"],
+        areas=[142.0],
+        alpha=np.full((1, n_bands), 0.2),
+        sigma=np.full((1, n_bands), 0.1),
+        dimensions=SIDES,
+        centre_frequencies=125.0 * 2.0 ** np.arange(n_bands),
+        scattering=np.ones((1, n_bands)),
+    )
 
 
 def t20(energy: np.ndarray) -> np.ndarray:
@@ -67,9 +73,12 @@ def diffuse(n_paths: int) -> None:
 def specular(n_paths: int) -> None:
     room, alpha, steps = box(1), np.full((1, 1), 0.15), 9
     tracer = PathTracing(
-        geometry=Polyhedron.shoebox(SIDES, "wall"), room=room, n_paths=n_paths, scattering=0.0,
+        geometry=Polyhedron.shoebox(SIDES, "wall"),
+        room=room,
+        n_paths=n_paths,
+        scattering=0.0,
         **POINTS,
-    )  # fmt: skip
+    )
     exact = ImageSource(room=room, duration=0.05 * steps, bin_width=BIN, **POINTS).energy(alpha)
     found = tracer.energy(alpha, 0.6)[:, 0, :, 0]
     per, n = round(0.05 / BIN), round(0.05 / BIN) * steps
@@ -78,57 +87,80 @@ def specular(n_paths: int) -> None:
     deviation = found.mean(axis=0) / exact - 1
     error = found.std(axis=0, ddof=1) / np.sqrt(len(found)) / exact
     inside = np.mean(np.abs(deviation) < 2 * error)
-    print(f"specular: {deviation.size} sums over 50 ms, {100 * inside:.0f} % within two standard "
-          f"errors (median {100 * np.median(error):.1f} %), mean deviation "
-          f"{100 * deviation.mean():.2f} %")  # fmt: skip
+    print(
+        f"specular: {deviation.size} sums over 50 ms, {100 * inside:.0f} % within two standard "
+        f"errors (median {100 * np.median(error):.1f} %), mean deviation "
+        f"{100 * deviation.mean():.2f} %"
+    )
 
 
 def meanings(n_paths: int) -> None:
     hall = halls.corridor()
     alpha = np.full_like(hall.room.alpha, 0.2)
     times = [
-        t20(PathTracing(
-            geometry=hall.geometry, room=hall.room, sources=hall.sources, n_paths=n_paths,
-            receivers=hall.receivers, scattering=0.1, meaning=meaning,
-        ).energy(alpha, 2.0).mean(axis=0))[0]
+        t20(
+            PathTracing(
+                geometry=hall.geometry,
+                room=hall.room,
+                sources=hall.sources,
+                n_paths=n_paths,
+                receivers=hall.receivers,
+                scattering=0.1,
+                meaning=meaning,
+            )
+            .energy(alpha, 2.0)
+            .mean(axis=0)
+        )[0]
         for meaning in ("random", "vector")
-    ]  # fmt: skip
-    print(f"meanings: corridor, scattering .1, alpha .2: T20 random {times[0]:.3f} s, vector "
-          f"{times[1]:.3f} s, ratio {times[0] / times[1]:.2f}")  # fmt: skip
+    ]
+    print(
+        f"meanings: corridor, scattering 0.1, alpha 0.2: T20 random {times[0]:.3f} s, vector "
+        f"{times[1]:.3f} s, ratio {times[0] / times[1]:.2f}"
+    )
 
 
 def noise(n_paths: int) -> None:
     hall = halls.lecture_hall()
     tracer = PathTracing(
-        geometry=hall.geometry, room=hall.room, sources={"S1": hall.sources["S1"]},
-        receivers=hall.receivers, n_paths=n_paths,
-    )  # fmt: skip
+        geometry=hall.geometry,
+        room=hall.room,
+        sources={"S1": hall.sources["S1"]},
+        receivers=hall.receivers,
+        n_paths=n_paths,
+    )
     runs = [tracer.simulate(hall.room.alpha, seed=seed) for seed in range(12)]
 
-    def ratio(value: Callable[[rt.Measurement], np.ndarray],
-              stated: Callable[[rt.Measurement], np.ndarray]) -> float:  # fmt: skip
+    def ratio(
+        value: Callable[[rt.Measurement], np.ndarray],
+        stated: Callable[[rt.Measurement], np.ndarray],
+    ) -> float:
         spread = np.std([value(run) for run in runs], axis=0, ddof=1)
         return float(np.median(np.sqrt(np.mean([stated(r) ** 2 for r in runs], axis=0)) / spread))
 
     pair = ratio(lambda r: r.values["t20"], lambda r: r.uncertainty["t20"])
     mean = ratio(lambda r: r.mean("t20"), lambda r: r.mean_uncertainty("t20"))
     size = np.median([r.mean_uncertainty("t20") / r.mean("t20") for r in runs])
-    print(f"noise: T20, {n_paths} paths, stated over found: pairs {pair:.2f}, their mean {mean:.2f} "
-          f"(stated {100 * size:.1f} %)")  # fmt: skip
+    print(
+        f"noise: T20, {n_paths} paths, stated over found: pairs {pair:.2f}, their mean {mean:.2f} "
+        f"(stated {100 * size:.1f} %)"
+    )
 
 
 def engines(name: str, scattering: float, seconds: float, n_rays: int) -> None:
     hall = getattr(halls, name)()
     common = {
-        "geometry": hall.geometry, "room": hall.room, "scattering": scattering,
-        "sources": {"S1": hall.sources["S1"]}, "receivers": {**hall.receivers, **hall.held_out},
-    }  # fmt: skip
+        "geometry": hall.geometry,
+        "room": hall.room,
+        "scattering": scattering,
+        "sources": {"S1": hall.sources["S1"]},
+        "receivers": {**hall.receivers, **hall.held_out},
+    }
     energies = [
         PathTracing(**common, n_paths=4 * n_rays, meaning="vector").energy(
-            hall.room.alpha, seconds, seed=3),
-        RayTracing(**common, n_rays=n_rays, n_batches=16).energy(
-            hall.room.alpha, seconds, seed=3),
-    ]  # fmt: skip
+            hall.room.alpha, seconds, seed=3
+        ),
+        RayTracing(**common, n_rays=n_rays, n_batches=16).energy(hall.room.alpha, seconds, seed=3),
+    ]
     ours, theirs = (t20(e.mean(axis=0)) for e in energies)
     error = np.hypot(*(jackknife(t20, e) / t20(e.mean(axis=0)) for e in energies))
     deviation = theirs / ours - 1
@@ -136,25 +168,35 @@ def engines(name: str, scattering: float, seconds: float, n_rays: int) -> None:
     half = round(0.5 / BIN)
     means = [e.mean(axis=0) for e in energies]
     level = [e[0, ..., :half].sum(axis=-1) for e in means]
-    print(f"engines: {name}, scattering {scattering:g}: T20 {100 * deviation[k]:+.1f} % (noise "
-          f"{100 * error[k]:.1f} %) in the worst band, energy {(level[1] / level[0]).min():.2f} to "
-          f"{(level[1] / level[0]).max():.2f} of ours", flush=True)  # fmt: skip
+    print(
+        f"engines: {name}, scattering {scattering:g}: T20 {100 * deviation[k]:+.1f} % (noise "
+        f"{100 * error[k]:.1f} %) in the worst band, energy {(level[1] / level[0]).min():.2f} to "
+        f"{(level[1] / level[0]).max():.2f} of ours",
+        flush=True,
+    )
     if scattering == 0 and hall.room.dimensions is not None:
         # One receiver at a time: each hears ten million images.
-        exact = np.concatenate([
-            ImageSource(
-                room=hall.room, sources=common["sources"], receivers={r: place},
-                duration=seconds, bin_width=BIN,
-            ).energy(hall.room.alpha)
-            for r, place in common["receivers"].items()
-        ])  # fmt: skip
+        exact = np.concatenate(
+            [
+                ImageSource(
+                    room=hall.room,
+                    sources=common["sources"],
+                    receivers={r: place},
+                    duration=seconds,
+                    bin_width=BIN,
+                ).energy(hall.room.alpha)
+                for r, place in common["receivers"].items()
+            ]
+        )
         times, sums = decay_time(exact, BIN), exact[..., :half].sum(axis=-1)
         for label, found, early in zip(("ours", "pyroomacoustics"), means, level, strict=True):
             ratio, share = decay_time(found[0], BIN) / times, early / sums
-            print(f"  over the image sources', {label}: energy {share.min():.2f} to "
-                  f"{share.max():.2f}, mean {share.mean():.3f}; T20, of {np.isfinite(ratio).sum()} "
-                  f"that {seconds:g} s hold, {np.nanmin(ratio):.2f} to {np.nanmax(ratio):.2f}, mean "
-                  f"{np.nanmean(ratio):.3f}")  # fmt: skip
+            print(
+                f"  over the image sources', {label}: energy {share.min():.2f} to "
+                f"{share.max():.2f}, mean {share.mean():.3f}; T20, of {np.isfinite(ratio).sum()} "
+                f"that {seconds:g} s hold, {np.nanmin(ratio):.2f} to {np.nanmax(ratio):.2f}, mean "
+                f"{np.nanmean(ratio):.3f}"
+            )
 
 
 def main() -> None:

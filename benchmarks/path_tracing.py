@@ -16,10 +16,10 @@ from statistics import median
 
 import numpy as np
 
-from rtcal import jit
 from rtcal.datasets import halls
 from rtcal.simulators import path_numpy, paths
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import jit
 
 SECONDS = 1.5
 LIMIT = 20  # promised: re-weighting at least this many times quicker than tracing
@@ -41,18 +41,24 @@ def main() -> int:
 
     def tracer(workers: int | None) -> PathTracing:
         return PathTracing(
-            geometry=hall.geometry, room=hall.room, sources={"S1": hall.sources["S1"]},
-            receivers=hall.receivers, n_paths=arguments.paths, workers=workers,
-        )  # fmt: skip
+            geometry=hall.geometry,
+            room=hall.room,
+            sources={"S1": hall.sources["S1"]},
+            receivers=hall.receivers,
+            n_paths=arguments.paths,
+            workers=workers,
+        )
 
     kept, whole = tracer(1), tracer(1)
     kept.energy(hall.room.alpha, SECONDS)  # compiles, traces
     whole.simulate(hall.room.alpha)  # traces as long as T20 asks for
     traced = kept.traced(0, SECONDS)
     times: dict[str, list[float]] = {
-        "trace, one thread": [], "trace, all threads": [], "weight for a new alpha": [],
+        "trace, one thread": [],
+        "trace, all threads": [],
+        "weight for a new alpha": [],
         "weight, measured with noise": [],
-    }  # fmt: skip
+    }
     for _ in range(arguments.repeats):
         alpha = np.clip(hall.room.alpha * rng.uniform(0.8, 1.2, hall.room.alpha.shape), 0, 1)
         for workers, label in ((1, "trace, one thread"), (None, "trace, all threads")):
@@ -71,18 +77,24 @@ def main() -> int:
         middle["NumPy twin: trace"] = seconds(lambda: twin.traced(0, SECONDS))
         middle["NumPy twin: weight"] = seconds(lambda: twin.energy(hall.room.alpha, SECONDS))
     one = middle["trace, one thread"]
-    print(f"{traced.n_paths} paths, {len(hall.geometry.faces)} surfaces "
-          f"({len(hall.geometry.triangles)} triangles), {SECONDS} s, "
-          f"{hall.room.n_bands} bands, {len(hall.receivers)} receivers")  # fmt: skip
+    print(
+        f"{traced.n_paths} paths, {len(hall.geometry.faces)} surfaces "
+        f"({len(hall.geometry.triangles)} triangles), {SECONDS} s, "
+        f"{hall.room.n_bands} bands, {len(hall.receivers)} receivers"
+    )
     for label, value in middle.items():
         print(f"  {label:30} {1000 * value:9.1f} ms   {one / value:8.2f} times as quick as tracing")
     hits = SECONDS * hall.room.speed_of_sound / traced.mean_free_path
     heard = sum(len(b.lengths) for source in traced.batches for b in source) / traced.n_paths
-    print(f"  memory: {traced.nbytes / traced.n_paths:.0f} bytes a path = 2 a hit ({hits:.0f} hits)"
-          f" + 10 a time heard ({heard:.1f}) + 8")  # fmt: skip
+    print(
+        f"  memory: {traced.nbytes / traced.n_paths:.0f} bytes a path = 2 a hit ({hits:.0f} hits)"
+        f" + 10 a time heard ({heard:.1f}) + 8"
+    )
     ratio = one / middle["weight for a new alpha"]
-    print(f"{'ok' if ratio >= LIMIT else 'FAILED'}: weighting is {ratio:.0f} times quicker than "
-          f"tracing; at least {LIMIT} are asked for")  # fmt: skip
+    print(
+        f"{'ok' if ratio >= LIMIT else 'FAILED'}: weighting is {ratio:.0f} times quicker than "
+        f"tracing; at least {LIMIT} are asked for"
+    )
     return 0 if ratio >= LIMIT else 1
 
 

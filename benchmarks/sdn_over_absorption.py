@@ -14,9 +14,9 @@ import argparse
 import numpy as np
 
 import rtcal as rt
-from rtcal.closed_loop import calibrate_simulator
 from rtcal.errors import DataError
-from rtcal.loop_rules import Rule
+from rtcal.loop.calibrate import calibrate_simulator
+from rtcal.loop.rules import Rule
 from rtcal.simulators.sdn import ScatteringDelayNetwork
 
 ALPHAS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
@@ -29,10 +29,15 @@ CENTRES = np.array([31.5, 63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000])
 def box() -> rt.Room:
     """The room, one "band" for each alpha."""
     return rt.Room(
-        name="shoebox", volume=float(np.prod(SIDES)), materials=["wall"], areas=[142.0],
-        alpha=ALPHAS[np.newaxis], sigma=np.full((1, len(ALPHAS)), 0.1),
-        centre_frequencies=CENTRES, dimensions=SIDES,
-    )  # fmt: skip
+        name="shoebox",
+        volume=float(np.prod(SIDES)),
+        materials=["wall"],
+        areas=[142.0],
+        alpha=ALPHAS[np.newaxis],
+        sigma=np.full((1, len(ALPHAS)), 0.1),
+        centre_frequencies=CENTRES,
+        dimensions=SIDES,
+    )
 
 
 def errors(rule: Rule, receivers: dict[str, tuple[float, ...]], rate: float) -> np.ndarray:
@@ -43,9 +48,15 @@ def errors(rule: Rule, receivers: dict[str, tuple[float, ...]], rate: float) -> 
         room=room, sources={"S1": (4.5, 3.5, 2.0)}, receivers=receivers, sampling_rate=rate
     )
     result = calibrate_simulator(
-        network, room, rt.Measurement.from_values(CENTRES, t20=wanted), rule, method="lse",
-        equation=rt.Sabine(), max_simulations=7, tolerance=1e-6 if rule == "secant" else 1.0,
-    )  # fmt: skip
+        network,
+        room,
+        rt.Measurement.from_values(CENTRES, t20=wanted),
+        rule,
+        method="lse",
+        equation=rt.Sabine(),
+        max_simulations=7,
+        tolerance=1e-6 if rule == "secant" else 1.0,
+    )
     return np.array([100 * (step.simulated / wanted - 1) for step in result.loop.steps])
 
 
@@ -71,8 +82,10 @@ def main() -> None:
     for k, alpha in enumerate(ALPHAS):
         within = np.flatnonzero(np.abs(own[:, k]) <= 5)
         corrections = str(within[0]) if within.size else "not within 1 JND"
-        print(f"{alpha:5.2f}  {paper[0, k]:11.1f}{paper[1, k]:7.1f}{paper[2, k]:7.1f}"
-              f"{own[np.argmin(np.abs(own[:, k])), k]:14.1f}  {corrections}")  # fmt: skip
+        print(
+            f"{alpha:5.2f}  {paper[0, k]:11.1f}{paper[1, k]:7.1f}{paper[2, k]:7.1f}"
+            f"{own[np.argmin(np.abs(own[:, k])), k]:14.1f}  {corrections}"
+        )
     missed: dict[Rule, int] = {"secant": 0, "safeguarded": 0}
     refused = 0
     for _ in range(arguments.singly):
@@ -88,8 +101,10 @@ def main() -> None:
         print(f"{refused} runs at single positions refused: a decay there has no T20")
     for rule, count in missed.items():
         if arguments.singly:
-            print(f"{rule}: {count} of {arguments.singly * len(ALPHAS)} single positions and alphas "
-                  "not within 1 JND after 6 corrections")  # fmt: skip
+            print(
+                f"{rule}: {count} of {arguments.singly * len(ALPHAS)} single positions and alphas "
+                "not within 1 JND after 6 corrections"
+            )
 
 
 if __name__ == "__main__":

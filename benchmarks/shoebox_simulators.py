@@ -27,10 +27,16 @@ REPEATS = 7
 def room(n_bands: int) -> rt.Room:
     centres = (63, 125, 250, 500, 1000, 2000, 4000, 8000)
     return rt.Room(
-        name="shoebox", volume=float(np.prod(SIDES)), materials=["wall"], areas=[142.0],
-        alpha=np.full((1, n_bands), 0.2), sigma=np.full((1, n_bands), 0.1),
-        centre_frequencies=np.array(centres[-n_bands:], dtype=float), dimensions=SIDES, air=rt.Air(),
-    )  # fmt: skip
+        name="shoebox",
+        volume=float(np.prod(SIDES)),
+        materials=["wall"],
+        areas=[142.0],
+        alpha=np.full((1, n_bands), 0.2),
+        sigma=np.full((1, n_bands), 0.1),
+        centre_frequencies=np.array(centres[-n_bands:], dtype=float),
+        dimensions=SIDES,
+        air=rt.Air(),
+    )
 
 
 def seconds(call: Callable[[], object]) -> float:
@@ -79,12 +85,16 @@ def main() -> None:
             count.append(seconds(made))
             weigh += [seconds(lambda i=images, a=alpha: i.energy(a)) for _ in range(REPEATS)]
         ratio = min(count) / min(weigh)
-        print(f"image sources, {len(images.images[0].bins)} of them, .5 s, {n_bands} bands: "
-              f"counting {1e3 * min(count):.1f} ms, weighting {1e3 * min(weigh):.2f} ms, "
-              f"ratio {ratio:.0f}, {n_bands * ratio:.0f} a band (asked for: 50)")  # fmt: skip
+        print(
+            f"image sources, {len(images.images[0].bins)} of them, 0.5 s, {n_bands} bands: "
+            f"counting {1e3 * min(count):.1f} ms, weighting {1e3 * min(weigh):.2f} ms, "
+            f"ratio {ratio:.0f}, {n_bands * ratio:.0f} a band (asked for: 50)"
+        )
         if (theirs := pyroomacoustics_seconds(0.5)) is not None:
-            print(f"  pyroomacoustics counts in {1e3 * theirs:.0f} ms, "
-                  f"{theirs / min(weigh):.0f} times the weighting of all bands")  # fmt: skip
+            print(
+                f"  pyroomacoustics counts in {1e3 * theirs:.0f} ms, "
+                f"{theirs / min(weigh):.0f} times the weighting of all bands"
+            )
 
 
 if __name__ == "__main__":

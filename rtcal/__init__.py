@@ -14,20 +14,22 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from rtcal.support.version import __version__ as __version__
+
 if TYPE_CHECKING:
-    from rtcal import datasets, discrepancy, errors, io, priors, simulators
+    from rtcal import datasets, discrepancy, errors, exact, io, simulators
+    from rtcal.acoustics import priors
     from rtcal.acoustics.air import Air
     from rtcal.acoustics.equations import Eyring, Kuttruff, Sabine
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.other_equations import ArauPuchades, Fitzroy, Millington
     from rtcal.acoustics.room import Material, Room, Surface
-    from rtcal.calibration import closed_form, exact, terms
+    from rtcal.calibration import closed_form, terms
     from rtcal.calibration.presets import calibrate
     from rtcal.calibration.problem import Calibration
-    from rtcal.closed_loop import calibrate_simulator
+    from rtcal.loop.calibrate import calibrate_simulator
     from rtcal.simulators.sdn import ScatteringDelayNetwork
 
-__version__ = "0.1.0"
 
 # name -> (module, attribute or None for the module itself); at most 20, the rest in the modules.
 _EXPORTS: dict[str, tuple[str, str | None]] = {
@@ -38,7 +40,7 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "Fitzroy": ("rtcal.acoustics.other_equations", "Fitzroy"),
     "Kuttruff": ("rtcal.acoustics.equations", "Kuttruff"),
     "Millington": ("rtcal.acoustics.other_equations", "Millington"),
-    "priors": ("rtcal.priors", None),
+    "priors": ("rtcal.acoustics.priors", None),
     "Material": ("rtcal.acoustics.room", "Material"),
     "Measurement": ("rtcal.acoustics.measurement", "Measurement"),
     "Room": ("rtcal.acoustics.room", "Room"),
@@ -46,12 +48,12 @@ _EXPORTS: dict[str, tuple[str, str | None]] = {
     "ScatteringDelayNetwork": ("rtcal.simulators.sdn", "ScatteringDelayNetwork"),
     "Surface": ("rtcal.acoustics.room", "Surface"),
     "calibrate": ("rtcal.calibration.presets", "calibrate"),
-    "calibrate_simulator": ("rtcal.closed_loop", "calibrate_simulator"),
+    "calibrate_simulator": ("rtcal.loop", "calibrate_simulator"),
     "closed_form": ("rtcal.calibration.closed_form", None),
     "datasets": ("rtcal.datasets", None),
     "discrepancy": ("rtcal.discrepancy", None),
     "errors": ("rtcal.errors", None),
-    "exact": ("rtcal.calibration.exact", None),
+    "exact": ("rtcal.exact", None),
     "io": ("rtcal.io", None),
     "studies": ("rtcal.studies", None),
     "simulators": ("rtcal.simulators", None),

@@ -8,9 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 KINDS = (
-    "inside", "near an end", "at an end", "beyond an end", "some sigma 0", "one left free",
+    "inside",
+    "near an end",
+    "at an end",
+    "beyond an end",
+    "some sigma 0",
+    "one left free",
     "one bound active",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

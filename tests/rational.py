@@ -48,9 +48,13 @@ def solve(
     if b > reached(high):
         return "above"
     breaks = sorted(
-        {(m - v) / w for m, w, lo, hi in zip(mean, weight, low, high, strict=True) if w
-         for v in (lo, hi)}
-    )  # fmt: skip
+        {
+            (m - v) / w
+            for m, w, lo, hi in zip(mean, weight, low, high, strict=True)
+            if w
+            for v in (lo, hi)
+        }
+    )
     if not breaks:
         return mean
     first, last = 0, len(breaks) - 1  # S'a(breaks[first]) >= b >= S'a(breaks[last])

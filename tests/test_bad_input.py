@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal import cli
+from rtcal.command import main as cli
 from rtcal.errors import DataError, InfeasibleError, MissingDependencyError, ModelError
 
 GOOD = {
@@ -236,8 +236,10 @@ def test_command_writes_room_json_and_figure(run, tmp_path: Path) -> None:
     done = run(ROOM, TIMES, "--out", "made")
     assert done.returncode == 0, done.stderr
     assert sorted(p.name for p in (tmp_path / "made").iterdir()) == [
-        "result.json", "reverberation_time.png", "room.toml",
-    ]  # fmt: skip
+        "result.json",
+        "reverberation_time.png",
+        "room.toml",
+    ]
     assert (tmp_path / "made" / "reverberation_time.png").read_bytes()[:4] == b"\x89PNG"
     again = rt.Room.from_file(tmp_path / "made" / "room.toml")
     assert again.calibration.method == "mle"
@@ -259,7 +261,7 @@ def test_an_empty_value_is_missing(run) -> None:
 
 
 def test_a_write_that_fails_leaves_nothing(tmp_path: Path, monkeypatch) -> None:
-    from rtcal.acoustics import files
+    from rtcal.support import files
 
     target = tmp_path / "room.toml"
     target.write_text("what was there before")

@@ -21,9 +21,10 @@ def bras(folder: Path, name: str, which: str) -> tuple[rt.Room, np.ndarray]:
     bras_folder = folder / "bras"
     room = next(r for r in read(bras_folder / "rooms.csv") if r["room"] == name)
     measured = next(
-        r for r in read(bras_folder / "measured_third_octave.csv")
+        r
+        for r in read(bras_folder / "measured_third_octave.csv")
         if r["room"] == name and r["parameter"] == "T20"
-    )  # fmt: skip
+    )
     bands = [c for c in measured if c.isdigit()]
     areas = {
         r["material"]: float(r["area_m2"])
@@ -51,7 +52,7 @@ def bras(folder: Path, name: str, which: str) -> tuple[rt.Room, np.ndarray]:
 
 @pytest.mark.parametrize("name", ["CR2", "CR3"])
 def test_fitted_coefficients_give_the_measured_t20(shared_data: Path, name: str) -> None:
-    """Within .7 % in every band. They came from such a fit: this checks code, not physics."""
+    """Within 0.7 % in every band. They came from such a fit: this checks code, not physics."""
     room, t20 = bras(shared_data, name, "fitted")
     assert room.n_bands == 24
     np.testing.assert_allclose(rt.Eyring().reverberation_time(room), t20, rtol=0.007)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal import closed_loop, loop_rules
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.calibration.problem import Calibration
-from rtcal.closed_loop import calibrate_simulator
 from rtcal.datasets import halls
 from rtcal.errors import DataError, SimulatorError
+from rtcal.loop import calibrate as closed_loop
+from rtcal.loop import rules as loop_rules
+from rtcal.loop.calibrate import calibrate_simulator
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.external import External
 from rtcal.simulators.path_tracing import PathTracing
@@ -70,9 +71,7 @@ def test_a_simulator_is_calibrated(cr2, rule):
 def test_the_calibration_is_built_once(cr2, monkeypatch):
     room, measured = cr2
     built, build = [], Calibration.build
-    monkeypatch.setattr(
-        Calibration, "build", lambda *args: built.append(args) or build(*args)
-    )  # fmt: skip
+    monkeypatch.setattr(Calibration, "build", lambda *args: built.append(args) or build(*args))
     result = calibrate_simulator(bent(room, 0.7, 1.2), room, measured)
     assert result.simulations >= 2
     assert len(built) == 1
@@ -81,7 +80,7 @@ def test_the_calibration_is_built_once(cr2, monkeypatch):
 def test_done_bands_move_on_while_another_needs_a_simulation(cr2):
     room, measured = cr2
     wanted = measured.mean("t30")
-    factors = np.where(np.arange(room.n_bands) == 2, 1.5, 1.04)  # .8 JND and 10 JND
+    factors = np.where(np.arange(room.n_bands) == 2, 1.5, 1.04)  # 0.8 JND and 10 JND
 
     def run(alpha, seed):
         return factors * rt.Eyring().time(room, room.areas @ alpha)
@@ -111,8 +110,9 @@ def test_alpha_is_simulated_as_the_program_reads_it(cr2):
         seen.append(alpha)
         return 1.1 * rt.Eyring().time(room, room.areas @ alpha)
 
-    result = calibrate_simulator(External(room=room, run=run, name="percent"), room, measured,
-                                 decimals=2)  # fmt: skip
+    result = calibrate_simulator(
+        External(room=room, run=run, name="percent"), room, measured, decimals=2
+    )
     for alpha in (*seen, result.alpha):
         assert np.array_equal(alpha, np.round(alpha, 2))
     assert set(result.status) == {"converged"}
@@ -185,9 +185,11 @@ def test_what_was_simulated_is_kept_when_the_simulator_fails(cr2, tmp_path):
 
     with pytest.raises(SimulatorError, match="licence server gone"):
         calibrate_simulator(
-            External(room=room, run=run, name="x"), room, measured,
+            External(room=room, run=run, name="x"),
+            room,
+            measured,
             after_step=lambda loop: loop.save(path),
-        )  # fmt: skip
+        )
     assert len(closed_loop.Loop.load(path, room).steps) == 1
 
 
@@ -250,9 +252,10 @@ def noisy(room, stated, fresh):
     def run(alpha, seed):
         times = 1.2 * rt.Eyring().time(room, room.areas @ alpha) * (1 + (seed > 0) * fresh)
         return rt.Measurement(
-            centre_frequencies=room.centre_frequencies, values={"t20": times[np.newaxis]},
+            centre_frequencies=room.centre_frequencies,
+            values={"t20": times[np.newaxis]},
             uncertainty={"t20": (stated * times)[np.newaxis]},
-        )  # fmt: skip
+        )
 
     return External(room=room, run=run, name="noisy", deterministic=False)
 
@@ -275,9 +278,12 @@ def test_few_paths_are_not_called_converged():
     """800 paths leave a noise of 1 to 4 JND in this hall: the seed's own T20 is met all the same."""
     hall = halls.lecture_hall()
     tracer = PathTracing(
-        geometry=hall.geometry, room=hall.room, sources={"S1": hall.sources["S1"]},
-        receivers=hall.receivers, n_paths=800,
-    )  # fmt: skip
+        geometry=hall.geometry,
+        room=hall.room,
+        sources={"S1": hall.sources["S1"]},
+        receivers=hall.receivers,
+        n_paths=800,
+    )
     measured = tracer.simulate(1.2 * hall.room.alpha, seed=71)
     result = calibrate_simulator(tracer, hall.room, measured, seed=1)
     assert set(result.loop.status) == {"converged"}
@@ -325,9 +331,11 @@ def dead_above(room, limit):
 
 def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
     room, measured = cr2
-    mean = room.areas @ calibrate_simulator(
-        EquationSimulator(rt.Eyring(), room), room, measured
-    ).alpha[:, 0] / room.total_area  # fmt: skip
+    mean = (
+        room.areas
+        @ calibrate_simulator(EquationSimulator(rt.Eyring(), room), room, measured).alpha[:, 0]
+        / room.total_area
+    )
     with pytest.raises(SimulatorError, match="finite time above 0"):
         calibrate_simulator(dead_above(room, 0.9 * mean), room, measured)
     result = calibrate_simulator(dead_above(room, 1.2 * mean), room, measured)  # needs 1.5
@@ -336,9 +344,12 @@ def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
     assert mean < reached <= 1.2 * mean
     assert result.simulations > len(result.loop.steps)  # the calls without a T20 count
     everywhere = External(
-        room=room, name="gone",
-        run=lambda alpha, seed: dead_above(room, mean * 1.2).run(alpha, seed)[:1].repeat(room.n_bands),
-    )  # fmt: skip
+        room=room,
+        name="gone",
+        run=lambda alpha, seed: (
+            dead_above(room, mean * 1.2).run(alpha, seed)[:1].repeat(room.n_bands)
+        ),
+    )
     with pytest.raises(SimulatorError, match="finite time above 0"):
         calibrate_simulator(everywhere, room, measured)
 
@@ -365,9 +376,10 @@ def test_a_loop_without_a_t20_somewhere_is_kept(cr2, tmp_path):
 def test_absurd_coefficients_are_marked(cr2):
     room, measured = cr2
     lively = External(
-        room=room, name="lively",
+        room=room,
+        name="lively",
         run=lambda alpha, seed: 4 * rt.Eyring().time(room, room.areas @ alpha),
-    )  # fmt: skip
+    )
     result = calibrate_simulator(lively, room, measured)
     assert set(result.status) == {"converged"}
     implausible = [m for m in result.trust_marks if m.kind == "implausible"]

@@ -13,12 +13,12 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.room import Surface
-from rtcal.calibration.posterior import posterior
-from rtcal.cli import cli
+from rtcal.command.main import cli
 from rtcal.discrepancy import Case, Present, corrected_room, recalibrate, simulator
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
+from rtcal.posterior.distributions import posterior
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
@@ -31,7 +31,7 @@ ABSORBERS = [
     Present("furniture", {"absorption_area": 25.0}, (20.0, 30.0)),
     Present("porous", {"area": 30.0, "thickness": 0.05, "flow_resistivity": 12e3}, (20.0, 40.0)),
     Present("resonator", {"area": 30.0, "resonance": 120.0, "quality": 2.0}, (20.0, 40.0)),
-]  # fmt: skip
+]
 OTHERS = [
     Present("area", {"material": 1.0, "ratio": 1.7}),
     Present("volume", {"ratio": 1.2}),
@@ -65,7 +65,7 @@ def test_the_room_has_the_corrected_model_s_time(
     wanted = predict([state(case, first)], distances(case, first)).reverberation_time[0]
     bare = predict([state(hidden[0], first)], distances(case, first)).reverberation_time[0]
     simulated = simulator(case).simulate(room.alpha).mean("t20")
-    # The air's own speed of sound is .3 % off that of the stated climate.
+    # The air's own speed of sound is 0.3 % off that of the stated climate.
     off = 0.004 if effect.effect == "air" else 1e-9
     np.testing.assert_allclose(simulated, wanted, rtol=1e-9)
     if effect not in SHAPES and equation != "millington":
@@ -189,14 +189,20 @@ def boxed() -> Case:
     areas = geometry.areas
     alpha = np.array([[0.2, 0.25], [0.25, 0.35]])
     room = rt.Room(
-        name="box", volume=geometry.volume, materials=list(areas), areas=list(areas.values()),
-        alpha=alpha, sigma=0.03 + 0 * alpha, centre_frequencies=[500, 1000], air=rt.Air(20, 50),
+        name="box",
+        volume=geometry.volume,
+        materials=list(areas),
+        areas=list(areas.values()),
+        alpha=alpha,
+        sigma=0.03 + 0 * alpha,
+        centre_frequencies=[500, 1000],
+        air=rt.Air(20, 50),
         dimensions=SIDES,
         surfaces=[
             Surface(name=n, material=m, area=float(a))
             for n, m, a in zip(geometry.names, geometry.materials, geometry.face_areas, strict=True)
         ],
-    )  # fmt: skip
+    )
     opened = Present("opening", {"area": 8.0}, (6.0, 10.0))
     state_ = rt.discrepancy.Configuration(
         name="as built", measured=rt.Measurement.from_values([500, 1000], t20=[1.0, 1.0])
@@ -237,9 +243,15 @@ def test_what_a_simulator_cannot_have_is_refused() -> None:
         with pytest.raises(DataError, match=message):
             simulator(replace(case, present=[added]), images)
     other = rt.Room(
-        name="other", volume=105, materials=["all"], areas=[142], alpha=[[0.1, 0.1]],
-        sigma=[[0.1, 0.1]], centre_frequencies=[500, 1000], dimensions=SIDES,
-    )  # fmt: skip
+        name="other",
+        volume=105,
+        materials=["all"],
+        areas=[142],
+        alpha=[[0.1, 0.1]],
+        sigma=[[0.1, 0.1]],
+        centre_frequencies=[500, 1000],
+        dimensions=SIDES,
+    )
     with pytest.raises(DataError, match="has the materials all; the case has"):
         simulator(case, lambda room: images(other))
     moved = replace(case, present=[Present("volume", {"ratio": 1.2})])
@@ -266,10 +278,18 @@ def test_the_command_s_room_is_one_that_rtcal_calibrates(
         return found.output
 
     room = str(tmp_path / "room.toml")
-    said = json.loads(done(
-        "gap", "apply", str(tmp_path / "case.json"), "--out", str(tmp_path / "corrected.json"),
-        "--room", room, "--json",
-    ))  # fmt: skip
+    said = json.loads(
+        done(
+            "gap",
+            "apply",
+            str(tmp_path / "case.json"),
+            "--out",
+            str(tmp_path / "corrected.json"),
+            "--room",
+            room,
+            "--json",
+        )
+    )
     low, high = said["present"][0]["size_interval"]
     assert low < 39.6 < high
     assert len(said["calibrated"]["materials"]) == 6
@@ -278,5 +298,6 @@ def test_the_command_s_room_is_one_that_rtcal_calibrates(
     written = rt.Room.from_file(str(tmp_path / "out" / "room.toml"))
     np.testing.assert_allclose(
         rt.Eyring().reverberation_time(written),
-        case.configurations[0].measured.decay_time().mean, rtol=2e-3,
-    )  # fmt: skip
+        case.configurations[0].measured.decay_time().mean,
+        rtol=2e-3,
+    )

@@ -51,27 +51,38 @@ ALPHA = np.outer([0.1, 0.3, 0.05, 0.2], np.linspace(0.7, 1.2, 7))
 
 def made(**changes: object) -> State:
     base = State(
-        volume=300.0, areas=AREAS, alpha=ALPHA, facing=np.array(
-            [[0, 0, 1], [0, 0, 1], [1, 0, 0], [0, 1, 0]], dtype=float
-        ), air=np.full(7, 1e-3), frequencies=F, speed_of_sound=343.2,
-    )  # fmt: skip
+        volume=300.0,
+        areas=AREAS,
+        alpha=ALPHA,
+        facing=np.array([[0, 0, 1], [0, 0, 1], [1, 0, 0], [0, 1, 0]], dtype=float),
+        air=np.full(7, 1e-3),
+        frequencies=F,
+        speed_of_sound=343.2,
+    )
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
 def case_with(t20: np.ndarray, **more: np.ndarray) -> Case:
     room = rt.Room(
-        name="hall", volume=300, materials=["a", "b", "c", "d"], areas=AREAS, alpha=ALPHA,
-        sigma=0.02 + 0.05 * ALPHA, centre_frequencies=F, band_correlation=0.7,
+        name="hall",
+        volume=300,
+        materials=["a", "b", "c", "d"],
+        areas=AREAS,
+        alpha=ALPHA,
+        sigma=0.02 + 0.05 * ALPHA,
+        centre_frequencies=F,
+        band_correlation=0.7,
         air=rt.Air(20, 50),
-    )  # fmt: skip
+    )
     values = {"t20": t20[None], **{k: v[None] for k, v in more.items()}}
     measured = rt.Measurement(
-        centre_frequencies=F, values=values,
+        centre_frequencies=F,
+        values=values,
         uncertainty={
             k: (0.02 * v if k in ("t20", "edt", "t30") else np.full_like(v, 0.3))
             for k, v in values.items()
         },
-    )  # fmt: skip
+    )
     return Case(room=room, configurations=[Configuration(name="as built", measured=measured)])
 
 
@@ -108,7 +119,7 @@ def test_one_exponential_has_no_shape_and_a_known_level() -> None:
     np.testing.assert_allclose(np.exp(one[0]), 6 * np.log(10) / made().rate, rtol=1e-12)
     np.testing.assert_array_equal(one[1:3], 0)
     t = np.exp(one[0])
-    # Barron and Lee 1988, with 31200 rounded from 4 pi 100 c / (6 ln 10): .6 % of a level of 4.3 dB.
+    # Barron and Lee 1988, with 31200 rounded from 4 pi 100 c / (6 ln 10): 0.6 % of a level of 4.3 dB.
     direct, late = 100 / 36, 31200 * t / 300 * np.exp(-0.04 * 6 / t)
     np.testing.assert_allclose(one[4], 10 * np.log10(direct + late), atol=0.05)
     share = np.exp(-1.11 / t)
@@ -206,9 +217,9 @@ def test_porous_is_miki_s_layer() -> None:
 def test_a_resonator_peaks_at_its_resonance() -> None:
     found = Resonator().spectrum(F, {"resonance": 250.0, "quality": 2.0})
     assert np.argmax(found) == 1
-    assert found[1] == pytest.approx(0.8 * np.mean(
-        [1 / (1 + 4 * (x - 1 / x) ** 2) for x in 2.0 ** np.linspace(-0.45, 0.45, 9)]
-    ))  # fmt: skip
+    assert found[1] == pytest.approx(
+        0.8 * np.mean([1 / (1 + 4 * (x - 1 / x) ** 2) for x in 2.0 ** np.linspace(-0.45, 0.45, 9)])
+    )
 
 
 def test_evidence_is_the_normal_density() -> None:
@@ -251,7 +262,7 @@ def test_the_bias_is_the_mean_of_those_who_can_tell_it_and_of_the_model() -> Non
     bias[:, 4] = own[0][:, 4] / 2  # pyroomacoustics does not tell G, nor the network anything
     error = model_error(case, [tracing, sdn, rays])
     np.testing.assert_allclose(error.bias, bias.ravel(), rtol=1e-12)
-    # Between 0, .3 and .6 lies a variance of .09, of G between 0 and .3 one of .045.
+    # Between 0, 0.3 and 0.6 lies a variance of 0.09, of G between 0 and 0.3 one of 0.045.
     variance = np.diag(error.covariance).reshape(5, 7) / 1.2
     np.testing.assert_allclose(variance[0], 0.09, rtol=0.1)
     np.testing.assert_allclose(variance[4] - 0.5**2, 0.045, rtol=0.1)
@@ -270,9 +281,12 @@ def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
     lag = np.abs(np.subtract.outer(np.arange(7), np.arange(7)))
     z = rng.standard_normal((4000, 4, 7)) @ np.linalg.cholesky(0.7**lag).T
     small = 0.1  # of sigma, so that the linear model holds
-    drawn = np.array([
-        np.log(made(alpha=ALPHA + small * case.room.sigma * one, air=np.zeros(7)).rate) for one in z
-    ])  # fmt: skip
+    drawn = np.array(
+        [
+            np.log(made(alpha=ALPHA + small * case.room.sigma * one, air=np.zeros(7)).rate)
+            for one in z
+        ]
+    )
     free = hypotheses(replace(case, room=case.room.replace(air=rt.Air(20, 50))), [])
     assert free.alpha_variance.shape == predicted.alpha_variance.shape
     dry = replace(case, room=case.room.replace(air=None))
@@ -320,8 +334,9 @@ def test_an_opening_is_found_added_and_its_alpha_left_alone() -> None:
     )
     nothing = find(
         case_with(6 * np.log(10) / made(air=case.room.air_attenuation).rate),
-        effects=[Opening()], controls=controls_of(case),
-    )  # fmt: skip
+        effects=[Opening()],
+        controls=controls_of(case),
+    )
     assert nothing.verdict == "none"
     with pytest.raises(DataError, match='the verdict is "none"'):
         nothing.apply()
@@ -370,12 +385,17 @@ def test_geometry_betrays_nothing() -> None:
     large = replace(
         dry,
         room=dry.room.replace(volume=1.3 * dry.room.volume),
-        configurations=[replace(first, measured=replace(
-            first.measured,
-            values={k: 1.3 * v for k, v in first.measured.values.items()},
-            uncertainty={k: 1.3 * v for k, v in first.measured.uncertainty.items()},
-        ))],
-    )  # fmt: skip
+        configurations=[
+            replace(
+                first,
+                measured=replace(
+                    first.measured,
+                    values={k: 1.3 * v for k, v in first.measured.values.items()},
+                    uncertainty={k: 1.3 * v for k, v in first.measured.uncertainty.items()},
+                ),
+            )
+        ],
+    )
     effects = [Opening(), WrongArea(), WrongVolume()]
     one, other = (find(c, effects=effects, controls=controls_of(c)) for c in (dry, large))
     for name, value in one.evidence.items():
@@ -561,10 +581,11 @@ def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
     u = {k: v.copy() for k, v in first.measured.uncertainty.items()}
     u["t20"][0, 1] = 0.5 * values["t20"][0, 1]
     worse = replace(
-        case, configurations=[replace(first, measured=replace(
-            first.measured, values=values, uncertainty=u
-        ))],
-    )  # fmt: skip
+        case,
+        configurations=[
+            replace(first, measured=replace(first.measured, values=values, uncertainty=u))
+        ],
+    )
     observed, notes = observe(worse)
     assert not observed.used[0, :, :2].any()
     assert observed.used[0, 0, 2:].all()
@@ -597,9 +618,15 @@ def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
         ({"configurations": [{"name": "A", "edt": [1] * 7}]}, "has neither t20 nor t30"),
         ({"configurations": [{"name": "A", "t20": ["x"] * 7}]}, "t20: could not convert"),
         (
-            {"configurations": [
-                {"name": "A", "t20": [1] * 7, "changes": {"z": {"alpha": [0] * 7, "sigma": [0] * 7}}}
-            ]},
+            {
+                "configurations": [
+                    {
+                        "name": "A",
+                        "t20": [1] * 7,
+                        "changes": {"z": {"alpha": [0] * 7, "sigma": [0] * 7}},
+                    }
+                ]
+            },
             '"z" is no material',
         ),
         (
@@ -608,7 +635,7 @@ def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
         ),
         ({"configurations": [{"name": "A", "t20": [1] * 7, "distances": [-1]}]}, "above 0"),
     ],
-)  # fmt: skip
+)
 def test_bad_cases_are_refused_by_name(change: dict[str, object], message: str) -> None:
     data = opened().to_dict() | change
     with pytest.raises(DataError, match=message):
@@ -623,9 +650,10 @@ def test_a_case_s_file(tmp_path: Path) -> None:
     (tmp_path / "case.toml").write_text(text)
     again = Case.from_file(str(tmp_path / "case.toml"))
     np.testing.assert_allclose(
-        again.configurations[0].measured.mean("t20"), case.configurations[0].measured.mean("t20"),
+        again.configurations[0].measured.mean("t20"),
+        case.configurations[0].measured.mean("t20"),
         rtol=1e-3,
-    )  # fmt: skip
+    )
     (tmp_path / "case.toml").write_text(text.replace("measured =", "measurd ="))
     with pytest.raises(DataError, match="a configuration has no measured"):
         Case.from_file(str(tmp_path / "case.toml"))

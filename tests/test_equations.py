@@ -19,14 +19,17 @@ def room_of(volume, surfaces, bands=(1000,), air=None) -> rt.Room:
     alphas = [np.broadcast_to(a, len(bands)).tolist() for _, a, _ in surfaces]
     names = [f"m{i}" for i in range(len(surfaces))]
     return rt.Room.from_surfaces(
-        name="example", volume=volume, centre_frequencies=bands, air=air,
+        name="example",
+        volume=volume,
+        centre_frequencies=bands,
+        air=air,
         surfaces=[
             rt.Surface(f"s{i}", names[i], area, axis) for i, (area, _, axis) in enumerate(surfaces)
         ],
         materials=[
             rt.Material(n, a, [0.1] * len(bands)) for n, a in zip(names, alphas, strict=True)
         ],
-    )  # fmt: skip
+    )
 
 
 BOX = room_of(120, [(30, 0.2, "x"), (48, 0.2, "y"), (80, 0.2, "z")])  # 8 x 5 x 3 m
@@ -59,7 +62,7 @@ def test_worked_examples(equation, room: rt.Room, expected: float) -> None:
 
 
 def test_everest_figure_7_22() -> None:
-    """Everest, 4th ed., in feet with .049: printed to two digits."""
+    """Everest, 4th ed., in feet with 0.049: printed to two digits."""
     bands = [125, 250, 500, 1000, 2000, 4000]
     floor = np.array([0.01, 0.01, 0.015, 0.02, 0.02, 0.02])
     shell = np.array([0.29, 0.10, 0.05, 0.04, 0.07, 0.09])
@@ -89,7 +92,7 @@ def test_en_12354_6_annex_e() -> None:
 
 
 def test_the_air_term_is_added() -> None:
-    """V = S = 216, alpha .1, m = .005 1/m: 1.285 s (pyroomacoustics subtracts: 1.887 s)."""
+    """V = S = 216, alpha 0.1, m = 0.005 1/m: 1.285 s (pyroomacoustics subtracts: 1.887 s)."""
     room = room_of(216, [(216, 0.1, None)])
     constant = 24 * np.log(10) / C
     expected = constant * 216 / (-216 * np.log(0.9) + 4 * 0.005 * 216)
@@ -147,10 +150,12 @@ def test_t_falls_when_m_rises(equation, room: rt.Room, low: int, up: int) -> Non
 def test_the_order_of_surfaces_changes_nothing(equation, room: rt.Room, seed: int) -> None:
     order = np.random.default_rng(seed).permutation(5)
     turned = room.replace(
-        materials=[room.materials[i] for i in order], areas=room.areas[order],
-        alpha=room.alpha[order], sigma=room.sigma[order],
+        materials=[room.materials[i] for i in order],
+        areas=room.areas[order],
+        alpha=room.alpha[order],
+        sigma=room.sigma[order],
         surfaces=[room.surfaces[i] for i in order],
-    )  # fmt: skip
+    )
     found = equation.reverberation_time(turned)
     np.testing.assert_allclose(found, equation.reverberation_time(room), rtol=1e-12)
 
@@ -224,9 +229,14 @@ def test_axes_are_asked_for() -> None:
         with pytest.raises(rt.errors.ModelError, match='no surface stands across the axis "y"'):
             equation.reverberation_time(flat)
         bare = rt.Room(
-            name="bare", volume=1, materials=["a"], areas=[6], alpha=[[0.1]], sigma=[[0.1]],
+            name="bare",
+            volume=1,
+            materials=["a"],
+            areas=[6],
+            alpha=[[0.1]],
+            sigma=[[0.1]],
             centre_frequencies=[500],
-        )  # fmt: skip
+        )
         with pytest.raises(rt.errors.ModelError, match="has no surfaces"):
             equation.reverberation_time(bare)
 

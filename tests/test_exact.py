@@ -11,13 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rtcal as rt
-from rtcal import exact, jit
+from rtcal import exact
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.support import jit
 from tests import rational
 from tests.problems import Problem, problems
 
-ENGINES = ["numpy", pytest.param("numba", marks=pytest.mark.skipif(
-    not jit.available(), reason="numba is not installed (rtcal[fast])"))]  # fmt: skip
+ENGINES = [
+    "numpy",
+    pytest.param(
+        "numba",
+        marks=pytest.mark.skipif(
+            not jit.available(), reason="numba is not installed (rtcal[fast])"
+        ),
+    ),
+]
 EPS = np.finfo(float).eps
 COUNT = 5000
 STATUS = {"below": exact.BELOW, "above": exact.ABOVE}
@@ -34,9 +42,15 @@ def end_distance(p: Problem) -> float:
     """How far outside the ends b lies, exactly, over the tolerance that makes it the end."""
     held = p.sigma == 0
     low, high = (
-        sum((Fraction(s) * Fraction(x) for s, x in zip(p.areas, np.where(held, p.mu, bound),
-             strict=True)), Fraction(0)) for bound in (0.0, 1.0)
-    )  # fmt: skip
+        sum(
+            (
+                Fraction(s) * Fraction(x)
+                for s, x in zip(p.areas, np.where(held, p.mu, bound), strict=True)
+            ),
+            Fraction(0),
+        )
+        for bound in (0.0, 1.0)
+    )
     b = Fraction(p.target)
     return float(max(low - b, b - high) / (Fraction(16 * p.mu.size * EPS) * high))
 
@@ -55,8 +69,9 @@ def test_against_rational_arithmetic(engine: str) -> None:
     worst, infeasible, snapped = 0.0, 0, 0
     for indices in by_size(found).values():
         chosen = [found[i] for i in indices]
-        mu, sigma, areas = (np.array([getattr(p, k) for p in chosen])
-                            for k in ("mu", "sigma", "areas"))  # fmt: skip
+        mu, sigma, areas = (
+            np.array([getattr(p, k) for p in chosen]) for k in ("mu", "sigma", "areas")
+        )
         target = np.array([p.target for p in chosen])
         alpha, multiplier, status = exact.solve(mu, sigma, areas, target, engine=engine)
         assert alpha.min(where=status[:, np.newaxis] == 0, initial=0) == 0
@@ -159,8 +174,18 @@ def test_the_ends(engine: str) -> None:
     mu, sigma = np.array([0.2, 0.4, 0.6]), np.array([0.05, 0.1, 0.0])
     least, most = 0.6 * 7.7, 0.1 + 33.3 + 0.6 * 7.7
     near = 16 * 3 * EPS * most
-    target = np.array([least, least - near / 2, least + near / 2, least - 3 * near,
-                       most, most + near / 2, most - near / 2, most + 3 * near])  # fmt: skip
+    target = np.array(
+        [
+            least,
+            least - near / 2,
+            least + near / 2,
+            least - 3 * near,
+            most,
+            most + near / 2,
+            most - near / 2,
+            most + 3 * near,
+        ]
+    )
     alpha, d, status = exact.solve(mu, sigma, areas, target, engine=engine)
     assert status.tolist() == [0, 0, 0, 1, 0, 0, 0, 2]
     assert np.array_equal(alpha[:3], np.tile([0, 0, 0.6], (3, 1)))
@@ -201,8 +226,9 @@ def test_bad_rows_are_status_3_and_leave_the_others_alone(engine: str) -> None:
     assert np.isnan(d[1:]).all()
     np.testing.assert_allclose(alpha[0], 2.5 / 6)
     u[2] = -1.0
-    soft = exact.solve(0.5 * np.ones(3), [0.1] * 3, [2.0, 2.0, 2.0], np.full(10, 2.5), uncertainty=u,
-                       engine=engine)  # fmt: skip
+    soft = exact.solve(
+        0.5 * np.ones(3), [0.1] * 3, [2.0, 2.0, 2.0], np.full(10, 2.5), uncertainty=u, engine=engine
+    )
     assert soft.status.tolist() == [0, 0, 3] + [0] * 7
 
 

@@ -38,9 +38,14 @@ class Shifted(rt.Sabine):
 def as_room(p: Problem) -> rt.Room:
     n = len(p.mu)
     return rt.Room(
-        name=p.kind, volume=1, materials=[f"m{i}" for i in range(n)], areas=p.areas,
-        alpha=p.mu[:, np.newaxis], sigma=p.sigma[:, np.newaxis], centre_frequencies=[1000],
-    )  # fmt: skip
+        name=p.kind,
+        volume=1,
+        materials=[f"m{i}" for i in range(n)],
+        areas=p.areas,
+        alpha=p.mu[:, np.newaxis],
+        sigma=p.sigma[:, np.newaxis],
+        centre_frequencies=[1000],
+    )
 
 
 @functools.cache

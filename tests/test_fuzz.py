@@ -40,7 +40,10 @@ def large() -> dict[str, tuple[str, bytes]]:
         "catt one line": ("catt", b"ABS a = <" + b"1 " * (mb // 2 - 100) + b">"),
         "catt blanks": ("catt", b"ABS a = <1 2 3 4 5 6>" + b" " * (mb - 30) + b"x"),
         "catt names": ("catt", b"a" * (mb - 1)),
-        "odeon": ("odeon", "".join(f"{i} x\n0 0 0 0 0 0 0 0\n" for i in range(45000)).encode()[:mb]),
+        "odeon": (
+            "odeon",
+            "".join(f"{i} x\n0 0 0 0 0 0 0 0\n" for i in range(45000)).encode()[:mb],
+        ),
         "json depth": ("pyroomacoustics", b"[" * mb),
         "json numbers": ("pyroomacoustics", b'{"coeffs": [' + b"0," * (mb // 2 - 50) + b"0]}"),
         "json texts": ("pyroomacoustics", b'{"a": "' + b"\\" * (mb - 20)),
@@ -52,13 +55,21 @@ def large() -> dict[str, tuple[str, bytes]]:
         "table cells": ("tables", b"T20,125\n" + b"," * (mb - 20)),
         "measurement": ("measurement", ("source,receiver,parameter,band,value\n" + pairs).encode()),
         "measurement cells": ("measurement", fuzz.MEASURED[0] + b"," * (mb - 5000)),
-        "room surfaces": ("room", fuzz.ROOM[0] + b'[[surface]]\nmaterial="plaster"\narea=1\n' * 4900),
-        "room materials": ("room", fuzz.ROOM[0] + b"".join(
-            b'[[material]]\nname="m%d"\narea=1\nalpha=[0,0,0,0,0,0]\n' % i for i in range(4000))),
+        "room surfaces": (
+            "room",
+            fuzz.ROOM[0] + b'[[surface]]\nmaterial="plaster"\narea=1\n' * 4900,
+        ),
+        "room materials": (
+            "room",
+            fuzz.ROOM[0]
+            + b"".join(
+                b'[[material]]\nname="m%d"\narea=1\nalpha=[0,0,0,0,0,0]\n' % i for i in range(4000)
+            ),
+        ),
         "room depth": ("room", b"a = " + b"[" * (mb - 10)),
         "room keys": ("room", b".".join([b"a"] * (mb // 2 - 10)) + b" = 1"),
         "wav": ("wav", fuzz.wav(rng.uniform(-1, 1, n) * np.exp(-np.arange(n) / 48000), 48000)),
-    }  # fmt: skip
+    }
 
 
 LARGE = large()
@@ -75,9 +86,10 @@ IN_THE_SUITE = (
 )
 
 
-@pytest.mark.parametrize("case", [
-    pytest.param(c, marks=() if c in IN_THE_SUITE else pytest.mark.study) for c in sorted(LARGE)
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, marks=() if c in IN_THE_SUITE else pytest.mark.study) for c in sorted(LARGE)],
+)
 def test_memory_and_time(case: str, tmp_path: Path) -> None:
     name, content = LARGE[case]
     peak = fuzz.peak_memory(name, content, tmp_path)

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.cli import cli
+from rtcal.command.main import cli
 from rtcal.discrepancy import Case, Finding, control_rooms, find, verify
 from rtcal.discrepancy.engines import Controls
 from rtcal.discrepancy.finding import Size
@@ -76,8 +76,14 @@ def test_the_report_is_written_whole(folder: Path) -> None:
     run("report", str(folder / "case.toml"), "--out", str(folder / "out"))
     names = {p.name for p in (folder / "out").iterdir()}
     # An opening bends no decay, so none is drawn.
-    assert {"finding.json", "report.html", "evidence.png", "residuals.png",
-            "reverberation_time.png", "shifts.png"} == names  # fmt: skip
+    assert {
+        "finding.json",
+        "report.html",
+        "evidence.png",
+        "residuals.png",
+        "reverberation_time.png",
+        "shifts.png",
+    } == names
     page = (folder / "out" / "report.html").read_text(encoding="utf-8")
     assert "Corrected coefficients, with opening in the model" in page
     # Its shape is no nearer to the measured one than plain calibration's; the page says so.
@@ -127,10 +133,16 @@ def unsure(finding: Finding) -> Finding:
     """The same, where a material's area explains the data best and the opening hardly less."""
     evidence = {"area": 6.5, "opening": 5.7}
     return replace(
-        finding, verdict="ambiguous", effect="area", candidates=("area", "opening"), score=6.5,
-        evidence=evidence, runner_up="opening", parameters={"material": 1.0, "ratio": 1.3},
+        finding,
+        verdict="ambiguous",
+        effect="area",
+        candidates=("area", "opening"),
+        score=6.5,
+        evidence=evidence,
+        runner_up="opening",
+        parameters={"material": 1.0, "ratio": 1.3},
         size=Size(1.4, 1.2, 1.6, "of the stated area"),
-    )  # fmt: skip
+    )
 
 
 def test_the_verdict_stands_beside_what_is_supported(finding: Finding) -> None:
@@ -214,9 +226,16 @@ def test_a_room_s_case_holds_nothing_of_the_truth() -> None:
     for case in read(1, "case"):
         assert set(case) == {"room", "equation", "uncertainty", "configurations"}
         assert set(case["room"]) == {
-            "volume", "centre_frequencies", "materials", "areas", "alpha", "sigma",
-            "band_correlation", "facing", "air",
-        }  # fmt: skip
+            "volume",
+            "centre_frequencies",
+            "materials",
+            "areas",
+            "alpha",
+            "sigma",
+            "band_correlation",
+            "facing",
+            "air",
+        }
         text = json.dumps(case)
         for name in set(populations.KINDS.values()) - {
             "air",
@@ -270,8 +289,9 @@ def differences(index: int) -> list[str]:
         "candidates": list(finding.candidates) == stored_["candidates"],
     } | {
         name: finding.evidence[name] == pytest.approx(value, rel=0.02, abs=0.1)
-        for name, value in stored_["evidence"].items() if value > -20
-    }  # fmt: skip
+        for name, value in stored_["evidence"].items()
+        if value > -20
+    }
     if "rmse" in stored_:
         truth = read(1, "truth")[index]
         area = np.array(truth["areas"])[:, None]

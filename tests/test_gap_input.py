@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.cli import cli
+from rtcal.command.main import cli
 from rtcal.discrepancy import (
     Absorber,
     Case,
@@ -39,9 +39,13 @@ def with_organ() -> Case:
     t20 = 6 * np.log(10) / bare.covered(40.0, Organ().spectrum(F, {})).rate
     case = case_with(t20, edt=t20, t30=t20)
     (without,) = case_with(6 * np.log(10) / bare.rate).configurations
-    return replace(case, configurations=[
-        *case.configurations, replace(without, name="without", suspect_removed=True)
-    ])  # fmt: skip
+    return replace(
+        case,
+        configurations=[
+            *case.configurations,
+            replace(without, name="without", suspect_removed=True),
+        ],
+    )
 
 
 def refused(call: Callable[[], object], *words: str) -> RtcalError:
@@ -194,9 +198,12 @@ def test_a_spectrum_that_breaks_a_rule_is_named(spectrum: object, words: tuple[s
 
 def on_state(**parts: Any) -> Named:
     members = {
-        "name": "mine", "size": "x", "unit": "", "grid": lambda s, state: [{"x": 1.0}],
+        "name": "mine",
+        "size": "x",
+        "unit": "",
+        "grid": lambda s, state: [{"x": 1.0}],
         "change": lambda s, state, p: state,
-    }  # fmt: skip
+    }
     made: Named = type("Mine", (Named,), members | parts)()
     return made
 
@@ -251,7 +258,7 @@ def changing(**fields: Any) -> Named:
         ),
         ([changing(volume=1e-5)], ('effect "mine"', "no finite T, C80 and G")),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_effect_is_refused(effects: Any, words: tuple[str, ...]) -> None:
     case = opened()
     refused(lambda: find(case, effects=effects, controls=controls_of(case)), *words)
@@ -279,7 +286,7 @@ TABLE = "source,receiver,parameter,band,value\n" + "".join(
     for p, v in (("T20", 1.5), ("T30", 1.6), ("EDT", 1.4), ("C80", 2.0), ("G", 12.0))
     for r in (1, 2)
     for f in (250, 500, 1000)
-)  # fmt: skip
+)
 MEASURED = '[[configuration]]\nname = "as built"\nmeasured = "t.csv"\n'
 PLANNED = '[[configuration]]\nname = "to do"\nparameters = ["t20"]\n'
 
@@ -295,15 +302,22 @@ def written(folder: Path, case: str, room: str = ROOM, table: str = TABLE) -> Pa
     ("case", "words"),
     [
         *[
-            (MEASURED + f"suspect_removed = {v}\n", ('"as built": suspect_removed', "true or false"))
+            (
+                MEASURED + f"suspect_removed = {v}\n",
+                ('"as built": suspect_removed', "true or false"),
+            )
             for v in ('"false"', "0", "1", "[]", '""', "nan", "{}")
         ],
         *[
             (f"[uncertainty]\n{k} = {v}\n" + MEASURED, (f"uncertainty: {k}",))
-            for k in ("time", "level") for v in ("true", "1e300", "0", "-1", "nan", '"x"')
+            for k in ("time", "level")
+            for v in ("true", "1e300", "0", "-1", "nan", '"x"')
         ],
         ("[uncertainty]\ntime = 2\n" + MEASURED, ("time = 2 is not at most 1 (relative",)),
-        *[(f"uncertainty = {v}\n" + MEASURED, ("uncertainty", "mapping")) for v in ("0", '""', "[]")],
+        *[
+            (f"uncertainty = {v}\n" + MEASURED, ("uncertainty", "mapping"))
+            for v in ("0", '""', "[]")
+        ],
         *[
             (MEASURED + f"changes = {v}\n", ('"as built": changes', "is not a mapping"))
             for v in ("0", '""', "[]", "false")
@@ -320,7 +334,7 @@ def written(folder: Path, case: str, room: str = ROOM, table: str = TABLE) -> Pa
         ('equation = "a\\nb"\n' + MEASURED, ("equation = 'a\\nb' is not one of",)),
         (MEASURED + "distances = [1e6, 3]\n", ("1e+06 m; at most 83.2 m",)),
     ],
-)  # fmt: skip
+)
 def test_a_case_s_file_that_breaks_a_rule_is_refused(
     case: str, words: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -342,7 +356,7 @@ def test_a_case_s_file_that_breaks_a_rule_is_refused(
         (ROOM.replace("{dimensions}", "dimensions = [3, 3, 3]"), TABLE, ("3 x 3 x 3 m hold 27",)),
         (ROOM.replace("sigma = [0.02,", "sigma = [1e300,"), TABLE, ('sigma["floor", 250 Hz]',)),
     ],
-)  # fmt: skip
+)
 def test_what_no_room_has_is_refused(
     room: str, table: str, words: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -354,8 +368,12 @@ def test_bands_that_were_not_measured_are_left_empty(tmp_path: Path) -> None:
     kept = [line for line in TABLE.splitlines() if ",1000," not in line]
     few = "\n".join(kept) + "\n"
     path = written(tmp_path, MEASURED, table=few)
-    refused(lambda: Case.from_file(str(path)), "leave the values of bands", "empty in the CSV",
-            "or state the room in the measured bands")  # fmt: skip
+    refused(
+        lambda: Case.from_file(str(path)),
+        "leave the values of bands",
+        "empty in the CSV",
+        "or state the room in the measured bands",
+    )
     path = written(tmp_path, MEASURED, table=few + "S,R1,T20,1000,\n")
     t20 = Case.from_file(str(path)).configurations[0].measured.mean("t20")
     np.testing.assert_array_equal(np.isfinite(t20), [True, True, False])
@@ -405,9 +423,12 @@ def test_a_saved_case_keeps_what_its_measurement_is(tmp_path: Path) -> None:
     case = opened()
     t20 = case.configurations[0].measured.mean("t20")
     summary = rt.Measurement(
-        centre_frequencies=F, values={"t20": t20[None]}, standard_deviation={"t20": 0.3 * t20},
-        n_sources=1, n_receivers=4,
-    )  # fmt: skip
+        centre_frequencies=F,
+        values={"t20": t20[None]},
+        standard_deviation={"t20": 0.3 * t20},
+        n_sources=1,
+        n_receivers=4,
+    )
     room = case.room.replace(alpha_min=0.1 * case.room.alpha, scattering=0 * case.room.alpha + 0.3)
     spread = replace(
         case, room=room, configurations=[replace(case.configurations[0], measured=summary)]

@@ -49,10 +49,15 @@ def test_shoebox():
 def test_surfaces_make_a_room():
     hall = Polyhedron.from_polygons(l_shape())
     room = Room(
-        name="L", volume=hall.volume, materials=list(hall.areas), areas=list(hall.areas.values()),
-        alpha=[[0.3], [0.5], [0.1]], sigma=[[0.1]] * 3, centre_frequencies=[1000],
+        name="L",
+        volume=hall.volume,
+        materials=list(hall.areas),
+        areas=list(hall.areas.values()),
+        alpha=[[0.3], [0.5], [0.1]],
+        sigma=[[0.1]] * 3,
+        centre_frequencies=[1000],
         surfaces=hall.surfaces,
-    )  # fmt: skip
+    )
     assert room.total_area == pytest.approx(14 * 2 + 18 * 3)
     assert hall.areas == pytest.approx({"carpet": 14, "tiles": 14, "plaster": 54})
 
@@ -126,9 +131,12 @@ def test_walls_that_do_not_close_name_the_edge():
 def test_bad_input(change, message):
     box = Polyhedron.shoebox((5, 7, 3), "a")
     parts = {
-        "vertices": box.vertices, "faces": box.faces, "materials": box.materials,
-        "names": box.names, **change,
-    }  # fmt: skip
+        "vertices": box.vertices,
+        "faces": box.faces,
+        "materials": box.materials,
+        "names": box.names,
+        **change,
+    }
     with pytest.raises(DataError, match=message):
         Polyhedron(**parts)
 

@@ -15,10 +15,13 @@ from tests.hidden_world.tracer import World, trace
 
 C = 343.2
 CUBE = World(
-    size=np.array([6.0, 6.0, 6.0]), alpha=np.tile([0.1, 0.3], (6, 1)), air=np.zeros(2),
-    scattering=1.0, source=np.array([1.5, 2.0, 1.2]),
+    size=np.array([6.0, 6.0, 6.0]),
+    alpha=np.tile([0.1, 0.3], (6, 1)),
+    air=np.zeros(2),
+    scattering=1.0,
+    source=np.array([1.5, 2.0, 1.2]),
     receivers=np.array([[4.0, 4.5, 1.5], [4.5, 1.5, 3.0], [1.5, 4.5, 4.2]]),
-)  # fmt: skip
+)
 
 
 def t20(found: np.ndarray, width: float = 0.002) -> np.ndarray:
@@ -44,7 +47,7 @@ def test_the_world_imports_nothing_of_the_package() -> None:
 
 
 def test_a_diffuse_cube_decays_after_eyring() -> None:
-    # Lambert walls in a cube: path lengths scatter by gamma² = .4 (Kuttruff), which lengthens T by
+    # Lambert walls in a cube: path lengths scatter by gamma² = 0.4 (Kuttruff), which lengthens T by
     # a gamma² / 2, 2 % and 7 %; 2.5 % is five times the noise of T20 here.
     a = -np.log(1 - np.array([0.1, 0.3]))
     kuttruff = eyring(a * (1 - 0.4 * a / 2))
@@ -65,10 +68,10 @@ def test_air_patch_and_objects_add_what_they_must() -> None:
     objects = replace(CUBE, objects_area=20.0, objects_alpha=np.full(2, 0.5))
     for name, world, area in (("air", air, 4 * 0.01 * 216), ("objects", objects, 20 * 0.5)):
         change = k / t20(trace(world, 20000, 2)) - bare
-        # The difference of two T20: noise .3 % and .7 % of 22 and 66 m² each, .1 and .7 m².
+        # The difference of two T20: noise 0.3 % and 0.7 % of 22 and 66 m² each, 0.1 and 0.7 m².
         np.testing.assert_allclose(change, area, rtol=0.15, err_msg=name)
     # A patch counts for more in the middle of a wall than in its corner (4.3 and 3.4 m² over four
-    # seeds, alpha = .1): their mean is what Kuttruff's exponent says of its area.
+    # seeds, alpha = 0.1): their mean is what Kuttruff's exponent says of its area.
     squares = [np.array([low, low + 2, low, low + 2]) for low in (2.0, 0.0)]
     patched = [
         k / t20(trace(replace(CUBE, patch_wall=4, patch=s, patch_alpha=np.ones(2)), 20000, 2))

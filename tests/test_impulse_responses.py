@@ -80,7 +80,7 @@ def test_bands_of_noise_like_responses() -> None:
     analysis = ir.analyse(signals, bands=[500, 1000, 2000])
     mean = analysis.measurement.mean("t20")
     f = analysis.measurement.centre_frequencies
-    # One response scatters by .88 / sqrt(B T); four standard deviations of the mean of ten.
+    # One response scatters by 0.88 / sqrt(B T); four standard deviations of the mean of ten.
     limit = 4 * 0.88 / np.sqrt(0.71 * f * t) / np.sqrt(10)
     assert (np.abs(mean / t - 1) < limit).all()
     assert analysis.notes == ()

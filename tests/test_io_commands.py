@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.cli import main
+from rtcal.command.main import main
 from tests import fuzz
 
 

@@ -13,107 +13,116 @@ import rtcal as rt
 
 PACKAGE = Path(rt.__file__).parent
 
-# Lower may not import higher; modules of one layer may import each other without a cycle.
-LAYERS = {
-    "types": 0, "errors": 0, "jit": 0, "checks": 0, "progress": 0,
-    "acoustics": 1, "priors": 2, "calibration": 3, "simulators": 4,
-    "loop": 5, "loop_rules": 5, "loop_state": 5, "loop_result": 5, "closed_loop": 5,
-    "studies": 5, "discrepancy": 5,
-    "io": 6, "report": 6, "datasets": 6, "cli": 7, "study_command": 7, "io_commands": 7,
-    "loop_command": 7, "report_command": 7, "gap_command": 7, "console": 7,
-}  # fmt: skip
-SEPARATE = [("simulators", "calibration"), ("exact", "problem"), ("closed_form", "problem")]
+# From the ground up. A package imports itself and what stands before it: no two may import each other.
+ORDER = (
+    "errors",
+    "support",
+    "acoustics",
+    "exact",
+    "posterior",
+    "calibration",
+    "simulators",
+    "io",
+    "datasets",
+    "loop",
+    "studies",
+    "discrepancy",
+    "report",
+    "command",
+)
+SEPARATE = [("simulators", "calibration"), ("exact", "calibration"), ("closed_form", "problem")]
 ONE_DOOR = ("matplotlib", "pyroomacoustics", "pyrato", "pyfar", "numba", "tqdm", "jinja2")
-
-
-def imports_of(path: Path) -> list[tuple[str, bool]]:
-    """Every imported module, and whether it is imported for type checking only."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    checking = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-        for inner in ast.walk(node)
-    }
-    found = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found += [(alias.name, id(node) in checking) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-            found += [(name, id(node) in checking) for name in names]
-    return found
 
 
 def modules() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
-def layer(name: str) -> int | None:
+def own_name(path: Path) -> str:
+    parts = ("rtcal", *path.relative_to(PACKAGE).with_suffix("").parts)
+    return ".".join(parts).removesuffix(".__init__")
+
+
+NAMES = {own_name(path) for path in modules()}
+
+
+def imports_of(path: Path) -> set[str]:
+    """Every module that a file imports: at its head, inside functions and under TYPE_CHECKING."""
+    imported: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: a relative import"
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                imported.add(full if full in NAMES else node.module)
+    return imported
+
+
+def package(name: str) -> str | None:
     parts = name.split(".")
-    return LAYERS.get(parts[1]) if parts[0] == "rtcal" and len(parts) > 1 else None
+    return parts[1] if parts[0] == "rtcal" and len(parts) > 1 else None
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_imports_go_down_only(path: Path) -> None:
-    own = path.relative_to(PACKAGE).with_suffix("").parts
-    if own == ("__init__",):
-        return
-    assert own[0] in LAYERS, f"{path} belongs to no layer"
-    for name, checking in imports_of(path):
-        other = layer(name)
-        if other is not None and not checking:
-            assert other <= LAYERS[own[0]], f"{'.'.join(own)} imports {name}, which stands above it"
+    own = package(own_name(path))
+    if own is None:
+        return  # the public names
+    assert own in ORDER, f"{path} belongs to no layer"
+    for name in imports_of(path):
+        assert name != "rtcal", f"{path} imports the public names, which stand above it"
+        other = package(name)
+        if other is not None:
+            above = ORDER.index(other) > ORDER.index(own)
+            assert not above, f"{own_name(path)} imports {name}, which stands above it"
 
 
 def test_witnesses_and_simulators_stand_apart() -> None:
     for path in modules():
-        own = path.relative_to(PACKAGE).with_suffix("").parts
         for first, second in SEPARATE:
-            if first in own:
-                for name, checking in imports_of(path):
-                    assert checking or second not in name.split("."), f"{path} imports {name}"
+            if first in own_name(path).split("."):
+                for name in imports_of(path):
+                    assert second not in name.split("."), f"{path} imports {name}"
 
 
 @pytest.mark.parametrize("library", ONE_DOOR)
 def test_each_optional_library_has_one_door(library: str) -> None:
     doors = {
-        str(p.relative_to(PACKAGE)) for p in modules() for n, _ in imports_of(p)
+        str(p.relative_to(PACKAGE))
+        for p in modules()
+        for n in imports_of(p)
         if n.split(".")[0] == library
-    }  # fmt: skip
+    }
     assert len(doors) <= 1, f"{library} is imported by {sorted(doors)}"
 
 
-def test_no_import_cycles() -> None:
-    graph: dict[str, set[str]] = {}
-    names = {
-        ".".join(("rtcal", *p.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
-        for p in modules()
-    }
-    for path in modules():
-        own = ".".join(("rtcal", *path.relative_to(PACKAGE).with_suffix("").parts))
-        own = own.removesuffix(".__init__")
-        top = ast.parse(path.read_text(encoding="utf-8")).body
-        graph[own] = set()
-        for node in top:  # imports at module level only: an import inside a function makes no cycle
-            if isinstance(node, ast.ImportFrom) and node.module:
-                for alias in node.names:
-                    full = f"{node.module}.{alias.name}"
-                    graph[own].add(full if full in names else node.module)
-    state: dict[str, int] = {}
+def circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Return the first circle found from each module, as the names along it."""
+    done: set[str] = set()
+    found = []
 
-    def visit(name: str, path: tuple[str, ...]) -> None:
-        if state.get(name) == 2 or name not in graph:
-            return
-        assert state.get(name) != 1, f"import cycle: {' -> '.join((*path, name))}"
-        state[name] = 1
-        for other in graph[name]:
-            if other != name:
-                visit(other, (*path, name))
-        state[name] = 2
+    def visit(name: str, trail: list[str]) -> None:
+        if name in trail:
+            found.append([*trail[trail.index(name) :], name])
+        elif name not in done:
+            for other in sorted(graph.get(name, ())):
+                if other != name:
+                    visit(other, [*trail, name])
+            done.add(name)
 
-    for name in graph:
-        visit(name, ())
+    for name in sorted(graph):
+        visit(name, [])
+    return found
+
+
+def test_no_import_circles() -> None:
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}}) == [["a", "b", "c", "a"]]
+    assert circles({"a": {"b", "c"}, "b": {"c"}}) == []
+    graph = {own_name(path): imports_of(path) & NAMES for path in modules()}
+    del graph["rtcal"]  # the public names
+    assert [" -> ".join(circle) for circle in circles(graph)] == []
 
 
 def test_import_is_light() -> None:

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.cli import cli, main
+from rtcal.command.main import cli, main
 
 
 def test_a_program_run_by_hand_is_calibrated(cr2, tmp_path):
@@ -103,10 +103,19 @@ def test_a_state_is_written_with_its_room_or_not_at_all(cr2, tmp_path):
     room, measured = cr2
     room.save(str(tmp_path / "room.toml"))
     measured.save(str(tmp_path / "t.csv"))
-    done = CliRunner().invoke(cli, [
-        "loop", "start", str(tmp_path / "room.toml"), str(tmp_path / "t.csv"),
-        "--state", str(tmp_path / "none" / "loop.json"), "--out", str(tmp_path / "next.toml"),
-    ])  # fmt: skip
+    done = CliRunner().invoke(
+        cli,
+        [
+            "loop",
+            "start",
+            str(tmp_path / "room.toml"),
+            str(tmp_path / "t.csv"),
+            "--state",
+            str(tmp_path / "none" / "loop.json"),
+            "--out",
+            str(tmp_path / "next.toml"),
+        ],
+    )
     assert "cannot be written" in str(done.exception)
     assert not (tmp_path / "next.toml").exists()
 

@@ -15,8 +15,11 @@ from rtcal.io import bras, catt, odeon, pyroomacoustics
 from tests import fuzz
 
 FORMATS: dict[str, Any] = {
-    "catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics, "bras": bras,
-}  # fmt: skip
+    "catt": catt,
+    "odeon": odeon,
+    "pyroomacoustics": pyroomacoustics,
+    "bras": bras,
+}
 FILES = [(name, i) for name in FORMATS for i in range(len(fuzz.READERS[name].seeds))]
 
 
@@ -75,7 +78,7 @@ def test_rounding_is_told_as_a_change_of_t(tmp_path: Path) -> None:
     room = catt.read(path).room(name="hall", volume=1000, areas={"wall": 700.0})
     report = catt.write(room.replace(alpha=np.full((1, 6), 0.0204)), path)
     assert path.read_bytes() == b"ABS wall = <2 2 2 2 2 2>\r\n"  # 2.0 % is what stands there
-    # By hand: Eyring without air, T ~ 1 / -ln(1 - alpha); .0204 is read as .020.
+    # By hand: Eyring without air, T ~ 1 / -ln(1 - alpha); 0.0204 is read as 0.020.
     ratio = np.log(1 - 0.0204) / np.log(1 - 0.020)
     assert report.change == pytest.approx((ratio - 1) / 0.05, rel=1e-9)
     assert "500 Hz" in str(report)
@@ -87,7 +90,7 @@ def test_rounding_is_told_as_a_change_of_t(tmp_path: Path) -> None:
 
 def test_decimals_can_be_stated(tmp_path: Path) -> None:
     path = tmp_path / "hall.geo"
-    path.write_bytes(b"ABS wall = <2 2 2 2 2 2>\nABS1 desk = <.02 .02 .02 .02 .02 .02>\n")
+    path.write_bytes(b"ABS wall = <2 2 2 2 2 2>\nABS1 desk = <0.02 0.02 0.02 0.02 0.02 0.02>\n")
     room = catt.read(path).room(name="hall", volume=1000, areas={"wall": 700.0, "desk": 9.0})
     catt.write(room.replace(alpha=np.full((2, 6), 0.0376)), path, decimals=2)
     assert path.read_bytes() == (
@@ -96,7 +99,7 @@ def test_decimals_can_be_stated(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="decimals = 1 of a coefficient; they are 2 to 15"):
         catt.write(room, path, decimals=1)
     library = tmp_path / "hall.Li8"
-    library.write_bytes(b"1 wall\n.02 .02 .02 .02 .02 .02 .02 .02\n")
+    library.write_bytes(b"1 wall\n.02 0.02 0.02 0.02 0.02 0.02 0.02 0.02\n")
     room = odeon.read(library).room(name="hall", volume=1000, areas={"1 wall": 700.0})
     odeon.write(room.replace(alpha=np.full((1, 8), 0.0376)), library, decimals=3)
     assert library.read_bytes() == b"1 wall\n" + b" ".join([b"0.038"] * 8) + b"\n"
@@ -130,10 +133,15 @@ def octave_room(**changes: Any) -> rt.Room:
     frequencies = [63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000]
     rng = np.random.default_rng(4)
     return rt.Room(
-        name="hall", volume=400, materials=["brick", "7 felt"], areas=[90, 150],
-        alpha=rng.uniform(0.01, 0.99, (2, 9)), sigma=np.full((2, 9), 0.1),
-        scattering=rng.uniform(0, 1, (2, 9)), centre_frequencies=np.array(frequencies),
-    ).replace(**changes)  # fmt: skip
+        name="hall",
+        volume=400,
+        materials=["brick", "7 felt"],
+        areas=[90, 150],
+        alpha=rng.uniform(0.01, 0.99, (2, 9)),
+        sigma=np.full((2, 9), 0.1),
+        scattering=rng.uniform(0, 1, (2, 9)),
+        centre_frequencies=np.array(frequencies),
+    ).replace(**changes)
 
 
 @pytest.mark.parametrize(
@@ -191,10 +199,14 @@ BAD = [
     (catt, b"ABS a = <1 2 3 4 5 6> {red}", "line 1: .* is no colour"),
     (catt, b"ABS a = <1 2 3 : 4 5 6>", "line 1: the : stands after 3 values"),
     (catt, b"ABS a = b", 'line 1: "b", which "a" stands for'),
-    (catt, b"ABS a = <1 2 3 4 5 6>\nABS a = <1 2 3 4 5 6>", "line 2: .* given twice, first on line 1"),
+    (
+        catt,
+        b"ABS a = <1 2 3 4 5 6>\nABS a = <1 2 3 4 5 6>",
+        "line 2: .* given twice, first on line 1",
+    ),
     (catt, b"ABS\n", "line 1: .* is no ABS statement"),
     (catt, b"PLANES\n", "line 1: no material"),
-    (odeon, b"1 a\n.1 .1 .1 .1 .1 .1 .1\n", "line 2: 7 values; there are 8"),
+    (odeon, b"1 a\n.1 0.1 0.1 0.1 0.1 0.1 0.1\n", "line 2: 7 values; there are 8"),
     (odeon, b"1 a", "line 1: its 8 coefficients are missing"),
     (odeon, b"1 a\n\n", "line 2: empty"),
     (odeon, b"concrete\n", "line 1: .* is not a number"),
@@ -208,10 +220,10 @@ BAD = [
     (pyroomacoustics, b'{"a": 1', "line 1: not valid JSON"),
     (bras, b"20,25\n.1\n", "line 2: 1 values for 2 frequencies"),
     (bras, b"20,25\n.1,1.5\n", r"line 2: alpha 1.5 is not in \[0, 1\]"),
-    (bras, b"room,20\nCR2,.1\n", 'line 1: column "material" is not there once'),
-    (bras, b"material,20\na,.1,.2\n", "line 2: 3 cells; the header has 2"),
+    (bras, b"room,20\nCR2,0.1\n", 'line 1: column "material" is not there once'),
+    (bras, b"material,20\na,0.1,0.2\n", "line 2: 3 cells; the header has 2"),
     (bras, b"", "line 1: empty"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("module", "content", "rule"), BAD)
@@ -232,9 +244,14 @@ def test_refused_writes_leave_the_file(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="without spaces"):
         catt.write(octave_room(), tmp_path / "new.geo")
     low = rt.Room(
-        name="", volume=9, materials=["a"], areas=[9], alpha=[[0.1]], sigma=[[0.1]],
+        name="",
+        volume=9,
+        materials=["a"],
+        areas=[9],
+        alpha=[[0.1]],
+        sigma=[[0.1]],
         centre_frequencies=[500],
-    )  # fmt: skip
+    )
     for module in (catt, odeon):
         with pytest.raises(DataError, match="which the room has not"):
             module.write(low, tmp_path / "new")

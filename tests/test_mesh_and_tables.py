@@ -67,9 +67,12 @@ def test_bands_down_with_decimal_commas() -> None:
     assert m.values["ts"][0, 0] == pytest.approx(0.08, rel=1e-12)
     assert np.isnan(m.values["ts"][0, 1])
     assert str(table).splitlines() == [
-        "columns parted by ';', decimal comma", '"Frequenz [Hz]": band', '"T20 (s)": T20',
-        '"D50 [%]": D50, times 0.01', '"Ts [ms]": TS, times 0.001',
-    ]  # fmt: skip
+        "columns parted by ';', decimal comma",
+        '"Frequenz [Hz]": band',
+        '"T20 (s)": T20',
+        '"D50 [%]": D50, times 0.01',
+        '"Ts [ms]": TS, times 0.001',
+    ]
 
 
 def test_bands_across() -> None:
@@ -138,12 +141,17 @@ def test_native_files_are_bounded(tmp_path: Path) -> None:
     path.write_text("a = " + "[" * 100_000)
     with pytest.raises(DataError, match=r"room.toml: not valid TOML"):
         rt.Room.from_file(str(path))
-    path.write_text('volume = 1e3\ncentre_frequencies = [500]\n[[material]]\nname = "a"\narea = 1'
-                    + "0" * 400 + "\nalpha = [0.1]\nsigma = 0.1\n")  # fmt: skip
+    path.write_text(
+        'volume = 1e3\ncentre_frequencies = [500]\n[[material]]\nname = "a"\narea = 1'
+        + "0" * 400
+        + "\nalpha = [0.1]\nsigma = 0.1\n"
+    )
     with pytest.raises(DataError, match=r'surface\["a"\].area = .* is not a number'):
         rt.Room.from_file(str(path))
-    path.write_text("source,receiver,parameter,band,value\n" + "".join(
-        f"S{i},R,T20,{20 + i},1\n" for i in range(2000)))  # fmt: skip
+    path.write_text(
+        "source,receiver,parameter,band,value\n"
+        + "".join(f"S{i},R,T20,{20 + i},1\n" for i in range(2000))
+    )
     with pytest.raises(DataError, match="2000 pairs, 1745 bands"):
         rt.Measurement.from_file(str(path))
     path.write_bytes(b"#" * (2**21 + 1))
@@ -151,10 +159,13 @@ def test_native_files_are_bounded(tmp_path: Path) -> None:
         rt.Measurement.from_file(str(path))
 
 
-@pytest.mark.parametrize("content", [
-    b"Frequency [Hz];T20 [s]\n125;1.5\n130;1.4\n",
-    b"Parameter;125 Hz;130 Hz\nT20;1.5;1.4\n",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"Frequency [Hz];T20 [s]\n125;1.5\n130;1.4\n",
+        b"Parameter;125 Hz;130 Hz\nT20;1.5;1.4\n",
+    ],
+)
 def test_a_band_that_is_none_is_refused(content: bytes) -> None:
     with pytest.raises(DataError, match="130 Hz is no octave or third-octave"):
         tables.parse(content)

@@ -304,9 +304,14 @@ def test_an_effect_is_found_beside_alpha() -> None:
 
 def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
     room = rt.Room(
-        name="two", volume=100, materials=["a", "b"], areas=[50, 50], alpha=[[0.3], [0.3]],
-        sigma=[[0.1], [0.1]], centre_frequencies=[1000],
-    )  # fmt: skip
+        name="two",
+        volume=100,
+        materials=["a", "b"],
+        areas=[50, 50],
+        alpha=[[0.3], [0.3]],
+        sigma=[[0.1], [0.1]],
+        centre_frequencies=[1000],
+    )
     t = EYRING.time(room, np.array([30.0]))
     constraints = [terms.ExactMatch(), terms.GroupAbsorption(["a"], least=40.0)]
     with pytest.raises(rt.errors.InfeasibleError) as error:
@@ -334,9 +339,14 @@ def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
 def test_two_configurations_tell_two_materials_apart() -> None:
     """Exact in both, without noise: the two coefficients are determined."""
     a = rt.Room(
-        name="open", volume=100, materials=["wall", "curtain"], areas=[90, 10],
-        alpha=[[0.3, 0.4], [0.5, 0.6]], sigma=np.full((2, 2), 0.1), centre_frequencies=[500, 1000],
-    )  # fmt: skip
+        name="open",
+        volume=100,
+        materials=["wall", "curtain"],
+        areas=[90, 10],
+        alpha=[[0.3, 0.4], [0.5, 0.6]],
+        sigma=np.full((2, 2), 0.1),
+        centre_frequencies=[500, 1000],
+    )
     b = a.replace(name="drawn", areas=[75, 25])
     truth = np.array([[0.25, 0.45], [0.62, 0.51]])
     times = [EYRING.time(r, r.areas @ truth) for r in (a, b)]

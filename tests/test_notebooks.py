@@ -150,7 +150,10 @@ def test_the_pages_quote_the_stored_run(page: str, study: str) -> None:
 def test_the_benchmark_of_composed_calibrations_runs() -> None:
     done = subprocess.run(
         [sys.executable, str(ROOT / "benchmarks" / "composed.py"), "--quick"],
-        capture_output=True, text=True, cwd=ROOT, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert "slope" in done.stdout

@@ -31,7 +31,7 @@ def calibrated(areas, mu, sigma, truth, method: str, solver: str) -> np.ndarray:
 
 @pytest.mark.parametrize("solver", ["clarabel", "osqp"])
 def test_figure_1(solver: str) -> None:
-    """5 x 4 x 3 m, floor .2, rest .4, estimated .4 and .6; the paper prints T .29 and .19 s."""
+    """5 x 4 x 3 m, floor 0.2, rest 0.4, estimated 0.4 and 0.6; the paper prints T 0.29 and 0.19 s."""
     room = room_of([20, 74], [0.4, 0.6], [0.1, 0.1])
     truth = room.replace(alpha=np.array([[0.2], [0.4]]))
     assert SABINE.reverberation_time(truth)[0] == pytest.approx(0.29, abs=0.005)
@@ -73,7 +73,7 @@ def table_1() -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("method", ["ref", "lse", "mle"])
 def test_table_1_calibrated_values(method: str) -> None:
-    """Within .01, because its inputs are printed to two digits."""
+    """Within 0.01, because its inputs are printed to two digits."""
     np.testing.assert_allclose(table_1()[method], PRINTED[method], rtol=0, atol=0.01)
 
 

@@ -36,7 +36,7 @@ RECEIVERS = [(3.5, 5.1, 1.6), (2.2, 4.4, 1.2), (4, 2, 1.5), (1.1, 5.9, 1.5)]
 
 @pytest.fixture(scope="module")
 def diffuse():
-    """Purely diffuse paths in the box, long enough for alpha = .05."""
+    """Purely diffuse paths in the box, long enough for alpha = 0.05."""
     return trace(BOX, SOURCE, RECEIVERS, 1.0, 2.8, n_paths=12000)
 
 
@@ -49,9 +49,15 @@ def test_the_numpy_twin_makes_the_same_paths(meaning, monkeypatch):
     for kernels in (path_numba, path_numpy):
         monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
         made = trace(
-            hall.geometry, [hall.sources["S1"]], list(hall.receivers.values()),
-            np.linspace(0, 0.8, 9), 0.2, n_paths=200, n_batches=2, meaning=meaning,
-        )  # fmt: skip
+            hall.geometry,
+            [hall.sources["S1"]],
+            list(hall.receivers.values()),
+            np.linspace(0, 0.8, 9),
+            0.2,
+            n_paths=200,
+            n_batches=2,
+            meaning=meaning,
+        )
         found.append((made, made.energy(alpha, np.array([0, 1e-3, 1e-2]), BIN)))
     (first, energy), (second, twin) = found
     for a, b in zip(first.batches[0], second.batches[0], strict=True):
@@ -66,12 +72,12 @@ def test_the_numpy_twin_makes_the_same_paths(meaning, monkeypatch):
 
 def test_without_numba_the_twin_is_used(monkeypatch):
     assert paths.kernels() is path_numba
-    monkeypatch.setattr("rtcal.jit.available", lambda: False)
+    monkeypatch.setattr("rtcal.support.jit.available", lambda: False)
     assert paths.kernels() is path_numpy
 
 
 def test_energy_is_conserved_where_nothing_absorbs(diffuse):
-    # In equilibrium every receiver hears c/V per second: over .3 to 2 s within three standard
+    # In equilibrium every receiver hears c/V per second: over 0.3 to 2 s within three standard
     # errors, and they are small.
     energy = diffuse.energy(np.zeros((1, 1)), np.zeros(1), BIN)[:, 0, :, 0, 150:1000]
     batches = energy.mean(axis=(1, 2)) / (BIN / BOX.volume)
@@ -83,7 +89,7 @@ def test_energy_is_conserved_where_nothing_absorbs(diffuse):
 
 def test_free_paths(diffuse):
     assert diffuse.mean_free_path == pytest.approx(4 * BOX.volume / 142, rel=0.002)
-    assert 0.3 < diffuse.gamma_squared < 0.5  # Kuttruff 2009, Table 5.1: about .4
+    assert 0.3 < diffuse.gamma_squared < 0.5  # Kuttruff 2009, Table 5.1: about 0.4
 
 
 def test_kuttruffs_equation_with_the_paths_own_gamma_squared(diffuse):
@@ -115,12 +121,14 @@ def image_sources(dimensions, source, receiver, alpha, longest, start):
     """Energies of a shoebox' image sources by `BIN` after ``start``, (n_bins,)."""
     counts = [np.arange(-int(longest / side) - 2, int(longest / side) + 3) for side in dimensions]
     parts = [
-        np.stack([
-            np.concatenate([2 * n * side + s, 2 * n * side - s]) - r,
-            np.concatenate([np.abs(2 * n), np.abs(2 * n - 1)]),
-        ])
+        np.stack(
+            [
+                np.concatenate([2 * n * side + s, 2 * n * side - s]) - r,
+                np.concatenate([np.abs(2 * n), np.abs(2 * n - 1)]),
+            ]
+        )
         for n, side, s, r in zip(counts, dimensions, source, receiver, strict=True)
-    ]  # fmt: skip
+    ]
     x, y, z = (p[0] for p in parts)
     square = x[:, None, None] ** 2 + y[:, None] ** 2 + z**2
     order = parts[0][1][:, None, None] + parts[1][1][:, None] + parts[2][1]
@@ -157,10 +165,18 @@ def test_the_receivers_radius_does_not_bias_the_energy():
     # a point hears: here the first reflections from six walls, 1 % with the noise.
     receiver = np.array([2.5, 4.4, 1.5])
     made = paths.trace(
-        BOX, np.array(SOURCE), receiver[np.newaxis], materials=np.zeros(6, dtype=np.int64),
-        scattering=np.zeros(1), radii=np.array([1.49]), longest=20.0, n_paths=200_000,
-        n_batches=4, meaning="random", seed=3,
-    )  # fmt: skip
+        BOX,
+        np.array(SOURCE),
+        receiver[np.newaxis],
+        materials=np.zeros(6, dtype=np.int64),
+        scattering=np.zeros(1),
+        radii=np.array([1.49]),
+        longest=20.0,
+        n_paths=200_000,
+        n_batches=4,
+        meaning="random",
+        seed=3,
+    )
     heard = made.energy(np.full((1, 1), 0.999), np.zeros(1), BIN).sum(axis=-1).mean()
     walls = 0.0
     for axis, side in enumerate((5, 7, 3)):

@@ -13,16 +13,20 @@ from rtcal import terms
 from rtcal.acoustics.bands import third_octaves
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.presets import METHODS
-from rtcal.cli import main
+from rtcal.command.main import main
 
 
 def room_of(**changes) -> rt.Room:
     return rt.Room(
-        name="r", volume=120, materials=["a", "b", "c"], areas=[80, 50, 30],
+        name="r",
+        volume=120,
+        materials=["a", "b", "c"],
+        areas=[80, 50, 30],
         alpha=[[0.1, 0.12, 0.15], [0.3, 0.35, 0.4], [0.2, 0.2, 0.2]],
         sigma=[[0.02, 0.03, 0.03], [0.05, 0.06, 0.05], [0.03, 0.02, 0.04]],
-        centre_frequencies=[500, 1000, 2000], air=rt.Air(),
-    ).replace(**changes)  # fmt: skip
+        centre_frequencies=[500, 1000, 2000],
+        air=rt.Air(),
+    ).replace(**changes)
 
 
 BETWEEN = np.array([[1, 0.5, 0], [0.5, 1, 0], [0, 0, 1.0]])
@@ -37,9 +41,13 @@ def by_hand(room: rt.Room, between: np.ndarray, by_band: np.ndarray):
     for i, j in np.ndindex(n, n):
         for p, q in np.ndindex(k, k):
             covariance[p, q] += (
-                room.areas[i] * room.areas[j] * room.sigma[i, p] * room.sigma[j, q]
-                * between[i, j] * by_band[p, q]
-            )  # fmt: skip
+                room.areas[i]
+                * room.areas[j]
+                * room.sigma[i, p]
+                * room.sigma[j, q]
+                * between[i, j]
+                * by_band[p, q]
+            )
     miss = rt.Eyring().absorption_area(room, TIMES) - room.absorption_area
     q = float(miss @ np.linalg.solve(covariance, miss))
     return miss / np.sqrt(np.diag(covariance)), q, float(stats.chi2.sf(q, k))
@@ -171,8 +179,13 @@ def test_the_figure_says_where_not_to_believe_it(cr2) -> None:
     room, measured = cr2
     axes = figures.reverberation_time(rt.calibrate(room, measured)).axes[0]
     assert [t.get_text() for t in axes.get_xticklabels()] == [
-        "125\nsz", "250\n", "500\n", "1000\n", "2000\n", "4000\nz"
-    ]  # fmt: skip
+        "125\nsz",
+        "250\n",
+        "500\n",
+        "1000\n",
+        "2000\n",
+        "4000\nz",
+    ]
     assert axes.get_xlabel().endswith("do not trust: s below Schroeder, z implausible")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rt.errors.MissingAirWarning)
@@ -184,9 +197,15 @@ def test_many_bands_are_printed_in_blocks_that_fit_a_page() -> None:
     thirds = third_octaves(100, 5000)
     n = len(thirds)
     room = rt.Room(
-        name="r", volume=120, materials=["wall", "floor"], areas=[100, 60], air=rt.Air(),
-        alpha=np.full((2, n), 0.2), sigma=np.full((2, n), 0.05), centre_frequencies=thirds,
-    )  # fmt: skip
+        name="r",
+        volume=120,
+        materials=["wall", "floor"],
+        areas=[100, 60],
+        air=rt.Air(),
+        alpha=np.full((2, n), 0.2),
+        sigma=np.full((2, n), 0.05),
+        centre_frequencies=thirds,
+    )
     t = np.linspace(0.5, 0.6, n)
     page = str(rt.calibrate(room, t)).splitlines()
     tables = page[: next(i for i, text in enumerate(page) if text.startswith("Plausibility"))]

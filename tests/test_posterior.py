@@ -9,8 +9,8 @@ from scipy import stats
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.marginals import marginals
-from rtcal.calibration.posterior import estimate_sigma, posterior, sensitivity
+from rtcal.posterior.distributions import estimate_sigma, posterior, sensitivity
+from rtcal.posterior.marginals import marginals
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()
@@ -19,10 +19,14 @@ PRIOR = terms.PriorDeviation()
 
 def room_with(mu: float, sigma: float, n: int = 4) -> rt.Room:
     return rt.Room(
-        name="r", volume=100, materials=[f"m{i}" for i in range(n)],
-        areas=np.linspace(10, 40, n), alpha=np.full((n, 1), mu), sigma=np.full((n, 1), sigma),
+        name="r",
+        volume=100,
+        materials=[f"m{i}" for i in range(n)],
+        areas=np.linspace(10, 40, n),
+        alpha=np.full((n, 1), mu),
+        sigma=np.full((n, 1), sigma),
         centre_frequencies=[1000],
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("uncertainty", [0.0, 0.6])
@@ -81,7 +85,7 @@ def test_posterior_is_gaussian_far_from_the_box() -> None:
 
 
 def test_at_a_small_alpha_the_gaussian_interval_is_wrong() -> None:
-    """mu = sigma = .05: the 90 % interval stays within the box, the Gaussian one does not."""
+    """mu = sigma = 0.05: the 90 % interval stays within the box, the Gaussian one does not."""
     room = room_with(0.05, 0.05)
     result = rt.calibrate(room, EYRING.time(room, np.array([5.0])))
     assert not result.active.any()
@@ -179,8 +183,10 @@ def test_estimate_sigma_of_any_composition_against_draws() -> None:
     room = room.replace(sigma=room.sigma / 3)
     calibration = rt.Calibration(
         terms.PriorDeviation(band_correlation=0.5)
-        + terms.SoftMatch(0.02) + 0.5 * terms.BandSmoothness(), []
-    )  # fmt: skip
+        + terms.SoftMatch(0.02)
+        + 0.5 * terms.BandSmoothness(),
+        [],
+    )
     problem = calibration.build(room)
     t = EYRING.time(room, room.absorption_area)
     base = problem.solve(t)

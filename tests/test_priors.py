@@ -11,7 +11,13 @@ from scipy import stats
 
 import rtcal as rt
 from rtcal.acoustics.bands import third_octaves
-from rtcal.priors import TIERS, TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
+from rtcal.acoustics.priors import (
+    TIERS,
+    TruncatedNormal,
+    in_situ,
+    sigma_iso_12999_2,
+    sigma_relative,
+)
 
 sigmas = st.floats(np.log(1e-6), np.log(10)).map(np.exp)
 
@@ -96,8 +102,28 @@ def test_bad_parameters(values, message: str) -> None:
 
 def test_iso_12999_2() -> None:
     """sigma_R = m alpha + n where m or n change; its Table 4 prints U = 2 sigma_R to two digits."""
-    thirds = [63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000,
-              2500, 3150, 4000, 5000]  # fmt: skip
+    thirds = [
+        63,
+        80,
+        100,
+        125,
+        160,
+        200,
+        250,
+        315,
+        400,
+        500,
+        630,
+        800,
+        1000,
+        1250,
+        1600,
+        2000,
+        2500,
+        3150,
+        4000,
+        5000,
+    ]
     found = dict(zip(thirds, sigma_iso_12999_2(np.full(20, 0.5), thirds), strict=True))
     by_hand = {63: 0.24, 125: 0.105, 500: 0.04, 1000: 0.035, 2000: 0.0385, 4000: 0.055, 5000: 0.073}
     for band, sigma in by_hand.items():
@@ -110,10 +136,50 @@ def test_iso_12999_2() -> None:
 
 def test_iso_12999_2_worked_example() -> None:
     """Its Table 4: alpha_s and U = 2 sigma_R, printed to two digits (as quoted by phonometry)."""
-    alpha = [0.33, 0.35, 0.39, 0.38, 0.37, 0.36, 0.36, 0.36, 0.43, 0.49,
-             0.58, 0.63, 0.68, 0.71, 0.73, 0.75, 0.77, 0.79, 0.81, 0.81]  # fmt: skip
-    printed = [0.33, 0.26, 0.22, 0.17, 0.13, 0.11, 0.09, 0.08, 0.08, 0.08,
-               0.08, 0.08, 0.08, 0.09, 0.09, 0.09, 0.10, 0.11, 0.13, 0.16]  # fmt: skip
+    alpha = [
+        0.33,
+        0.35,
+        0.39,
+        0.38,
+        0.37,
+        0.36,
+        0.36,
+        0.36,
+        0.43,
+        0.49,
+        0.58,
+        0.63,
+        0.68,
+        0.71,
+        0.73,
+        0.75,
+        0.77,
+        0.79,
+        0.81,
+        0.81,
+    ]
+    printed = [
+        0.33,
+        0.26,
+        0.22,
+        0.17,
+        0.13,
+        0.11,
+        0.09,
+        0.08,
+        0.08,
+        0.08,
+        0.08,
+        0.08,
+        0.08,
+        0.09,
+        0.09,
+        0.09,
+        0.10,
+        0.11,
+        0.13,
+        0.16,
+    ]
     sigma = sigma_iso_12999_2(np.array(alpha), third_octaves(63, 5000))
     np.testing.assert_allclose(2 * sigma, printed, atol=0.0051)
 
@@ -201,9 +267,15 @@ def test_a_bad_prior_is_refused(tmp_path, old: str, new: str, message: str) -> N
 def test_correlations_reach_the_calibration() -> None:
     """Not separable sigma, one band without T: the correlated prior carries a shift over to it."""
     room = rt.Room(
-        name="r", volume=100, materials=["a", "b"], areas=[80, 30], alpha=[[0.1, 0.1], [0.3, 0.4]],
-        sigma=[[0.05, 0.05], [0.1, 0.1]], centre_frequencies=[500, 1000], air=rt.Air(),
-    )  # fmt: skip
+        name="r",
+        volume=100,
+        materials=["a", "b"],
+        areas=[80, 30],
+        alpha=[[0.1, 0.1], [0.3, 0.4]],
+        sigma=[[0.05, 0.05], [0.1, 0.1]],
+        centre_frequencies=[500, 1000],
+        air=rt.Air(),
+    )
     t = [0.5, np.nan]
     alone = rt.calibrate(room, t)
     together = rt.calibrate(room.replace(band_correlation=0.8), t)
@@ -237,11 +309,16 @@ def test_a_room_from_the_catalogue_keeps_its_provenance(tmp_path) -> None:
     octaves = [125, 250, 500, 1000, 2000, 4000]
     entries = [catalogue.material(name, octaves) for name in ("hard_surface", "carpet_cotton")]
     room = rt.Room.from_surfaces(
-        name="r", volume=60, materials=entries, centre_frequencies=octaves, air=rt.Air(),
+        name="r",
+        volume=60,
+        materials=entries,
+        centre_frequencies=octaves,
+        air=rt.Air(),
         surfaces=[
-            rt.Surface("walls", "hard_surface", 74), rt.Surface("floor", "carpet_cotton", 20)
+            rt.Surface("walls", "hard_surface", 74),
+            rt.Surface("floor", "carpet_cotton", 20),
         ],
-    )  # fmt: skip
+    )
     room.save(tmp_path / "room.toml")
     again = rt.Room.from_file(tmp_path / "room.toml")
     assert again.sources == {m.name: m.source for m in entries}

@@ -73,9 +73,12 @@ def test_drawing_a_wall_as_several_polygons_changes_nothing() -> None:
     def room(*walls: float) -> rt.Room:
         surfaces = [rt.Surface(f"wall {i}", "plaster", a) for i, a in enumerate(walls)]
         return rt.Room.from_surfaces(
-            name="r", volume=100, centre_frequencies=[500, 1000], materials=materials,
+            name="r",
+            volume=100,
+            centre_frequencies=[500, 1000],
+            materials=materials,
             surfaces=[*surfaces, rt.Surface("floor", "carpet", 33.0)],
-        )  # fmt: skip
+        )
 
     t = [0.9, 0.8]
     whole, parts = rt.calibrate(room(96.0), t), rt.calibrate(room(50.0, 40.0, 6.0), t)

@@ -18,11 +18,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rtcal as rt
-from rtcal import console
-from rtcal.cli import EXIT_CODES, cli, main
-from rtcal.closed_loop import Loop, LoopResult
+from rtcal.command import console
+from rtcal.command.gap import NOTHING_TO_ADD
+from rtcal.command.main import EXIT_CODES, cli, main
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.gap_command import NOTHING_TO_ADD
+from rtcal.loop.calibrate import Loop, LoopResult
 from rtcal.report import saved as saving
 from rtcal.report import words
 from rtcal.simulators.equation import EquationSimulator
@@ -48,10 +48,16 @@ def html(result) -> str:
 
 def evil_room() -> rt.Room:
     return rt.Room(
-        name=f"Hall <b>bold</b> {EVIL}", volume=100, materials=[EVIL, "<img src=x onerror=alert(2)>"],
-        areas=[80.0, 60.0], alpha=[[0.1, 0.2, 0.2], [0.3, 0.4, 0.5]], sigma=np.full((2, 3), 0.05),
-        centre_frequencies=[500, 1000, 2000], air=rt.Air(), sources={EVIL: EVIL},
-    )  # fmt: skip
+        name=f"Hall <b>bold</b> {EVIL}",
+        volume=100,
+        materials=[EVIL, "<img src=x onerror=alert(2)>"],
+        areas=[80.0, 60.0],
+        alpha=[[0.1, 0.2, 0.2], [0.3, 0.4, 0.5]],
+        sigma=np.full((2, 3), 0.05),
+        centre_frequencies=[500, 1000, 2000],
+        air=rt.Air(),
+        sources={EVIL: EVIL},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -98,9 +104,14 @@ def line(axes, label):
 
 
 def test_axes_have_units(result, loop) -> None:
-    every = [figures.reverberation_time(result), figures.gap(result),
-             material_figures.coefficients(result), material_figures.shares(result),
-             material_figures.plane_of(result), loop_figures.path(loop)]  # fmt: skip
+    every = [
+        figures.reverberation_time(result),
+        figures.gap(result),
+        material_figures.coefficients(result),
+        material_figures.shares(result),
+        material_figures.plane_of(result),
+        loop_figures.path(loop),
+    ]
     for figure in every:
         for axes in (a for a in figure.axes if a.get_visible()):
             assert re.search(r"/ Hz|Simulation number|^α of .* m²$", axes.get_xlabel())
@@ -163,14 +174,17 @@ def test_plane_of_two_materials(result) -> None:
     ellipse = np.array(line(axes, "prior, 2 σ").get_data()) - result.prior.alpha[rows, k][:, None]
     distance = np.linalg.norm(ellipse / result.prior.sigma[rows, k][:, None], axis=0)
     np.testing.assert_allclose(distance, 2, rtol=1e-12)
-    for pair, frequency, said in ((("floor", "roof"), None, "roof"), (("floor",) * 2, None, "twice"),
-                                  (None, 501, "501 Hz is no band")):  # fmt: skip
+    for pair, frequency, said in (
+        (("floor", "roof"), None, "roof"),
+        (("floor",) * 2, None, "twice"),
+        (None, 501, "501 Hz is no band"),
+    ):
         with pytest.raises(DataError, match=said):
             material_figures.plane_of(result, pair, frequency)
 
 
 def test_the_papers_plane() -> None:
-    """Fig. 3b: mu (.6, .5), sigma (.05, .1) gives (.54, .26); the truth is (.6, .2)."""
+    """Fig. 3b: mu (0.6, 0.5), sigma (0.05, 0.1) gives (0.54, 0.26); the truth is (0.6, 0.2)."""
     mu, sigma, areas = np.array([0.6, 0.5]), np.array([0.05, 0.1]), np.array([47.0, 47.0])
     alpha = rt.closed_form.maximum_likelihood(mu[:, None], sigma[:, None], areas, [47 * 0.8])[:, 0]
     assert alpha == pytest.approx([0.54, 0.26], abs=1e-9)
@@ -224,9 +238,11 @@ def test_broken_files_are_refused_or_shown(data) -> None:
     """Whatever stands in the file, the page is written or a DataError says what is wrong."""
     record = json.loads(RECORD)
     where = data.draw(st.sampled_from(PATHS))
-    junk = data.draw(st.sampled_from(
-        [None, "text", -1, 1e308, float("inf"), [], {}, [1, "a"], True, {"a": None}, "remove"]
-    ))  # fmt: skip
+    junk = data.draw(
+        st.sampled_from(
+            [None, "text", -1, 1e308, float("inf"), [], {}, [1, "a"], True, {"a": None}, "remove"]
+        )
+    )
     inner = record
     for key in where[:-1]:
         inner = inner[key]
@@ -253,8 +269,12 @@ PATHS = [p for p in paths_of(json.loads(RECORD)) if p]
 
 def test_what_is_no_result_is_refused(tmp_path) -> None:
     path = tmp_path / "x.json"
-    for content, said in (("{", "not JSON"), ("[1]", "not a JSON object"), ("{}", '"rtcal" is not'),
-                          ("[" * 100_000, "not JSON")):  # fmt: skip
+    for content, said in (
+        ("{", "not JSON"),
+        ("[1]", "not a JSON object"),
+        ("{}", '"rtcal" is not'),
+        ("[" * 100_000, "not JSON"),
+    ):
         path.write_text(content)
         with pytest.raises(DataError, match=said):
             page.page_of(path)
@@ -283,12 +303,22 @@ def test_a_loops_file_holds_its_room_and_equation(loop, tmp_path) -> None:
 
 
 def test_the_page_says_what_it_must(html, result) -> None:
-    for text in ("Summary", "15.6 JND at worst: at 125 Hz it had 2.49 s where 1.40 s were measured",
-                 "proves nothing", "p = 1.7e-05",
-                 "What not to believe", "below the Schroeder frequency",
-                 "What could not be met", "What was assumed", "19.5 °C", "Certificate",
-                 "rtcal calibrate room.toml t.csv --method mle --equation eyring", "cvxpy",
-                 result.measured_data.fingerprint, "250, 500, 1000 and 2000 Hz"):  # fmt: skip
+    for text in (
+        "Summary",
+        "15.6 JND at worst: at 125 Hz it had 2.49 s where 1.40 s were measured",
+        "proves nothing",
+        "p = 1.7e-05",
+        "What not to believe",
+        "below the Schroeder frequency",
+        "What could not be met",
+        "What was assumed",
+        "19.5 °C",
+        "Certificate",
+        "rtcal calibrate room.toml t.csv --method mle --equation eyring",
+        "cvxpy",
+        result.measured_data.fingerprint,
+        "250, 500, 1000 and 2000 Hz",
+    ):
         assert text in html, text
     assert len(html.encode()) < page.MAX_BYTES
     assert html.count("data:image/svg+xml") == 5
@@ -311,8 +341,11 @@ def test_names_are_text_in_page_and_pictures(evil_html) -> None:
     assert len(pictures) == 5
     for picture in pictures:
         content = base64.b64decode(picture)
-        tags = {e.tag.rpartition("}")[2] for e in ElementTree.fromstring(content).iter()
-                if isinstance(e.tag, str)}  # fmt: skip
+        tags = {
+            e.tag.rpartition("}")[2]
+            for e in ElementTree.fromstring(content).iter()
+            if isinstance(e.tag, str)
+        }
         assert "path" in tags
         assert not tags & {"script", "image", "foreignObject", "b"}
 
@@ -364,9 +397,13 @@ def test_verdicts() -> None:
 
 
 def test_a_finding_has_its_section(result) -> None:
-    finding = {"summary": ["It may lack <i>this</i>."], "verdict": "named", "effect": "opening",
-               "candidates": ["opening", "coupled room"],
-               "evidence": {"none": 0.0, "opening": 12.3}}  # fmt: skip
+    finding = {
+        "summary": ["It may lack <i>this</i>."],
+        "verdict": "named",
+        "effect": "opening",
+        "candidates": ["opening", "coupled room"],
+        "evidence": {"none": 0.0, "opening": 12.3},
+    }
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(page, "_figures", no_figures)
         text = page.page(
@@ -423,9 +460,15 @@ def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
     """The table takes a hundred materials; a page beyond the limit is refused."""
     n, f = 130, [500.0, 1000.0]
     room = rt.Room(
-        name="large", volume=5000, materials=[f"m{i}" for i in range(n)], areas=np.full(n, 20.0),
-        alpha=np.full((n, 2), 0.2), sigma=np.full((n, 2), 0.05), centre_frequencies=f, air=rt.Air(),
-    )  # fmt: skip
+        name="large",
+        volume=5000,
+        materials=[f"m{i}" for i in range(n)],
+        areas=np.full(n, 20.0),
+        alpha=np.full((n, 2), 0.2),
+        sigma=np.full((n, 2), 0.05),
+        centre_frequencies=f,
+        air=rt.Air(),
+    )
     monkeypatch.setattr(page, "_figures", no_figures)
     text = page.page(rt.calibrate(room, [1.0, 1.0]))
     assert "the 100 of 130 materials that absorb most" in text
@@ -443,11 +486,27 @@ def chromium(place: Path, url: Path, *arguments: str) -> subprocess.CompletedPro
     if program is None:
         pytest.skip("needs Debian's chromium, which is not installed here")
     return subprocess.run(
-        [program, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update", "--disable-sync",
-         f"--user-data-dir={place / 'profile'}", "--enable-logging=stderr", *arguments, url.as_uri()],
-        capture_output=True, text=True, timeout=120, check=True, cwd=place,
-    )  # fmt: skip
+        [
+            program,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-quic",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            f"--user-data-dir={place / 'profile'}",
+            "--enable-logging=stderr",
+            *arguments,
+            url.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+        cwd=place,
+    )
 
 
 def test_in_a_browser(html, evil_html, tmp_path) -> None:
@@ -488,9 +547,12 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     assert said == {"written": str(folder / "b.html"), "bytes": len(text.encode())}
     assert (folder / "b.html").read_text(encoding="utf-8") == text
     kept = sorted(p.name for p in folder.iterdir())
-    for out, said in ((folder / "no" / "p.html", "No such file"), (folder, "is a directory"),
-                      (folder / "result.json", "would be written over"),
-                      ("", "--out is empty")):  # fmt: skip
+    for out, said in (
+        (folder / "no" / "p.html", "No such file"),
+        (folder, "is a directory"),
+        (folder / "result.json", "would be written over"),
+        ("", "--out is empty"),
+    ):
         assert run("report", folder / "result.json", "--out", out) == 2
         assert said in capsys.readouterr().err
     for name in console.WRITTEN:  # what calibrate keeps there stays as it is, however it is named
@@ -591,10 +653,10 @@ def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, e
     assert not console.bar_wanted(quiet=False)  # standard error is caught here, no terminal
     (tmp_path / "result.json").write_text(evil.to_json(), encoding="utf-8")
     monkeypatch.setattr(page, "_source", lambda _, step: step() or "data:,")
-    monkeypatch.setattr("rtcal.report_command.bar_wanted", lambda quiet: not quiet)
+    monkeypatch.setattr("rtcal.command.report.bar_wanted", lambda quiet: not quiet)
     assert run("report", tmp_path) == 0
     assert capsys.readouterr().err == ""  # done within two seconds
-    monkeypatch.setattr("rtcal.progress.DELAY", 0.0)
+    monkeypatch.setattr("rtcal.support.progress.DELAY", 0.0)
     assert run("report", tmp_path) == 0
     assert "5/5" in capsys.readouterr().err
     assert run("report", tmp_path, "--quiet") == 0

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal import cli, closed_loop, studies
+from rtcal import studies
 from rtcal.acoustics.decay import clarity, decay_time
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.posterior import posterior, sensitivity
+from rtcal.command import main as cli
 from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
+from rtcal.loop import calibrate as closed_loop
+from rtcal.posterior.distributions import posterior, sensitivity
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.external import External, command
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -23,10 +25,15 @@ AIR = rt.Air()
 
 def room(**changes) -> rt.Room:
     values = {
-        "name": "x", "volume": 200, "materials": ["a", "b"], "areas": [100, 120],
-        "alpha": [[0.1, 0.2], [0.3, 0.2]], "sigma": [[0.1, 0.1], [0.1, 0.1]],
-        "centre_frequencies": [500, 1000], "air": AIR,
-    }  # fmt: skip
+        "name": "x",
+        "volume": 200,
+        "materials": ["a", "b"],
+        "areas": [100, 120],
+        "alpha": [[0.1, 0.2], [0.3, 0.2]],
+        "sigma": [[0.1, 0.1], [0.1, 0.1]],
+        "centre_frequencies": [500, 1000],
+        "air": AIR,
+    }
     return rt.Room(**{**values, **changes})
 
 
@@ -43,9 +50,11 @@ def test_z_is_of_what_t_asks_not_of_the_nearest_end() -> None:
 
 def test_a_stated_uncertainty_counts_band_by_band() -> None:
     measured = rt.Measurement(
-        centre_frequencies=[500, 1000], pairs=[("S", "R")], values={"t20": [[0.8, 0.75]]},
+        centre_frequencies=[500, 1000],
+        pairs=[("S", "R")],
+        values={"t20": [[0.8, 0.75]]},
         uncertainty={"t20": [[0.3, np.nan]]},
-    )  # fmt: skip
+    )
     found = measured.decay_time().uncertainty
     assert found[0] == 0.3
     assert 0 < found[1] < 0.1
@@ -92,11 +101,12 @@ def test_the_same_t_is_not_counted_twice_however_it_is_written() -> None:
             centre_frequencies=[500, 1000], pairs=pairs[::-1], values={"t20": values[::-1]}
         ),
         rt.Measurement(
-            centre_frequencies=[500, 1000, 2000], pairs=[("X", "1"), ("X", "2")],
+            centre_frequencies=[500, 1000, 2000],
+            pairs=[("X", "1"), ("X", "2")],
             values={"t20": np.column_stack([values, [1, 1]]), "c80": np.ones((2, 3))},
         ),
         values.mean(axis=0),
-    ]  # fmt: skip
+    ]
     for data in again:
         with pytest.raises(DataError, match="already calibrated on exactly these data"):
             rt.calibrate(once, data)
@@ -179,9 +189,12 @@ def test_from_surfaces_refuses_what_it_cannot_use() -> None:
 
     def build(*materials: rt.Material) -> rt.Room:
         return rt.Room.from_surfaces(
-            name="r", volume=100, centre_frequencies=[500], materials=materials,
+            name="r",
+            volume=100,
+            centre_frequencies=[500],
+            materials=materials,
             surfaces=[rt.Surface("s", "wall", 10)],
-        )  # fmt: skip
+        )
 
     assert build(wall).areas.tolist() == [10]
     with pytest.raises(DataError, match='material "wall" is given twice'):
@@ -320,8 +333,12 @@ PRIOR = rt.terms.PriorDeviation()
 def tracer(**change):
     """A path tracer in a box of the two materials."""
     walls = dict.fromkeys(SHOEBOX_WALLS, "a") | {"floor": "b"}
-    fine = {"geometry": Polyhedron.shoebox((5, 4, 3), walls), "room": room(volume=60),
-            "sources": {"S": (1, 1, 1)}, "receivers": {"R": (3, 3, 2)}}  # fmt: skip
+    fine = {
+        "geometry": Polyhedron.shoebox((5, 4, 3), walls),
+        "room": room(volume=60),
+        "sources": {"S": (1, 1, 1)},
+        "receivers": {"R": (3, 3, 2)},
+    }
     return PathTracing(**{**fine, "n_paths": 32, "scattering": 0.5, **change})
 
 
@@ -362,7 +379,10 @@ WRONG_KINDS = [
     (lambda: rt.Calibration(PRIOR, 5), "constraints = 5 is not a list of constraints"),
     (lambda: rt.Calibration(PRIOR).build(5), "room = 5 is not a rtcal.Room"),
     (lambda: rt.Calibration(PRIOR).build(room()).solve([0.8, 0.7], 5), "5 is not a rtcal.Room"),
-    (lambda: rt.Calibration(PRIOR).build(room()).solve([0.8, 0.7], weights=5), "weights = 5 is not"),
+    (
+        lambda: rt.Calibration(PRIOR).build(room()).solve([0.8, 0.7], weights=5),
+        "weights = 5 is not",
+    ),
     (lambda: Configurations([5]), r"rooms\[0\] = 5 is not a rtcal.Room"),
     (lambda: Configurations(5), "rooms = 5 is not a list of rtcal.Room"),
     (lambda: rt.calibrate(two_rooms(), 5), "measured = 5 is not a list of measurements"),
@@ -418,7 +438,7 @@ WRONG_KINDS = [
     (lambda: decay_time([1, 0.5], "a"), "bin_width = 'a' is not a number"),
     (lambda: clarity([1, 0.5], 0.1, "a"), "limit = 'a' is not a number"),
     (lambda: sensitivity(5), "result = 5 is not the result of a calibration"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("call", "message"), WRONG_KINDS, ids=[m for _, m in WRONG_KINDS])
@@ -434,9 +454,12 @@ def test_a_mask_that_hides_nothing_is_an_array() -> None:
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(b'{"areas": [35', "study.json is damaged"), (b"\xff\xfe", "study.json is damaged"),
-     (b"{}", "holds another study")],
-)  # fmt: skip
+    [
+        (b'{"areas": [35', "study.json is damaged"),
+        (b"\xff\xfe", "study.json is damaged"),
+        (b"{}", "holds another study"),
+    ],
+)
 def test_a_damaged_record_of_a_study_is_not_another_study(tmp_path, content, message) -> None:
     first = study(folder=tmp_path)
     np.testing.assert_array_equal(study(folder=tmp_path), first)

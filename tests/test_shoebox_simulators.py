@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal import jit
 from rtcal.acoustics import decay
 from rtcal.errors import DataError, TooShortError
 from rtcal.simulators import base
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource, lattice
 from rtcal.simulators.sdn import ScatteringDelayNetwork, _blocks
+from rtcal.support import jit
 
 SOURCE, RECEIVER = {"S": (4.5, 3.5, 2.0)}, {"R": (2.0, 2.0, 1.5)}
 APART = {"R": (2.1, 2.3, 1.4)}  # no two first reflections arrive in one sample
@@ -24,10 +24,14 @@ def box(air: rt.Air | None = None) -> rt.Room:
     """A shoebox of six materials, in two bands."""
     geometry = Polyhedron.shoebox(DIMENSIONS, {w: w for w in SHOEBOX_WALLS})
     return rt.Room.from_surfaces(
-        name="box", volume=105, surfaces=geometry.surfaces,
+        name="box",
+        volume=105,
+        surfaces=geometry.surfaces,
         materials=[rt.Material(w, [0.3, 0.3], [0.1, 0.1]) for w in SHOEBOX_WALLS],
-        centre_frequencies=[500, 4000], air=air, dimensions=DIMENSIONS,
-    )  # fmt: skip
+        centre_frequencies=[500, 4000],
+        air=air,
+        dimensions=DIMENSIONS,
+    )
 
 
 def first_order(air: np.ndarray, alpha: np.ndarray) -> list[tuple[float, np.ndarray]]:
@@ -109,7 +113,7 @@ def test_sdn_and_image_sources_decay_alike() -> None:
 def test_image_sources_are_pyroomacoustics() -> None:
     pra = pytest.importorskip("pyroomacoustics")
     alpha, duration = 0.5, 0.2
-    # Within .2 s of the direct sound (72 m) no image is of an order above 33.
+    # Within 0.2 s of the direct sound (72 m) no image is of an order above 33.
     other = pra.ShoeBox(DIMENSIONS, fs=8000, materials=pra.Material(alpha), max_order=33)
     other.add_source(SOURCE["S"])
     other.add_microphone(RECEIVER["R"])
@@ -124,15 +128,23 @@ def test_image_sources_are_pyroomacoustics() -> None:
     for (i, x), (j, y), (k, z) in _triples(places):
         if np.linalg.norm(np.array([x, y, z]) - RECEIVER["R"]) < radius:
             ours[tuple(np.round((x, y, z), 6) + 0.0)] = (
-                hits[0][i].sum(), hits[1][j].sum(), hits[2][k].sum(),
-            )  # fmt: skip
+                hits[0][i].sum(),
+                hits[1][j].sum(),
+                hits[2][k].sum(),
+            )
     assert len(ours) == near.sum() > 500
     for place, count in zip(theirs[near], order[near], strict=True):
         assert ours[tuple(np.round(place, 6) + 0.0)] == tuple(abs(count))
     room = rt.Room(
-        name="box", volume=105, materials=["all"], areas=[142], alpha=[[alpha]], sigma=[[0.1]],
-        centre_frequencies=[1000], dimensions=DIMENSIONS,
-    )  # fmt: skip
+        name="box",
+        volume=105,
+        materials=["all"],
+        areas=[142],
+        alpha=[[alpha]],
+        sigma=[[0.1]],
+        centre_frequencies=[1000],
+        dimensions=DIMENSIONS,
+    )
     images = ImageSource(room=room, sources=SOURCE, receivers=RECEIVER, duration=duration)
     length = np.linalg.norm(theirs - RECEIVER["R"], axis=1)
     direct = length.min()
@@ -160,7 +172,7 @@ def test_image_sources_by_hand() -> None:
             counts = np.concatenate([hits[0][i], hits[1][j], hits[2][k]])
             loss = np.prod((1 - ALPHA) ** counts[:, np.newaxis], axis=0)
             expected[:, b] += loss * np.exp(-room.air_attenuation * d) / (4 * np.pi * d**2)
-    # A bin's images share the mean of their lengths in the air's term: 8e-3/m times half of .34 m.
+    # A bin's images share the mean of their lengths in the air's term: 8e-3/m times half of 0.34 m.
     assert images.energy(ALPHA)[0] == pytest.approx(expected, rel=1.4e-3)
     assert (expected[:, 1:] > 0).any()
 
@@ -247,18 +259,26 @@ def _triples(places: list[np.ndarray]) -> list[tuple]:
 
 @pytest.mark.parametrize("dimensions", [(5, 7, 3), (2, 2.5, 2.2), (4, 40, 3)])
 def test_the_lowest_sampling_rate_has_the_right_t20(dimensions: tuple[float, ...]) -> None:
-    """Within 5.5 % of 44.1 kHz at alpha = .3, where delays are whole samples."""
+    """Within 5.5 % of 44.1 kHz at alpha = 0.3, where delays are whole samples."""
     x, y, z = dimensions
     areas = [2 * (x * y + x * z + y * z)]
     room = rt.Room(
-        name="box", volume=x * y * z, materials=["all"], areas=areas, alpha=[[0.3]],
-        sigma=[[0.1]], centre_frequencies=[1000], dimensions=dimensions,
-    )  # fmt: skip
+        name="box",
+        volume=x * y * z,
+        materials=["all"],
+        areas=areas,
+        alpha=[[0.3]],
+        sigma=[[0.1]],
+        centre_frequencies=[1000],
+        dimensions=dimensions,
+    )
     places = {
         "sources": {"S": np.array(dimensions) * [0.8, 0.4, 0.6]},
-        "receivers": {"R": np.array(dimensions) * [0.3, 0.3, 0.45],
-                      "Q": np.array(dimensions) * [0.55, 0.7, 0.4]},
-    }  # fmt: skip
+        "receivers": {
+            "R": np.array(dimensions) * [0.3, 0.3, 0.45],
+            "Q": np.array(dimensions) * [0.55, 0.7, 0.4],
+        },
+    }
     least = 10 * room.speed_of_sound * areas[0] / (4 * room.volume)
     low = ScatteringDelayNetwork(room=room, sampling_rate=least, **places)
     full = ScatteringDelayNetwork(room=room, **places)

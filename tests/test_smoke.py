@@ -28,7 +28,7 @@ def test_real_room_is_matched_and_equals_the_closed_form(solver: str, method: st
 
 def test_command_prints_json() -> None:
     folder = rt.datasets.path("bras_cr2")
-    command = [sys.executable, "-m", "rtcal.cli", "calibrate", "--json"]
+    command = [sys.executable, "-m", "rtcal.command.main", "calibrate", "--json"]
     done = subprocess.run(
         [*command, str(folder / "room.toml"), str(folder / "measured.csv")],
         capture_output=True,

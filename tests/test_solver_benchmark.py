@@ -175,9 +175,13 @@ def test_the_truth_of_a_problem_solved_by_hand() -> None:
     """Least |x|² with x1 + x2 + x3 = 3 and x1 <= 1/2: x = (1/2, 5/4, 5/4)."""
     x = np.array([0.5, 1.25, 1.25])
     problem = qpsolvers.Problem(
-        np.eye(3), np.zeros(3), np.array([[1.0, 0, 0], [0, -1, 0]]), np.array([0.5, 0]),
-        np.ones((1, 3)), np.array([3.0]),
-    )  # fmt: skip
+        np.eye(3),
+        np.zeros(3),
+        np.array([[1.0, 0, 0], [0, -1, 0]]),
+        np.array([0.5, 0]),
+        np.ones((1, 3)),
+        np.array([3.0]),
+    )
     np.testing.assert_allclose(truth.of_matrices(problem).x, x, rtol=0, atol=1e-16)
     problem.h = np.array([0.5, -2.0])  # and x2 >= 2
     np.testing.assert_allclose(truth.of_matrices(problem).x, [0.5, 2, 0.5], rtol=0, atol=1e-16)
@@ -186,9 +190,13 @@ def test_the_truth_of_a_problem_solved_by_hand() -> None:
 def test_a_wrong_active_set_does_not_become_the_truth(monkeypatch) -> None:
     """Named nothing, or everything, the conditions mend the set or refuse it."""
     problem = qpsolvers.Problem(
-        np.eye(2), np.zeros(2), np.vstack([np.eye(2), -np.eye(2)]), np.array([1, 1, 1.0, -0.25]),
-        np.array([[1.0, 1]]), np.array([1.0]),
-    )  # fmt: skip
+        np.eye(2),
+        np.zeros(2),
+        np.vstack([np.eye(2), -np.eye(2)]),
+        np.array([1, 1, 1.0, -0.25]),
+        np.array([[1.0, 1]]),
+        np.array([1.0]),
+    )
     for claimed in (np.zeros(4), np.array([0, 0, 0, 9.0]), np.array([9.0, 0, 0, 0])):
         said = qpsolvers.Solution(problem, found=True, x=np.array([0.4, 0.6]), z=claimed)
         monkeypatch.setattr(qpsolvers, "solve_problem", lambda *a, said=said, **k: said)

@@ -14,12 +14,13 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal import jit, studies
-from rtcal.cli import cli
+from rtcal import studies
+from rtcal.acoustics.priors import TruncatedNormal
+from rtcal.command.main import cli
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.priors import TruncatedNormal
 from rtcal.studies import estimators, paper, sampling
 from rtcal.studies.moments import SERIES, Moments
+from rtcal.support import jit
 
 SHOEBOX = np.array(studies.rooms.SHOEBOX)
 HALL = np.array(list(studies.rooms.LECTURE_HALL.values()))
@@ -98,8 +99,10 @@ def test_errors_against_the_exact_solver_and_the_closed_forms() -> None:
         b = truth @ SHOEBOX
         each = np.broadcast_to(room.mu, truth.shape)
         cases = {
-            "scaling": np.sqrt(room.mu / SHOEBOX), "lse": np.ones(6), "mle": room.sigma,
-        }  # fmt: skip
+            "scaling": np.sqrt(room.mu / SHOEBOX),
+            "lse": np.ones(6),
+            "mle": room.sigma,
+        }
         want = [np.mean((each - truth) ** 2)]
         closed = [
             np.array([rt.closed_form.scaling(room.mu, SHOEBOX, x) for x in b]),
@@ -140,7 +143,7 @@ def test_analytic_emse_is_the_mean_over_trials() -> None:
 
 
 def test_table_2_of_the_paper() -> None:
-    """LSE within .1 of 8.7; the others within .7 points of the paper and .15 of STATISTICS.md."""
+    """LSE within 0.1 of 8.7; the others within 0.7 points of the paper and 0.15 of STATISTICS.md."""
     stated = {
         "scaling": (4.48, 5.95, 6.78),
         "lse": (8.71, 8.71, 8.71),
@@ -169,11 +172,17 @@ def test_lse_scores_the_same_whatever_the_areas(areas: np.ndarray) -> None:
 
 def test_simulated_scores_agree_with_the_analytic_and_their_standard_errors_hold() -> None:
     analytic = by_method(studies.analytic_scores(SHOEBOX, 0.1, 40_000, seed=8))
-    scores = np.array([
-        [[by_method(table)[m, False][c] for c in ("score", "standard_error")]
-         for m in ("scaling", "lse", "mle")]
-        for table in (studies.calibration_scores(SHOEBOX, 0.1, 100, 50, seed=s) for s in range(60))
-    ])  # fmt: skip
+    scores = np.array(
+        [
+            [
+                [by_method(table)[m, False][c] for c in ("score", "standard_error")]
+                for m in ("scaling", "lse", "mle")
+            ]
+            for table in (
+                studies.calibration_scores(SHOEBOX, 0.1, 100, 50, seed=s) for s in range(60)
+            )
+        ]
+    )
     for k, m in enumerate(("scaling", "lse", "mle")):
         spread = scores[:, k, 0].std(ddof=1)
         assert scores[:, k, 1].mean() == pytest.approx(spread, rel=0.35)  # 60 seeds: 9 % a sigma
@@ -358,8 +367,19 @@ def test_tables_to_csv_and_parquet(tmp_path: Path) -> None:
 
 
 def test_command(tmp_path: Path) -> None:
-    arguments = ["study", "--realisations", "60", "--trials", "40", "--room", "shoebox", "--room",
-                 "halls", "--out", str(tmp_path)]  # fmt: skip
+    arguments = [
+        "study",
+        "--realisations",
+        "60",
+        "--trials",
+        "40",
+        "--room",
+        "shoebox",
+        "--room",
+        "halls",
+        "--out",
+        str(tmp_path),
+    ]
     done = CliRunner().invoke(cli, arguments, catch_exceptions=False)
     assert done.exit_code == 0
     assert "4.3937 % of sigma drawn again" in done.output
@@ -370,17 +390,29 @@ def test_command(tmp_path: Path) -> None:
     assert done.output.count("active in") == 9
     assert "26.8   23.9 to 28.8" in done.output
     names = {p.name for p in tmp_path.iterdir()}
-    assert {"shoebox-0.1-scores.csv", "shoebox-0.1-spread.png", "priors.png",
-            "table-1-priors.png"} <= names  # fmt: skip
-    analytic = CliRunner().invoke(cli, ["study", "--trials", "0", "--realisations", "50", "--room",
-                                        "lecture-hall"], catch_exceptions=False)  # fmt: skip
+    assert {
+        "shoebox-0.1-scores.csv",
+        "shoebox-0.1-spread.png",
+        "priors.png",
+        "table-1-priors.png",
+    } <= names
+    analytic = CliRunner().invoke(
+        cli,
+        ["study", "--trials", "0", "--realisations", "50", "--room", "lecture-hall"],
+        catch_exceptions=False,
+    )
     assert "stand-in" in analytic.output
     assert "-1.2" in analytic.output
 
 
 def test_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for areas, message in (([], "shape"), ([[1.0]], "shape"), ([1.0, 0.0], r"areas\[1\] = 0 m²"),
-                           ([1.0, np.nan], r"areas\[1\]"), (["a"], "numbers")):  # fmt: skip
+    for areas, message in (
+        ([], "shape"),
+        ([[1.0]], "shape"),
+        ([1.0, 0.0], r"areas\[1\] = 0 m²"),
+        ([1.0, np.nan], r"areas\[1\]"),
+        (["a"], "numbers"),
+    ):
         with pytest.raises(DataError, match=message):
             studies.calibration_scores(areas, 0.1, 1, 1)
     for sigma_r in (0.0, -1.0, np.nan):
@@ -407,6 +439,6 @@ def test_progress_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mo
     pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
     studies.run(SHOEBOX, 0.1, 250, 10, progress=True)
     assert capsys.readouterr().err == ""  # done within two seconds
-    monkeypatch.setattr("rtcal.progress.DELAY", 0.0)
+    monkeypatch.setattr("rtcal.support.progress.DELAY", 0.0)
     studies.run(SHOEBOX, 0.1, 250, 10, progress=True)
     assert "3/3" in capsys.readouterr().err

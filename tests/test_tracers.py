@@ -141,7 +141,7 @@ def test_ray_tracing_applies_iso_9613_air():
     length = first + c * 0.002 * (np.arange(plain.shape[-1]) + 0.5)
     expected = np.broadcast_to(np.exp(-m[:, np.newaxis] * length), plain.shape)
     heard = plain > 0
-    # A bin is .7 m long, and a ray is noted up to .1 m before the direct sound.
+    # A bin is 0.7 m long, and a ray is noted up to 0.1 m before the direct sound.
     assert (humid[heard] / plain[heard]) == pytest.approx(expected[heard], rel=0.02)
     assert np.exp(-m[-1] * 100) < 0.2  # so that the test would notice if it were left out
 
@@ -187,7 +187,7 @@ def test_the_direct_sound_of_both_is_the_inverse_square_law():
     ],
 )
 def test_both_engines_agree_where_they_mean_the_same(name, scattering, seconds, n_rays):
-    # 3 %, and one standard error of the difference for the noise that is left (.4 to 2 %).
+    # 3 %, and one standard error of the difference for the noise that is left (0.4 to 2 %).
     hall = getattr(halls, name)()
     points = {
         "sources": {"S1": hall.sources["S1"]},

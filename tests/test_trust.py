@@ -107,15 +107,23 @@ def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
 
 def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
     room = rt.Room(
-        name="r", volume=1000, materials=["wall", "seats"], areas=[400, 150],
-        alpha=[[0.05] * 4, [0.5] * 4], sigma=[[0.02] * 4, [0.1] * 4],
-        centre_frequencies=[63, 500, 4000, 8000], air=rt.Air(20, 30),
-    )  # fmt: skip
+        name="r",
+        volume=1000,
+        materials=["wall", "seats"],
+        areas=[400, 150],
+        alpha=[[0.05] * 4, [0.5] * 4],
+        sigma=[[0.02] * 4, [0.1] * 4],
+        centre_frequencies=[63, 500, 4000, 8000],
+        air=rt.Air(20, 30),
+    )
     t = np.array([1.2, 1.2, 1.0, np.nan])
     quiet = {
-        "measured": t, "uncertainty": np.full(4, 0.01), "air_share": np.full(4, 0.2),
-        "active": np.zeros((2, 4)), "z": np.zeros(4),
-    }  # fmt: skip
+        "measured": t,
+        "uncertainty": np.full(4, 0.01),
+        "air_share": np.full(4, 0.2),
+        "active": np.zeros((2, 4)),
+        "z": np.zeros(4),
+    }
 
     def kinds(of: rt.Room = room, **changes) -> set:
         return {(m.kind, m.frequency) for m in trust_marks(of, **{**quiet, **changes})}
@@ -166,9 +174,11 @@ def test_uncertainty_of_t_over_pairs() -> None:
     holes = rt.Measurement(centre_frequencies=[500, 1000], pairs=pairs, values={"t20": t20})
     assert holes.decay_time().mean[1] == pytest.approx(np.mean(t20[1:, 1]))
     stated = rt.Measurement(
-        centre_frequencies=[500, 1000], pairs=pairs, values={"t20": t20},
+        centre_frequencies=[500, 1000],
+        pairs=pairs,
+        values={"t20": t20},
         uncertainty={"t20": np.full((6, 2), 0.06)},
-    )  # fmt: skip
+    )
     assert stated.decay_time().uncertainty[0] == pytest.approx(0.06 / np.sqrt(6))
 
 

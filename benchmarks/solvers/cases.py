@@ -23,12 +23,36 @@ from rtcal.datasets.halls import lecture_hall
 from rtcal.studies.paper import SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA
 from rtcal.studies.rooms import SHOEBOX
 from rtcal.studies.sampling import realisations
-from rtcal.types import Array
+from rtcal.support.types import Array
 from tests import problems
 
 OCTAVES = [63, 125, 250, 500, 1000, 2000, 4000, 8000]
-THIRDS = [50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000,
-          2500, 3150, 4000, 5000, 6300, 8000, 10000]  # fmt: skip
+THIRDS = [
+    50,
+    63,
+    80,
+    100,
+    125,
+    160,
+    200,
+    250,
+    315,
+    400,
+    500,
+    630,
+    800,
+    1000,
+    1250,
+    1600,
+    2000,
+    2500,
+    3150,
+    4000,
+    5000,
+    6300,
+    8000,
+    10000,
+]
 BRAS = Path(__file__).resolve().parents[3] / "shared" / "data" / "bras"
 """Where the two rooms of BRAS in third-octaves are, if they are (CC BY-SA 4.0; not in the repo)."""
 RUNTIME = 2.0  # s allowed a solve, for the solvers that take a limit
@@ -61,9 +85,14 @@ class Case(qpbenchmark.Problem):
     """
 
     def __init__(
-        self, name: str, family: str, built: CalibrationProblem | JointProblem, measured: object,
-        room: object, separable: Separable | None,
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        family: str,
+        built: CalibrationProblem | JointProblem,
+        measured: object,
+        room: object,
+        separable: Separable | None,
+    ) -> None:
         self.family, self.built, self.measured, self.room = family, built, measured, room
         self.separable = separable
         self.whitened: Whitened = built.whitened(measured, room)
@@ -71,9 +100,16 @@ class Case(qpbenchmark.Problem):
         rows = sp.csr_matrix(qp.A)
         n = qp.n_equal
         super().__init__(
-            qp.P, qp.q, sp.csc_matrix(rows[n:]), qp.b[n:],
-            sp.csc_matrix(rows[:n]) if n else None, qp.b[:n] if n else None, None, None, name,
-        )  # fmt: skip
+            qp.P,
+            qp.q,
+            sp.csc_matrix(rows[n:]),
+            qp.b[n:],
+            sp.csc_matrix(rows[:n]) if n else None,
+            qp.b[:n] if n else None,
+            None,
+            None,
+            name,
+        )
         self.alpha: Array | None = None
         self.alpha_within = truth.EPS
         if separable is not None:
@@ -92,14 +128,21 @@ class Case(qpbenchmark.Problem):
 
 
 def _single(
-    name: str, family: str, built: CalibrationProblem, room: rt.Room, times: Array,
+    name: str,
+    family: str,
+    built: CalibrationProblem,
+    room: rt.Room,
+    times: Array,
     sigma: Array | None = None,
-) -> Case:  # fmt: skip
+) -> Case:
     lower = np.zeros(room.alpha.shape) if room.alpha_min is None else room.alpha_min
     separable = Separable(
-        room.alpha, room.sigma if sigma is None else sigma, room.areas,
-        built.equation.target(room, np.asarray(times)), lower,
-    )  # fmt: skip
+        room.alpha,
+        room.sigma if sigma is None else sigma,
+        room.areas,
+        built.equation.target(room, np.asarray(times)),
+        lower,
+    )
     return Case(name, family, built, times, room, separable)
 
 
@@ -107,10 +150,15 @@ def room_of(n: int, frequencies: list[int], rng: np.random.Generator) -> tuple[r
     """A random room and T of coefficients drawn from its prior."""
     shape = (n, len(frequencies))
     room = rt.Room(
-        name="random", volume=100.0 * n, materials=[f"m{i}" for i in range(n)],
-        areas=rng.uniform(5, 60, n), alpha=rng.uniform(0.02, 0.6, shape),
-        sigma=rng.uniform(0.01, 0.1, shape), centre_frequencies=frequencies, air=rt.Air(),
-    )  # fmt: skip
+        name="random",
+        volume=100.0 * n,
+        materials=[f"m{i}" for i in range(n)],
+        areas=rng.uniform(5, 60, n),
+        alpha=rng.uniform(0.02, 0.6, shape),
+        sigma=rng.uniform(0.01, 0.1, shape),
+        centre_frequencies=frequencies,
+        air=rt.Air(),
+    )
     drawn = np.clip(room.alpha + room.sigma * rng.standard_normal(shape), 0.01, 0.99)
     return room, rt.Eyring().time(room, room.areas @ drawn)
 
@@ -133,10 +181,15 @@ def warm_cases(n: int, box: str, count: int, seed: int) -> Iterator[Case]:
 
 def _one_band(mu: Array, sigma: Array, areas: Array, lower: Array | None = None) -> rt.Room:
     return rt.Room(
-        name="one band", volume=200.0, materials=[f"m{i}" for i in range(len(mu))], areas=areas,
-        alpha=np.reshape(mu, (-1, 1)), sigma=np.reshape(sigma, (-1, 1)), centre_frequencies=[1000],
+        name="one band",
+        volume=200.0,
+        materials=[f"m{i}" for i in range(len(mu))],
+        areas=areas,
+        alpha=np.reshape(mu, (-1, 1)),
+        sigma=np.reshape(sigma, (-1, 1)),
+        centre_frequencies=[1000],
         alpha_min=None if lower is None else np.reshape(lower, (-1, 1)),
-    )  # fmt: skip
+    )
 
 
 def _hard(kind: str, n: int, rng: np.random.Generator) -> tuple[rt.Room, Array]:
@@ -239,10 +292,15 @@ class Rooms(qpbenchmark.TestSet):
             yield _single(f"Table 3 hall sigma_r {sigma_r}", "paper", built, one, times)
         rows = [hall.room.material_index(m) for m in hall.geometry.materials]
         room = rt.Room(
-            name="lecture hall", volume=hall.room.volume, areas=areas, air=hall.room.air,
-            materials=hall.geometry.names, alpha=hall.room.alpha[rows],
-            sigma=hall.room.sigma[rows], centre_frequencies=hall.room.centre_frequencies,
-        )  # fmt: skip
+            name="lecture hall",
+            volume=hall.room.volume,
+            areas=areas,
+            air=hall.room.air,
+            materials=hall.geometry.names,
+            alpha=hall.room.alpha[rows],
+            sigma=hall.room.sigma[rows],
+            centre_frequencies=hall.room.centre_frequencies,
+        )
         rng = np.random.default_rng([self.seed, 6])
         drawn = np.clip(room.alpha + room.sigma * rng.standard_normal(room.alpha.shape), 0.01, 0.99)
         times = rt.Eyring().time(room, areas @ drawn)
@@ -287,9 +345,13 @@ class Rooms(qpbenchmark.TestSet):
         pair = Configurations([room, other])
         seen = rt.Eyring().time(other, other.areas @ np.clip(room.alpha * 1.02, 0.01, 0.99))
         return Case(
-            f"two configurations {n} x {len(bands)}", family, preset("joint").build(pair),
-            [times, seen], pair, None,
-        )  # fmt: skip
+            f"two configurations {n} x {len(bands)}",
+            family,
+            preset("joint").build(pair),
+            [times, seen],
+            pair,
+            None,
+        )
 
     def _sizes(self) -> Iterator[Case]:
         for n in (5, 20) if self.size == "short" else (5, 10, 20, 40, 80, 208):
@@ -322,9 +384,13 @@ def bras_thirds(name: str, folder: Path) -> tuple[rt.Room, Array]:
     whole = table("rooms.csv")[0]
     alpha = np.array([[float(given[m][b]) for b in bands] for m in areas])
     room = rt.Room(
-        name=name, volume=float(whole["volume_m3"]), materials=list(areas),
-        areas=list(areas.values()), alpha=alpha, sigma=np.maximum(0.3 * alpha, 0.01),
+        name=name,
+        volume=float(whole["volume_m3"]),
+        materials=list(areas),
+        areas=list(areas.values()),
+        alpha=alpha,
+        sigma=np.maximum(0.3 * alpha, 0.01),
         centre_frequencies=[float(b) for b in bands],
         air=rt.Air(float(whole["temperature_C"]), float(whole["rel_humidity_pct"])),
-    )  # fmt: skip
+    )
     return room, np.array([float(measured[b]) for b in bands])

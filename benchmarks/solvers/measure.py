@@ -72,18 +72,34 @@ def judge(case: Case, route: str, setting: str, found: Found, tolerance: Toleran
             primal, dual, gap = residuals(case, found)
     passes = primal <= tolerance.primal and dual <= tolerance.dual and gap <= tolerance.gap
     return Row(
-        case.name, case.family, case.unknowns, case.alpha is not None, route, setting,
-        found.status, error, case.alpha_within, primal, dual, gap, bool(passes),
-        1e6 * found.seconds, found.iterations,
-    )  # fmt: skip
+        case.name,
+        case.family,
+        case.unknowns,
+        case.alpha is not None,
+        route,
+        setting,
+        found.status,
+        error,
+        case.alpha_within,
+        primal,
+        dual,
+        gap,
+        bool(passes),
+        1e6 * found.seconds,
+        found.iterations,
+    )
 
 
 def residuals(case: Case, found: Found) -> tuple[float, float, float]:
     """Primal and dual residual and duality gap by qpsolvers' `Solution`; NaN without duals."""
     solution = qpsolvers.Solution(
-        case, found=True, x=found.x, y=np.zeros(0) if case.A is None else found.y, z=found.z,
+        case,
+        found=True,
+        x=found.x,
+        y=np.zeros(0) if case.A is None else found.y,
+        z=found.z,
         z_box=np.zeros(0),
-    )  # fmt: skip
+    )
     primal = float(solution.primal_residual())
     if found.z is None or (case.A is not None and found.y is None):
         return primal, NAN, NAN
@@ -136,18 +152,23 @@ def iterations(count: int, seed: int = 7) -> Iterator[Count]:
                 truth = by_clarabel(case, exact, "")
                 answer = (truth.x, np.concatenate([truth.y, truth.z]))
                 starts = {
-                    "cold": None, "closed form": (-(rows.T @ y), np.concatenate([y, nothing])),
-                    "previous room": previous, "exact answer": answer,
-                }  # fmt: skip
+                    "cold": None,
+                    "closed form": (-(rows.T @ y), np.concatenate([y, nothing])),
+                    "previous room": previous,
+                    "exact answer": answer,
+                }
                 for name, start in starts.items():
                     if name == "previous room" and start is None:
                         continue
                     used = by_osqp(case, settings, "", start).iterations
                     yield Count(n, box, "osqp", name, used)
                 held = case.built.solve(
-                    case.measured, case.room, solver="osqp", warm_start="closed_form",
+                    case.measured,
+                    case.room,
+                    solver="osqp",
+                    warm_start="closed_form",
                     settings={**settings["osqp"], "polishing": False},
-                ).joint.solution.raw  # fmt: skip
+                ).joint.solution.raw
                 yield Count(n, box, "osqp", "closed form, held", held.iterations)
                 yield Count(n, box, "clarabel", "cold", by_clarabel(case, settings, "").iterations)
                 previous = answer

@@ -17,7 +17,7 @@ from benchmarks.solvers.cases import RUNTIME
 from benchmarks.solvers.measure import ENOUGH, Row
 from benchmarks.solvers.results import TOO_SLOW, read
 from benchmarks.solvers.routes import CVXPY_LIMIT, DENSE_LIMIT, EPS, SLSQP_LIMIT
-from rtcal.acoustics.files import write_bytes, write_text
+from rtcal.support.files import write_bytes, write_text
 
 SHIFT = 10.0  # microseconds; qpbenchmark's ten seconds would hide every difference here
 DEFAULT, OTHER = "rtcal:clarabel", "rtcal:osqp"
@@ -47,16 +47,36 @@ def accuracy(rows: Sequence[Row]) -> str:
     for (route, setting), own in _grouped(rows).items():
         feasible = [r for r in own if r.feasible]
         solved = [r for r in feasible if r.status == "solved"]
-        lines.append((
-            route, setting.removesuffix("_accuracy"), len(feasible),
-            sum(r.failed for r in feasible), sum(r.wrong for r in own),
-            sum(r.off(1e-6) for r in own), _worst([r.error for r in solved]),
-            _worst([r.primal for r in solved]), _worst([r.dual for r in solved]),
-            _worst([r.gap for r in solved]), sum(r.passes for r in solved),
-            f"{sum(r.detected for r in own)}/{len(own) - len(feasible)}",
-        ))  # fmt: skip
-    head = ("route", "settings", "feasible", "failed", "wrong > 1e-4", "off > 1e-6",
-            "worst error", "primal", "dual", "gap", "within tolerance", "infeasible detected")  # fmt: skip
+        lines.append(
+            (
+                route,
+                setting.removesuffix("_accuracy"),
+                len(feasible),
+                sum(r.failed for r in feasible),
+                sum(r.wrong for r in own),
+                sum(r.off(1e-6) for r in own),
+                _worst([r.error for r in solved]),
+                _worst([r.primal for r in solved]),
+                _worst([r.dual for r in solved]),
+                _worst([r.gap for r in solved]),
+                sum(r.passes for r in solved),
+                f"{sum(r.detected for r in own)}/{len(own) - len(feasible)}",
+            )
+        )
+    head = (
+        "route",
+        "settings",
+        "feasible",
+        "failed",
+        "wrong > 1e-4",
+        "off > 1e-6",
+        "worst error",
+        "primal",
+        "dual",
+        "gap",
+        "within tolerance",
+        "infeasible detected",
+    )
     return _table(head, lines)
 
 
@@ -82,11 +102,14 @@ def times(rows: Sequence[Row]) -> str:
         ("composed", lambda r: r.family == "composed"),
     ]
     lines = [
-        (route, setting.removesuffix("_accuracy"),
-         *(_mean([r for r in own if belongs(r)]) for _, belongs in ranges))
+        (
+            route,
+            setting.removesuffix("_accuracy"),
+            *(_mean([r for r in own if belongs(r)]) for _, belongs in ranges),
+        )
         for (route, setting), own in _grouped(rows).items()
         if setting in ("default", "high_accuracy")
-    ]  # fmt: skip
+    ]
     return _table(("route", "settings", *(name for name, _ in ranges)), lines)
 
 
@@ -126,10 +149,14 @@ def sizes(rows: Sequence[Row]) -> str:
     lines = []
     for (route, kind), curve in sorted(curves.items()):
         slope = exponent(curve)
-        lines.append((
-            route, kind, *(f"{1e-3 * curve[n]:.2f}" if n in curve else "–" for n in columns),
-            f"{slope:.2f}" if np.isfinite(slope) else "–",
-        ))  # fmt: skip
+        lines.append(
+            (
+                route,
+                kind,
+                *(f"{1e-3 * curve[n]:.2f}" if n in curve else "–" for n in columns),
+                f"{slope:.2f}" if np.isfinite(slope) else "–",
+            )
+        )
     return _table(("route", "problem", *columns, "exponent"), lines)
 
 
@@ -187,20 +214,28 @@ def score(rows: Sequence[Row], route: str, setting: str = "default") -> Score:
     own = [r for r in rows if (r.route, r.settings) == (route, setting)]
     feasible = [r for r in own if r.feasible]
     return Score(
-        len(feasible), sum(r.failed for r in own), sum(r.wrong for r in own),
+        len(feasible),
+        sum(r.failed for r in own),
+        sum(r.wrong for r in own),
         sum(r.off(1e-6) for r in own),
         _worst([r.error for r in feasible if r.status == "solved"]),
         f"{sum(r.detected for r in own)} of {len(own) - len(feasible)}",
-    )  # fmt: skip
+    )
 
 
 def _ratio(rows: Sequence[Row], family: str, unknowns: int) -> str:
     """OSQP's time over Clarabel's, both polished."""
     times = [
-        _mean_of([r for r in rows if (r.route, r.settings, r.family, r.unknowns)
-                  == (route, "default", family, unknowns)])
+        _mean_of(
+            [
+                r
+                for r in rows
+                if (r.route, r.settings, r.family, r.unknowns)
+                == (route, "default", family, unknowns)
+            ]
+        )
         for route in (OTHER, DEFAULT)
-    ]  # fmt: skip
+    ]
     return f"{times[0] / times[1]:.1f}"
 
 
@@ -339,9 +374,10 @@ One-band problems: a batch by `rtcal.exact`, and one by one by the quickest solv
 
 def _named(rows: Sequence[Row], route: str) -> str:
     found = [
-        r.problem for r in rows
+        r.problem
+        for r in rows
         if r.failed and (r.route, r.settings) == (route, "default") and r.family != "sizes"
-    ]  # fmt: skip
+    ]
     return ", ".join(f'"{name}"' for name in found) or "none here"
 
 

@@ -17,11 +17,26 @@ from pathlib import Path
 from benchmarks.solvers.cases import RANDOM, Rooms
 from benchmarks.solvers.measure import Row, iterations, judge, throughput, timed
 from benchmarks.solvers.routes import Route, available, fits, settings_of
-from rtcal.acoustics.files import write_bytes, write_text
+from rtcal.support.files import write_bytes, write_text
 
 COLUMNS = [f.name for f in fields(Row)]
-PACKAGES = ("rtcal", "numpy", "scipy", "cvxpy", "clarabel", "osqp", "qpsolvers", "qpbenchmark",
-            "highspy", "daqp", "piqp", "proxsuite", "scs", "quadprog", "numba")  # fmt: skip
+PACKAGES = (
+    "rtcal",
+    "numpy",
+    "scipy",
+    "cvxpy",
+    "clarabel",
+    "osqp",
+    "qpsolvers",
+    "qpbenchmark",
+    "highspy",
+    "daqp",
+    "piqp",
+    "proxsuite",
+    "scs",
+    "quadprog",
+    "numba",
+)
 TOO_SLOW = 1.0  # s: a route that took longer is not given larger problems of that family
 
 
@@ -30,8 +45,11 @@ def machine() -> dict[str, object]:
     model = platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
-        names = [x.split(":", 1)[1].strip() for x in info.read_text().splitlines()
-                 if x.startswith("model name")]  # fmt: skip
+        names = [
+            x.split(":", 1)[1].strip()
+            for x in info.read_text().splitlines()
+            if x.startswith("model name")
+        ]
         model = names[0] if names else model
     versions = {"python": platform.python_version()}
     for name in PACKAGES:
@@ -40,9 +58,12 @@ def machine() -> dict[str, object]:
         except importlib.metadata.PackageNotFoundError:
             continue
     return {
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(), "processor": model,
-        "cores": os.cpu_count(), "system": platform.system(), "versions": versions,
-    }  # fmt: skip
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "processor": model,
+        "cores": os.cpu_count(),
+        "system": platform.system(),
+        "versions": versions,
+    }
 
 
 def read(path: Path) -> list[Row]:
@@ -112,8 +133,11 @@ def finish(folder: Path, size: str) -> None:
     rows = read(folder / f"{size}.csv")
     count = 3 if size == "short" else RANDOM
     also = {
-        "run": size, **machine(), "left_out": Rooms(size).left_out,
-        "iterations": [asdict(c) for c in iterations(count)], "throughput": throughput(),
-    }  # fmt: skip
+        "run": size,
+        **machine(),
+        "left_out": Rooms(size).left_out,
+        "iterations": [asdict(c) for c in iterations(count)],
+        "throughput": throughput(),
+    }
     write_text(folder / f"{size}.json", json.dumps(also) + "\n")
     write_bytes(folder / f"{size}.csv.gz", gzip.compress(_text(rows).encode(), mtime=0))

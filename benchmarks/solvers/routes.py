@@ -24,7 +24,7 @@ from qpbenchmark.solver_settings import SolverSettings
 import rtcal as rt
 from benchmarks.solvers.cases import Case
 from rtcal.calibration.problem import JointProblem
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 EPS = {"low_accuracy": 1e-3, "mid_accuracy": 1e-6, "high_accuracy": 1e-9}
 NAMES = ("clarabel", "osqp", "highs", "daqp", "piqp", "proxqp", "scs", "quadprog")
@@ -85,9 +85,13 @@ def by_clarabel(case: Case, settings: SolverSettings, setting: str) -> Found:
     status = "solved" if word == "Solved" else "infeasible" if "Infeasible" in word else "failed"
     y = np.array(result.z)
     return Found(
-        status, seconds, np.array(result.x), y[: qp.n_equal], y[qp.n_equal :],
+        status,
+        seconds,
+        np.array(result.x),
+        y[: qp.n_equal],
+        y[qp.n_equal :],
         iterations=int(result.iterations),
-    )  # fmt: skip
+    )
 
 
 def by_osqp(
@@ -101,9 +105,13 @@ def by_osqp(
     began = time.perf_counter()
     solver = osqp.OSQP()
     solver.setup(
-        sp.triu(qp.P, format="csc"), qp.q, qp.A, low, qp.b,
+        sp.triu(qp.P, format="csc"),
+        qp.q,
+        qp.A,
+        low,
+        qp.b,
         **{"verbose": False, **settings["osqp"]},
-    )  # fmt: skip
+    )
     if start is not None:
         solver.warm_start(x=start[0], y=start[1])
     result = solver.solve(raise_error=False)
@@ -112,9 +120,13 @@ def by_osqp(
     status = "solved" if word == "solved" else "infeasible" if "infeasible" in word else "failed"
     y = np.asarray(result.y)
     return Found(
-        status, seconds, np.asarray(result.x), y[: qp.n_equal], y[qp.n_equal :],
+        status,
+        seconds,
+        np.asarray(result.x),
+        y[: qp.n_equal],
+        y[qp.n_equal :],
         iterations=int(result.info.iter),
-    )  # fmt: skip
+    )
 
 
 @functools.cache
@@ -133,9 +145,12 @@ def by_cvxpy(name: str, case: Case, settings: SolverSettings, setting: str) -> F
     problem, x, constraints, parameters = _built(n, qp.n_equal)
     lower = np.zeros(n) if case.separable is None else case.separable.lower.ravel()
     values = [
-        qp.A[: qp.n_equal].toarray(), qp.b[: qp.n_equal], case.whitened.scale,
-        lower - case.whitened.centre, 1.0 - case.whitened.centre,
-    ]  # fmt: skip
+        qp.A[: qp.n_equal].toarray(),
+        qp.b[: qp.n_equal],
+        case.whitened.scale,
+        lower - case.whitened.centre,
+        1.0 - case.whitened.centre,
+    ]
     for parameter, value in zip(parameters, values, strict=True):
         parameter.value = value
     began = time.perf_counter()
@@ -168,10 +183,13 @@ def by_slsqp(case: Case, settings: SolverSettings, setting: str) -> Found:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = scipy.optimize.minimize(
-            lambda x: 0.5 * x @ dense.P @ x + dense.q @ x, np.zeros(len(dense.q)), method="SLSQP",
-            jac=lambda x: dense.P @ x + dense.q, constraints=constraints,
+            lambda x: 0.5 * x @ dense.P @ x + dense.q @ x,
+            np.zeros(len(dense.q)),
+            method="SLSQP",
+            jac=lambda x: dense.P @ x + dense.q,
+            constraints=constraints,
             options={} if setting == "default" else {"ftol": EPS[setting]},
-        )  # fmt: skip
+        )
     status = "solved" if found.success else "failed"
     return Found(status, time.perf_counter() - began, found.x, iterations=int(found.nit))
 
@@ -197,11 +215,12 @@ def by_rtcal(
     word = "solved" if polished else joint.solution.raw.status.lower()
     status = word if word == "solved" else "infeasible" if "infeasible" in word else "failed"
     return Found(
-        status, seconds if polished else given.seconds,
+        status,
+        seconds if polished else given.seconds,
         alpha=case.whitened.layout.expand(given.unknowns),
         own=tuple(float(np.max(r)) for r in residuals),
         iterations=joint.solution.raw.iterations,
-    )  # fmt: skip
+    )
 
 
 def by_exact(case: Case, settings: SolverSettings, setting: str) -> Found:

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 import rtcal as rt
-from rtcal.types import Array
+from rtcal.support.types import Array
 from tests import rational
 
 EPS = float(np.finfo(float).eps)

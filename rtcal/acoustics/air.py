@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 _REFERENCE_PRESSURE = 101.325  # kPa
 _REFERENCE_TEMPERATURE = 293.15  # K

@@ -8,15 +8,44 @@ from collections.abc import Iterable
 import numpy as np
 
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 OCTAVES: tuple[float, ...] = (31.5, 63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000)
 """Nominal octave centre frequencies in Hz."""
 
 THIRD_OCTAVES: tuple[float, ...] = (
-    20, 25, 31.5, 40, 50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800,
-    1000, 1250, 1600, 2000, 2500, 3150, 4000, 5000, 6300, 8000, 10000, 12500, 16000, 20000,
-)  # fmt: skip
+    20,
+    25,
+    31.5,
+    40,
+    50,
+    63,
+    80,
+    100,
+    125,
+    160,
+    200,
+    250,
+    315,
+    400,
+    500,
+    630,
+    800,
+    1000,
+    1250,
+    1600,
+    2000,
+    2500,
+    3150,
+    4000,
+    5000,
+    6300,
+    8000,
+    10000,
+    12500,
+    16000,
+    20000,
+)
 """Nominal third-octave centre frequencies in Hz."""
 
 # Exact base-ten centres differ from the nominal ones by at most 1 % (1584.9 Hz is called 1600 Hz),
@@ -111,7 +140,7 @@ def index(frequencies: Array, frequency: float) -> int | None:
 
 
 def bandwidth_factor(frequencies: Array) -> float:
-    """Return bandwidth / centre frequency: .71 for octaves, .23 for third-octaves.
+    """Return bandwidth / centre frequency: 0.71 for octaves, 0.23 for third-octaves.
 
     Neighbouring bands less than half an octave apart are taken for third-octaves; a single band
     for an octave, the wider and more common one.

@@ -12,15 +12,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, TooShortError, of_bands
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 RANGES: dict[str, tuple[float, float]] = {
-    "edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0),
-}  # fmt: skip
+    "edt": (0.0, -10.0),
+    "t20": (-5.0, -25.0),
+    "t30": (-5.0, -35.0),
+}
 """Levels in dB between which each decay time is fitted (ISO 3382-1:2009, 5.3 and A.2.2)."""
 
 MARGIN_DB = 15.0
@@ -135,7 +137,7 @@ def early_energy(energy: Array, bin_width: float, limit: float) -> Array:
 
 
 def clarity(energy: Array, bin_width: float, limit: float) -> Array:
-    """Return C50 (``limit`` .05 s) or C80 (.08 s) in dB, (...): 10 lg(early / late).
+    """Return C50 (``limit`` 0.05 s) or C80 (0.08 s) in dB, (...): 10 lg(early / late).
 
     ISO 3382-1:2009, A.10. Infinite where nothing comes after the limit, NaN without any energy.
     """

@@ -13,11 +13,11 @@ from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, InfeasibleError, ModelError, of_bands
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 PAPER_SPEED_OF_SOUND = 24 * np.log(10) / 0.164
 """336.97 m/s: gives the paper's rounded constant 0.164 s/m; only to reproduce its numbers."""
@@ -232,7 +232,7 @@ class Kuttruff(LinearEquation):
     """Kuttruff's equation: a = a' (1 - gamma² a' / 2), a' = -ln(1 - mean alpha).
 
     gamma² is the relative variance of the free paths. The exponent peaks at a' = 1 / gamma², for
-    gamma² = .4 at a mean coefficient of .918; beyond it the equation does not hold, and a T shorter
+    gamma² = 0.4 at a mean coefficient of 0.918; beyond it the equation does not hold, and a T shorter
     than there is refused.
 
     Parameters
@@ -240,7 +240,7 @@ class Kuttruff(LinearEquation):
     speed_of_sound : float, optional
         c in m/s; the room's air tells it if it is not given.
     path_variance : float
-        gamma², above 0 and at most 1; .4 suits rooms of usual proportions.
+        gamma², above 0 and at most 1; 0.4 suits rooms of usual proportions.
 
     References
     ----------

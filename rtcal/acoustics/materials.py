@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 AXES = ("x", "y", "z")
 

@@ -8,26 +8,33 @@ from typing import Any
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import text_name
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 UNITS: dict[str, str] = {
-    "t20": "s", "t30": "s", "edt": "s", "c50": "dB", "c80": "dB", "d50": "", "ts": "s", "g": "dB",
-}  # fmt: skip
+    "t20": "s",
+    "t30": "s",
+    "edt": "s",
+    "c50": "dB",
+    "c80": "dB",
+    "d50": "",
+    "ts": "s",
+    "g": "dB",
+}
 """Unit of each parameter (ISO 3382-1); D50 is a fraction."""
 
 DECAY_TIMES = ("t20", "t30", "edt")
 T_LIMITS = (0.01, 120.0)
-"""s; T20 and T30 that are handed in lie within. A lined box of a litre has .01 s or more; the longest
+"""s; T20 and T30 that are handed in lie within. A lined box of a litre has 0.01 s or more; the longest
 T known is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic Wonderland, 2014)."""
 SUMMARY = "*"
 """Name of the source and of the receiver in a row that sums several pairs up."""
 
-# ISO 3382-2:2008, Eqs. 4 and 5: sigma(T) = a T sqrt((1 + b/n) / (N B T)), B = .71 f in octaves and
-# .23 f in thirds. The standard was not at hand; the numbers are those of RWTH Aachen's ITA-Toolbox,
+# ISO 3382-2:2008, Eqs. 4 and 5: sigma(T) = a T sqrt((1 + b/n) / (N B T)), B = 0.71 f in octaves and
+# 0.23 f in thirds. The standard was not at hand; the numbers are those of RWTH Aachen's ITA-Toolbox,
 # ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
 _ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
 _DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
@@ -113,8 +120,10 @@ class Measurement:
             raise DataError("measurement: no values; at least one parameter is needed")
         n, k = len(self.pairs), len(self.centre_frequencies)
         for name, shape in (
-            ("values", (n, k)), ("uncertainty", (n, k)), ("standard_deviation", (k,)),
-        ):  # fmt: skip
+            ("values", (n, k)),
+            ("uncertainty", (n, k)),
+            ("standard_deviation", (k,)),
+        ):
             checked = {p: self._checked(name, p, v, shape) for p, v in getattr(self, name).items()}
             put(name, checked)
         self._check_summary()

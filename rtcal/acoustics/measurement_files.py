@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.files import read_text, write_text
 from rtcal.acoustics.measurement import DECAY_TIMES, SUMMARY, UNITS, Measurement, plausible_time
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.files import read_text, write_text
+from rtcal.support.types import Array
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _COLUMNS = ("source", "receiver", "parameter", "band", "value")
@@ -69,8 +69,10 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement:
         cell = dict(zip(header, (c.strip() for c in cells), strict=True))
         key, numbers = _measurement_row(cell, place)
         if key in rows:
-            raise DataError(f"{place}: {key[2].upper()} of {key[0]}, {key[1]} at "
-                            f"{bands.label(key[3])} is given twice")  # fmt: skip
+            raise DataError(
+                f"{place}: {key[2].upper()} of {key[0]}, {key[1]} at "
+                f"{bands.label(key[3])} is given twice"
+            )
         rows[key] = numbers
     if not rows:
         raise DataError(f"{path}: no row with a value below the header")
@@ -193,9 +195,12 @@ def measurement_text(measurement: Measurement) -> str:
         for i, (source, receiver) in enumerate(measurement.pairs):
             for k, band in enumerate(measurement.centre_frequencies):
                 cells: dict[str, Any] = {
-                    "source": source, "receiver": receiver, "parameter": parameter.upper(),
-                    "band": f"{float(band)!r}", "value": _text(values[i, k]),
-                }  # fmt: skip
+                    "source": source,
+                    "receiver": receiver,
+                    "parameter": parameter.upper(),
+                    "band": f"{float(band)!r}",
+                    "value": _text(values[i, k]),
+                }
                 if parameter in measurement.uncertainty:
                     cells["uncertainty"] = _text(measurement.uncertainty[parameter][i, k])
                 if parameter in measurement.standard_deviation:

@@ -10,10 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics.room import AXES, Room
 from rtcal.errors import DataError, ModelError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True)

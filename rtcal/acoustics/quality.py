@@ -12,14 +12,20 @@ from numpy.typing import NDArray
 from rtcal.acoustics.measurement import DECAY_TIMES
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 # ISO 3382-1:2009, Table A.1: relative for decay times, absolute for the others.
 JND: dict[str, float] = {
-    "t20": 0.05, "t30": 0.05, "edt": 0.05, "c50": 1.0, "c80": 1.0, "g": 1.0, "d50": 0.05,
+    "t20": 0.05,
+    "t30": 0.05,
+    "edt": 0.05,
+    "c50": 1.0,
+    "c80": 1.0,
+    "g": 1.0,
+    "d50": 0.05,
     "ts": 0.010,
-}  # fmt: skip
-"""One JND: 5 % of the measured decay time; 1 dB; .05 for D50; 10 ms for Ts."""
+}
+"""One JND: 5 % of the measured decay time; 1 dB; 0.05 for D50; 10 ms for Ts."""
 
 
 def gap_jnd(model: Array, measured: Array, parameter: str = "t20") -> Array:
@@ -116,42 +122,54 @@ class TrustMark:
 
 _ADVICE: dict[str, tuple[str, str]] = {
     "unreachable": (
-        "n", "its coefficients are the ends of their bounds, not a finding: check T, volume and areas, "
+        "n",
+        "its coefficients are the ends of their bounds, not a finding: check T, volume and areas, "
         "and give the materials wider bounds or look for an effect that the model lacks",
     ),
-    "missing": ("m", "alpha keeps its prior there: measure the band, or draw no conclusion from it"),
+    "missing": (
+        "m",
+        "alpha keeps its prior there: measure the band, or draw no conclusion from it",
+    ),
     "below_schroeder": (
-        "s", "single modes rule, which no reverberation equation describes: do not carry these "
+        "s",
+        "single modes rule, which no reverberation equation describes: do not carry these "
         "coefficients to other positions or rooms",
     ),
     "air": (
-        "a", "an error of T, or of the stated climate, counts several times in alpha: measure "
+        "a",
+        "an error of T, or of the stated climate, counts several times in alpha: measure "
         "temperature and humidity with T",
     ),
     "uncertain": (
-        "u", "no verdict on the gap: measure at more positions, or calibrate with method soft",
+        "u",
+        "no verdict on the gap: measure at more positions, or calibrate with method soft",
     ),
     "at_bound": (
-        "b", "its sigma or another's is too small, or an effect is missing: state a floor (alpha_min) "
+        "b",
+        "its sigma or another's is too small, or an effect is missing: state a floor (alpha_min) "
         "for hard materials and look for the effect",
     ),
     "implausible": (
-        "z", "the measurement contradicts what was stated of the materials: check areas and volume, "
+        "z",
+        "the measurement contradicts what was stated of the materials: check areas and volume, "
         "then look for an effect that the model lacks, before using these coefficients",
     ),
     "no_air": (
-        "", "the surfaces are made to absorb what the air does, most of all above 1 kHz: state "
+        "",
+        "the surfaces are made to absorb what the air does, most of all above 1 kHz: state "
         "temperature and humidity",
     ),
     "no_uncertainty": (
-        "", "z and Q may be overstated: give T per source and receiver, or its uncertainty",
+        "",
+        "z and Q may be overstated: give T per source and receiver, or its uncertainty",
     ),
     "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
     "clipped": (
-        "", "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
+        "",
+        "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
         "state a larger sigma for these materials",
     ),
-}  # fmt: skip
+}
 
 _AIR_SHARE = 0.5
 
@@ -218,8 +236,12 @@ def trust_marks(
         mark("no_air", None, "no air is stated")
     smallest = 4.84 * room.volume ** (2 / 3)  # the surface of the sphere of this volume
     if room.total_area < smallest:
-        mark("surface_missing", None, f"{room.total_area:.4g} m² of surface cannot enclose "
-             f"{room.volume:.4g} m³, which takes at least {smallest:.4g} m²")  # fmt: skip
+        mark(
+            "surface_missing",
+            None,
+            f"{room.total_area:.4g} m² of surface cannot enclose "
+            f"{room.volume:.4g} m³, which takes at least {smallest:.4g} m²",
+        )
     if room.clipped:
         mark("clipped", None, f"cut to 1: {'; '.join(room.clipped)}")
     here = np.isfinite(measured)

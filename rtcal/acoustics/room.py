@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import (
@@ -23,7 +22,8 @@ from rtcal.acoustics.materials import (
     text_name,
 )
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
 
@@ -356,17 +356,20 @@ class Room:
             name=name,
             volume=volume,
             materials=[m.name for m in used],
-            areas=array_of("areas", [
-                np.sum([s.area for s in surfaces if s.material == m.name]) for m in used
-            ]),
+            areas=array_of(
+                "areas", [np.sum([s.area for s in surfaces if s.material == m.name]) for m in used]
+            ),
             alpha=rows_of("alpha", [(m.name, m.alpha) for m in used], k),
             sigma=rows_of("sigma", [(m.name, m.sigma) for m in used], k),
             centre_frequencies=np.asarray(centre_frequencies, dtype=float),
             air=air,
             alpha_min=np.array(floors) if any(f.any() for f in floors) else None,
             scattering=(
-                rows_of("scattering", [(m.name, () if m.scattering is None else m.scattering)
-                                      for m in used], k)
+                rows_of(
+                    "scattering",
+                    [(m.name, () if m.scattering is None else m.scattering) for m in used],
+                    k,
+                )
                 if any(s is not None for s in scattering)
                 else None
             ),
@@ -377,7 +380,7 @@ class Room:
             material_correlation=material_correlation or {},
             calibration=calibration,
             above_one=above_one,
-        )  # fmt: skip
+        )
 
     @classmethod
     def from_file(cls, path: str) -> Room:

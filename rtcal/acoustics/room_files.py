@@ -24,7 +24,7 @@ One ``[[material]]`` for each material::
     area = 34.93                        # m²; or leave it out and give [[surface]]s
     alpha = [0.052, 0.052]              # 0 to 1, one a band
     sigma = 0.05                        # optional: one number, one a band, or a degree of
-                                        # uncertainty: "low" .01, "moderate" .05, "high" .1
+                                        # uncertainty: "low" 0.01, "moderate" 0.05, "high" 0.1
     alpha_min = 0.01                    # optional: the least that calibration may give
     scattering = [0.1, 0.1]             # optional, for simulators
     source = "where alpha comes from"   # optional
@@ -52,22 +52,34 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.files import read_text, write_text
 from rtcal.acoustics.room import CalibrationRecord, Material, Room, Surface
 from rtcal.acoustics.sigma import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.files import read_text, write_text
+from rtcal.support.types import Array
 
 _ROOM_KEYS = {
-    "": {"name", "volume", "centre_frequencies", "dimensions", "air", "prior", "material",
-         "surface", "correlation", "calibration", "above_one", "clipped"},
+    "": {
+        "name",
+        "volume",
+        "centre_frequencies",
+        "dimensions",
+        "air",
+        "prior",
+        "material",
+        "surface",
+        "correlation",
+        "calibration",
+        "above_one",
+        "clipped",
+    },
     "air": {"temperature", "humidity", "pressure"},
     "prior": {"relative", "minimum", "iso_12999_2", "in_situ_factor", "band_correlation"},
     "material": {"name", "area", "alpha", "sigma", "alpha_min", "scattering", "source"},
     "surface": {"name", "material", "area", "axis"},
     "correlation": {"materials", "value"},
     "calibration": {"method", "equation", "measured", "solver", "version"},
-}  # fmt: skip
+}
 
 _NEEDED = ("method", "equation", "measured")
 _RECORD = (*_NEEDED, "solver", "version")

@@ -1,6 +1,6 @@
 """Where the standard deviation of an absorption coefficient comes from.
 
-Offered to users as part of `rtcal.priors`; it stands here because reading a room needs it.
+Offered to users as part of `rtcal.acoustics.priors`; it stands here because reading a room needs it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}
 """Standard deviation by degree of uncertainty (Bellows & Katz 2025, Sect. 4.3.1)."""
@@ -19,12 +19,27 @@ TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}
 # ISO 12999-2:2020, Table 1: sigma_R = m alpha + n in third-octaves (as transcribed in the open
 # source package phonometry, J. M. Requena Plens; the standard itself was not at hand).
 _ISO_12999_2: dict[float, tuple[float, float]] = {
-    63: (0.450, 0.015), 80: (0.330, 0.015), 100: (0.240, 0.015), 125: (0.180, 0.015),
-    160: (0.140, 0.015), 200: (0.110, 0.015), 250: (0.090, 0.015), 315: (0.075, 0.015),
-    400: (0.060, 0.015), 500: (0.050, 0.015), 630: (0.045, 0.015), 800: (0.040, 0.015),
-    1000: (0.040, 0.015), 1250: (0.040, 0.016), 1600: (0.037, 0.018), 2000: (0.035, 0.021),
-    2500: (0.030, 0.026), 3150: (0.030, 0.032), 4000: (0.030, 0.040), 5000: (0.026, 0.060),
-}  # fmt: skip
+    63: (0.450, 0.015),
+    80: (0.330, 0.015),
+    100: (0.240, 0.015),
+    125: (0.180, 0.015),
+    160: (0.140, 0.015),
+    200: (0.110, 0.015),
+    250: (0.090, 0.015),
+    315: (0.075, 0.015),
+    400: (0.060, 0.015),
+    500: (0.050, 0.015),
+    630: (0.045, 0.015),
+    800: (0.040, 0.015),
+    1000: (0.040, 0.015),
+    1250: (0.040, 0.016),
+    1600: (0.037, 0.018),
+    2000: (0.035, 0.021),
+    2500: (0.030, 0.026),
+    3150: (0.030, 0.032),
+    4000: (0.030, 0.040),
+    5000: (0.026, 0.060),
+}
 
 
 def sigma_relative(alpha: Array, fraction: float, minimum: float = 0.0) -> Array:

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
@@ -25,7 +24,8 @@ from rtcal.calibration.terms import (
     SoftMatch,
 )
 from rtcal.errors import DataError, ModelError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +95,12 @@ class Assembler:
             return np.concatenate([values.ravel(), more])
 
         times = np.array([d.reverberation_time for d in data])
-        slopes = np.array([
-            self.equation.target_sensitivity(r, t)
-            for r, t in zip(configurations.rooms, times, strict=True)
-        ])  # fmt: skip
+        slopes = np.array(
+            [
+                self.equation.target_sensitivity(r, t)
+                for r, t in zip(configurations.rooms, times, strict=True)
+            ]
+        )
         held = (sigma == 0) | (lower == upper)
         instance = Instance(
             layout=self.layout,
@@ -124,9 +126,9 @@ class Assembler:
 
     def target(self, rooms: Sequence[Room], times: Array) -> Array:
         """Return b in m² for T in s, both (n_configurations, n_bands)."""
-        return np.array([
-            self.equation.target(room, t) for room, t in zip(rooms, times, strict=True)
-        ])  # fmt: skip
+        return np.array(
+            [self.equation.target(room, t) for room, t in zip(rooms, times, strict=True)]
+        )
 
     @cached_property
     def _further(self) -> list[FurtherUnknown]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.twin import Multipliers, Twin
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _EPS = np.finfo(float).eps
 
@@ -43,9 +43,9 @@ class Certificate:
     @property
     def worst(self) -> float:
         """The largest of the three residuals over all bands."""
-        return float(max(np.max(r) for r in (
-            self.primal_residual, self.dual_residual, self.duality_gap
-        )))  # fmt: skip
+        return float(
+            max(np.max(r) for r in (self.primal_residual, self.dual_residual, self.duality_gap))
+        )
 
 
 def certify(twin: Twin, u: Array, multipliers: Multipliers) -> Certificate:
@@ -87,10 +87,17 @@ def certify(twin: Twin, u: Array, multipliers: Multipliers) -> Certificate:
     open_above = np.isinf(twin.upper) & (force < 0)
     own = np.divide((force * sigma) ** 2, m, out=np.zeros_like(m), where=open_above)
     force = np.where(open_above, 0.0, force)
-    repaired = _by_band(own + _gap(
-        np.maximum(force, 0.0), np.maximum(-force, 0.0),
-        np.maximum(slack_lower, 0.0), np.maximum(slack_upper, 0.0),
-    ), layout, np.sum)  # fmt: skip
+    repaired = _by_band(
+        own
+        + _gap(
+            np.maximum(force, 0.0),
+            np.maximum(-force, 0.0),
+            np.maximum(slack_lower, 0.0),
+            np.maximum(slack_upper, 0.0),
+        ),
+        layout,
+        np.sum,
+    )
     free = (twin.movable & (u > twin.lower) & (u < twin.upper)).astype(float)
     reach = np.sqrt(np.asarray(twin.squares @ (sigma * free) ** 2))
     # S'alpha itself is known to rounding only.
@@ -106,9 +113,11 @@ def certify(twin: Twin, u: Array, multipliers: Multipliers) -> Certificate:
         distance = np.full(layout.n_bands, distance.sum())
     strength = instance.alpha(m)
     spread = np.divide(
-        2 * np.maximum(repaired, 0), strength, out=np.full_like(strength, np.nan),
+        2 * np.maximum(repaired, 0),
+        strength,
+        out=np.full_like(strength, np.nan),
         where=strength > 0,
-    )  # fmt: skip
+    )
     bound = instance.alpha(sigma) * (np.sqrt(spread) + distance)
     return Certificate(
         primal_residual=primal,

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rtcal.calibration.layout import Layout
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 # SOLVED, for cvxpy's reading of an OSQP answer.
 _OSQP_SOLVED = 1

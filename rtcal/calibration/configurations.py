@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +125,18 @@ class Configurations:
         owners = [next(r for r in self.rooms if m in r.materials) for m in self.materials]
         rows = [r.materials.index(m) for r, m in zip(owners, self.materials, strict=True)]
         floors = [
-            np.max([
-                np.zeros(first.n_bands) if r.alpha_min is None else r.alpha_min[r.materials.index(m)]
-                for r in self.rooms
-                if m in r.materials
-            ], axis=0)
+            np.max(
+                [
+                    np.zeros(first.n_bands)
+                    if r.alpha_min is None
+                    else r.alpha_min[r.materials.index(m)]
+                    for r in self.rooms
+                    if m in r.materials
+                ],
+                axis=0,
+            )
             for m in self.materials
-        ]  # fmt: skip
+        ]
         return Room(
             name=first.name,
             volume=first.volume,

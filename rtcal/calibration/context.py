@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Integers, Layout
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 Coefficients = Callable[[Instance], tuple[Array, Array]]
 
@@ -87,9 +87,14 @@ class Context:
             entries = np.arange(len(rows))
             terms = sp.csr_array((np.ones(len(rows)), (rows, entries)), (n_rows, len(rows))) @ terms
         made = Affine(
-            terms + constant, np.asarray(rows), np.asarray(columns), n_rows, compute,
-            coefficients, constant,
-        )  # fmt: skip
+            terms + constant,
+            np.asarray(rows),
+            np.asarray(columns),
+            n_rows,
+            compute,
+            coefficients,
+            constant,
+        )
         self._affine.append(made)
         return made
 

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 
 from rtcal.calibration.twin import Twin
 from rtcal.errors import InfeasibleError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _NOTHING = 1e-9
 
@@ -43,11 +43,16 @@ def explain(twin: Twin) -> None:
     used = np.isfinite(limits)
     held = ~twin.movable
     hard_upper = np.where(np.arange(size) < layout.n_alpha, 1.0, np.inf)
-    bounds = np.concatenate([
-        np.column_stack([np.where(held, instance.centre, 0.0),
-                         np.where(held, instance.centre, hard_upper)]),
-        np.column_stack([np.zeros(2 * n_rows + 2 * size), np.full(2 * n_rows + 2 * size, np.inf)]),
-    ])  # fmt: skip
+    bounds = np.concatenate(
+        [
+            np.column_stack(
+                [np.where(held, instance.centre, 0.0), np.where(held, instance.centre, hard_upper)]
+            ),
+            np.column_stack(
+                [np.zeros(2 * n_rows + 2 * size), np.full(2 * n_rows + 2 * size, np.inf)]
+            ),
+        ]
+    )
     cost = np.concatenate([np.zeros(size), np.ones(2 * n_rows + 2 * size)])
     found = linprog(cost, A_ub=system[used], b_ub=limits[used], bounds=bounds, method="highs")
     if found.status != 0 or found.fun <= _NOTHING:

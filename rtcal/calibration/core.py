@@ -25,7 +25,7 @@ from rtcal.calibration.terms import Matching, Objective, RowConstraint
 from rtcal.calibration.twin import Multipliers, Twin
 from rtcal.calibration.warm_start import from_closed_form
 from rtcal.errors import InfeasibleError, ModelError, SolverError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _ACCEPTED = 1e-9
 """An answer whose certificate is worse than this is not returned: relative primal residual, and

@@ -12,7 +12,7 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.instance import Flags, Instance
 from rtcal.errors import InfeasibleError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True)
@@ -124,18 +124,30 @@ def settle(
     top = np.minimum(high, ceiling)
     wanted_low, wanted_high = wanted
     # What a tolerance leaves open is closed here: the target nearest to what can be reached.
-    target = np.where(np.isnan(wanted_low), np.nan, np.clip(
-        0.5 * (low + top), wanted_low, np.where(np.isnan(wanted_high), np.inf, wanted_high)
-    ))  # fmt: skip
+    target = np.where(
+        np.isnan(wanted_low),
+        np.nan,
+        np.clip(
+            0.5 * (low + top), wanted_low, np.where(np.isnan(wanted_high), np.inf, wanted_high)
+        ),
+    )
     too_low = asked & (target < low - tolerance)
     too_high = asked & (np.isnan(target) | (target > top + tolerance))
     found = []
     for c, k in np.argwhere(too_low | too_high):
         longest, shortest = (equation.time(rooms[c], area)[k] for area in (low[c], top[c]))
-        found.append(Unreachable(
-            int(c), float(rooms[c].centre_frequencies[k]), float(times[c, k]), float(target[c, k]),
-            float(low[c, k]), float(top[c, k]), float(shortest), float(longest),
-        ))  # fmt: skip
+        found.append(
+            Unreachable(
+                int(c),
+                float(rooms[c].centre_frequencies[k]),
+                float(times[c, k]),
+                float(target[c, k]),
+                float(low[c, k]),
+                float(top[c, k]),
+                float(shortest),
+                float(longest),
+            )
+        )
     if found and unreachable == "raise":
         raise InfeasibleError("; ".join(str(u) for u in found))
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.calibration.layout import Integers, Layout
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 __all__ = ["Flags", "Instance", "Integers"]
 

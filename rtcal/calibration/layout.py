@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 Integers = NDArray[np.intp]
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True)

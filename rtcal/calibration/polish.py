@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtcal.calibration.instance import Flags
 from rtcal.calibration.twin import Multipliers, Twin
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _ROUNDS = 60
 _ROUNDING = 1e-13

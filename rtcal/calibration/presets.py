@@ -156,10 +156,18 @@ def calibrate(
     calibration = preset(method, room if isinstance(room, Room) else room.union)
     if isinstance(room, Configurations):
         return calibration.build(room, equation).solve(
-            measured, solver=solver, unreachable=unreachable, warm_start=warm_start,
-            settings=settings, method=method,
-        )  # fmt: skip
+            measured,
+            solver=solver,
+            unreachable=unreachable,
+            warm_start=warm_start,
+            settings=settings,
+            method=method,
+        )
     return calibration.build(room, equation).solve(
-        measured, solver=solver, unreachable=unreachable, warm_start=warm_start,
-        settings=settings, method=method,
-    )  # fmt: skip
+        measured,
+        solver=solver,
+        unreachable=unreachable,
+        warm_start=warm_start,
+        settings=settings,
+        method=method,
+    )

@@ -27,7 +27,7 @@ from rtcal.calibration.terms import (
     as_objective,
 )
 from rtcal.errors import DataError, MissingAirWarning, ModelError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 Constraint = RowConstraint | BoundConstraint | SharedMaterials
 Unreached = Literal["raise", "nearest"]

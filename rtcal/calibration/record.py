@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import rtcal
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.files import json_numbers
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import measurement_text
 from rtcal.acoustics.room_files import room_text
 from rtcal.calibration.certificate import Certificate
+from rtcal.support.files import json_numbers
+from rtcal.support.version import __version__
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
@@ -93,7 +93,7 @@ def record(result: CalibrationResult) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Return the versions of rtcal, Python and the required libraries."""
-    found = {"rtcal": rtcal.__version__, "Python": platform.python_version()}
+    found = {"rtcal": __version__, "Python": platform.python_version()}
     return found | {name: metadata.version(name) for name in _LIBRARIES}
 
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import rtcal
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import (
     Plausibility,
@@ -28,7 +27,8 @@ from rtcal.calibration.feasibility import Unreachable
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.measured import Measured, history
 from rtcal.calibration.terms import Matching, SoftMatch
-from rtcal.types import Array
+from rtcal.support.types import Array
+from rtcal.support.version import __version__
 
 _MOST_FOR_INTERVALS = 40  # materials; the exact marginals' cost rises with the square
 
@@ -186,7 +186,7 @@ class CalibrationResult:
     @cached_property
     def plausibility(self) -> Plausibility:
         """How far T was from what was known, per band and in all, with the prior's own sigma."""
-        from rtcal.calibration.posterior import miss
+        from rtcal.posterior.distributions import miss
 
         found, covariance = miss(self.joint)
         own = slice(
@@ -220,7 +220,7 @@ class CalibrationResult:
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands).
 
         That of the linear estimate, for a prior with the room's sigma and a T with its uncertainty;
-        see `rtcal.calibration.posterior.estimate_sigma`. Bounds are not counted in.
+        see `rtcal.posterior.distributions.estimate_sigma`. Bounds are not counted in.
         """
         return self.joint.posterior_sigma[self._rows]
 
@@ -232,7 +232,7 @@ class CalibrationResult:
             equation=self.equation.name,
             measured=history(self.prior, self.measured_data),
             solver=self.solver,
-            version=rtcal.__version__,
+            version=__version__,
         )
         return self.prior.replace(alpha=self.alpha, sigma=self.posterior_sigma, calibration=record)
 
@@ -240,13 +240,13 @@ class CalibrationResult:
     def interval(self) -> tuple[Array, Array] | None:
         """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
 
-        Exact, from `rtcal.calibration.posterior`; None where that would take long (sampling, for
+        Exact, from `rtcal.posterior.distributions`; None where that would take long (sampling, for
         correlations, order or several configurations; or over 40 materials), or where the method
         has no posterior (`lse`, `robust`).
         """
         if len(self.joint.materials) > _MOST_FOR_INTERVALS:
             return None
-        from rtcal.calibration.posterior import marginal_posterior
+        from rtcal.posterior.distributions import marginal_posterior
 
         known = marginal_posterior(self.joint)
         if known is None:
@@ -334,7 +334,7 @@ class JointResult:
 
     @cached_property
     def _estimate_sigma(self) -> Array:
-        from rtcal.calibration.posterior import estimate_sigma
+        from rtcal.posterior.distributions import estimate_sigma
 
         return estimate_sigma(self)
 

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 
 from rtcal.calibration.compiled import Compiled
 from rtcal.errors import MissingDependencyError, ModelError, SolverError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 SETTINGS: dict[str, dict[str, Any]] = {
     # At the default 1e-8, single answers are off by 2e-4 although "solved".
@@ -187,9 +187,14 @@ def _clarabel(compiled: Compiled, settings: dict[str, Any]) -> Answer:
     cones = [clarabel.ZeroConeT(qp.n_equal), clarabel.NonnegativeConeT(len(qp.b) - qp.n_equal)]
     result = clarabel.DefaultSolver(qp.P_upper, qp.q, qp.A, qp.b, cones, chosen).solve()
     return _own(
-        compiled, "clarabel", np.array(result.x), np.array(result.z), str(result.status),
-        int(result.iterations), float(result.solve_time),
-    )  # fmt: skip
+        compiled,
+        "clarabel",
+        np.array(result.x),
+        np.array(result.z),
+        str(result.status),
+        int(result.iterations),
+        float(result.solve_time),
+    )
 
 
 def _osqp(
@@ -217,9 +222,14 @@ def _osqp(
         solver.warm_start(x=x, y=np.concatenate(duals))
     result = solver.solve(raise_error=False)
     return _own(
-        compiled, "osqp", result.x, result.y, str(result.info.status), int(result.info.iter),
+        compiled,
+        "osqp",
+        result.x,
+        result.y,
+        str(result.info.status),
+        int(result.info.iter),
         float(result.info.run_time),
-    )  # fmt: skip
+    )
 
 
 def _qpsolvers(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answer:
@@ -253,9 +263,14 @@ def _qpsolvers(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answe
 
 
 def _own(
-    compiled: Compiled, name: str, x: Array | None, y: Array, status: str, iterations: int,
+    compiled: Compiled,
+    name: str,
+    x: Array | None,
+    y: Array,
+    status: str,
+    iterations: int,
     seconds: float,
-) -> Answer:  # fmt: skip
+) -> Answer:
     """Read the answer of a solver that was called on the compiled matrices."""
     if x is None or not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise SolverError(f'solver "{name}" returned no values; its status is {status}')

@@ -8,7 +8,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.quality import explained, letters
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
@@ -33,16 +33,18 @@ def table(result: CalibrationResult) -> str:
     width = max(24, *(len(label) for label, _ in alphas))
     if room.n_bands > _COLUMNS:
         alphas.insert(0, header)
-    return "\n".join([
-        f"{room.name}: {room.volume:g} m³, {room.total_area:g} m², {air}",
-        f"method {result.method}, {result.equation.name}'s equation, "
-        f"{' and '.join(parameters)} {matched}, solver {result.solver}",
-        "",
-        *_blocks([header, *_band_rows(result, mixed=len(parameters) > 1)], width),
-        "alpha after (shift in sigmas of the prior; * at a bound)",
-        *_blocks(alphas, width),
-        *_believe(result),
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"{room.name}: {room.volume:g} m³, {room.total_area:g} m², {air}",
+            f"method {result.method}, {result.equation.name}'s equation, "
+            f"{' and '.join(parameters)} {matched}, solver {result.solver}",
+            "",
+            *_blocks([header, *_band_rows(result, mixed=len(parameters) > 1)], width),
+            "alpha after (shift in sigmas of the prior; * at a bound)",
+            *_blocks(alphas, width),
+            *_believe(result),
+        ]
+    )
 
 
 def _blocks(rows: list[Row], width: int) -> list[str]:

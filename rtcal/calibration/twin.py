@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from rtcal.calibration.instance import Flags, Instance
 from rtcal.calibration.terms import Objective, RowConstraint
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _DENSE = 500_000
 """Up to this many coefficients, rows are kept as an array."""

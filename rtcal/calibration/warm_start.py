@@ -6,7 +6,7 @@ import numpy as np
 
 from rtcal.calibration import closed_form
 from rtcal.calibration.instance import Instance
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _ROUNDS = 8
 
@@ -29,9 +29,11 @@ def from_closed_form(instance: Instance) -> tuple[Array, list[Array]]:
         target = np.where(moves, instance.target[0], areas @ alpha)
         # A band that cannot move: any finite spread will do, its pull is 0.
         spread = np.where(moves, free, 1.0)
-        pull = np.where(moves, closed_form.multiplier(
-            np.where(held, alpha, centre), spread, areas, target), pull
-        )  # fmt: skip
+        pull = np.where(
+            moves,
+            closed_form.multiplier(np.where(held, alpha, centre), spread, areas, target),
+            pull,
+        )
         trial = np.where(held, alpha, centre - pull * areas[:, np.newaxis] * free**2)
         alpha = np.clip(trial, lower, upper)
         if np.array_equal(alpha, trial):

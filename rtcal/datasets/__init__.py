@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtcal import checks
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
+from rtcal.support import checks
 
 if TYPE_CHECKING:
     from rtcal.discrepancy.case import Case

@@ -17,7 +17,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.room import Material
 from rtcal.acoustics.sigma import in_situ, sigma_iso_12999_2
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _TABLE = "pyroomacoustics"
 
@@ -68,9 +68,9 @@ def material(
             raise DataError(f'"{name}" has no value at {bands.label(frequency)}; it has {has}')
     alpha = np.array([known[frequency] for frequency in f])
     tabulated = np.minimum(f, 4000.0)
-    sigma = np.array([
-        sigma_iso_12999_2(alpha[k : k + 1], tabulated[k : k + 1])[0] for k in range(len(f))
-    ])  # fmt: skip
+    sigma = np.array(
+        [sigma_iso_12999_2(alpha[k : k + 1], tabulated[k : k + 1])[0] for k in range(len(f))]
+    )
     version = metadata.version(_TABLE)
     return Material(
         name=name,

@@ -8,7 +8,7 @@ stochastic study, which needs the areas (``lecture_hall().geometry.face_areas``)
 "scattering" decides the decay.
 
 Absorption coefficients are rounded textbook values, scattering coefficients guesses of one number
-a material; sigma is the paper's three tiers .01, .05 and .1 (Sect. 4.3.1).
+a material; sigma is the paper's three tiers 0.01, 0.05 and 0.1 (Sect. 4.3.1).
 """
 
 from __future__ import annotations
@@ -108,49 +108,95 @@ def lecture_hall() -> Hall:
     below = [(stage, 0.0), (rake_end, rise), (depth, rise), (depth, 1.6)]
     above = [(depth, height), (stage, height), (0.0, front)]
     top = height - window_height
-    geometry = Polyhedron.from_polygons([
-        ("stage floor", "linoleum", across(0, 0, stage, 0)),
-        ("seating", "desks and chairs", across(stage, 0, rake_end, rise)),
-        ("rear aisle", "linoleum", across(rake_end, rise, depth, rise)),
-        ("reflector", "gypsum board", across(0, front, stage, height)),
-        ("main ceiling", "perforated ceiling", across(stage, height, rake_end, height)),
-        ("rear ceiling", "gypsum board", across(rake_end, height, depth, height)),
-        ("rear wall, lower", "wood panelling", across(depth, rise, depth, 2.25)),
-        ("rear wall, upper", "painted plaster", [
-            (0, depth, 2.25), (width, depth, 2.25), (width, depth, height), (east, depth, height),
-            (east, depth, top), (west, depth, top), (west, depth, height), (0, depth, height),
-        ]),
-        ("projection window", "glass", [
-            (west, depth, top), (east, depth, top), (east, depth, height), (west, depth, height),
-        ]),
-        ("front wall, left", "painted plaster", front_wall(0, left, 0, front)),
-        ("front wall, right", "painted plaster", front_wall(right, width, 0, front)),
-        ("front wall, lower", "wood panelling", front_wall(left, right, 0, 0.8)),
-        ("blackboard", "blackboard", front_wall(left, right, 0.8, 2.2)),
-        ("front wall, upper", "painted plaster", front_wall(left, right, 2.2, front)),
-        ("wainscot", "wood panelling", side(0, (0, 0), *below, (0, 1.6))),
-        ("left wall, front", "painted plaster", side(0, (0, 1.6), (1.4, 1.6), (1.4, 3), (0, 3))),
-        ("windows", "glass", side(0, (1.4, 1.6), (9.8, 1.6), (9.8, 3), (1.4, 3))),
-        ("left wall, rear", "painted plaster",
-         side(0, (9.8, 1.6), (depth, 1.6), (depth, 3), (9.8, 3))),
-        ("left wall, upper", "painted plaster", side(0, (0, 3), (depth, 3), *above)),
-        ("door", "metal door", side(width, (0.6, 0), (1.6, 0), (1.6, 2.1), (0.6, 2.1))),
-        ("panelling", "wood panelling", side(width, (1.9, 0), *below, (1.9, 1.6))),
-        ("notice board", "wood panelling", side(width, (4, 1.6), (9, 1.6), (9, 2.8), (4, 2.8))),
-        ("right wall", "painted plaster", side(
-            width, (0, 0), (0.6, 0), (0.6, 2.1), (1.6, 2.1), (1.6, 0), (1.9, 0), (1.9, 1.6),
-            (4, 1.6), (4, 2.8), (9, 2.8), (9, 1.6), (depth, 1.6), *above,
-        )),
-    ])  # fmt: skip
+    geometry = Polyhedron.from_polygons(
+        [
+            ("stage floor", "linoleum", across(0, 0, stage, 0)),
+            ("seating", "desks and chairs", across(stage, 0, rake_end, rise)),
+            ("rear aisle", "linoleum", across(rake_end, rise, depth, rise)),
+            ("reflector", "gypsum board", across(0, front, stage, height)),
+            ("main ceiling", "perforated ceiling", across(stage, height, rake_end, height)),
+            ("rear ceiling", "gypsum board", across(rake_end, height, depth, height)),
+            ("rear wall, lower", "wood panelling", across(depth, rise, depth, 2.25)),
+            (
+                "rear wall, upper",
+                "painted plaster",
+                [
+                    (0, depth, 2.25),
+                    (width, depth, 2.25),
+                    (width, depth, height),
+                    (east, depth, height),
+                    (east, depth, top),
+                    (west, depth, top),
+                    (west, depth, height),
+                    (0, depth, height),
+                ],
+            ),
+            (
+                "projection window",
+                "glass",
+                [
+                    (west, depth, top),
+                    (east, depth, top),
+                    (east, depth, height),
+                    (west, depth, height),
+                ],
+            ),
+            ("front wall, left", "painted plaster", front_wall(0, left, 0, front)),
+            ("front wall, right", "painted plaster", front_wall(right, width, 0, front)),
+            ("front wall, lower", "wood panelling", front_wall(left, right, 0, 0.8)),
+            ("blackboard", "blackboard", front_wall(left, right, 0.8, 2.2)),
+            ("front wall, upper", "painted plaster", front_wall(left, right, 2.2, front)),
+            ("wainscot", "wood panelling", side(0, (0, 0), *below, (0, 1.6))),
+            (
+                "left wall, front",
+                "painted plaster",
+                side(0, (0, 1.6), (1.4, 1.6), (1.4, 3), (0, 3)),
+            ),
+            ("windows", "glass", side(0, (1.4, 1.6), (9.8, 1.6), (9.8, 3), (1.4, 3))),
+            (
+                "left wall, rear",
+                "painted plaster",
+                side(0, (9.8, 1.6), (depth, 1.6), (depth, 3), (9.8, 3)),
+            ),
+            ("left wall, upper", "painted plaster", side(0, (0, 3), (depth, 3), *above)),
+            ("door", "metal door", side(width, (0.6, 0), (1.6, 0), (1.6, 2.1), (0.6, 2.1))),
+            ("panelling", "wood panelling", side(width, (1.9, 0), *below, (1.9, 1.6))),
+            ("notice board", "wood panelling", side(width, (4, 1.6), (9, 1.6), (9, 2.8), (4, 2.8))),
+            (
+                "right wall",
+                "painted plaster",
+                side(
+                    width,
+                    (0, 0),
+                    (0.6, 0),
+                    (0.6, 2.1),
+                    (1.6, 2.1),
+                    (1.6, 0),
+                    (1.9, 0),
+                    (1.9, 1.6),
+                    (4, 1.6),
+                    (4, 2.8),
+                    (9, 2.8),
+                    (9, 1.6),
+                    (depth, 1.6),
+                    *above,
+                ),
+            ),
+        ]
+    )
     return _hall(
-        "lecture hall (invented)", geometry, _LECTURE_HALL,
+        "lecture hall (invented)",
+        geometry,
+        _LECTURE_HALL,
         sources={"S1": (4.4, 1.6, 1.5), "S2": (2.2, 1.1, 1.5)},
         receivers={
-            "R1": (3.0, 4.2, 1.5), "R2": (6.1, 6.0, 1.7), "R3": (2.3, 7.9, 2.0),
+            "R1": (3.0, 4.2, 1.5),
+            "R2": (6.1, 6.0, 1.7),
+            "R3": (2.3, 7.9, 2.0),
             "R4": (6.7, 9.0, 2.1),
         },
         held_out={"R5": (5.2, 4.9, 1.6), "R6": (1.9, 5.8, 1.7), "R7": (4.8, 8.6, 2.1)},
-    )  # fmt: skip
+    )
 
 
 _HARD_HALL = {
@@ -188,14 +234,19 @@ def hard_hall() -> Hall:
         ],
     )
     return _hall(
-        "hard hall (invented)", geometry, _HARD_HALL,
+        "hard hall (invented)",
+        geometry,
+        _HARD_HALL,
         sources={"S1": (4.0, 7.0, 2.3), "S2": (6.0, 4.5, 2.3)},
         receivers={
-            "R1": (12.5, 5.2, 1.2), "R2": (17.0, 9.1, 1.2), "R3": (22.0, 4.1, 1.2),
-            "R4": (26.0, 8.2, 1.2), "R5": (32.0, 6.3, 1.2),
+            "R1": (12.5, 5.2, 1.2),
+            "R2": (17.0, 9.1, 1.2),
+            "R3": (22.0, 4.1, 1.2),
+            "R4": (26.0, 8.2, 1.2),
+            "R5": (32.0, 6.3, 1.2),
         },
         held_out={"R6": (14.5, 8.4, 1.2), "R7": (20.0, 6.1, 1.2), "R8": (29.0, 9.6, 1.2)},
-    )  # fmt: skip
+    )
 
 
 # Thirty materials, from bare plaster to the stage's drapes and the fly loft.
@@ -277,15 +328,22 @@ def theatre() -> Hall:
         solid += [(a, b, (tier, floor)) for a, b in slabs]
         solid += [(a, b, (tier, top)) for a, b in rails]
         paint += [
-            (f"{label} tier parapet", f"{label} tier parapet", ((-5.4, 5.4), (4, 11.7), (tier, top))),
+            (
+                f"{label} tier parapet",
+                f"{label} tier parapet",
+                ((-5.4, 5.4), (4, 11.7), (tier, top)),
+            ),
             (f"{label} tier soffit", f"{label} tier soffit", ((-7, 7), (4, 15), (tier, tier))),
             (f"{label} tier front", f"{label} tier parapet", ((-7, 7), (4, 4), (tier, floor))),
-            (f"rear wall, {label} tier", f"rear wall, {label} tier",
-             ((-7, 7), (15, 15), (floor, floor + 2.9))),
+            (
+                f"rear wall, {label} tier",
+                f"rear wall, {label} tier",
+                ((-7, 7), (15, 15), (floor, floor + 2.9)),
+            ),
             (f"{label} tier seats", f"{label} tier seats", ((-7, 7), (11.5, 15), (floor, floor))),
             (f"{label} tier boxes", f"{label} tier boxes", ((-7, -5.2), (4, 11.5), (floor, floor))),
             (f"{label} tier boxes", f"{label} tier boxes", ((5.2, 7), (4, 11.5), (floor, floor))),
-        ]  # fmt: skip
+        ]
         for y in (6.5, 9.0):  # thin walls between the boxes
             for a in ((-7.0, -5.4), (5.4, 7.0)):
                 solid.append((a, (y, y + 0.1), (floor, floor + 1.8)))
@@ -298,14 +356,19 @@ def theatre() -> Hall:
         air=[hall, ((-4.5, 4.5), (-0.5, 0.0), (0.9, 7.9)), house], solid=solid, paint=paint
     )
     return _hall(
-        "theatre (invented)", geometry, _THEATRE,
+        "theatre (invented)",
+        geometry,
+        _THEATRE,
         sources={"S1": (0.4, -2.2, 2.4), "S2": (-1.8, -4.0, 2.4)},
         receivers={
-            "R1": (1.2, 4.1, 1.2), "R2": (-2.3, 7.6, 1.2), "R3": (2.9, 10.4, 1.2),
-            "R4": (-1.1, 13.1, 4.5), "R5": (1.6, 13.4, 7.7),
+            "R1": (1.2, 4.1, 1.2),
+            "R2": (-2.3, 7.6, 1.2),
+            "R3": (2.9, 10.4, 1.2),
+            "R4": (-1.1, 13.1, 4.5),
+            "R5": (1.6, 13.4, 7.7),
         },
         held_out={"R6": (-1.4, 5.2, 1.2), "R7": (1.9, 8.7, 1.2), "R8": (2.4, 12.6, 4.5)},
-    )  # fmt: skip
+    )
 
 
 _CORRIDOR = {
@@ -319,17 +382,28 @@ _CORRIDOR = {
 def corridor() -> Hall:
     """Return a corridor of 40 x 2.4 x 3 m with absorbing ceiling tiles."""
     dimensions = (40.0, 2.4, 3.0)
-    geometry = Polyhedron.shoebox(dimensions, {
-        "west": "end wall", "east": "end wall", "south": "plaster", "north": "plaster",
-        "floor": "vinyl floor", "ceiling": "ceiling tiles",
-    })  # fmt: skip
+    geometry = Polyhedron.shoebox(
+        dimensions,
+        {
+            "west": "end wall",
+            "east": "end wall",
+            "south": "plaster",
+            "north": "plaster",
+            "floor": "vinyl floor",
+            "ceiling": "ceiling tiles",
+        },
+    )
     return _hall(
-        "corridor (invented)", geometry, _CORRIDOR,
+        "corridor (invented)",
+        geometry,
+        _CORRIDOR,
         sources={"S1": (4.0, 1.0, 1.5)},
         receivers={
-            "R1": (8.0, 1.4, 1.3), "R2": (14.0, 1.1, 1.3), "R3": (22.0, 1.3, 1.3),
+            "R1": (8.0, 1.4, 1.3),
+            "R2": (14.0, 1.1, 1.3),
+            "R3": (22.0, 1.3, 1.3),
             "R4": (33.0, 1.2, 1.3),
         },
         held_out={"R5": (11.0, 1.3, 1.3), "R6": (27.0, 1.1, 1.3)},
         dimensions=dimensions,
-    )  # fmt: skip
+    )

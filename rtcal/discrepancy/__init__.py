@@ -17,7 +17,23 @@ from rtcal.discrepancy.recalibration import Recalibrated, recalibrate
 from rtcal.discrepancy.verification import Verification, verify
 
 __all__ = [
-    "Absorber", "Case", "Change", "Configuration", "Effect", "Finding", "Plan", "Present",
-    "Recalibrated", "Threshold", "Verification", "control_rooms", "corrected_room", "find",
-    "library", "plan", "recalibrate", "simulator", "verify",
-]  # fmt: skip
+    "Absorber",
+    "Case",
+    "Change",
+    "Configuration",
+    "Effect",
+    "Finding",
+    "Plan",
+    "Present",
+    "Recalibrated",
+    "Threshold",
+    "Verification",
+    "control_rooms",
+    "corrected_room",
+    "find",
+    "library",
+    "plan",
+    "recalibrate",
+    "simulator",
+    "verify",
+]

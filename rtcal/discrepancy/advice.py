@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.discrepancy.bootstrap import LEAST
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effect_checks import checked
@@ -26,7 +25,8 @@ from rtcal.discrepancy.evidence import (
 )
 from rtcal.discrepancy.model import FEATURES
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 _USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
 """Standard uncertainty of a feature that is not measured yet, as a mean over four positions."""
@@ -59,15 +59,21 @@ def _variances(case: Case, observed: Observed) -> Array:
 
 
 def next_measurement(
-    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, evidence: Evidence,
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    error: ModelError,
+    evidence: Evidence,
     candidates: Sequence[str],
-) -> str:  # fmt: skip
+) -> str:
     """Say what would settle which of the candidates it is."""
     named = [c for c in candidates if c != UNKNOWN]
     if not named:
-        return "nothing to settle" if not candidates else (
-            "look at the residual map: which band, which parameter; then measure there again"
-        )  # fmt: skip
+        return (
+            "nothing to settle"
+            if not candidates
+            else ("look at the residual map: which band, which parameter; then measure there again")
+        )
     best = named[0]
     rows = [i for i, n in enumerate(predicted.names) if n == best]
     first = rows[int(np.argmax(evidence.log_likelihood[rows]))]
@@ -82,8 +88,10 @@ def next_measurement(
     now = separation(predicted, covariance, used.ravel(), first, rival)
     options = []
     for label, features in (
-        ("EDT and T30", ("edt", "t30")), ("C80", ("c80",)), ("G, with a calibrated source", ("g",)),
-    ):  # fmt: skip
+        ("EDT and T30", ("edt", "t30")),
+        ("C80", ("c80",)),
+        ("G, with a calibrated source", ("g",)),
+    ):
         rows_f = [FEATURES.index(f) for f in features]
         more = used.copy()
         more[:, rows_f] = True
@@ -132,11 +140,12 @@ class Plan:
             return [{"effect": a, "against": b, "nats": v} for (a, b), v in table.items()]
 
         return {
-            "parameters": list(self.parameters), "change": self.change,
+            "parameters": list(self.parameters),
+            "change": self.change,
             "reached": dict(self.reached),
             "separations": rows(self.separations),
             "with_more": {label: rows(table) for label, table in self.more.items()},
-        }  # fmt: skip
+        }
 
     def __str__(self) -> str:
         """Return what a user reads."""
@@ -175,8 +184,9 @@ class Plan:
         if one_way:
             lines.append(
                 "The first may pass for the second, not the second for the first: "
-                + _paired(one_way, " for ") + "."
-            )  # fmt: skip
+                + _paired(one_way, " for ")
+                + "."
+            )
         for label, table in self.more.items():
             still, half = _blind(table, pairs)
             gained = [p for p in both if p not in still and p not in half and p[::-1] not in half]
@@ -215,9 +225,11 @@ GENERIC = (0.04, 0.04, 0.02, 0.7, 0.7)
 
 
 def plan(
-    case: Case, effects: Sequence[Effect] | None = None, change: float = 0.2,
+    case: Case,
+    effects: Sequence[Effect] | None = None,
+    change: float = 0.2,
     error: ModelError | None = None,
-) -> Plan:  # fmt: skip
+) -> Plan:
     """Say, before measuring, which effects the case's data could tell apart.
 
     Parameters
@@ -252,8 +264,9 @@ def plan(
     used = observed.used
     masks = {"": used}
     for label, features in (
-        ("EDT and T30", ("edt", "t30")), ("C80 and G", ("c80", "g")),
-    ):  # fmt: skip
+        ("EDT and T30", ("edt", "t30")),
+        ("C80 and G", ("c80", "g")),
+    ):
         more = used.copy()
         more[:, [FEATURES.index(f) for f in features]] = True
         if more.sum() > used.sum():
@@ -276,8 +289,9 @@ def plan(
                 if a != b:
                     tables[label][a, b] = separation(predicted, covariance, mask.ravel(), first, b)
     measured = tuple(
-        p for p in ("t20", "edt", "t30", "c80", "g")
+        p
+        for p in ("t20", "edt", "t30", "c80", "g")
         if any(p in c.measured.values for c in case.configurations)
-    )  # fmt: skip
+    )
     rest = {label: t for label, t in tables.items() if label}
     return Plan(measured, change, reached, tables[""], rest)

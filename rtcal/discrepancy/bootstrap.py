@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.engines import (
     ENGINES,
@@ -35,7 +34,8 @@ from rtcal.discrepancy.evidence import (
 from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 LEVEL = 0.95
 """Quantile of the made-up rooms' evidence that the threshold stands at."""
@@ -61,9 +61,11 @@ class Threshold:
 
 
 def control_rooms(
-    case: Case, seed: int = 0, engines: Sequence[str] = ("path tracing", "network"),
+    case: Case,
+    seed: int = 0,
+    engines: Sequence[str] = ("path tracing", "network"),
     report: Report = nothing,
-) -> tuple[Controls, ...]:  # fmt: skip
+) -> tuple[Controls, ...]:
     """Run the case's control rooms through the engines; DataError for fewer than two."""
     names = dict.fromkeys(map(str, checks.listed("engines", engines)))
     if unknown := sorted(set(names) - set(ENGINES)):
@@ -94,9 +96,13 @@ def check_controls(case: Case, controls: object) -> tuple[Controls, ...]:
 
 
 def threshold(
-    case: Case, observed: Observed, predicted: Hypotheses, controls: Sequence[Controls],
-    seed: int = 0, draws: int = 200,
-) -> Threshold:  # fmt: skip
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    controls: Sequence[Controls],
+    seed: int = 0,
+    draws: int = 200,
+) -> Threshold:
     """Return the threshold for this case's data."""
     rng = np.random.default_rng([seed, 3])
     scores = []

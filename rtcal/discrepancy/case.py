@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.files import write_text
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import refuse_twice, times_in_room
@@ -18,7 +17,8 @@ from rtcal.discrepancy.case_checks import check_configuration, check_room, share
 from rtcal.discrepancy.effect_checks import EQUATIONS
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.files import write_text
+from rtcal.support.types import Array
 
 NORMAL_90 = 1.6449
 """Standard deviations on each side that hold 90 % of a normal distribution."""
@@ -94,9 +94,7 @@ class Present:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         ends = None if self.size_interval is None else list(self.size_interval)
-        return {
-            "effect": self.effect, "parameters": dict(self.parameters), "size_interval": ends
-        }  # fmt: skip
+        return {"effect": self.effect, "parameters": dict(self.parameters), "size_interval": ends}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,9 +202,14 @@ class Case:
             if configurations is not None and c.name not in configurations:
                 continue
             m = c.measured
-            kept.append(replace(c, measured=replace(
-                m,
-                values={p: v for p, v in m.values.items() if p in parameters},
-                uncertainty={p: v for p, v in m.uncertainty.items() if p in parameters},
-            )))  # fmt: skip
+            kept.append(
+                replace(
+                    c,
+                    measured=replace(
+                        m,
+                        values={p: v for p, v in m.values.items() if p in parameters},
+                        uncertainty={p: v for p, v in m.uncertainty.items() if p in parameters},
+                    ),
+                )
+            )
         return replace(self, configurations=kept)

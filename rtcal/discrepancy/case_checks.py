@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import DECAY_TIMES, plausible_time
 from rtcal.acoustics.room import AXES, Room, text_name
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.discrepancy.case import Configuration

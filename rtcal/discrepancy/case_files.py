@@ -36,18 +36,18 @@ from typing import Any
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.files import json_numbers, read_text
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import CalibrationRecord, Room, text_name
 from rtcal.discrepancy.case import Case, Change, Configuration, Present
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.files import json_numbers, read_text
+from rtcal.support.types import Array
 
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
 _LARGEST = 50_000_000  # bytes
-_MOST = {"time": (1.0, " (relative: .02 is 2 %)"), "level": (20.0, " dB")}
+_MOST = {"time": (1.0, " (relative: 0.02 is 2 %)"), "level": (20.0, " dB")}
 _MOST_POSITIONS = 1000
 
 
@@ -102,16 +102,22 @@ def to_dict(case: Case) -> dict[str, Any]:
         more["calibration"] = vars(room.calibration).copy()
     return {
         "room": {
-            "name": room.name, "volume": room.volume, "materials": list(room.materials),
-            "areas": room.areas.tolist(), "alpha": room.alpha.tolist(),
-            "sigma": room.sigma.tolist(), "band_correlation": room.band_correlation,
+            "name": room.name,
+            "volume": room.volume,
+            "materials": list(room.materials),
+            "areas": room.areas.tolist(),
+            "alpha": room.alpha.tolist(),
+            "sigma": room.sigma.tolist(),
+            "band_correlation": room.band_correlation,
             "centre_frequencies": room.centre_frequencies.tolist(),
-            "air": _air_dict(room.air), "facing": case.facing.tolist(), **more,
+            "air": _air_dict(room.air),
+            "facing": case.facing.tolist(),
+            **more,
         },
         "equation": case.equation,
         "configurations": [_configuration_dict(c) for c in case.configurations],
         "present": [p.to_dict() for p in case.present],
-    }  # fmt: skip
+    }
 
 
 def read(path: str) -> Case:
@@ -167,9 +173,11 @@ def _mapping(where: str, data: Mapping[str, Any], name: str) -> Mapping[str, Any
 
 
 def _configuration(
-    room: Room, data: Mapping[str, Any], uncertainty: Mapping[str, float],
+    room: Room,
+    data: Mapping[str, Any],
+    uncertainty: Mapping[str, float],
     measured: Measurement | None = None,
-) -> Configuration:  # fmt: skip
+) -> Configuration:
     name = _name(data, "measured")
     known = {"name", "changes", "suspect_removed", "air", "distances", "distance"}
     inline = (*PARAMETERS, "uncertainty", *_SAVED)
@@ -197,13 +205,16 @@ def _configuration(
             ).items()
         }
         measured = Measurement(
-            centre_frequencies=room.centre_frequencies, values=values, pairs=pairs,
-            uncertainty=stated, n_sources=data.get("n_sources"),
+            centre_frequencies=room.centre_frequencies,
+            values=values,
+            pairs=pairs,
+            uncertainty=stated,
+            n_sources=data.get("n_sources"),
             n_receivers=data.get("n_receivers"),
             standard_deviation={
                 str(p): _table(name, p, v, room.n_bands)[0] for p, v in spread.items()
             },
-        )  # fmt: skip
+        )
     extra = dict(measured.uncertainty)
     for p, v in measured.values.items():
         kind = "level" if p in ("c80", "g") else "time"
@@ -342,9 +353,7 @@ def _rows(values: Any) -> list[Any]:
 def _air_dict(air: Air | None) -> dict[str, float] | None:
     if air is None:
         return None
-    return {
-        "temperature": air.temperature, "humidity": air.humidity, "pressure": air.pressure
-    }  # fmt: skip
+    return {"temperature": air.temperature, "humidity": air.humidity, "pressure": air.pressure}
 
 
 _SAVED = ("pairs", "standard_deviation", "n_sources", "n_receivers", "planned")

@@ -24,7 +24,7 @@ from rtcal.discrepancy.states import distances, state, with_present
 from rtcal.discrepancy.wording import amount
 from rtcal.errors import DataError
 from rtcal.simulators.base import Simulator, check_alpha, run
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 EQUATIONS = {"sabine": Sabine(), "eyring": Eyring(), "kuttruff": Kuttruff()}
 """Those of a case's that a calibration can invert."""
@@ -130,16 +130,22 @@ class CaseModel:
         around = self.case.room.areas @ facing / self.case.room.total_area
         further = np.tile(around, (len(alpha) - len(facing), 1))
         bare = replace(
-            _bare(self.case), areas=self.room.areas, alpha=alpha,
+            _bare(self.case),
+            areas=self.room.areas,
+            alpha=alpha,
             facing=np.concatenate([facing, further]),
-        )  # fmt: skip
+        )
         found = predict([with_present(bare, self.rest, first)], distances(self.case, first))
         rows = dict(zip(FEATURES, found.features[0], strict=True))
         t20 = np.exp(rows["t20"])
         return Measurement.from_values(
-            self.centre_frequencies, t20=t20, edt=t20 * np.exp(rows["edt"]),
-            t30=t20 * np.exp(rows["t30"]), c80=rows["c80"], g=rows["g"],
-        )  # fmt: skip
+            self.centre_frequencies,
+            t20=t20,
+            edt=t20 * np.exp(rows["edt"]),
+            t30=t20 * np.exp(rows["t30"]),
+            c80=rows["c80"],
+            g=rows["g"],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,13 +255,19 @@ def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
     walls = {name: getattr(made, name) for name in ("alpha_min", "scattering")}
     further = {"alpha_min": 0.0, "scattering": 0.5}
     return made.replace(
-        materials=names, areas=areas, alpha=alpha, sigma=sigma, surfaces=(), dimensions=None,
+        materials=names,
+        areas=areas,
+        alpha=alpha,
+        sigma=sigma,
+        surfaces=(),
+        dimensions=None,
         sources=sources,
         **{
             name: np.vstack([rows, np.full((new, made.n_bands), further[name])])
-            for name, rows in walls.items() if rows is not None
+            for name, rows in walls.items()
+            if rows is not None
         },
-    ), tuple(rest)  # fmt: skip
+    ), tuple(rest)
 
 
 def _source(p: Present) -> str:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.discrepancy.model import Decay, State
 from rtcal.errors import DataError, RtcalError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.discrepancy.effects import Effect, Parameters
@@ -24,8 +24,13 @@ EQUATIONS = ("eyring", "sabine", "kuttruff", "millington")
 """That a state, and so a case, can be predicted with."""
 _TEXTS = ("name", "size", "unit")
 _RESERVED = ("none", "unknown")
-_ARRAYS = {"areas": (0.0, np.inf), "alpha": (0.0, 1.0), "air": (0.0, np.inf),
-           "covering": (-np.inf, np.inf), "objects": (-np.inf, np.inf)}  # fmt: skip
+_ARRAYS = {
+    "areas": (0.0, np.inf),
+    "alpha": (0.0, 1.0),
+    "air": (0.0, np.inf),
+    "covering": (-np.inf, np.inf),
+    "objects": (-np.inf, np.inf),
+}
 _NUMBERS = {"volume": (1e-6, np.inf), "record": (1e-6, np.inf), "direct_db": (-np.inf, np.inf)}
 
 

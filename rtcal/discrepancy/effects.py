@@ -16,7 +16,7 @@ import numpy as np
 from rtcal.discrepancy import shapes, spectra
 from rtcal.discrepancy.effect_checks import check_spectrum
 from rtcal.discrepancy.model import State
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 Parameters = Mapping[str, float]
 
@@ -190,7 +190,7 @@ class Audience(Named):
     STANDING: ClassVar[tuple[float, ...]] = (0.2, 0.3, 0.5, 0.8, 1.0, 1.08, 1.06, 1.0)
 
     def grid(self, state: State) -> Sequence[Parameters]:
-        """Return .08 to 1.3 times the room's absorption, seated or standing."""
+        """Return 0.08 to 1.3 times the room's absorption, seated or standing."""
         sizes = np.geomspace(0.08, 1.3, 10) * middle_absorption(state)
         return [{"standing": s, "absorption_area": float(a)} for s, a in product((0.0, 1.0), sizes)]
 
@@ -215,7 +215,7 @@ class Furniture(Named):
     SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
 
     def grid(self, state: State) -> Sequence[Parameters]:
-        """Return .05 to 1.1 times the room's absorption."""
+        """Return 0.05 to 1.1 times the room's absorption."""
         sizes = np.geomspace(0.05, 1.1, 12) * middle_absorption(state)
         return [{"absorption_area": float(a)} for a in sizes]
 
@@ -256,7 +256,7 @@ class Resonator(Absorber):
     steps: ClassVar[int] = 6
 
     def kinds(self) -> Sequence[Parameters]:
-        """Return 60 to 500 Hz, Q .7 to 5, a0 = .8."""
+        """Return 60 to 500 Hz, Q 0.7 to 5, a0 = 0.8."""
         both = product(np.geomspace(60, 500, 8).tolist(), (0.8, 1.6, 3.5))
         return [{"resonance": f0, "quality": q} for f0, q in both]
 
@@ -277,7 +277,7 @@ class WrongArea(Named):
     size_error: ClassVar[float] = 0.0
 
     def grid(self, state: State) -> Sequence[Parameters]:
-        """Return each material at .4 to 2.5 times its area."""
+        """Return each material at 0.4 to 2.5 times its area."""
         ratios = [r for r in np.geomspace(0.4, 2.5, 12) if abs(r - 1) > 0.05]
         both = product(range(len(state.areas)), ratios)
         return [{"material": float(j), "ratio": float(r)} for j, r in both]
@@ -300,7 +300,7 @@ class WrongVolume(Named):
     size_error: ClassVar[float] = 0.04
 
     def grid(self, state: State) -> Sequence[Parameters]:
-        """Return .7 to 1.4."""
+        """Return 0.7 to 1.4."""
         return [{"ratio": float(r)} for r in np.geomspace(0.7, 1.4, 14)]
 
     def change(self, state: State, parameters: Parameters) -> State:
@@ -340,7 +340,7 @@ class CoupledRoom(Named):
     size_error: ClassVar[float] = 0.4
 
     def grid(self, state: State) -> Sequence[Parameters]:
-        """Return apertures of .05 to 1.2 A, rooms of .2 to 3 V, alpha .02 to .3."""
+        """Return apertures of 0.05 to 1.2 A, rooms of 0.2 to 3 V, alpha 0.02 to 0.3."""
         area = middle_absorption(state)
         return [
             {"aperture": float(a * area), "volume": float(v * state.volume), "alpha": float(e)}
@@ -365,7 +365,7 @@ class NonDiffuse(Named):
     size_error: ClassVar[float] = 0.5
 
     def grid(self, state: State) -> Sequence[Parameters]:
-        """Return s = .01 to .3."""
+        """Return s = 0.01 to 0.3."""
         return [{"scattering": float(s)} for s in np.geomspace(0.01, 0.3, 9)]
 
     def change(self, state: State, parameters: Parameters) -> State:
@@ -414,6 +414,17 @@ class Directivity(Named):
 def library() -> tuple[Effect, ...]:
     """Return every effect that rtcal knows."""
     return (
-        OmittedAir(), Opening(), Audience(), Furniture(), Porous(), Resonator(), WrongArea(),
-        WrongVolume(), WrongFormula(), CoupledRoom(), NonDiffuse(), NoiseFloor(), Directivity(),
-    )  # fmt: skip
+        OmittedAir(),
+        Opening(),
+        Audience(),
+        Furniture(),
+        Porous(),
+        Resonator(),
+        WrongArea(),
+        WrongVolume(),
+        WrongFormula(),
+        CoupledRoom(),
+        NonDiffuse(),
+        NoiseFloor(),
+        Directivity(),
+    )

@@ -22,15 +22,13 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.paths import Scattering
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _AXIS_OF_WALL = (0, 0, 1, 1, 2, 2)
-SCATTERING: Mapping[Scattering, tuple[float, float]] = {
-    "random": (0.4, 0.9), "vector": (0.5, 0.9)
-}  # fmt: skip
+SCATTERING: Mapping[Scattering, tuple[float, float]] = {"random": (0.4, 0.9), "vector": (0.5, 0.9)}
 """Of a control room's walls, by what is meant by it: what is taken for an ordinary room.
 
-Up to .3 of the paths is the effect "non-diffuse field". A sum of vectors with less than half of it
+Up to 0.3 of the paths is the effect "non-diffuse field". A sum of vectors with less than half of it
 scattered turns paths towards the walls' normals, hit by hit: in a flat room T falls to a fifth under
 any equation's.
 """
@@ -102,7 +100,7 @@ def _relative(controls: Controls) -> list[int]:
 
 
 def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
-    """Draw coefficients from the prior: (n, n_configurations, n_materials, n_bands), in [.001, .99].
+    """Draw coefficients from the prior: (n, n_configurations, n_materials, n_bands), in [0.001, 0.99].
 
     Bands are correlated as the room says; a configuration's changes are drawn apart.
     """
@@ -146,14 +144,20 @@ def box(case: Case) -> tuple[Room, Array]:
     share = towards / total
     k = room.n_bands
     made = Room(
-        name="control", volume=float(np.prod(sides)), materials=list(names), areas=2 * areas[::2],
-        alpha=np.full((3, k), 0.1), sigma=np.zeros((3, k)), air=room.air,
-        centre_frequencies=room.centre_frequencies, dimensions=(float(x), float(y), float(z)),
+        name="control",
+        volume=float(np.prod(sides)),
+        materials=list(names),
+        areas=2 * areas[::2],
+        alpha=np.full((3, k), 0.1),
+        sigma=np.zeros((3, k)),
+        air=room.air,
+        centre_frequencies=room.centre_frequencies,
+        dimensions=(float(x), float(y), float(z)),
         surfaces=[
             Surface(name=wall, material=names[a], area=float(area))
             for wall, a, area in zip(SHOEBOX_WALLS, _AXIS_OF_WALL, areas, strict=True)
         ],
-    )  # fmt: skip
+    )
     return made, share
 
 
@@ -173,9 +177,15 @@ def path_tracing(
         room, share, source, receivers = _setup(case, rng)
         tracer = PathTracing(
             geometry=_geometry(room),
-            room=room, sources={"S": source}, receivers=receivers, n_paths=_PATHS, n_batches=2,
-            scattering=scattering[number], meaning=meanings[number], workers=1,
-        )  # fmt: skip
+            room=room,
+            sources={"S": source},
+            receivers=receivers,
+            n_paths=_PATHS,
+            n_batches=2,
+            scattering=scattering[number],
+            meaning=meanings[number],
+            workers=1,
+        )
         alphas = draw_alpha(case, rng, draws)
         longest = 1.15 * float(_time(room, share, case.room.alpha).max())
         here = []
@@ -230,9 +240,14 @@ def rays(
     for number in range(setups):
         room, share, source, receivers = _setup(case, rng)
         tracer = RayTracing(
-            geometry=_geometry(room), room=room, sources={"S": source}, receivers=receivers,
-            n_rays=_RAYS, n_batches=2, scattering=scattering[number],
-        )  # fmt: skip
+            geometry=_geometry(room),
+            room=room,
+            sources={"S": source},
+            receivers=receivers,
+            n_rays=_RAYS,
+            n_batches=2,
+            scattering=scattering[number],
+        )
         longest = 1.15 * float(_time(room, share, case.room.alpha).max())
         for alpha in draw_alpha(case, rng, draws):
             found = []
@@ -299,23 +314,33 @@ def _features(energy: Array, width: float, level: float) -> Array:
 
 
 def _theory(
-    case: Case, room: Room, share: Array, alpha: Array, source: Sequence[float],
+    case: Case,
+    room: Room,
+    share: Array,
+    alpha: Array,
+    source: Sequence[float],
     receivers: Mapping[str, Sequence[float]],
-) -> Array:  # fmt: skip
+) -> Array:
     """What the model says of the control room, (n_configurations, n_features, n_bands)."""
     distance = np.array([np.linalg.norm(np.subtract(source, r)) for r in receivers.values()])
     out = []
     for one in alpha:
         made = State(
-            volume=room.volume, areas=room.areas, alpha=_by_axis(share, one), facing=np.eye(3),
-            air=room.air_attenuation, frequencies=room.centre_frequencies,
+            volume=room.volume,
+            areas=room.areas,
+            alpha=_by_axis(share, one),
+            facing=np.eye(3),
+            air=room.air_attenuation,
+            frequencies=room.centre_frequencies,
             speed_of_sound=room.speed_of_sound,
             equation="eyring" if case.equation in ("sabine", "millington") else case.equation,
-        )  # fmt: skip
+        )
         out.append(predict([made], distance).features[0])
     return np.array(out)
 
 
 ENGINES: Mapping[str, Callable[..., Controls]] = {
-    "path tracing": path_tracing, "network": network, "rays": rays
-}  # fmt: skip
+    "path tracing": path_tracing,
+    "network": network,
+    "rays": rays,
+}

@@ -25,7 +25,7 @@ from rtcal.discrepancy.engines import Controls, witnesses
 from rtcal.discrepancy.model import FEATURES, Predicted, State, predict, sensitivities
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 KAPPA = 0.15
 """What an effect may be off, relative to the change that its formula gives."""
@@ -122,9 +122,9 @@ def _features(configuration: Configuration) -> tuple[Array, Array]:
     relative = {p: m.mean_uncertainty(p) / m.mean(p) for p in ("t20", "t30", "edt")}
     amount, u = (t20, relative["t20"]) if "t20" in m.values else (t30, relative["t30"])
     with np.errstate(divide="ignore", invalid="ignore"):
-        table = np.stack([
-            np.log(amount), np.log(edt / amount), np.log(t30 / amount), m.mean("c80"), m.mean("g")
-        ])  # fmt: skip
+        table = np.stack(
+            [np.log(amount), np.log(edt / amount), np.log(t30 / amount), m.mean("c80"), m.mean("g")]
+        )
     if "t20" not in m.values:
         table[2] = np.nan  # it would be 0 by its making
     k = len(t20)
@@ -193,10 +193,12 @@ def _present_covariance(case: Case) -> Array:
 
     def features(present: Sequence[Present]) -> Array:
         changed = replace(case, present=present)
-        return np.array([
-            predict([state(changed, c)], distances(case, c)).features[0]
-            for c in case.configurations
-        ]).ravel()  # fmt: skip
+        return np.array(
+            [
+                predict([state(changed, c)], distances(case, c)).features[0]
+                for c in case.configurations
+            ]
+        ).ravel()
 
     base = features(case.present)
     out = np.zeros((len(base), len(base)))
@@ -247,10 +249,13 @@ def alpha_variance(
     room = case.room
     octaves = np.abs(np.subtract.outer(*[np.log2(room.centre_frequencies)] * 2))
     rho = room.band_correlation**octaves if room.band_correlation > 0 else np.eye(len(octaves))
-    pull = np.stack([
-        sensitivities(column) * p.reverberation_time[:, None, :] / (6 * np.log(10))
-        for column, p in zip(states, predicted, strict=True)
-    ], axis=1)  # fmt: skip  # (n, configurations, materials, bands)
+    pull = np.stack(
+        [
+            sensitivities(column) * p.reverberation_time[:, None, :] / (6 * np.log(10))
+            for column, p in zip(states, predicted, strict=True)
+        ],
+        axis=1,
+    )  # (n, configurations, materials, bands)
     n, count, _, bands = pull.shape
     out = np.zeros((n, count, bands, count, bands))
     sigma = np.stack([_sigma(case, c) for c in case.configurations])
@@ -258,9 +263,10 @@ def alpha_variance(
     for a in range(count):
         for b in range(count):
             first, second = case.configurations[a].changes, case.configurations[b].changes
-            shared = np.array([
-                a == b or (m not in first and m not in second) for m in room.materials
-            ], dtype=float)  # fmt: skip
+            shared = np.array(
+                [a == b or (m not in first and m not in second) for m in room.materials],
+                dtype=float,
+            )
             product = np.swapaxes(scaled[:, a] * shared[:, None], 1, 2) @ scaled[:, b]
             out[:, a, :, b, :] = product * rho
     return out
@@ -322,9 +328,12 @@ class Evidence:
 
 
 def weigh(
-    observed: Observed, predicted: Hypotheses, error: ModelError, values: Array | None = None,
+    observed: Observed,
+    predicted: Hypotheses,
+    error: ModelError,
+    values: Array | None = None,
     kappa: float = KAPPA,
-) -> Evidence:  # fmt: skip
+) -> Evidence:
     """Return the evidence for the observed features, or for other ``values`` (n_draws, n) of them."""
     y = np.atleast_2d(observed.values if values is None else values)
     likelihood = log_likelihood(observed, predicted, error, y, kappa)
@@ -339,9 +348,12 @@ def weigh(
 
 
 def log_likelihood(
-    observed: Observed, predicted: Hypotheses, error: ModelError, values: Array,
+    observed: Observed,
+    predicted: Hypotheses,
+    error: ModelError,
+    values: Array,
     kappa: float = KAPPA,
-) -> Array:  # fmt: skip
+) -> Array:
     """Return log N(y; y_k + bias, C) of ``values`` (n_draws, n), (n_hypotheses, n_draws), in nats."""
     rest = _without_alpha(observed, predicted, error)
     c, f, b = np.nonzero(observed.used)

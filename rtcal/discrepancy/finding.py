@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
 from rtcal.discrepancy.advice import next_measurement
@@ -44,7 +43,8 @@ from rtcal.discrepancy.wording import (
     wrong,
 )
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 SET = 1.1
 """Nats within which an effect is a candidate beside the best: odds of three to one. Ten to one (2.3)
@@ -137,23 +137,32 @@ class Finding:
         """Return plain values for JSON."""
         size = self.size
         return {
-            "verdict": self.verdict, "effect": self.effect, "candidates": list(self.candidates),
-            "evidence": dict(self.evidence), "score": self.score, "threshold": self.threshold,
-            "engines": list(self.engines), "parameters": dict(self.parameters),
+            "verdict": self.verdict,
+            "effect": self.effect,
+            "candidates": list(self.candidates),
+            "evidence": dict(self.evidence),
+            "score": self.score,
+            "threshold": self.threshold,
+            "engines": list(self.engines),
+            "parameters": dict(self.parameters),
             "material": material_of(self.parameters, self.case.room),
-            "size": None if size is None else {
-                "mean": size.mean, "low": size.low, "high": size.high, "unit": size.unit
-            },
-            "runner_up": self.runner_up, "advice": self.advice, "notes": list(self.notes),
+            "size": None
+            if size is None
+            else {"mean": size.mean, "low": size.low, "high": size.high, "unit": size.unit},
+            "runner_up": self.runner_up,
+            "advice": self.advice,
+            "notes": list(self.notes),
             "residuals": [
                 {
-                    "configuration": c.name, "feature": FEATURE_NAMES[f],
+                    "configuration": c.name,
+                    "feature": FEATURE_NAMES[f],
                     "values": [None if np.isnan(v) else round(float(v), 2) for v in row],
                 }
                 for c, table in zip(self.case.configurations, self.residuals, strict=True)
-                for f, row in enumerate(table) if np.isfinite(row).any()
+                for f, row in enumerate(table)
+                if np.isfinite(row).any()
             ],
-        }  # fmt: skip
+        }
 
     def __str__(self) -> str:
         """Return what a user reads."""
@@ -220,9 +229,13 @@ def find(
 
 
 def judge(
-    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, limit: float,
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    error: ModelError,
+    limit: float,
     notes: Sequence[str] = (),
-) -> Finding:  # fmt: skip
+) -> Finding:
     """Weigh the hypotheses and say what follows; `find` calls it."""
     evidence = weigh(observed, predicted, error)
     table = {k: float(v) for k, v in evidence.by_effect().items()}
@@ -245,20 +258,33 @@ def judge(
         parameters, size = _size(case, observed, predicted, error, evidence, best)
         doubts = _doubts(case, observed, predicted, error, best, parameters)
     return Finding(
-        case=case, verdict=verdict, effect=None if verdict == "none" else best,
-        candidates=candidates, evidence={k: over[k] for k in order}, score=score, threshold=limit,
-        engines=error.engines, parameters=parameters, size=size,
+        case=case,
+        verdict=verdict,
+        effect=None if verdict == "none" else best,
+        candidates=candidates,
+        evidence={k: over[k] for k in order},
+        score=score,
+        threshold=limit,
+        engines=error.engines,
+        parameters=parameters,
+        size=size,
         runner_up=order[1] if len(order) > 1 else NONE,
         advice=next_measurement(case, observed, predicted, error, evidence, candidates),
-        residuals=standardised(observed, predicted, error), notes=(*doubts, *notes, *_notes(case)),
-        error=error, effects=predicted.effects,
-    )  # fmt: skip
+        residuals=standardised(observed, predicted, error),
+        notes=(*doubts, *notes, *_notes(case)),
+        error=error,
+        effects=predicted.effects,
+    )
 
 
 def _size(
-    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, evidence: Evidence,
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    error: ModelError,
+    evidence: Evidence,
     name: str,
-) -> tuple[Parameters, Size | None]:  # fmt: skip
+) -> tuple[Parameters, Size | None]:
     """The effect's most probable parameters, and its size with a 90 % interval.
 
     The grid's best is improved by a search; then the size is tried in fine steps around the most
@@ -313,9 +339,13 @@ _GROSS = np.log(2.0)
 
 
 def _doubts(
-    case: Case, observed: Observed, predicted: Hypotheses, error: ModelError, name: str,
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    error: ModelError,
+    name: str,
     parameters: Parameters,
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """What speaks against the best effect, though no other is better."""
     effect = predicted.effects[name]
     out = []
@@ -359,9 +389,11 @@ def _others(theta: Parameters, effect: Effect) -> tuple[tuple[str, float], ...]:
 
 
 def _searched(
-    grid: Sequence[Parameters], start: Parameters, discrete: Sequence[str],
+    grid: Sequence[Parameters],
+    start: Parameters,
+    discrete: Sequence[str],
     weighed: Callable[[Sequence[Parameters]], Array],
-) -> Parameters:  # fmt: skip
+) -> Parameters:
     """Improve the grid's best parameters within the grid's range, the discrete ones held.
 
     Each round tries a lattice around the best, as wide as the last one's steps.

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 FEATURES = ("t20", "edt", "t30", "c80", "g")
 """Rows of every feature table: ln T20 (s), ln EDT/T20, ln T30/T20, C80 and G in dB."""
@@ -117,7 +117,7 @@ def surface_absorption(states: Sequence[State]) -> Array:
     mean = _mean_alpha(states)
     exponent = -np.log1p(-mean)
     exponent = np.where(equation == "sabine", mean, exponent)
-    # gamma² = .4 (Kuttruff 2016, Sect. 5.4)
+    # gamma² = 0.4 (Kuttruff 2016, Sect. 5.4)
     exponent = np.where(equation == "kuttruff", exponent * (1 - 0.2 * exponent), exponent)
     out = np.array([s.areas for s in states]).sum(1)[:, None] * exponent
     for i, s in enumerate(states):

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-import rtcal
 from rtcal.acoustics.equations import Eyring, LinearEquation, Sabine
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import CalibrationRecord, Room
@@ -34,7 +33,8 @@ from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import amount, in_words, material_of, titled
 from rtcal.errors import MissingAirWarning
-from rtcal.types import Array
+from rtcal.support.types import Array
+from rtcal.support.version import __version__
 
 _ROUNDS = 5
 _STEP = 0.02
@@ -92,12 +92,16 @@ class Recalibrated:
         stated = self.case.room
         data = [times_in_room(stated, c.measured) for c in self.case.configurations]
         known = stated.replace(
-            alpha=self.alpha, sigma=self.sigma, calibration=CalibrationRecord(
-                method="gap", equation=self.joint.equation.name, solver=self.joint.solver,
+            alpha=self.alpha,
+            sigma=self.sigma,
+            calibration=CalibrationRecord(
+                method="gap",
+                equation=self.joint.equation.name,
+                solver=self.joint.solver,
                 measured=" ".join([history(stated, data[0]), *(d.fingerprint for d in data[1:])]),
-                version=rtcal.__version__,
+                version=__version__,
             ),
-        )  # fmt: skip
+        )
         return corrected_room(replace(self.case, room=known))
 
     @property
@@ -109,12 +113,13 @@ class Recalibrated:
         return [
             p.to_dict()
             | {
-                "size": self.sizes.get(p.effect), "unit": p.itself.unit,
+                "size": self.sizes.get(p.effect),
+                "unit": p.itself.unit,
                 "material": material_of(p.parameters, self.case.room),
                 "calibrated": p.effect in self.joint.effects,
             }
             for p in self.case.present
-        ]  # fmt: skip
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -123,8 +128,11 @@ class Recalibrated:
             "effects": self.effects,
             "materials": [
                 {
-                    "name": m, "alpha": self.alpha[i].tolist(), "sigma": self.sigma[i].tolist(),
-                    "low": low[i].tolist(), "high": high[i].tolist(),
+                    "name": m,
+                    "alpha": self.alpha[i].tolist(),
+                    "sigma": self.sigma[i].tolist(),
+                    "low": low[i].tolist(),
+                    "high": high[i].tolist(),
                 }
                 for i, m in enumerate(self.case.room.materials)
             ],
@@ -132,7 +140,7 @@ class Recalibrated:
                 {"configuration": c, "material": m, "alpha": v.tolist()}
                 for (c, m), v in self.changed.items()
             ],
-        }  # fmt: skip
+        }
 
 
 def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
@@ -215,18 +223,24 @@ def _calibrated(
         gains = _gains(case, states)
         # What the effects of the QP add is known to the target only through these unknowns.
         here, moved = (
-            np.log([
+            np.log(
                 [
-                    _qp_time(equation, r, s, [(g[c], _size(p)) for p, g in gains]),
-                    predict([s], distances(fitted, where)).reverberation_time[0],
+                    [
+                        _qp_time(equation, r, s, [(g[c], _size(p)) for p, g in gains]),
+                        predict([s], distances(fitted, where)).reverberation_time[0],
+                    ]
+                    for c, (r, s, where) in enumerate(
+                        zip(
+                            rooms,
+                            [replace(s, alpha=s.alpha * by) for s in states],
+                            fitted.configurations,
+                            strict=True,
+                        )
+                    )
                 ]
-                for c, (r, s, where) in enumerate(
-                    zip(rooms, [replace(s, alpha=s.alpha * by) for s in states],
-                        fitted.configurations, strict=True)
-                )
-            ])
+            )
             for by in (1.0, 1.0 + _STEP)
-        )  # fmt: skip
+        )
         # A step of Gauss and Newton: where the model's T hardly depends on alpha (the other room
         # decays last), its T says as little about alpha.
         slope = (moved - here)[:, 1] / (moved - here)[:, 0]
@@ -241,10 +255,12 @@ def _calibrated(
             _resized(p, solved.effects) if p.effect in solved.effects else p for p in present
         ]
     done = replace(whole, present=present if fitted.present else whole.present)
-    features = np.array([
-        predict([_state(done, c, alpha, changed)], distances(whole, c)).features[0]
-        for c in whole.configurations
-    ])  # fmt: skip
+    features = np.array(
+        [
+            predict([_state(done, c, alpha, changed)], distances(whole, c)).features[0]
+            for c in whole.configurations
+        ]
+    )
     sizes = {p.effect: _size(p) for p in present if np.isfinite(p.itself.neutral)}
     return Recalibrated(done, alpha, changed, sizes, features, solved)
 
@@ -252,12 +268,16 @@ def _calibrated(
 def _misfit(case: Case) -> Array:
     """How far ln T of the effects in the model may be off, (n_configurations, n_bands)."""
     bare = replace(case, present=())
-    return np.array([
-        KAPPA * np.diff(
-            predict([state(bare, c), state(case, c)], distances(case, c)).features[:, _T20], axis=0
-        )[0]
-        for c in case.configurations
-    ])  # fmt: skip
+    return np.array(
+        [
+            KAPPA
+            * np.diff(
+                predict([state(bare, c), state(case, c)], distances(case, c)).features[:, _T20],
+                axis=0,
+            )[0]
+            for c in case.configurations
+        ]
+    )
 
 
 def _state(
@@ -282,10 +302,17 @@ def _room(room: Room, c: Configuration, s: State) -> Room:
         alpha[row], sigma[row] = change.alpha, change.sigma
     least = None if room.alpha_min is None else np.minimum(room.alpha_min, alpha)
     return Room(
-        name=c.name, volume=s.volume, materials=[_name(c, m) for m in room.materials],
-        areas=s.areas, alpha=alpha, sigma=sigma, centre_frequencies=room.centre_frequencies,
-        air=c.air or room.air, alpha_min=least, band_correlation=room.band_correlation,
-    )  # fmt: skip
+        name=c.name,
+        volume=s.volume,
+        materials=[_name(c, m) for m in room.materials],
+        areas=s.areas,
+        alpha=alpha,
+        sigma=sigma,
+        centre_frequencies=room.centre_frequencies,
+        air=c.air or room.air,
+        alpha_min=least,
+        band_correlation=room.band_correlation,
+    )
 
 
 def _equation(case: Case, s: State) -> LinearEquation:
@@ -351,16 +378,22 @@ def _qp_time(
 
 
 def _solve(
-    rooms: list[Room], equation: LinearEquation, target: Array, u: Array,
-    added: list[AddedAbsorption], *, exact: bool,
-) -> JointResult:  # fmt: skip
+    rooms: list[Room],
+    equation: LinearEquation,
+    target: Array,
+    u: Array,
+    added: list[AddedAbsorption],
+    *,
+    exact: bool,
+) -> JointResult:
     measured = [
         Measurement(
-            centre_frequencies=r.centre_frequencies, values={"t20": row[None]},
+            centre_frequencies=r.centre_frequencies,
+            values={"t20": row[None]},
             uncertainty={"t20": (row * spread)[None]},
         )
         for r, row, spread in zip(rooms, target, u, strict=True)
-    ]  # fmt: skip
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
         if exact:

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from rtcal.discrepancy.model import Decay, State, rates, surface_absorption
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,12 @@ class Coupled:
         volume = np.array([[s.volume] for s in shapes])
         first_volume = np.array([[s.volume] for s in states])
         alpha, air = np.array([[s.alpha] for s in shapes]), np.array([s.air for s in states])
-        first = rates([
-            state.covered(shape.aperture, opening)
-            for state, shape in zip(states, shapes, strict=True)
-        ])  # fmt: skip
+        first = rates(
+            [
+                state.covered(shape.aperture, opening)
+                for state, shape in zip(states, shapes, strict=True)
+            ]
+        )
         absorbed = -np.log1p(-alpha) * 6 * volume ** (2 / 3) + 4 * air * volume + aperture
         second = c * absorbed / (4 * volume)
         # In E1 sqrt(V1), E2 sqrt(V2) the exchange is symmetric.
@@ -78,10 +80,13 @@ class NonDiffuse:
         volume = np.array([[s.volume] for s in states])
         area = np.array([[s.total_area] for s in states])
         # By axis, of what the equation says that the surfaces absorb; alike where they absorb nothing.
-        by_axis = np.array([
-            (s.facing * s.areas[:, None]).T @ alpha / (s.areas @ alpha)
-            for s in states for alpha in [np.maximum(s.alpha, 1e-9)]
-        ])  # fmt: skip
+        by_axis = np.array(
+            [
+                (s.facing * s.areas[:, None]).T @ alpha / (s.areas @ alpha)
+                for s in states
+                for alpha in [np.maximum(s.alpha, 1e-9)]
+            ]
+        )
         absorbed = by_axis * surface_absorption(states)[:, None, :]
         rate = c / (2 * volume[:, :, None]) * (u.T @ absorbed).swapaxes(1, 2)
         nothing = np.zeros_like(states[0].air)
@@ -130,7 +135,11 @@ def _directions() -> tuple[Array, Array]:
     z = 0.5 * (nodes + 1)
     azimuth = (np.arange(_ORDER) + 0.5) * np.pi / 2 / _ORDER  # midpoints
     rho = np.sqrt(1 - z**2)
-    u = np.stack([
-        np.outer(rho, np.cos(azimuth)), np.outer(rho, np.sin(azimuth)), np.outer(z, np.ones(_ORDER))
-    ]).reshape(3, -1)  # fmt: skip
+    u = np.stack(
+        [
+            np.outer(rho, np.cos(azimuth)),
+            np.outer(rho, np.sin(azimuth)),
+            np.outer(z, np.ones(_ORDER)),
+        ]
+    ).reshape(3, -1)
     return u, np.outer(gauss / 2, np.full(_ORDER, 1 / _ORDER)).ravel()

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 
 def between(frequencies: Array, octaves: Sequence[float]) -> Array:
@@ -35,7 +35,7 @@ def porous(frequencies: tuple[float, ...], thickness: float, flow_resistivity: f
 
 @lru_cache(maxsize=256)
 def resonator(frequencies: tuple[float, ...], resonance: float, quality: float) -> Array:
-    """Return a resonator's alpha with a0 = .8, averaged over each octave, (n_bands,)."""
+    """Return a resonator's alpha with a0 = 0.8, averaged over each octave, (n_bands,)."""
     x = np.array(frequencies)[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9) / resonance
     return _kept((0.8 / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))
 

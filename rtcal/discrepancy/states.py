@@ -9,7 +9,7 @@ import numpy as np
 from rtcal.discrepancy.case import Case, Configuration, Present
 from rtcal.discrepancy.effect_checks import changed
 from rtcal.discrepancy.model import State
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 
 def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> State:
@@ -23,11 +23,15 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
         values[room.material_index(material)] = change.alpha
     air = configuration.air or room.air
     made = State(
-        volume=room.volume, areas=room.areas, alpha=values, facing=case.facing,
+        volume=room.volume,
+        areas=room.areas,
+        alpha=values,
+        facing=case.facing,
         air=np.zeros(room.n_bands) if air is None else air.attenuation(room.centre_frequencies),
-        frequencies=room.centre_frequencies, speed_of_sound=room.speed_of_sound,
+        frequencies=room.centre_frequencies,
+        speed_of_sound=room.speed_of_sound,
         equation=case.equation,
-    )  # fmt: skip
+    )
     return with_present(made, case.present, configuration)
 
 

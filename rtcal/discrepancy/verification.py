@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal.acoustics.files import json_numbers
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.evidence import (
     NONE,
@@ -31,7 +30,8 @@ from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, table
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import best, listed, rivals, standing
-from rtcal.types import Array
+from rtcal.support.files import json_numbers
+from rtcal.support.types import Array
 
 _JND = {"t20": 0.05, "edt": 0.05, "t30": 0.05, "c80": 1.0, "g": 1.0}
 _WORSE = 0.1
@@ -83,22 +83,30 @@ class Verification:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
-            "verdict": self.verdict, "sentence": self.sentence,
+            "verdict": self.verdict,
+            "sentence": self.sentence,
             "finding": {
-                "verdict": self.finding.verdict, "effect": self.finding.effect,
+                "verdict": self.finding.verdict,
+                "effect": self.finding.effect,
                 "candidates": list(self.finding.candidates),
-                "runner_up": self.finding.runner_up, "evidence": dict(self.finding.evidence),
+                "runner_up": self.finding.runner_up,
+                "evidence": dict(self.finding.evidence),
             },
-            "before_jnd": json_numbers(self.before), "after_jnd": json_numbers(self.after),
+            "before_jnd": json_numbers(self.before),
+            "after_jnd": json_numbers(self.after),
             "predictive_nats": self.predictive,
             "gaps": [
                 {
-                    "configuration": g.configuration, "quantity": g.quantity, "fitted": g.fitted,
-                    "before_jnd": g.before, "after_jnd": g.after,
+                    "configuration": g.configuration,
+                    "quantity": g.quantity,
+                    "fitted": g.fitted,
+                    "before_jnd": g.before,
+                    "after_jnd": g.after,
                 }
                 for g in self.gaps
             ],
-            "plain": self.plain.to_dict(), "corrected": self.corrected.to_dict(),
+            "plain": self.plain.to_dict(),
+            "corrected": self.corrected.to_dict(),
             "reverberation_time": [
                 {"configuration": c.name, **{k: json_numbers(v) for k, v in times.items()}}
                 for c, times in zip(
@@ -110,9 +118,10 @@ class Verification:
                 for c, table in zip(
                     self.finding.case.configurations, residual_map(self), strict=True
                 )
-                for name, row in zip(FEATURE_NAMES, table, strict=True) if np.isfinite(row).any()
+                for name, row in zip(FEATURE_NAMES, table, strict=True)
+                if np.isfinite(row).any()
             ],
-        }  # fmt: skip
+        }
 
     @property
     def sentence(self) -> str:

@@ -12,10 +12,19 @@ if TYPE_CHECKING:
 
 NATS = "2.3 nats are odds of ten to one"
 _UNITS = {
-    "temperature": " °C", "humidity": " %", "thickness": " m", "flow_resistivity": " Pa s/m²",
-    "resonance": " Hz", "area": " m²", "aperture": " m²", "volume": " m³", "level": " dB",
-    "gain": " dB", "record": " times T", "absorption_area": " m² at 1 kHz",
-}  # fmt: skip
+    "temperature": " °C",
+    "humidity": " %",
+    "thickness": " m",
+    "flow_resistivity": " Pa s/m²",
+    "resonance": " Hz",
+    "area": " m²",
+    "aperture": " m²",
+    "volume": " m³",
+    "level": " dB",
+    "gain": " dB",
+    "record": " times T",
+    "absorption_area": " m² at 1 kHz",
+}
 _KINDS = {
     "standing": ("seated", "standing"),
     "equation": ("Sabine's equation", "Eyring's equation", "Millington's equation"),
@@ -117,7 +126,7 @@ def nothing_to_add(finding: Finding) -> str | None:
         f"{finding.threshold:.1f} that it must exceed (verdict hint).",
         "unknown": "Nothing to add: something is missing that no effect of the library explains "
         "(verdict unknown).",
-    }.get(finding.verdict)  # fmt: skip
+    }.get(finding.verdict)
 
 
 def added(finding: Finding) -> str:

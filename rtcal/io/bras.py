@@ -25,12 +25,12 @@ from pathlib import Path
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.files import read_bytes
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import materials
 from rtcal.io.materials import ListedMaterial, MaterialList, Written
 from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
+from rtcal.support.files import read_bytes
 
 DECIMALS = 3
 MAX_BANDS = 100
@@ -60,9 +60,14 @@ def write(
     Without either a table is made. Returns what the rounding does to T, as `catt.write`.
     """
     return materials.write(
-        room, path, read=lambda p: read(p, where=where), fresh=_fresh, template=template,
-        equation=equation, decimals=decimals,
-    )  # fmt: skip
+        room,
+        path,
+        read=lambda p: read(p, where=where),
+        fresh=_fresh,
+        template=template,
+        equation=equation,
+        decimals=decimals,
+    )
 
 
 def parse(

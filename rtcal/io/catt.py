@@ -5,7 +5,7 @@
     ABS carpet   = <2 4 8 20 35 40> {98 209 44}           ; percent, 125 Hz to 4 kHz
     ABS audience = <68 75 82 85 86 86> L <30 40 50 60 70 80> {128 128 0}
     ABS drape    = <3 4 11 17 24 35 : 40 45>              ; with 8 and 16 kHz
-    ABS1 panel   = <.28 .22 .17 .09 .10 .11>              ; fractions
+    ABS1 panel   = <0.28 0.22 0.17 0.09 0.10 0.11>              ; fractions
     ABS floorabs = carpet                                 ; another name for carpet
 
 Sources: the syntax in the examples of CATT's manual (CATT-Acoustic v8.0 User's Manual, CATT 2007,
@@ -19,12 +19,12 @@ import os
 import re
 
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.files import read_bytes
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import materials
 from rtcal.io.materials import ListedMaterial, MaterialList, Written
 from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
+from rtcal.support.files import read_bytes
 
 BANDS = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
 DECIMALS = 1
@@ -156,8 +156,10 @@ def _numbers(text: str, offset: int, place: str) -> tuple[list[float], tuple[tup
     for token in re.finditer(r"[^\s:]+|:", text):
         if token.group() == ":":
             if len(values) != 6:
-                raise DataError(f"{place}: the : stands after {len(values)} values; it parts 6 "
-                                "octaves to 4 kHz from 8 and 16 kHz")  # fmt: skip
+                raise DataError(
+                    f"{place}: the : stands after {len(values)} values; it parts 6 "
+                    "octaves to 4 kHz from 8 and 16 kHz"
+                )
             continue
         values.append(number(token.group(), place))
         spans.append((offset + token.start(), offset + token.end()))

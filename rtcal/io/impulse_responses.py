@@ -32,11 +32,17 @@ import numpy as np
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 MINIMUM_RANGE: dict[str, float] = {
-    "t30": 45.0, "t20": 35.0, "edt": 20.0, "c50": 20.0, "c80": 20.0, "d50": 20.0, "ts": 20.0,
-}  # fmt: skip
+    "t30": 45.0,
+    "t20": 35.0,
+    "edt": 20.0,
+    "c50": 20.0,
+    "c80": 20.0,
+    "d50": 20.0,
+    "ts": 20.0,
+}
 """Impulse-to-noise ratio in dB that each parameter needs: its range, 10 dB more, and T's -5 dB."""
 
 LEAST_BT = 4.0
@@ -155,9 +161,13 @@ def analyse(
             energy = _filtered(time, float(signal.sampling_rate), float(centre), fractions)
             lead = min(onset, int(4 / bandwidth * signal.sampling_rate))
             found, ratios[i, k], reasons = of_energy(
-                energy[onset:], signal.sampling_rate, minimum_range=needed, centre_frequency=centre,
-                early=float(energy[onset - lead : onset].sum()), early_samples=lead,
-            )  # fmt: skip
+                energy[onset:],
+                signal.sampling_rate,
+                minimum_range=needed,
+                centre_frequency=centre,
+                early=float(energy[onset - lead : onset].sum()),
+                early_samples=lead,
+            )
             place = f"{pair[0]}, {pair[1]}, {_bands.label(centre)}"
             missing += [f"{place}: {reason}" for reason in reasons]
             for parameter, value in found.items():
@@ -219,10 +229,14 @@ def of_energy(
         curve = _curve(pyfar, decay / decay[0], sampling_rate)
         reached = 10 * np.log10(decay[-1] / decay[0])
         times = {
-            p: float(np.ravel(pyrato.parameters.reverberation_time_linear_regression(
-                curve, p.upper()))[0])
-            for p, last in _LAST_LEVEL.items() if reached <= last
-        }  # fmt: skip
+            p: float(
+                np.ravel(pyrato.parameters.reverberation_time_linear_regression(curve, p.upper()))[
+                    0
+                ]
+            )
+            for p, last in _LAST_LEVEL.items()
+            if reached <= last
+        }
         times = {p: t for p, t in times.items() if np.isfinite(t) and t > 0}
         if "edt" not in times:
             return (
@@ -237,11 +251,13 @@ def of_energy(
         found = {**times, **_energy_ratios(pyfar, pyrato, whole / whole[0], sampling_rate)}
     reasons = [
         f"{p.upper()} needs {needed[p]:g} dB between sound and noise (ISO 3382); there are {inr:.1f} dB"
-        for p in PARAMETERS if inr < needed[p]
+        for p in PARAMETERS
+        if inr < needed[p]
     ] + [
         f"{p.upper()}: the decay curve ends at {reached:.1f} dB"
-        for p in PARAMETERS if inr >= needed[p] and p not in found
-    ]  # fmt: skip
+        for p in PARAMETERS
+        if inr >= needed[p] and p not in found
+    ]
     return {p: v for p, v in found.items() if inr >= needed[p]}, inr, tuple(reasons)
 
 
@@ -250,9 +266,10 @@ def _energy_ratios(pyfar: Any, pyrato: Any, decay: Array, rate: float) -> dict[s
     curve = _curve(pyfar, decay, rate)
     found = {}
     for name, function, limit in (
-        ("c50", pyrato.parameters.clarity, 50), ("c80", pyrato.parameters.clarity, 80),
+        ("c50", pyrato.parameters.clarity, 50),
+        ("c80", pyrato.parameters.clarity, 80),
         ("d50", pyrato.parameters.definition, 50),
-    ):  # fmt: skip
+    ):
         if len(decay) / rate > limit / 1000:
             found[name] = float(np.ravel(function(curve, limit))[0])
     found["ts"] = float(np.ravel(pyrato.parameters.center_time(curve))[0])
@@ -267,9 +284,11 @@ def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
     """Square of the response in one band, filtered backwards in time."""
     pyfar, _ = _libraries()
     filtered = pyfar.dsp.filter.fractional_octave_bands(
-        pyfar.Signal(time[::-1], rate), fractions, order=_ORDER,
+        pyfar.Signal(time[::-1], rate),
+        fractions,
+        order=_ORDER,
         frequency_range=(centre * 0.97, centre * 1.03),
-    )  # fmt: skip
+    )
     return np.asarray(np.ravel(filtered.time)[::-1] ** 2)
 
 

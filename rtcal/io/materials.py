@@ -17,11 +17,11 @@ import numpy as np
 from rtcal.acoustics import bands, quality
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.files import write_bytes
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.room import Material, Room, Surface
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.files import write_bytes
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class ListedMaterial:
     spans : sequence of (start, end) (n_bands,)
         The bytes of the file that hold each coefficient.
     unit : float
-        alpha = number in the file * unit: .01 for percent.
+        alpha = number in the file * unit: 0.01 for percent.
     decimals : int or None
         Decimals of a number that is written; None writes all digits.
     scattering : sequence, optional
@@ -126,9 +126,10 @@ class MaterialList:
         if not used:
             raise DataError(f"{self.path}: no areas; a room has at least one surface")
         common = [
-            f for f in next(iter(used.values())).centre_frequencies
+            f
+            for f in next(iter(used.values())).centre_frequencies
             if all(f in m.centre_frequencies for m in used.values())
-        ]  # fmt: skip
+        ]
         scattered = all(m.scattering is not None for m in used.values())
         materials = []
         for called, m in used.items():
@@ -138,9 +139,13 @@ class MaterialList:
             scattering = [m.scattering[c] for c in columns] if scattered and m.scattering else None
             materials.append(Material(called, alpha, sigma, 0.0, scattering, self.path))
         return Room.from_surfaces(
-            name=name, volume=volume, surfaces=surfaces, materials=materials,
-            centre_frequencies=common, air=air,
-        )  # fmt: skip
+            name=name,
+            volume=volume,
+            surfaces=surfaces,
+            materials=materials,
+            centre_frequencies=common,
+            air=air,
+        )
 
     def _listed(self, name: str) -> ListedMaterial:
         called = name if name in self.names else self.aliases.get(name)
@@ -218,9 +223,12 @@ class Written:
             f"{'band':>8} {'T, s':>9} {'as read, s':>11} {'change, JND':>12}",
         ]
         for f, t, r, c in zip(
-            self.room.centre_frequencies, self.reverberation_time,
-            self.reverberation_time_as_read, self.change, strict=True,
-        ):  # fmt: skip
+            self.room.centre_frequencies,
+            self.reverberation_time,
+            self.reverberation_time_as_read,
+            self.change,
+            strict=True,
+        ):
             lines.append(f"{bands.label(f):>8} {t:9.4f} {r:11.4f} {c:+12.4f}")
         if self.bands_not_written:
             missing = ", ".join(bands.label(f) for f in self.bands_not_written)
@@ -229,7 +237,7 @@ class Written:
 
 
 def coefficient(value: float, unit: float) -> float:
-    """Return the coefficient of a number in the file; percent divide, so that 7 gives .07."""
+    """Return the coefficient of a number in the file; percent divide, so that 7 gives 0.07."""
     return value / round(1 / unit) if unit < 1 else value
 
 

@@ -13,26 +13,55 @@ from __future__ import annotations
 import os
 import re
 
-from rtcal.acoustics.files import read_bytes, write_text
 from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError
 from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.files import read_bytes, write_text
 
 MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; closing more takes too long."""
 
 _PASSED = {
-    "vt", "vn", "vp", "mtllib", "s", "p", "l", "cstype", "deg", "bmat", "step", "curv", "curv2",
-    "surf", "parm", "trim", "hole", "scrv", "sp", "end", "con", "mg", "bevel", "c_interp",
-    "d_interp", "lod", "shadow_obj", "trace_obj", "ctech", "stech", "maplib", "usemap",
-}  # fmt: skip
+    "vt",
+    "vn",
+    "vp",
+    "mtllib",
+    "s",
+    "p",
+    "l",
+    "cstype",
+    "deg",
+    "bmat",
+    "step",
+    "curv",
+    "curv2",
+    "surf",
+    "parm",
+    "trim",
+    "hole",
+    "scrv",
+    "sp",
+    "end",
+    "con",
+    "mg",
+    "bevel",
+    "c_interp",
+    "d_interp",
+    "lod",
+    "shadow_obj",
+    "trace_obj",
+    "ctech",
+    "stech",
+    "maplib",
+    "usemap",
+}
 
 
 def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
     """Read a room; DataError names file, line and rule, or says where the walls do not close.
 
-    ``unit`` is the length of the file's unit in m: .001 for a model in mm.
+    ``unit`` is the length of the file's unit in m: 0.001 for a model in mm.
     """
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path), unit=unit)
 

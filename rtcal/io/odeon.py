@@ -22,12 +22,12 @@ import re
 from collections import Counter
 
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.files import read_bytes
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import materials
 from rtcal.io.materials import ListedMaterial, MaterialList, Written
 from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
+from rtcal.support.files import read_bytes
 
 BANDS = (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 DECIMALS = 5

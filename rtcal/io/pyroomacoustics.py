@@ -3,9 +3,9 @@
 A material is an object with ``coeffs``; its name is the key that leads to it. Its bands are its own
 ``center_freqs``, else those of the file's outermost object::
 
-    {"center_freqs": [125, 250, 500, 1000, 2000, 4000],
-     "absorption": {"Walls": {"brick": {"description": "", "coeffs": [.02, .03, .03, .04, .05, .07]}}},
-     "scattering": {"diffuser": {"coeffs": [.1, .2, .3, .4, .5, .6]}}}
+    {"center_freqs": [125, 250, 500, 1000, 2000],
+     "absorption": {"Walls": {"brick": {"description": "", "coeffs": [0.02, 0.03, 0.03, 0.04, 0.05]}}},
+     "scattering": {"diffuser": {"coeffs": [0.1, 0.2, 0.3, 0.4, 0.5]}}}
 
 A single object, ``{"description": ..., "coeffs": [...], "center_freqs": [...]}``, is the material
 "material". What stands below an outermost ``scattering`` is kept and not read as absorption.
@@ -24,12 +24,12 @@ from typing import Any
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.files import read_bytes
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import materials
 from rtcal.io.materials import ListedMaterial, MaterialList, Written
 from rtcal.io.source import MAX_TEXT, as_text, line_of, number, readable, shown
+from rtcal.support.files import read_bytes
 
 MAX_DEPTH = 32
 
@@ -71,8 +71,8 @@ def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
 
     Examples
     --------
-    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[.1, .2]],
-    ...             sigma=[[.01, .02]], centre_frequencies=[500, 1000])
+    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1, 0.2]],
+    ...             sigma=[[0.01, 0.02]], centre_frequencies=[500, 1000])
     >>> dictionaries(room)["wall"]["energy_absorption"]["coeffs"]
     [0.1, 0.2]
     """
@@ -83,9 +83,10 @@ def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
         result[name] = {"energy_absorption": {**absorption, "center_freqs": frequencies}}
         if room.scattering is not None:
             result[name]["scattering"] = {
-                "description": name, "coeffs": [float(s) for s in room.scattering[i]],
+                "description": name,
+                "coeffs": [float(s) for s in room.scattering[i]],
                 "center_freqs": frequencies,
-            }  # fmt: skip
+            }
     return result
 
 

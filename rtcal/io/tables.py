@@ -18,37 +18,81 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands as _bands
-from rtcal.acoustics.files import read_bytes
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import DECAY_TIMES, UNITS, Measurement, plausible_time
 from rtcal.errors import DataError
 from rtcal.io.source import MAX_TEXT, number, shown
-from rtcal.types import Array
+from rtcal.support.files import read_bytes
+from rtcal.support.types import Array
 
 MAX_COLUMNS, MAX_PAIRS = 200, 5000
 _LEAST_BAND = 10.0  # Hz: a smaller number at the head of a column is a value
 
 _PARAMETERS = {
-    "t20": "t20", "rt20": "t20", "t60(20)": "t20", "t_20": "t20", "t30": "t30", "rt30": "t30",
-    "t_30": "t30", "t60(30)": "t30", "edt": "edt", "t10": "edt", "earlydecaytime": "edt",
-    "c50": "c50", "clarityc50": "c50", "c80": "c80", "clarityc80": "c80", "d50": "d50",
-    "definition": "d50", "deutlichkeit": "d50", "ts": "ts", "centretime": "ts", "centertime": "ts",
-    "schwerpunktzeit": "ts", "g": "g", "strength": "g", "soundstrength": "g",
-}  # fmt: skip
+    "t20": "t20",
+    "rt20": "t20",
+    "t60(20)": "t20",
+    "t_20": "t20",
+    "t30": "t30",
+    "rt30": "t30",
+    "t_30": "t30",
+    "t60(30)": "t30",
+    "edt": "edt",
+    "t10": "edt",
+    "earlydecaytime": "edt",
+    "c50": "c50",
+    "clarityc50": "c50",
+    "c80": "c80",
+    "clarityc80": "c80",
+    "d50": "d50",
+    "definition": "d50",
+    "deutlichkeit": "d50",
+    "ts": "ts",
+    "centretime": "ts",
+    "centertime": "ts",
+    "schwerpunktzeit": "ts",
+    "g": "g",
+    "strength": "g",
+    "soundstrength": "g",
+}
 _UNSTATED = {"rt", "rt60", "t60", "t", "reverberationtime", "nachhallzeit", "tr"}
 _COLUMNS = {
-    "source": "source", "src": "source", "quelle": "source", "sourceposition": "source",
-    "receiver": "receiver", "rec": "receiver", "mic": "receiver", "microphone": "receiver",
-    "position": "receiver", "pos": "receiver", "empfänger": "receiver", "mikrofon": "receiver",
-    "receiverposition": "receiver", "measurement": "receiver", "parameter": "parameter",
-    "quantity": "parameter", "metric": "parameter", "band": "band", "frequency": "band", "freq": "band",
-    "f": "band", "frequenz": "band", "octaveband": "band", "centrefrequency": "band",
-    "centerfrequency": "band", "value": "value", "wert": "value", "mean": "value", "unit": "unit",
+    "source": "source",
+    "src": "source",
+    "quelle": "source",
+    "sourceposition": "source",
+    "receiver": "receiver",
+    "rec": "receiver",
+    "mic": "receiver",
+    "microphone": "receiver",
+    "position": "receiver",
+    "pos": "receiver",
+    "empfänger": "receiver",
+    "mikrofon": "receiver",
+    "receiverposition": "receiver",
+    "measurement": "receiver",
+    "parameter": "parameter",
+    "quantity": "parameter",
+    "metric": "parameter",
+    "band": "band",
+    "frequency": "band",
+    "freq": "band",
+    "f": "band",
+    "frequenz": "band",
+    "octaveband": "band",
+    "centrefrequency": "band",
+    "centerfrequency": "band",
+    "value": "value",
+    "wert": "value",
+    "mean": "value",
+    "unit": "unit",
     "einheit": "unit",
-}  # fmt: skip
+}
 _SCALES: dict[str, dict[str, float]] = {
-    "s": {"s": 1, "sec": 1, "ms": 1e-3}, "dB": {"db": 1}, "": {"%": 0.01, "percent": 0.01, "-": 1},
-}  # fmt: skip
+    "s": {"s": 1, "sec": 1, "ms": 1e-3},
+    "dB": {"db": 1},
+    "": {"%": 0.01, "percent": 0.01, "-": 1},
+}
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _MISSING = {"", "-", "--", "n/a", "na", "nan", "---"}
 
@@ -99,8 +143,9 @@ def parse(
 ) -> Table:
     """Return the measurement of a table's content; see `read`."""
     for name, choice, known in (
-        ("decay_time", decay_time, DECAY_TIMES), ("parameter", parameter, tuple(UNITS)),
-    ):  # fmt: skip
+        ("decay_time", decay_time, DECAY_TIMES),
+        ("parameter", parameter, tuple(UNITS)),
+    ):
         if choice is not None and choice not in known:
             raise DataError(f'{name} = "{choice}" is none of {", ".join(known)}')
     rows, delimiter = _rows(content, path)
@@ -145,9 +190,10 @@ def _rows(content: bytes, path: str) -> tuple[list[tuple[int, list[str]]], str]:
         except UnicodeDecodeError:
             continue
     numbered = [
-        (at, line) for at, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1)
+        (at, line)
+        for at, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1)
         if line.strip(" \t;,\r") and not line.lstrip().startswith("#")
-    ]  # fmt: skip
+    ]
     if len(numbered) < 2:
         raise DataError(f"{path}, line 1: a header and at least one row are needed")
     first = numbered[0][1]
@@ -241,9 +287,13 @@ def _decimal_comma(body: list[tuple[int, list[str]]], columns: list[_Column], pa
 
 
 def _row(
-    cells: list[str], columns: list[_Column], place: str, comma: bool, decay_time: str | None,
+    cells: list[str],
+    columns: list[_Column],
+    place: str,
+    comma: bool,
+    decay_time: str | None,
     stated: str | None,
-) -> list[tuple[tuple[str, str, str, float], float]]:  # fmt: skip
+) -> list[tuple[tuple[str, str, str, float], float]]:
     held = {c.kind: cell for c, cell in zip(columns, cells, strict=True) if c.kind != "of"}
     source, receiver = held.get("source") or "S1", held.get("receiver") or "R1"
     text_name(f"{place}: a position", source + receiver)
@@ -264,8 +314,9 @@ def _row(
         parameter = column.parameter or row_parameter
         band = column.band if np.isfinite(column.band) else row_band
         if parameter is None:
-            raise DataError(f'{place}: the table does not say what "{_shown(cell)}" is; state '
-                            "parameter")  # fmt: skip
+            raise DataError(
+                f'{place}: the table does not say what "{_shown(cell)}" is; state parameter'
+            )
         if band is None:
             raise DataError(f'{place}: no band for the value "{_shown(cell)}"')
         scale = column.scale

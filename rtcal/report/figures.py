@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtcal.acoustics.files import write_bytes
 from rtcal.acoustics.quality import JND, letters
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.report.saved import Saved, saved
-from rtcal.types import Array
+from rtcal.support.files import write_bytes
+from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
@@ -88,14 +88,25 @@ def reverberation_time(result: CalibrationResult | Saved) -> Any:
     here = np.isfinite(measured)
     jnd_band(axes, f, measured)
     axes.errorbar(
-        f[here], measured[here], yerr=np.nan_to_num(seen.uncertainty)[here], color=BLACK, marker="o",
-        capsize=3, linestyle="none", label="measured, ± standard uncertainty",
-    )  # fmt: skip
+        f[here],
+        measured[here],
+        yerr=np.nan_to_num(seen.uncertainty)[here],
+        color=BLACK,
+        marker="o",
+        capsize=3,
+        linestyle="none",
+        label="measured, ± standard uncertainty",
+    )
     axes.plot(f, seen.before, color=ORANGE, marker="s", linestyle="--", label="before calibration")
     axes.plot(
-        f, seen.after, color=BLUE, marker="o", markersize=10, markerfacecolor="none",
+        f,
+        seen.after,
+        color=BLUE,
+        marker="o",
+        markersize=10,
+        markerfacecolor="none",
         label="after calibration",
-    )  # fmt: skip
+    )
     band_axis(axes, f, [letters(seen.trust_marks, v) for v in f])
     found = [f"{m.letter} {m.title}".strip() for m in seen.trust_marks]
     if found:
@@ -117,13 +128,23 @@ def gap(result: CalibrationResult | Saved) -> Any:
     axes.axhspan(-1, 1, color="0.85", label="within 1 JND (5 %)")
     axes.axhline(0, color=BLACK, linewidth=0.8)
     axes.bar(
-        at, seen.gap_before, 0.5, facecolor="#F5C9A6", edgecolor=ORANGE, hatch="//",
+        at,
+        seen.gap_before,
+        0.5,
+        facecolor="#F5C9A6",
+        edgecolor=ORANGE,
+        hatch="//",
         label="before calibration",
-    )  # fmt: skip
+    )
     axes.plot(
-        at, seen.gap_after, color=BLUE, marker="o", linestyle="none", markersize=8,
+        at,
+        seen.gap_after,
+        color=BLUE,
+        marker="o",
+        linestyle="none",
+        markersize=8,
         label="after calibration",
-    )  # fmt: skip
+    )
     many = len(at) > _MANY_BANDS
     axes.set_xticks(at, [f"{f:g}" for f in seen.centre_frequencies], rotation=90 if many else 0)
     axes.set_xlabel("Band centre frequency / Hz")

@@ -12,7 +12,7 @@ from rtcal.discrepancy.states import state
 from rtcal.discrepancy.verification import Verification, residual_map, reverberation_times
 from rtcal.discrepancy.wording import best
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 MOST_PANELS = 12
 """Materials that `shifts` draws."""
@@ -36,8 +36,15 @@ def reverberation_time(verification: Verification) -> Any:
         ("corrected", BLUE, "D", "-", f"with {best(finding)}, calibrated"),
     ):
         values = times[name]
-        axes.plot(f, values, color=colour, marker=marker, linestyle=style, fillstyle="none",
-                  label=shown(label))  # fmt: skip
+        axes.plot(
+            f,
+            values,
+            color=colour,
+            marker=marker,
+            linestyle=style,
+            fillstyle="none",
+            label=shown(label),
+        )
     band_axis(axes, f)
     axes.set_ylabel("Reverberation time T / s")
     axes.set_ylim(bottom=0)
@@ -52,9 +59,11 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
         maps.append((f"with {best(finding)}", residual_map(verification)))
     f = finding.case.room.centre_frequencies
     rows = [
-        (c, k) for c in range(len(finding.residuals)) for k in range(len(FEATURE_NAMES))
+        (c, k)
+        for c in range(len(finding.residuals))
+        for k in range(len(FEATURE_NAMES))
         if np.isfinite(finding.residuals[c, k]).any()
-    ]  # fmt: skip
+    ]
     names = [c.name for c in finding.case.configurations]
     several = len(names) > 1
     figure, axes = new_figure(7.0, 1.0 + 0.34 * len(rows) * len(maps), rows=len(maps))
@@ -65,8 +74,15 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
             for j, value in enumerate(row):
                 if np.isfinite(value):
                     strong = abs(value) > 0.6 * _STRONG
-                    axis.text(j, i, f"{value:+.1f}", ha="center", va="center", fontsize=7,
-                              color="white" if strong else "black")  # fmt: skip
+                    axis.text(
+                        j,
+                        i,
+                        f"{value:+.1f}",
+                        ha="center",
+                        va="center",
+                        fontsize=7,
+                        color="white" if strong else "black",
+                    )
         labels = [
             FEATURE_NAMES[k] + (f", {shown(names[c], 20)}" if several else "") for c, k in rows
         ]
@@ -96,19 +112,28 @@ def evidence(finding: Finding) -> Any:
     low = -0.15 * top
     drawn = np.maximum(values, low)
     axes.barh(
-        at, drawn, color=["#9DC6E0" if h else "0.85" for h in here], edgecolor=BLACK,
+        at,
+        drawn,
+        color=["#9DC6E0" if h else "0.85" for h in here],
+        edgecolor=BLACK,
         hatch=["//" if h else "" for h in here],
-    )  # fmt: skip
+    )
     for y, value, end in zip(at, values, drawn, strict=True):
         axes.text(max(end, 0.0), y, f" {value:+.1f}", va="center", fontsize=8)
     cut = values < low
     if cut.any():
         axes.plot(
-            np.full(cut.sum(), 0.85 * low), at[cut], color=BLACK, marker="<", linestyle="none",
-            markersize=5, label="cut: the number is beyond the axis",
-        )  # fmt: skip
-    axes.axvline(finding.threshold, color=ORANGE, linestyle="--",
-                 label=f"threshold {finding.threshold:.1f}")  # fmt: skip
+            np.full(cut.sum(), 0.85 * low),
+            at[cut],
+            color=BLACK,
+            marker="<",
+            linestyle="none",
+            markersize=5,
+            label="cut: the number is beyond the axis",
+        )
+    axes.axvline(
+        finding.threshold, color=ORANGE, linestyle="--", label=f"threshold {finding.threshold:.1f}"
+    )
     axes.axvline(0, color=BLACK, linewidth=0.8)
     axes.set_xlim(low, 1.15 * top)
     axes.set_yticks(at, [shown(n) for n in names])
@@ -139,14 +164,26 @@ def decay(verification: Verification) -> Any:
         value = float(first.measured.mean(name)[band])
         if np.isfinite(value):
             levels = np.array([low, high])
-            axes.plot(levels / 60 * value, -levels, color=BLACK, linestyle=style, linewidth=3,
-                      alpha=0.5, label=f"measured {name.upper()} {value:.2f} s")  # fmt: skip
+            axes.plot(
+                levels / 60 * value,
+                -levels,
+                color=BLACK,
+                linestyle=style,
+                linewidth=3,
+                alpha=0.5,
+                label=f"measured {name.upper()} {value:.2f} s",
+            )
     for found, colour, style, label in (
         (verification.plain, GREEN, "-.", "plainly calibrated"),
         (verification.corrected, BLUE, "-", f"with {finding.effect}"),
     ):
-        axes.plot(t, _level(found.case, found.alpha, band, t), color=colour, linestyle=style,
-                  label=shown(label))  # fmt: skip
+        axes.plot(
+            t,
+            _level(found.case, found.alpha, band, t),
+            color=colour,
+            linestyle=style,
+            label=shown(label),
+        )
     axes.set_ylim(-40, 1)
     axes.set_xlabel("Time / s")
     axes.set_ylabel(f"Level at {case.room.centre_frequencies[band]:g} Hz / dB")
@@ -193,9 +230,16 @@ def shifts(verification: Verification) -> Any:
             low, high = x.interval
             bars = [x.alpha[i] - low[i], high[i] - x.alpha[i]]
             axes.errorbar(
-                f * by, x.alpha[i] - room.alpha[i], yerr=np.maximum(bars, 0), color=colour,
-                marker=marker, markersize=4, linestyle="none", capsize=2, label=shown(label),
-            )  # fmt: skip
+                f * by,
+                x.alpha[i] - room.alpha[i],
+                yerr=np.maximum(bars, 0),
+                color=colour,
+                marker=marker,
+                markersize=4,
+                linestyle="none",
+                capsize=2,
+                label=shown(label),
+            )
         band_axis(axes, f)
         step = -(-len(f) // 7)
         axes.set_xticks(f[::step], [f"{v:g}" for v in f[::step]], rotation=0)

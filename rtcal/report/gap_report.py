@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from rtcal.acoustics.equations import Eyring
-from rtcal.acoustics.files import write_all
 from rtcal.calibration.presets import calibrate
 from rtcal.discrepancy.corrected import EQUATIONS
 from rtcal.discrepancy.finding import Finding
@@ -21,6 +20,7 @@ from rtcal.errors import DataError, MissingAirWarning
 from rtcal.report import gap_figures
 from rtcal.report.figures import rendered
 from rtcal.report.page import page
+from rtcal.support.files import write_all
 
 FIGURES = ("evidence", "residuals", "reverberation_time", "decay", "shifts")
 WRITTEN = ("finding.json", "report.html", *(f"{name}.png" for name in FIGURES))
@@ -38,16 +38,18 @@ class Reproduction:
 
 def figures(finding: Finding, verification: Verification | None) -> dict[str, tuple[Any, str]]:
     """Return the figures by name, each with its caption."""
-    drawn = {"evidence": (
-        gap_figures.evidence(finding),
-        "Evidence of every effect over the model as it stands; a finding must exceed the threshold. "
-        "An arrow marks a bar that is cut: its number is printed.",
-    )}  # fmt: skip
+    drawn = {
+        "evidence": (
+            gap_figures.evidence(finding),
+            "Evidence of every effect over the model; a finding must exceed the threshold. "
+            "An arrow marks a bar that is cut: its number is printed.",
+        )
+    }
     if verification is None:
         drawn["residuals"] = (
             gap_figures.residuals(finding),
             "Where measurement and model differ, in standard deviations.",
-        )  # fmt: skip
+        )
         return drawn
     drawn |= {
         "residuals": (
@@ -88,9 +90,11 @@ def write(finding: Finding, folder: Path, reproduction: Reproduction | None = No
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MissingAirWarning)  # among the finding's notes
         usual = calibrate(
-            finding.case.room, first.measured, unreachable="nearest",
+            finding.case.room,
+            first.measured,
+            unreachable="nearest",
             equation=EQUATIONS.get(finding.case.equation, Eyring()),
-        )  # fmt: skip
+        )
     told = summary(finding, verified, reproduction)
     text = page(usual, finding=told, finding_figures=list(drawn.values()))
     contents = {
@@ -115,11 +119,13 @@ def summary(
     sentences = [*lines[:at], *(line for line in lines[at:] if line.startswith("next: "))]
     first = finding.case.configurations[0].name
     told: dict[str, Any] = {
-        "verdict": finding.verdict, "effect": "" if finding.effect is None else best(finding),
-        "candidates": list(finding.candidates), "evidence": dict(finding.evidence),
+        "verdict": finding.verdict,
+        "effect": "" if finding.effect is None else best(finding),
+        "candidates": list(finding.candidates),
+        "evidence": dict(finding.evidence),
         "notes": list(finding.notes),
         "plain": f'plain calibration to T20 of "{first}"',
-    }  # fmt: skip
+    }
     if verification is None:
         if (nothing := nothing_to_add(finding)) is not None:
             sentences.append(nothing)
@@ -133,9 +139,11 @@ def summary(
             told["plain"] += f": not to be used, the model lacks {lacking}"
     if reproduction is not None:
         told["reproduce"] = {
-            "command": reproduction.command, "files": list(reproduction.files),
-            "seed": reproduction.seed, "engines": list(finding.engines),
-        }  # fmt: skip
+            "command": reproduction.command,
+            "files": list(reproduction.files),
+            "seed": reproduction.seed,
+            "engines": list(finding.engines),
+        }
     return {**told, "summary": sentences}
 
 
@@ -156,16 +164,22 @@ def _corrected(verification: Verification) -> dict[str, Any]:
         "effects": [effect_said(effect, room) for effect in found.effects],
         "materials": [
             {
-                "name": m, "area": room.areas[i],
+                "name": m,
+                "area": room.areas[i],
                 "cells": [
-                    {"before": room.alpha[i, k], "after": found.alpha[i, k],
-                     "low": low[i, k], "high": high[i, k], "star": ""}
+                    {
+                        "before": room.alpha[i, k],
+                        "after": found.alpha[i, k],
+                        "low": low[i, k],
+                        "high": high[i, k],
+                        "star": "",
+                    }
                     for k in range(room.n_bands)
                 ],
             }
             for i, m in enumerate(room.materials)
         ],
-    }  # fmt: skip
+    }
 
 
 def _unknowable(finding: Finding, supported: bool) -> str:

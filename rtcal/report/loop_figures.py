@@ -11,7 +11,7 @@ from rtcal.errors import DataError
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, jnd_band, new_figure, shown
 
 if TYPE_CHECKING:
-    from rtcal.loop import Loop
+    from rtcal.loop.state import Loop
 
 _MARKERS = "o^vDPX<>"
 _STYLES = ("-", "--", "-.", ":")
@@ -37,14 +37,23 @@ def path(loop: Loop) -> Any:
     simulated = np.array([step.simulated for step in loop.steps])
     for number, times in enumerate(simulated[1:-1], start=2):
         left.plot(
-            f, times, color="0.45", linestyle=":", linewidth=1,
+            f,
+            times,
+            color="0.45",
+            linestyle=":",
+            linewidth=1,
             label="in between" if number == 2 else None,
-        )  # fmt: skip
+        )
     left.plot(f, simulated[0], color=ORANGE, marker="s", linestyle="--", label="first simulation")
     left.plot(
-        f, simulated[loop.best, np.arange(len(f))], color=BLUE, marker="o", markersize=10,
-        markerfacecolor="none", label="nearest, by band",
-    )  # fmt: skip
+        f,
+        simulated[loop.best, np.arange(len(f))],
+        color=BLUE,
+        marker="o",
+        markersize=10,
+        markerfacecolor="none",
+        label="nearest, by band",
+    )
     band_axis(left, f)
     left.set_ylabel("T20 / s")
     left.set_ylim(bottom=0)
@@ -58,9 +67,13 @@ def path(loop: Loop) -> Any:
     for k, frequency in enumerate(f):
         blue = (greys[k], 0.25 + 0.65 * greys[k], 0.45 + 0.35 * greys[k])
         right.plot(
-            steps, gaps[:, k], color=blue, marker=_MARKERS[k % len(_MARKERS)],
-            linestyle=_STYLES[k % len(_STYLES)], label=f"{frequency:g} Hz",
-        )  # fmt: skip
+            steps,
+            gaps[:, k],
+            color=blue,
+            marker=_MARKERS[k % len(_MARKERS)],
+            linestyle=_STYLES[k % len(_STYLES)],
+            label=f"{frequency:g} Hz",
+        )
     right.set_xticks(steps)
     right.set_xlim(0.7, len(steps) + 0.3)
     reach = 1.2 * max(1.5, float(np.nanmax(np.abs(gaps), initial=0.0)))

@@ -13,7 +13,7 @@ from rtcal.errors import DataError
 from rtcal.report.words import hertz
 
 if TYPE_CHECKING:
-    from rtcal.loop import Loop
+    from rtcal.loop.state import Loop
 
 _SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
 _SAID = {
@@ -64,7 +64,7 @@ def assumed(loop: Loop) -> list[str]:
         if loop.decimals is None
         else f"Coefficients rounded to {loop.decimals} decimals, as the program reads them.",
         "Only T20 was fitted. That it agrees proves nothing of EDT, C50, C80, or of other positions.",
-    ]  # fmt: skip
+    ]
 
 
 def bands_table(loop: Loop, status: Sequence[str]) -> dict[str, Any]:
@@ -106,9 +106,11 @@ def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
     if not np.isfinite(gap).any():
         return "What the coefficients returned give was not simulated."
     k = int(np.nanargmax(gap))
-    how = "With random numbers that the calibration has not seen" if ends["confirmed"] else (
-        "With all the coefficients returned"
-    )  # fmt: skip
+    how = (
+        "With random numbers that the calibration has not seen"
+        if ends["confirmed"]
+        else ("With all the coefficients returned")
+    )
     return (
         f"{how}, T20 is off by {gap[k]:.1f} JND at most, at {loop.room.centre_frequencies[k]:g} Hz."
     )
@@ -137,9 +139,12 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
         gap = gap_jnd(np.array(result["after"]["t20"], dtype=float), loop.wanted)
         rows.insert(2, ("its gap / JND", gap, 1, True))
         return {
-            "simulator": result["simulator"], "confirmed": result["confirmed"], "rows": rows,
-            "gap": gap, "status": status,
-        }  # fmt: skip
+            "simulator": result["simulator"],
+            "confirmed": result["confirmed"],
+            "rows": rows,
+            "gap": gap,
+            "status": status,
+        }
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{place}: no result of a loop: {error}") from error
 
@@ -149,7 +154,10 @@ def materials_table(loop: Loop) -> list[dict[str, Any]]:
     room = loop.room
     after = np.stack([loop.steps[b].alpha[:, k] for k, b in enumerate(loop.best)], axis=1)
     return [
-        {"name": room.materials[i], "area": room.areas[i],
-         "cells": list(zip(room.alpha[i], after[i], strict=True))}
+        {
+            "name": room.materials[i],
+            "area": room.areas[i],
+            "cells": list(zip(room.alpha[i], after[i], strict=True)),
+        }
         for i in range(room.n_materials)
-    ]  # fmt: skip
+    ]

@@ -9,7 +9,7 @@ import numpy as np
 from rtcal.errors import DataError
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, new_figure, shown
 from rtcal.report.saved import Saved, saved
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
@@ -19,9 +19,14 @@ MOST_PANELS = 12
 _COLUMNS = 3
 _NORMAL_90 = 1.6449  # standard deviations on each side that hold 90 % of a normal distribution
 _SHARES = (
-    ("#0072B2", ""), ("#E69F00", "//"), ("#009E73", ".."), ("#CC79A7", "xx"), ("#56B4E9", "\\\\"),
-    ("#D55E00", "++"), ("#F0E442", "--"),
-)  # fmt: skip
+    ("#0072B2", ""),
+    ("#E69F00", "//"),
+    ("#009E73", ".."),
+    ("#CC79A7", "xx"),
+    ("#56B4E9", "\\\\"),
+    ("#D55E00", "++"),
+    ("#F0E442", "--"),
+)
 
 
 def coefficients(result: CalibrationResult | Saved) -> Any:
@@ -46,18 +51,40 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
         spread = _NORMAL_90 * seen.sigma_before[i]
         ends = np.clip([prior - spread, prior + spread], 0, 1)
         axes.errorbar(
-            f / apart, prior, yerr=np.abs(ends - prior), color=ORANGE, marker="s", markersize=4,
-            markerfacecolor="white", linestyle="none", capsize=2, label="before (prior), 90 %",
-        )  # fmt: skip
+            f / apart,
+            prior,
+            yerr=np.abs(ends - prior),
+            color=ORANGE,
+            marker="s",
+            markersize=4,
+            markerfacecolor="white",
+            linestyle="none",
+            capsize=2,
+            label="before (prior), 90 %",
+        )
         axes.errorbar(
-            f * apart, after, yerr=np.maximum([after - low[i], high[i] - after], 0), color=BLUE,
-            marker="o", markersize=5, linestyle="none", capsize=3, linewidth=1.8,
+            f * apart,
+            after,
+            yerr=np.maximum([after - low[i], high[i] - after], 0),
+            color=BLUE,
+            marker="o",
+            markersize=5,
+            linestyle="none",
+            capsize=3,
+            linewidth=1.8,
             label="calibrated, 90 %",
-        )  # fmt: skip
+        )
         (stars,) = axes.plot(
-            f[bound] * apart, after[bound], color=BLACK, marker="*", markersize=11,
-            linestyle="none", label="at a bound", clip_on=False, zorder=5,
-        )  # fmt: skip
+            f[bound] * apart,
+            after[bound],
+            color=BLACK,
+            marker="*",
+            markersize=11,
+            linestyle="none",
+            label="at a bound",
+            clip_on=False,
+            zorder=5,
+        )
         stars.set_in_layout(False)
         band_axis(axes, f)
         if len(f) > 7:
@@ -98,9 +125,16 @@ def shares(result: CalibrationResult | Saved) -> Any:
     styles = [*_SHARES[: len(names) - 1], ("#FFFFFF", "")]
     for name, part, (color, hatch) in zip(names, parts, styles, strict=True):
         axes.bar(
-            at, part, 0.75, bottom=below, facecolor=color, hatch=hatch, edgecolor=BLACK,
-            linewidth=0.6, label=shown(name, 26),
-        )  # fmt: skip
+            at,
+            part,
+            0.75,
+            bottom=below,
+            facecolor=color,
+            hatch=hatch,
+            edgecolor=BLACK,
+            linewidth=0.6,
+            label=shown(name, 26),
+        )
         below = below + part
     many = len(at) > 10
     axes.set_xticks(at, [f"{f:g}" for f in seen.centre_frequencies], rotation=90 if many else 0)
@@ -174,10 +208,15 @@ def plane_of(
             correlation = float(entry["value"])
     rest = f", the {len(others)} others as calibrated" if len(others) else ""
     return plane(
-        seen.alpha_before[rows, k], seen.sigma_before[rows, k], seen.areas[rows], float(left),
-        seen.alpha_after[rows, k], names=names, correlation=correlation,
+        seen.alpha_before[rows, k],
+        seen.sigma_before[rows, k],
+        seen.areas[rows],
+        float(left),
+        seen.alpha_after[rows, k],
+        names=names,
+        correlation=correlation,
         title=f"{seen.centre_frequencies[k]:g} Hz{rest}",
-    )  # fmt: skip
+    )
 
 
 def _band(seen: Saved, frequency: float | None) -> int:
@@ -237,18 +276,29 @@ def plane(
     low, high = np.maximum(mu - reach, -0.02), np.minimum(mu + reach, 1.02)
     across = np.linspace(low[0], high[0], 2)
     axes.plot(
-        across, (target - areas[0] * across) / areas[1], color=BLACK, linewidth=1.8,
+        across,
+        (target - areas[0] * across) / areas[1],
+        color=BLACK,
+        linewidth=1.8,
         label="gives the measured T",
-    )  # fmt: skip
+    )
     axes.annotate(
         "", xy=alpha, xytext=mu, arrowprops={"arrowstyle": "->", "color": BLUE, "linewidth": 1.5}
     )
-    axes.plot(*mu, color=ORANGE, marker="s", markersize=8, markerfacecolor="white",
-              linestyle="none", label="before (prior)")  # fmt: skip
+    axes.plot(
+        *mu,
+        color=ORANGE,
+        marker="s",
+        markersize=8,
+        markerfacecolor="white",
+        linestyle="none",
+        label="before (prior)",
+    )
     axes.plot(*alpha, color=BLUE, marker="o", markersize=8, linestyle="none", label="calibrated")
     if truth is not None:
-        axes.plot(*points[2], color=GREEN, marker="*", markersize=13, linestyle="none",
-                  label="true")  # fmt: skip
+        axes.plot(
+            *points[2], color=GREEN, marker="*", markersize=13, linestyle="none", label="true"
+        )
     for end in (0.0, 1.0):
         axes.axvline(end, color=BLACK, linewidth=0.6, linestyle="-.")
         axes.axhline(end, color=BLACK, linewidth=0.6, linestyle="-.")

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import rtcal
-from rtcal import loop_state
 from rtcal.acoustics import room_files
-from rtcal.acoustics.files import write_text
 from rtcal.acoustics.quality import letters
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.loop import Loop
-from rtcal.loop_result import LoopResult
+from rtcal.loop import files as loop_state
+from rtcal.loop.result import LoopResult
+from rtcal.loop.state import Loop
 from rtcal.report import figures, loop_figures, loop_words, material_figures, words
 from rtcal.report.saved import Saved, from_dict, read_json, saved
+from rtcal.support.files import write_text
+from rtcal.support.version import __version__
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
@@ -71,39 +71,45 @@ def page(
     shifts, shift_count = words.large_shifts(seen)
     certificate = {
         short: _worst(seen.record["certificate"][key])
-        for short, key in (("primal", "primal_residual"), ("dual", "dual_residual"),
-                           ("gap", "duality_gap"))
-    }  # fmt: skip
+        for short, key in (
+            ("primal", "primal_residual"),
+            ("dual", "dual_residual"),
+            ("gap", "duality_gap"),
+        )
+    }
     bounds = [v for m in seen.record["materials"] for v in m["error_bound"]]
     certificate["error"] = _worst(bounds)
-    return _render("calibration.html", {
-        "title": f"{seen.record['room']}: calibration",
-        "seen": seen,
-        "summary": words.summary(seen),
-        "verdict": words.verdict(seen),
-        "hertz": words.hertz,
-        "clean": clean,
-        "marked": marked,
-        "doubts": words.doubts(seen.trust_marks),
-        "shifts": shifts,
-        "shift_count": shift_count,
-        "large_shift": f"{words.LARGE_SHIFT:g}",
-        "not_met": words.not_met(seen),
-        "finding": _finding(finding, finding_figures, step),
-        "figures": _figures(seen, step),
-        "blocks": _blocks(len(seen.centre_frequencies)),
-        "labels": words.band_labels(seen),
-        "band_rows": _band_rows(seen),
-        "band_letters": [letters(seen.trust_marks, f) for f in seen.centre_frequencies],
-        "materials": _materials(seen),
-        "interval_note": _interval_note(seen),
-        "assumed": words.assumed(seen),
-        "sources": [(m["name"], m["source"]) for m in seen.record["materials"] if m["source"]],
-        "certificate": certificate,
-        "inputs": _inputs(seen),
-        "command": words.command(seen),
-        "composed": words.composed(seen),
-    })  # fmt: skip
+    return _render(
+        "calibration.html",
+        {
+            "title": f"{seen.record['room']}: calibration",
+            "seen": seen,
+            "summary": words.summary(seen),
+            "verdict": words.verdict(seen),
+            "hertz": words.hertz,
+            "clean": clean,
+            "marked": marked,
+            "doubts": words.doubts(seen.trust_marks),
+            "shifts": shifts,
+            "shift_count": shift_count,
+            "large_shift": f"{words.LARGE_SHIFT:g}",
+            "not_met": words.not_met(seen),
+            "finding": _finding(finding, finding_figures, step),
+            "figures": _figures(seen, step),
+            "blocks": _blocks(len(seen.centre_frequencies)),
+            "labels": words.band_labels(seen),
+            "band_rows": _band_rows(seen),
+            "band_letters": [letters(seen.trust_marks, f) for f in seen.centre_frequencies],
+            "materials": _materials(seen),
+            "interval_note": _interval_note(seen),
+            "assumed": words.assumed(seen),
+            "sources": [(m["name"], m["source"]) for m in seen.record["materials"] if m["source"]],
+            "certificate": certificate,
+            "inputs": _inputs(seen),
+            "command": words.command(seen),
+            "composed": words.composed(seen),
+        },
+    )
 
 
 def loop_page(
@@ -115,7 +121,7 @@ def loop_page(
 ) -> str:
     """Return a closed loop as such a page; DataError if nothing has been simulated yet.
 
-    ``ends``, as `rtcal.loop_state.ends` gives it, belongs to a `Loop`; a `LoopResult` has its own.
+    ``ends``, as `rtcal.loop.files.ends` gives it, belongs to a `Loop`; a `LoopResult` has its own.
     ``place`` names it in messages.
     """
     loop = result.loop if isinstance(result, LoopResult) else result
@@ -128,20 +134,26 @@ def loop_page(
         summary.append(loop_words.confirmed(loop, shown))
     figure = loop_figures.path(loop)
     source = _source(figure, progress or (lambda: None))
-    return _render("loop.html", {
-        "title": f"{loop.room.name}: closed loop",
-        "loop_state": loop,
-        "summary": summary,
-        "at_ends": loop_words.at_ends(loop),
-        "assumed": loop_words.assumed(loop),
-        "figure": {"source": source, "alt": "T20 wanted and simulated by band; gap by simulation",
-                   "caption": "Left: T20 by band. Right: how far each simulation was off."},
-        "bands": loop_words.bands_table(loop, status),
-        "ends": shown,
-        "blocks": _blocks(loop.room.n_bands),
-        "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
-        "materials": loop_words.materials_table(loop),
-    })  # fmt: skip
+    return _render(
+        "loop.html",
+        {
+            "title": f"{loop.room.name}: closed loop",
+            "loop_state": loop,
+            "summary": summary,
+            "at_ends": loop_words.at_ends(loop),
+            "assumed": loop_words.assumed(loop),
+            "figure": {
+                "source": source,
+                "alt": "T20 wanted and simulated by band; gap by simulation",
+                "caption": "Left: T20 by band. Right: how far each simulation was off.",
+            },
+            "bands": loop_words.bands_table(loop, status),
+            "ends": shown,
+            "blocks": _blocks(loop.room.n_bands),
+            "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
+            "materials": loop_words.materials_table(loop),
+        },
+    )
 
 
 def page_of(path: str | os.PathLike[str], progress: Callable[[], None] | None = None) -> str:
@@ -168,16 +180,19 @@ def _environment() -> Any:
             "the page needs jinja2: pip install 'rtcal[report]'"
         ) from error
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("rtcal.report"), autoescape=True,
-        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        loader=jinja2.PackageLoader("rtcal.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters["fixed"] = _fixed
     environment.filters["signed"] = _signed
     return environment
 
 
 def _render(template: str, values: Mapping[str, Any]) -> str:
-    text: str = _environment().get_template(template).render(version=rtcal.__version__, **values)
+    text: str = _environment().get_template(template).render(version=__version__, **values)
     if (size := len(text.encode("utf-8", errors="backslashreplace"))) > MAX_BYTES:
         raise DataError(f"the page would have {size} bytes, more than {MAX_BYTES}")
     return text
@@ -215,31 +230,36 @@ def _figures(seen: Saved, step: Callable[[], None]) -> dict[str, dict[str, str]]
     room = seen.record["room"]
     drawn: dict[str, tuple[Any, str, str]] = {
         "gap": (
-            figures.gap(seen), "Gap to the measured reverberation time by band, before and after",
+            figures.gap(seen),
+            "Gap to the measured reverberation time by band, before and after",
             "How far the model's reverberation time was from the measured one: before (bars) and after "
             "calibration (dots).",
         ),
         "reverberation_time": (
-            figures.reverberation_time(seen), "Reverberation time by band: measured, before, after",
+            figures.reverberation_time(seen),
+            "Reverberation time by band: measured, before, after",
             "Reverberation time by band, with the band of one JND around the measured one.",
         ),
         "coefficients": (
-            material_figures.coefficients(seen), "Absorption coefficients by material and band",
+            material_figures.coefficients(seen),
+            "Absorption coefficients by material and band",
             "Absorption coefficients before and after, with 90 % intervals. Where the two intervals "
             "are alike, the measurement taught nothing about the material.",
         ),
         "shares": (
-            material_figures.shares(seen), "Share of each material in the absorption by band",
+            material_figures.shares(seen),
+            "Share of each material in the absorption by band",
             "Who absorbs: each material's share of the room's whole absorption, after calibration.",
         ),
-    }  # fmt: skip
+    }
     if len(seen.materials) > 1 and seen.matched.any():
         drawn["plane"] = (
-            material_figures.plane_of(seen), "The calibration in the plane of two materials",
+            material_figures.plane_of(seen),
+            "The calibration in the plane of two materials",
             "The step that the calibration takes, seen for two materials: from what was stated "
             "to what the method chose. On the line lie all coefficients that give the measured "
             "reverberation time.",
-        )  # fmt: skip
+        )
     found = {
         name: {"source": _source(figure, step), "alt": f"{room}: {alt}", "caption": caption}
         for name, (figure, alt, caption) in drawn.items()
@@ -297,13 +317,18 @@ def _materials(seen: Saved) -> list[dict[str, Any]]:
             "name": seen.materials[i],
             "area": seen.areas[i],
             "cells": [
-                {"before": seen.alpha_before[i, k], "after": seen.alpha_after[i, k],
-                 "low": low[i, k], "high": high[i, k], "star": "*" if seen.at_bound[i, k] else ""}
+                {
+                    "before": seen.alpha_before[i, k],
+                    "after": seen.alpha_after[i, k],
+                    "low": low[i, k],
+                    "high": high[i, k],
+                    "star": "*" if seen.at_bound[i, k] else "",
+                }
                 for k in range(len(seen.centre_frequencies))
             ],
         }
         for i in rows
-    ]  # fmt: skip
+    ]
 
 
 def _interval_note(seen: Saved) -> str:

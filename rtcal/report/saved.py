@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtcal.acoustics.files import read_text
 from rtcal.acoustics.quality import TrustMark
 from rtcal.calibration.record import KIND
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support.files import read_text
+from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
@@ -131,17 +131,27 @@ def _checked(record: Mapping[str, Any]) -> Saved:
     _texts(record["measured"], "caution", "fingerprint")
     if type(record["solver"]["polished"]) is not bool:
         raise ValueError("polished is neither true nor false")
-    for text in (*record["unreachable"], *record["objective"], *record["constraints"],
-                 *record["measured"]["parameter"], *record["effects"]):  # fmt: skip
+    for text in (
+        *record["unreachable"],
+        *record["objective"],
+        *record["constraints"],
+        *record["measured"]["parameter"],
+        *record["effects"],
+    ):
         if not isinstance(text, str):
             raise ValueError(f"{text!r} is not a text")
     for name in ("primal_residual", "dual_residual", "duality_gap"):
         _array(record["certificate"][name], n)
     plausibility = record["plausibility"]
-    for value in (record["volume"], plausibility["q"], plausibility["degrees_of_freedom"],
-                  record["band_correlation"], *record["effects"].values(),
-                  *record["equation_parameters"].values(),
-                  *record["measured"]["bands_not_in_room"]):  # fmt: skip
+    for value in (
+        record["volume"],
+        plausibility["q"],
+        plausibility["degrees_of_freedom"],
+        record["band_correlation"],
+        *record["effects"].values(),
+        *record["equation_parameters"].values(),
+        *record["measured"]["bands_not_in_room"],
+    ):
         _number(value, missing=False)
     _number(plausibility["p_value"])
     for pair in record["material_correlation"]:
@@ -237,6 +247,9 @@ def _mark(entry: Mapping[str, Any]) -> TrustMark:
     _texts(entry, "kind", "letter", "text", "advice")
     frequency = entry["frequency"]
     return TrustMark(
-        entry["kind"], entry["letter"],
-        None if frequency is None else _number(frequency), entry["text"], entry["advice"],
-    )  # fmt: skip
+        entry["kind"],
+        entry["letter"],
+        None if frequency is None else _number(frequency),
+        entry["text"],
+        entry["advice"],
+    )

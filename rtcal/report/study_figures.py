@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.priors import TruncatedNormal
+from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.report.figures import new_figure
 from rtcal.studies.study import Table
 
@@ -39,11 +39,17 @@ def spread(table: Table, aace: Sequence[float], title: str) -> Any:
     """
     figure, axes = new_figure()
     boxes = [
-        {"label": NAMES[str(r.method)] + ("\nbounded" if r.bounded else ""), "whislo": r.least,
-         "q1": r.first_quartile, "med": r.median, "q3": r.third_quartile, "whishi": r.most,
-         "mean": mean}
+        {
+            "label": NAMES[str(r.method)] + ("\nbounded" if r.bounded else ""),
+            "whislo": r.least,
+            "q1": r.first_quartile,
+            "med": r.median,
+            "q3": r.third_quartile,
+            "whishi": r.most,
+            "mean": mean,
+        }
         for r, mean in zip(table, aace, strict=True)
-    ]  # fmt: skip
+    ]
     axes.bxp(boxes, showfliers=False, showmeans=True, meanline=True)
     axes.set_ylabel("Root of EMSE of α, over realisations")
     axes.set_ylim(bottom=0)

@@ -183,18 +183,23 @@ def large_shifts(seen: Saved) -> tuple[list[Shift], int]:
     places.sort(key=lambda at: -abs(sigmas[at]))
     found = [
         Shift(
-            seen.materials[i], float(seen.centre_frequencies[k]), float(seen.alpha_before[i, k]),
-            float(seen.alpha_after[i, k]), float(sigmas[i, k]),
+            seen.materials[i],
+            float(seen.centre_frequencies[k]),
+            float(seen.alpha_before[i, k]),
+            float(seen.alpha_after[i, k]),
+            float(sigmas[i, k]),
         )
         for i, k in places[:_MOST_SHIFTS]
-    ]  # fmt: skip
+    ]
     return found, len(places)
 
 
 def not_met(seen: Saved) -> list[str]:
     """Return what the calibration could not meet, band by band."""
-    found = [f"{text}. The nearest that the bounds allow was taken." for text in
-             seen.record["unreachable"]]  # fmt: skip
+    found = [
+        f"{text}. The nearest that the bounds allow was taken."
+        for text in seen.record["unreachable"]
+    ]
     missing = [
         float(f)
         for f, m in zip(seen.centre_frequencies, seen.measured, strict=True)
@@ -221,16 +226,18 @@ def assumed(seen: Saved) -> list[str]:
     air = record["air"]
     found = [
         f"Volume {record['volume']:g} m³ and areas of {seen.areas.sum():g} m² in all, taken as exact.",
-        "Air: none stated, so the surfaces are made to absorb what the air does." if air is None else
-        f"Air of {air['temperature']:g} °C, {air['humidity']:g} % relative humidity and "
+        "Air: none stated, so the surfaces are made to absorb what the air does."
+        if air is None
+        else f"Air of {air['temperature']:g} °C, {air['humidity']:g} % relative humidity and "
         f"{air['pressure']:g} kPa (absorption after ISO 9613-1).",
         f"{record['equation']}'s reverberation equation{_parameters(seen)}: a diffuse sound field.",
         _METHODS.get(record["method"], f"A calibration of its own: {composed(seen)}."),
         "The coefficients that were stated before, their standard deviations, and that these errors "
-        + _correlated(seen) + " One measured T a band tells one number, the sum of all absorption: "
+        + _correlated(seen)
+        + " One measured T a band tells one number, the sum of all absorption: "
         "how it is shared among the materials follows from these standard deviations alone.",
         _measured(seen),
-    ]  # fmt: skip
+    ]
     floors = [m["name"] for m in record["materials"] if m["alpha_min"] is not None]
     found.append(
         "Coefficients lie between 0 and 1"
@@ -284,8 +291,14 @@ def command(seen: Saved) -> str | None:
     record = seen.record
     if record["method"] not in METHODS or record["equation_parameters"]:
         return None
-    chosen = ["--method", record["method"], "--equation", record["equation"].lower(),
-              "--solver", record["solver"]["name"]]  # fmt: skip
+    chosen = [
+        "--method",
+        record["method"],
+        "--equation",
+        record["equation"].lower(),
+        "--solver",
+        record["solver"]["name"],
+    ]
     if record["unreachable"]:
         chosen += ["--unreachable", "nearest"]
     return shlex.join(["rtcal", "calibrate", "room.toml", "t.csv", *chosen, "--out", "calibrated"])

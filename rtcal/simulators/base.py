@@ -17,11 +17,11 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, RtcalError, SimulatorError, of_bands
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 @runtime_checkable

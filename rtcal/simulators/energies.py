@@ -10,7 +10,7 @@ from rtcal.acoustics import decay
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 LONGEST = 60.0
 """s; a tracer follows no decay for longer: what is not over then is `TooShortError`."""

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, of_bands
 from rtcal.simulators.base import check_alpha
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True, eq=False)

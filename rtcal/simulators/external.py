@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement, plausible_time
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, SimulatorError, of_bands
 from rtcal.simulators.base import check_alpha
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -212,9 +212,14 @@ def _ended(line: list[str], time_limit: float | None) -> tuple[int, str]:
     """
     try:
         program = subprocess.Popen(
-            line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-            text=True, errors="replace", start_new_session=True,
-        )  # fmt: skip
+            line,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
     except (OSError, ValueError) as error:
         raise SimulatorError(f"{line[0]} cannot be started: {error}") from error
     with program:
@@ -231,8 +236,9 @@ def _ended(line: list[str], time_limit: float | None) -> tuple[int, str]:
 def _end(program: subprocess.Popen[str]) -> None:
     """End a program and what it started."""
     if sys.platform == "win32":
-        subprocess.run(["taskkill", "/F", "/T", "/PID", str(program.pid)],
-                       capture_output=True, check=False)  # fmt: skip
+        subprocess.run(
+            ["taskkill", "/F", "/T", "/PID", str(program.pid)], capture_output=True, check=False
+        )
     else:
         with suppress(ProcessLookupError):
             os.killpg(program.pid, signal.SIGKILL)

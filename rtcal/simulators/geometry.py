@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import checks
 from rtcal.acoustics.room import AXES, Surface
 from rtcal.errors import DataError
 from rtcal.simulators import triangles as _triangles
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 SHOEBOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 """A shoebox' faces, in order: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
@@ -97,9 +97,11 @@ class Polyhedron:
         vertices, index = _welded(_points("vertices", self.vertices))
         put("vertices", vertices)
         put("materials", tuple(str(m) for m in self.materials))
-        put("names", tuple(str(n) for n in self.names) or tuple(
-            f"face {i + 1}" for i in range(len(self.faces))
-        ))  # fmt: skip
+        put(
+            "names",
+            tuple(str(n) for n in self.names)
+            or tuple(f"face {i + 1}" for i in range(len(self.faces))),
+        )
         for name in ("materials", "names"):
             if len(getattr(self, name)) != len(self.faces):
                 raise DataError(

@@ -18,14 +18,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import checks, jit
 from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import Shoebox, shoebox
-from rtcal.types import Array
+from rtcal.support import checks, jit
+from rtcal.support.types import Array
 
 Point = Sequence[float]
 _MOST_IMAGES = 50_000_000
@@ -63,7 +63,7 @@ class ImageSource:
         s after the direct sound; two thirds of the longest T that is to be simulated. The number
         of images grows with its cube.
     bin_width : float
-        s, at most .01.
+        s, at most 0.01.
 
     Raises
     ------
@@ -109,9 +109,9 @@ class ImageSource:
                 f"pair; at most {_MOST_IMAGES // 1_000_000} million are counted"
             )
         object.__setattr__(self, "box", box)
-        object.__setattr__(self, "images", tuple(
-            self._count(s, r) for s, r in product(box.sources, box.receivers)
-        ))  # fmt: skip
+        object.__setattr__(
+            self, "images", tuple(self._count(s, r) for s, r in product(box.sources, box.receivers))
+        )
         object.__setattr__(self, "attenuation", self.room.air_attenuation)
 
     @property

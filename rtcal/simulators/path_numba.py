@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.jit import compiled
-from rtcal.types import Array
+from rtcal.support.jit import compiled
+from rtcal.support.types import Array
 
 # splitmix64 (Steele, Lea & Flood 2014): one 64-bit state a path, so that a path does not depend on
 # how many others are traced, nor on the number of threads.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
@@ -81,10 +81,14 @@ def trace(
                 hit &= np.sum(to * to, axis=1) - along**2 < radius**2
                 ratio = radius**2 / np.maximum(length[hit], radius) ** 2
                 weight = np.where(diffuse[hit], 1.0, 0.5 * (1 + np.sqrt(1 - ratio)))
-                found.append((
-                    alive[hit], np.full(hit.sum(), n_materials + r), length[hit],
-                    weight / (np.pi * radius**2),
-                ))  # fmt: skip
+                found.append(
+                    (
+                        alive[hit],
+                        np.full(hit.sum(), n_materials + r),
+                        length[hit],
+                        weight / (np.pi * radius**2),
+                    )
+                )
         travelled = travelled + t
         on = travelled < longest
         alive, p, v, travelled, state, diffuse, triangle, t = _kept(
@@ -114,9 +118,12 @@ def trace(
     heard = order[code[order] >= n_materials]
     starts = np.concatenate([[0], np.cumsum(np.bincount(path, minlength=n_paths))])
     return (
-        code[order].astype(np.uint16), starts, length[heard].astype(np.float32),
-        weight[heard].astype(np.float32), counts,
-    )  # fmt: skip
+        code[order].astype(np.uint16),
+        starts,
+        length[heard].astype(np.float32),
+        weight[heard].astype(np.float32),
+        counts,
+    )
 
 
 def histogram(

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -16,10 +15,11 @@ from rtcal.errors import DataError
 from rtcal.simulators import energies, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 RADIUS_SHARE = 0.075
-"""A receiver's default radius over the cube root of the volume: .5 m in 300 m³, 1.6 m in 10,000."""
+"""A receiver's default radius over the cube root of the volume: 0.5 m in 300 m³, 1.6 m in 10,000."""
 OFF_VOLUME = 0.1
 """Share by which the room's volume may differ from the geometry's, as a case's from its dimensions':
 plans are no better, T is proportional to it, and beyond that one of the two is another room's."""
@@ -48,7 +48,7 @@ class PathTracing:
         cut to the distance to the nearest wall. The mean energy does not depend on it, its noise
         does.
     bin_width : float
-        Of the energy decays in s, at most .01.
+        Of the energy decays in s, at most 0.01.
     n_batches : int
         Independent parts that the noise is estimated from.
     workers : int, optional
@@ -158,10 +158,16 @@ class PathTracing:
         for g in range(columns.shape[1]):
             bands = np.flatnonzero(group.reshape(-1) == g)
             traced = self.traced(int(bands[0]), seconds, seed=seed)
-            parts.append((bands, traced.energy(
-                alpha[:, bands], self.room.air_attenuation[bands],
-                self.room.speed_of_sound * self.bin_width,
-            )))  # fmt: skip
+            parts.append(
+                (
+                    bands,
+                    traced.energy(
+                        alpha[:, bands],
+                        self.room.air_attenuation[bands],
+                        self.room.speed_of_sound * self.bin_width,
+                    ),
+                )
+            )
         n_bins = min(part.shape[-1] for _, part in parts)
         energy = np.empty((*parts[0][1].shape[:3], self.room.n_bands, n_bins))
         for bands, part in parts:

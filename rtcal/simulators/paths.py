@@ -20,11 +20,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import jit
 from rtcal.errors import DataError
 from rtcal.simulators import path_numpy
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.types import Array
+from rtcal.support import jit
+from rtcal.support.types import Array
 
 Scattering = Literal["random", "vector"]
 """What a scattering coefficient s does to a reflection.
@@ -144,9 +144,16 @@ class Paths:
         for s, source in enumerate(self.batches):
             for b, batch in enumerate(source):
                 histogram(
-                    batch.events, batch.starts, batch.lengths, batch.weights, log_reflection,
-                    attenuation, self.first[s], float(bin_length), out[b, s],
-                )  # fmt: skip
+                    batch.events,
+                    batch.starts,
+                    batch.lengths,
+                    batch.weights,
+                    log_reflection,
+                    attenuation,
+                    self.first[s],
+                    float(bin_length),
+                    out[b, s],
+                )
                 out[b, s] /= len(batch.starts) - 1
         seen = self.direct[..., np.newaxis]
         direct = np.exp(-attenuation * seen) / (4 * np.pi * seen**2)
@@ -223,10 +230,18 @@ def trace(
         seeds = sequence.generate_state(per_batch, np.uint64)
         directions = _sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
         events, starts, lengths, weights, counts = run(
-            sources[s], directions, seeds, float(longest), planes, sides, owners,
-            np.ascontiguousarray(scattering, dtype=float), meaning == "vector", receivers,
+            sources[s],
+            directions,
+            seeds,
+            float(longest),
+            planes,
+            sides,
+            owners,
+            np.ascontiguousarray(scattering, dtype=float),
+            meaning == "vector",
+            receivers,
             np.ascontiguousarray(radii, dtype=float),
-        )  # fmt: skip
+        )
         free = (float(counts[1]), float(counts[2]), float(counts[3]))
         return Batch(events, starts, lengths, weights, int(counts[0]), free)
 

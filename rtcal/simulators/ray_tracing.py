@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import checks
 from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -35,7 +34,8 @@ from rtcal.simulators import energies, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import RADIUS_SHARE, check_walls, scattering_coefficients
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 ENERGY_THRESHOLD = 1e-16
 LEAST_ALPHA = 1e-4
@@ -62,7 +62,7 @@ class RayTracing:
     radius : float, optional
         Of all receivers in m; as in `PathTracing`, the smallest for all.
     bin_width : float
-        Of the energy decays in s, at most .01, a multiple of half a millisecond.
+        Of the energy decays in s, at most 0.01, a multiple of half a millisecond.
     n_batches : int
         Independent parts that the noise is estimated from.
 
@@ -207,9 +207,11 @@ class RayTracing:
         walls = []
         for corners, material in self._walls():
             row = self.room.material_index(material)
-            walls.append(engine.wall_factory(
-                rotation @ corners.T, absorption[row], np.full(_BANDS, scattering[row]), ""
-            ))  # fmt: skip
+            walls.append(
+                engine.wall_factory(
+                    rotation @ corners.T, absorption[row], np.full(_BANDS, scattering[row]), ""
+                )
+            )
         room = engine.Room(walls, fs=_RATE, max_order=-1, ray_tracing=True)
         room.set_sound_speed(self.room.speed_of_sound)
         room.set_ray_tracing(

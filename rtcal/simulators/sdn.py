@@ -15,19 +15,19 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import checks, jit
 from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, TooShortError
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import Shoebox, shoebox
-from rtcal.types import Array
+from rtcal.support import checks, jit
+from rtcal.support.types import Array
 
 Point = Sequence[float]
 _NODES = 6
 _PORTS = 5
-_LEAST_SAMPLES = 10  # of a mean free path; below, T at alpha = .3 moves by more than one JND
+_LEAST_SAMPLES = 10  # of a mean free path; below, T at alpha = 0.3 moves by more than one JND
 # Port j of node k leads to node j, or to j + 1 from k on: a node has no line to itself.
 _NEIGHBOUR = np.array([[j + (j >= k) for j in range(_PORTS)] for k in range(_NODES)])
 
@@ -178,16 +178,18 @@ class ScatteringDelayNetwork:
             responses = self.impulse_responses(alpha, duration)
             try:
                 return decay.measurement(
-                    self._from_onset(responses) ** 2, 1 / self.sampling_rate,
-                    self.centre_frequencies, self.box.pairs,
-                )  # fmt: skip
+                    self._from_onset(responses) ** 2,
+                    1 / self.sampling_rate,
+                    self.centre_frequencies,
+                    self.box.pairs,
+                )
             except TooShortError:
                 if duration >= self.longest:
                     raise
                 duration = min(1.6 * duration, self.longest)
 
     def _estimate(self, alpha: Array) -> float:
-        """Eyring's T in s of the most reverberant band, at least .1: T20 needs two thirds of T."""
+        """Eyring's T in s of the most reverberant band, at least 0.1: T20 needs two thirds of T."""
         room = self.room
         exponent = -np.log1p(-np.minimum(room.areas @ alpha / room.total_area, 1 - 1e-9))
         loss = np.min(room.total_area * exponent + 4 * room.air_attenuation * room.volume)
@@ -219,9 +221,15 @@ class ScatteringDelayNetwork:
 
             run = sdn_numba.blocks
         out[:] = run(
-            network.lines, network.source_delays, network.tap_delays, lines, reflection, injected,
-            heard, out.shape[1],
-        )  # fmt: skip
+            network.lines,
+            network.source_delays,
+            network.tap_delays,
+            lines,
+            reflection,
+            injected,
+            heard,
+            out.shape[1],
+        )
         if self.line_of_sight and network.direct_delay < out.shape[1]:
             r = network.direct_length
             out[:, network.direct_delay] += np.exp(-half * r) / r

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.jit import compiled
-from rtcal.types import Array
+from rtcal.support.jit import compiled
+from rtcal.support.types import Array
 
 
 @compiled(reorder=True)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import checks
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 Point = Sequence[float]
 

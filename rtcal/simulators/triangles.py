@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 
 def vector_area(polygon: Array) -> Array:

@@ -19,6 +19,11 @@ from rtcal.studies.study import (
 from rtcal.studies.tables import write_table
 
 __all__ = [
-    "Study", "analytic_emse", "analytic_scores", "calibration_scores", "rooms", "run",
+    "Study",
+    "analytic_emse",
+    "analytic_scores",
+    "calibration_scores",
+    "rooms",
+    "run",
     "write_table",
-]  # fmt: skip
+]

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal import jit
-from rtcal.types import Array
+from rtcal.support import jit
+from rtcal.support.types import Array
 
 METHODS = ("none", "scaling", "lse", "mle")
 CALIBRATIONS = METHODS[1:]
@@ -104,9 +104,11 @@ class TrialSums:
 
     def __add__(self, other: TrialSums) -> TrialSums:
         return TrialSums(
-            self.squares + other.squares, self.products + other.products,
-            self.change + other.change, self.active + other.active,
-        )  # fmt: skip
+            self.squares + other.squares,
+            self.products + other.products,
+            self.change + other.change,
+            self.active + other.active,
+        )
 
     def errors(self, room: Realisation, trials: int) -> Array:
         """Return the sampled EMSE of none and the calibrations, unbounded and bounded, (7,)."""
@@ -130,9 +132,17 @@ def score(z: Array, room: Realisation) -> TrialSums:
         from rtcal.studies import trials_kernel
 
         squares, sums = trials_kernel.score(
-            z, rows, room.mu, room.sigma, room.q, room.q @ room.areas, room.delta,
-            room.multiplier, room.least, room.most,
-        )  # fmt: skip
+            z,
+            rows,
+            room.mu,
+            room.sigma,
+            room.q,
+            room.q @ room.areas,
+            room.delta,
+            room.multiplier,
+            room.least,
+            room.most,
+        )
         return TrialSums(squares, sums[0], sums[1, :-1], sums[2, :-1])
     return _score(z, rows, room)
 

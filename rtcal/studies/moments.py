@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from rtcal.studies.estimators import CALIBRATIONS, METHODS
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 SAMPLED = METHODS + tuple(f"{m} bounded" for m in CALIBRATIONS)
 ANALYTIC = tuple(f"{m} analytic" for m in METHODS)
@@ -44,17 +44,25 @@ class Moments:
         bins = np.minimum(np.searchsorted(EDGES, root, side="right") - 1, EDGES.size - 2)
         histogram = np.stack([np.bincount(b, minlength=EDGES.size - 1) for b in bins.T])
         return cls(
-            count=len(emse), sums=emse.sum(0), products=np.einsum("ri,rj->ij", emse, emse),
-            active=active.sum(0).astype(float), histogram=histogram.astype(float),
-            least=root.min(0), most=root.max(0),
-        )  # fmt: skip
+            count=len(emse),
+            sums=emse.sum(0),
+            products=np.einsum("ri,rj->ij", emse, emse),
+            active=active.sum(0).astype(float),
+            histogram=histogram.astype(float),
+            least=root.min(0),
+            most=root.max(0),
+        )
 
     def __add__(self, other: Moments) -> Moments:
         return Moments(
-            self.count + other.count, self.sums + other.sums, self.products + other.products,
-            self.active + other.active, self.histogram + other.histogram,
-            np.minimum(self.least, other.least), np.maximum(self.most, other.most),
-        )  # fmt: skip
+            self.count + other.count,
+            self.sums + other.sums,
+            self.products + other.products,
+            self.active + other.active,
+            self.histogram + other.histogram,
+            np.minimum(self.least, other.least),
+            np.maximum(self.most, other.most),
+        )
 
     def to_bytes(self) -> bytes:
         """Return the sums as the content of an .npz file."""

@@ -8,20 +8,24 @@ import numpy as np
 
 from rtcal.studies.rooms import SHOEBOX
 from rtcal.studies.study import analytic_emse
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 SIGMA_R = (0.01, 0.05, 0.1)
 
 TABLE_2: dict[str, tuple[float, ...]] = {
-    "none": (0.0, 0.0, 0.0), "scaling": (4.4, 5.4, 6.4), "lse": (8.7, 8.7, 8.7),
+    "none": (0.0, 0.0, 0.0),
+    "scaling": (4.4, 5.4, 6.4),
+    "lse": (8.7, 8.7, 8.7),
     "mle": (14.8, 14.3, 13.2),
-}  # fmt: skip
+}
 """Calibration scores of the shoebox in percent, by sigma_r."""
 
 TABLE_3: dict[str, tuple[float, ...]] = {
-    "none": (0.0, 0.0, 0.0), "scaling": (-1.2, -0.8, -0.3), "lse": (2.2, 2.2, 2.2),
+    "none": (0.0, 0.0, 0.0),
+    "scaling": (-1.2, -0.8, -0.3),
+    "lse": (2.2, 2.2, 2.2),
     "mle": (3.8, 3.7, 3.3),
-}  # fmt: skip
+}
 """The same of the lecture hall."""
 
 TABLE_1_MU = (0.66, 0.45, 0.88, 0.83, 0.12, 0.52)

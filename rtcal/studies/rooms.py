@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal import checks
+from rtcal.support import checks
 
 SHOEBOX: tuple[float, ...] = (35.0, 35.0, 21.0, 21.0, 15.0, 15.0)
 """Floor and ceiling 7 x 5 m, walls 7 x 3 m and 5 x 3 m; V = 105 m³."""
@@ -20,14 +20,30 @@ HALL_VOLUME, HALL_SURFACES, HALL_RATIO = 334.0, 23, 66.6
 
 LECTURE_HALL: dict[str, float] = {
     # A closed box of 12.5 x 8 x 3.34 m = 334 m³: floor and ceiling 100 m², walls 41.75 and 26.72 m².
-    "seats": 59.94, "floor in front": 20.0, "aisles": 12.06, "podium": 8.0,
-    "perforated ceiling": 52.0, "plain ceiling": 33.0, "lights and grilles": 15.0,
-    "windows": 18.0, "plaster, window side": 14.75, "radiators": 6.0, "curtain": 3.0,
-    "wood panels": 24.0, "plaster, door side": 13.55, "double door": 4.2,
-    "blackboard": 9.6, "plaster, front": 9.0, "screen": 6.0, "front door": 2.12,
-    "absorber": 12.0, "plaster, rear": 8.8, "control window": 2.92, "rear door": 2.1,
+    "seats": 59.94,
+    "floor in front": 20.0,
+    "aisles": 12.06,
+    "podium": 8.0,
+    "perforated ceiling": 52.0,
+    "plain ceiling": 33.0,
+    "lights and grilles": 15.0,
+    "windows": 18.0,
+    "plaster, window side": 14.75,
+    "radiators": 6.0,
+    "curtain": 3.0,
+    "wood panels": 24.0,
+    "plaster, door side": 13.55,
+    "double door": 4.2,
+    "blackboard": 9.6,
+    "plaster, front": 9.0,
+    "screen": 6.0,
+    "front door": 2.12,
+    "absorber": 12.0,
+    "plaster, rear": 8.8,
+    "control window": 2.92,
+    "rear door": 2.1,
     "notice board": 0.9,
-}  # fmt: skip
+}
 
 
 def random_hall(seed: int) -> tuple[float, ...]:

@@ -17,11 +17,11 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from rtcal import checks
-from rtcal.acoustics.files import write_bytes, write_text
 from rtcal.errors import DataError
-from rtcal.progress import bar as progress_bar
 from rtcal.studies.moments import Moments
+from rtcal.support import checks
+from rtcal.support.files import write_bytes, write_text
+from rtcal.support.progress import bar as progress_bar
 
 IN_FLIGHT = 64  # pieces handed out and not yet taken back: bounds the memory
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import jit
-from rtcal.types import Array
+from rtcal.support import jit
+from rtcal.support.types import Array
 
 SIGMA_LIMIT = 0.25
 """sigma is below this, else the interval (2 sigma, 1 - 2 sigma) for mu is empty."""
@@ -26,7 +26,7 @@ def realisations(
 ) -> tuple[Array, Array]:
     """Return mu and sigma, each (count, n).
 
-    sigma ~ Rayleigh(sigma_r), redrawn while it is .25 or more: drawn at once from the law that
+    sigma ~ Rayleigh(sigma_r), redrawn while it is 0.25 or more: drawn at once from the law that
     redrawing leaves, by inversion. mu ~ uniform(2 sigma, 1 - 2 sigma).
     """
     below = 1 - redrawn_share(sigma_r)

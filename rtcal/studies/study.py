@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtcal import checks
+from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.errors import DataError
-from rtcal.priors import TruncatedNormal
 from rtcal.studies import estimators, sampling
 from rtcal.studies.estimators import CALIBRATIONS, METHODS, TrialSums
 from rtcal.studies.moments import SAMPLED, Moments
 from rtcal.studies.runner import run_pieces
 from rtcal.studies.sampling import SIGMA_LIMIT
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 _LEAST, _MOST = 1e-9, 10.0
 
@@ -38,8 +38,13 @@ BLOCK = (
     61_440  # normal numbers at a time: half a megabyte, and products too small for BLAS to thread
 )
 
-_SCORES = [("method", "U12"), ("bounded", "?"), ("aace", "f8"), ("score", "f8"),
-           ("standard_error", "f8")]  # fmt: skip
+_SCORES = [
+    ("method", "U12"),
+    ("bounded", "?"),
+    ("aace", "f8"),
+    ("score", "f8"),
+    ("standard_error", "f8"),
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +92,12 @@ class Study:
             share = self.moments.active[k] / (self.realisations * self.trials)
             error = self.moments.standard_error(slope - other)
             rows.append((m, bounded - free, error, share))
-        columns = [("method", "U12"), ("difference", "f8"), ("standard_error", "f8"),
-                   ("active_share", "f8")]  # fmt: skip
+        columns = [
+            ("method", "U12"),
+            ("difference", "f8"),
+            ("standard_error", "f8"),
+            ("active_share", "f8"),
+        ]
         return _table(rows, columns)
 
     def spread(self) -> Table:
@@ -105,7 +114,7 @@ class Study:
 
     @property
     def redrawn_share(self) -> float:
-        """Share of Rayleigh draws that were .25 or more and therefore drawn again."""
+        """Share of Rayleigh draws that were 0.25 or more and therefore drawn again."""
         return sampling.redrawn_share(self.sigma_r)
 
     def _row(
@@ -151,14 +160,24 @@ def run(
     """
     s = _areas(areas)
     _check(sigma_r, seed, realisations=realisations, trials=trials)
-    identity = {"areas": s.tolist(), "sigma_r": sigma_r, "realisations": realisations,
-                "trials": trials, "seed": seed}  # fmt: skip
+    identity = {
+        "areas": s.tolist(),
+        "sigma_r": sigma_r,
+        "realisations": realisations,
+        "trials": trials,
+        "seed": seed,
+    }
     compute = functools.partial(_piece, s, sigma_r, realisations, trials, seed)
     count = -(-realisations // PIECE)
     moments = run_pieces(
-        compute, count, identity=identity, executor=executor, workers=workers, folder=folder,
+        compute,
+        count,
+        identity=identity,
+        executor=executor,
+        workers=workers,
+        folder=folder,
         progress=progress,
-    )  # fmt: skip
+    )
     return Study(s, sigma_r, realisations, trials, seed, moments)
 
 
@@ -193,9 +212,16 @@ def calibration_scores(
     mle 14.6 %
     """
     return run(
-        areas, sigma_r, realisations, trials, seed, executor=executor, workers=workers,
-        folder=folder, progress=progress,
-    ).scores()  # fmt: skip
+        areas,
+        sigma_r,
+        realisations,
+        trials,
+        seed,
+        executor=executor,
+        workers=workers,
+        folder=folder,
+        progress=progress,
+    ).scores()
 
 
 def analytic_scores(areas: ArrayLike, sigma_r: float, realisations: int, seed: int = 0) -> Table:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from rtcal import checks
-from rtcal.acoustics.files import write_bytes, write_text
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.support import checks
+from rtcal.support.files import write_bytes, write_text
 
 
 def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> None:

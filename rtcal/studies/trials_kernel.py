@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.jit import compiled
-from rtcal.types import Array
+from rtcal.support.jit import compiled
+from rtcal.support.types import Array
 
 STRIP = 256  # trials at a time: their sums stay in the innermost cache
 
@@ -33,9 +33,17 @@ def outside(z: Array, low: Array, high: Array, found: NDArray[np.intp]) -> int:
 
 @compiled(reorder=True)
 def score(
-    z: Array, rows: Array, mu: Array, sigma: Array, q: Array, reach: Array,
-    table: Array, multiplier: Array, least: Array, most: Array,
-) -> tuple[float, Array]:  # fmt: skip
+    z: Array,
+    rows: Array,
+    mu: Array,
+    sigma: Array,
+    q: Array,
+    reach: Array,
+    table: Array,
+    multiplier: Array,
+    least: Array,
+    most: Array,
+) -> tuple[float, Array]:
     """Return e'e and, as rows: delta e'[S, q]; bounded minus unbounded e'e; trials that differ."""
     n, trials = z.shape
     sums = np.zeros((3, 4))

@@ -43,10 +43,16 @@ TWINS = {35: 5, 38: 8, 40: 10}  # made so that something else looks the same; 40
 DOUBLE = 50  # two of 1..12 at once
 COUNTS = {
     0: {0: 80, **dict.fromkeys(range(1, 14), 10), 22: 10, 23: 10, DOUBLE: 12},
-    1: {0: 203, **dict.fromkeys(range(1, 14), 25), 22: 25, 23: 25,
-        **dict.fromkeys(TWINS, 10), DOUBLE: 50},
+    1: {
+        0: 203,
+        **dict.fromkeys(range(1, 14), 25),
+        22: 25,
+        23: 25,
+        **dict.fromkeys(TWINS, 10),
+        DOUBLE: 50,
+    },
     2: {0: 203},  # fresh rooms with nothing in them, for changes made after population 1 was seen
-}  # fmt: skip
+}
 
 
 @dataclass
@@ -87,7 +93,7 @@ def wall_areas(size: np.ndarray) -> np.ndarray:
 
 
 def draw_alpha(rng: np.random.Generator, mu: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """The truth, given what is known: normal within [.005, .98], neighbouring octaves at .7."""
+    """The truth, given what is known: normal within [0.005, 0.98], neighbouring octaves at 0.7."""
     lag = np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
     factor = np.linalg.cholesky(0.7**lag)
     out = np.empty_like(mu)
@@ -129,9 +135,13 @@ def room(rng: np.random.Generator, mean_alpha: float) -> Hidden:
             receivers.append(r)
     climate = (rng.uniform(15, 25), rng.uniform(30, 65))
     world = World(
-        size=size, alpha=where @ alpha, air=air(BANDS, *climate),
-        scattering=rng.uniform(0.4, 0.9), source=source, receivers=np.array(receivers),
-    )  # fmt: skip
+        size=size,
+        alpha=where @ alpha,
+        air=air(BANDS, *climate),
+        scattering=rng.uniform(0.4, 0.9),
+        source=source,
+        receivers=np.array(receivers),
+    )
     stated = {
         "volume": volume,
         "areas": areas,
@@ -375,7 +385,7 @@ def parameters(
 
 
 def measure(h: Hidden, world: World, seed: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Trace and evaluate, with 2 % on every time and .3 dB on every level."""
+    """Trace and evaluate, with 2 % on every time and 0.3 dB on every level."""
     width = 0.002
     surface = wall_areas(world.size)
     bare = (surface[:, None] * world.alpha).sum(0) + 4 * world.air * np.prod(world.size)
@@ -384,9 +394,7 @@ def measure(h: Hidden, world: World, seed: int, rng: np.random.Generator) -> dic
         area = wall_areas(world.second_size) @ world.second_alpha
         longest = max(longest, 0.161 * float(np.prod(world.second_size)) / area.min())
     radius = 0.5 * (h.volume / 200) ** 0.25
-    found = trace(
-        world, 6000, seed, width=width, length=max(1.1 * longest, 0.6), radius=radius
-    )  # fmt: skip
+    found = trace(world, 6000, seed, width=width, length=max(1.1 * longest, 0.6), radius=radius)
     distances = np.linalg.norm(world.receivers - world.source, axis=1)
     out: dict[str, Any] = {"distance": distances}
     names = ("t20", "edt", "t30", "c80", "g")

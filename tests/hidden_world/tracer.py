@@ -48,9 +48,25 @@ def _sphere_direction() -> np.ndarray:
 
 @numba.njit(cache=True)
 def _trace(
-    n, seed, sizes, alphas, air, scattering, source, receivers, radius,
-    wall, patch, patch_alpha, rate, objects_alpha, joined, c, width, bins,
-):  # fmt: skip
+    n,
+    seed,
+    sizes,
+    alphas,
+    air,
+    scattering,
+    source,
+    receivers,
+    radius,
+    wall,
+    patch,
+    patch_alpha,
+    rate,
+    objects_alpha,
+    joined,
+    c,
+    width,
+    bins,
+):
     np.random.seed(seed)
     bands = air.size
     found = np.zeros((receivers.shape[0], bands, bins))
@@ -110,8 +126,10 @@ def _trace(
             if axis == 2:
                 one, two = 0, 1
             within = (
-                (room == 0 and hit == wall) or (room == 1 and hit == 0)
-            ) and patch[0] < p[one] < patch[1] and patch[2] < p[two] < patch[3]  # fmt: skip
+                ((room == 0 and hit == wall) or (room == 1 and hit == 0))
+                and patch[0] < p[one] < patch[1]
+                and patch[2] < p[two] < patch[3]
+            )
             if within and joined:
                 room = 1 - room
                 p[0] = 0.0 if room == 1 else sizes[0, 0]
@@ -129,9 +147,15 @@ def _trace(
 
 
 def trace(
-    world: World, n: int, seed: int, *, width: float = 0.002, length: float = 2.0,
-    radius: float = 0.5, speed_of_sound: float = 343.2,
-) -> np.ndarray:  # fmt: skip
+    world: World,
+    n: int,
+    seed: int,
+    *,
+    width: float = 0.002,
+    length: float = 2.0,
+    radius: float = 0.5,
+    speed_of_sound: float = 343.2,
+) -> np.ndarray:
     """Return the energy density times path, (n_receivers, n_bands, n_bins); source energy 1.
 
     Times 4 pi 10² it is the energy relative to the free field at 10 m, as G has it.
@@ -142,10 +166,22 @@ def trace(
     nothing = np.zeros(world.air.size)
     volume = float(np.prod(world.size))
     return _trace(
-        n, seed, np.stack([world.size, second_size]), np.stack([world.alpha, second_alpha]),
-        world.air, world.scattering, world.source, world.receivers, radius, world.patch_wall,
-        world.patch, nothing if world.patch_alpha is None else world.patch_alpha,
+        n,
+        seed,
+        np.stack([world.size, second_size]),
+        np.stack([world.alpha, second_alpha]),
+        world.air,
+        world.scattering,
+        world.source,
+        world.receivers,
+        radius,
+        world.patch_wall,
+        world.patch,
+        nothing if world.patch_alpha is None else world.patch_alpha,
         world.objects_area / (4 * volume),
         nothing if world.objects_alpha is None else world.objects_alpha,
-        joined, speed_of_sound, width, int(length / width),
-    )  # fmt: skip
+        joined,
+        speed_of_sound,
+        width,
+        int(length / width),
+    )

@@ -60,4 +60,4 @@ __all__ = [
     "SoftMatch",
     "as_objective",
     "match_matrix",
-]  # fmt: skip
+]

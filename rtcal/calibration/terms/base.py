@@ -9,13 +9,13 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import cvxpy as cp
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics.room import Room
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Integers, Layout
 from rtcal.errors import ModelError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 @runtime_checkable

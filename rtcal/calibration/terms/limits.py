@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal import checks
 from rtcal.acoustics.room import Room
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Integers, Layout
 from rtcal.calibration.terms.base import Rows, Sums, half_squares, limited, reciprocal
 from rtcal.errors import DataError, ModelError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True)

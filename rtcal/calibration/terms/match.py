@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal import checks
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.terms.base import Rows, Sums, half_squares, limited, reciprocal
 from rtcal.errors import DataError, ModelError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 _JND = 0.05
 """Just noticeable difference of T, relative (ISO 3382-1:2009, table A.1)."""
@@ -47,9 +47,10 @@ class ExactMatch:
 
     def rows(self, instance: Instance) -> Rows:
         """S'alpha = b; bands without T have a row of zeros without limits."""
-        low, high = (np.where(instance.matched, v, e).ravel() for v, e in zip(
-            self.wanted(instance), (-np.inf, np.inf), strict=True
-        ))  # fmt: skip
+        low, high = (
+            np.where(instance.matched, v, e).ravel()
+            for v, e in zip(self.wanted(instance), (-np.inf, np.inf), strict=True)
+        )
         return Rows(match_matrix(instance), low, high)
 
     def wanted(self, instance: Instance) -> tuple[Array, Array]:

@@ -11,13 +11,13 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal import checks
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.terms.base import Sums, half_squares
 from rtcal.errors import ModelError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 def _positive(what: str, value: float | None) -> None:

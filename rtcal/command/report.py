@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rtcal.console import WRITTEN, bar_wanted, json_option, quiet_option, tell
+from rtcal.command.console import WRITTEN, bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
 
 _FIGURES = 5
@@ -15,9 +15,10 @@ _FIGURES = 5
 @click.command(short_help="Write a saved result as one HTML page.")
 @click.argument("result", type=click.Path())
 @click.option(
-    "--out", type=click.Path(dir_okay=False),
+    "--out",
+    type=click.Path(dir_okay=False),
     help="Page (HTML) to write; report.html beside the result if not given.",
-)  # fmt: skip
+)
 @json_option
 @quiet_option
 def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
@@ -28,9 +29,9 @@ def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
 
     Example: rtcal report calibrated --out calibrated.html
     """
-    from rtcal.acoustics.files import spare
-    from rtcal.progress import bar
     from rtcal.report import page
+    from rtcal.support.files import spare
+    from rtcal.support.progress import bar
 
     if out == "":
         raise DataError("--out is empty; it is a file")
@@ -42,6 +43,8 @@ def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
         text = page.page_of(result, progress=lambda: shown.update(1))
     page.write(target, text)
     tell(
-        f"Written: {target}", {"written": str(target), "bytes": len(text.encode())},
-        quiet=quiet, as_json=as_json,
-    )  # fmt: skip
+        f"Written: {target}",
+        {"written": str(target), "bytes": len(text.encode())},
+        quiet=quiet,
+        as_json=as_json,
+    )

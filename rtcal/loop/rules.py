@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 Rule = Literal["secant", "safeguarded", "regression"]
 _SLOPES = (0.3, 3.0)  # of log rate over log target: beyond, two points lie too close to tell
@@ -53,7 +53,7 @@ def safeguarded(targets: Array, rates: Array, wanted: float, low: float, high: f
 def regression(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
     """Return the next target of a ridge regression of log rate on log target over all points.
 
-    The slope's prior is normal(1, .3²), the rates' noise 3 %; a step is a factor 2 at most.
+    The slope's prior is normal(1, 0.3²), the rates' noise 3 %; a step is a factor 2 at most.
     """
     u, v = np.log(targets), np.log(rates)
     du, dv = u - u.mean(), v - v.mean()
@@ -64,5 +64,7 @@ def regression(targets: Array, rates: Array, wanted: float, low: float, high: fl
 
 
 RULES: dict[str, Callable[[Array, Array, float, float, float], float]] = {
-    "secant": secant, "safeguarded": safeguarded, "regression": regression,
-}  # fmt: skip
+    "secant": secant,
+    "safeguarded": safeguarded,
+    "regression": regression,
+}

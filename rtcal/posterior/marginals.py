@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 Waves = NDArray[np.complex128]
 

@@ -2,7 +2,7 @@
 
 The equation's absorption coefficients give the simulator another T than the equation's, but T moves
 with the target (Bellows & Katz 2025, Sects. 4.2 and 4.3). So the target rate is moved, band by band,
-by one of the rules of `rtcal.loop_rules`.
+by one of the rules of `rtcal.loop.rules`.
 """
 
 from __future__ import annotations
@@ -14,10 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal import checks, loop_state
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.files import write_text
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import JND, TrustMark, gap_jnd
 from rtcal.acoustics.room import Room
@@ -26,8 +24,11 @@ from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
-from rtcal.loop_rules import RULES, Rule
-from rtcal.types import Array
+from rtcal.loop import files as loop_state
+from rtcal.loop.rules import RULES, Rule
+from rtcal.support import checks
+from rtcal.support.files import write_text
+from rtcal.support.types import Array
 
 STATUSES = ("converged", "no measured T", "unreachable", "not converging", "not confirmed")
 """What is said of a band at the end; the last one of a `LoopResult` alone."""
@@ -315,7 +316,7 @@ class Loop:
     def load(
         cls, path: str, room: Room | None = None, equation: LinearEquation | None = None
     ) -> Loop:
-        """Read a loop, of this room if one is given; see `rtcal.loop_state.read`.
+        """Read a loop, of this room if one is given; see `rtcal.loop.files.read`.
 
         DataError if the file is of another room, or is no loop.
         """
@@ -342,9 +343,15 @@ def start(
     data = times_in_room(room, measured)
     refuse_twice(room, data)
     return Loop(
-        room=room, wanted=data.reverberation_time, measured=history(room, data), rule=rule,
-        method=method, equation=equation, decimals=decimals, tolerance=tolerance,
-    )  # fmt: skip
+        room=room,
+        wanted=data.reverberation_time,
+        measured=history(room, data),
+        rule=rule,
+        method=method,
+        equation=equation,
+        decimals=decimals,
+        tolerance=tolerance,
+    )
 
 
 def _noise(found: Measurement) -> Array:

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtcal import checks, jit
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.types import Array
+from rtcal.support import checks, jit
+from rtcal.support.types import Array
 
 OK, BELOW, ABOVE, BAD_INPUT = 0, 1, 2, 3
 """Values of ``status``: solved; target below or above reach; a datum breaks a rule."""
@@ -111,12 +111,24 @@ def solve(
     >>> print(status)
     [0 0]
     """
-    vectors = [checks.array(name, x) for x, name in (
-        (mu, "mu"), (sigma, "sigma"), (areas, "areas"), (lower, "lower"), (upper, "upper"),
-    )]  # fmt: skip
-    scalars = [checks.array(name, x) for x, name in (
-        (target, "target"), (tolerance, "tolerance"), (uncertainty, "uncertainty"),
-    )]  # fmt: skip
+    vectors = [
+        checks.array(name, x)
+        for x, name in (
+            (mu, "mu"),
+            (sigma, "sigma"),
+            (areas, "areas"),
+            (lower, "lower"),
+            (upper, "upper"),
+        )
+    ]
+    scalars = [
+        checks.array(name, x)
+        for x, name in (
+            (target, "target"),
+            (tolerance, "tolerance"),
+            (uncertainty, "uncertainty"),
+        )
+    ]
     if any(x.ndim == 0 for x in vectors[:3]):
         raise DataError("mu, sigma and areas need at least one axis, the coefficients: (..., n)")
     if np.any(scalars[1] != 0) and np.any(scalars[2] != 0):
@@ -144,7 +156,7 @@ def solve(
     a, d, code = alpha.reshape(rows, n), multiplier.reshape(rows), status.reshape(rows)
     data = (m, g, s, b, low, high, give, slack)
     if _engine(engine) == "numba":
-        from rtcal.calibration import exact_kernel
+        from rtcal.exact import kernel as exact_kernel
 
         exact_kernel.solve_rows(*data, a, d, code)
     else:
@@ -212,8 +224,10 @@ def _solve_chunk(
     fixing = good & (code == OK) & outside & ~inside & ~at_low & ~at_high
     if np.any(fixing):
         pick = np.flatnonzero(np.broadcast_to(fixing, (rows,)))
-        row = [x[pick] if len(x) > 1 else np.broadcast_to(x, (pick.size, *x.shape[1:]))
-               for x in (m, np.asarray(w), s, low, high, b, slack * slack)]  # fmt: skip
+        row = [
+            x[pick] if len(x) > 1 else np.broadcast_to(x, (pick.size, *x.shape[1:]))
+            for x in (m, np.asarray(w), s, low, high, b, slack * slack)
+        ]
         alpha[pick], multiplier[pick] = _fix(*row)
     unsolved = status != OK
     alpha[unsolved] = np.nan

@@ -16,8 +16,12 @@ from typing import TYPE_CHECKING
 import click
 
 import rtcal
-from rtcal.acoustics.files import spare
-from rtcal.console import WRITTEN, json_option, quiet_option
+from rtcal.command.console import WRITTEN, json_option, quiet_option
+from rtcal.command.files import export, import_room, measure, table
+from rtcal.command.gap import NOTHING_TO_ADD, gap
+from rtcal.command.loop import loop
+from rtcal.command.report import report
+from rtcal.command.study import study
 from rtcal.errors import (
     DataError,
     MissingAirWarning,
@@ -25,19 +29,19 @@ from rtcal.errors import (
     RtcalError,
     SolverError,
 )
-from rtcal.gap_command import NOTHING_TO_ADD, gap
-from rtcal.io_commands import export, import_room, measure, table
-from rtcal.loop_command import loop
-from rtcal.report_command import report
-from rtcal.study_command import study
+from rtcal.support.files import spare
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
 EQUATIONS = {
-    "eyring": "Eyring", "sabine": "Sabine", "kuttruff": "Kuttruff", "millington": "Millington",
-    "fitzroy": "Fitzroy", "arau": "ArauPuchades",
-}  # fmt: skip
+    "eyring": "Eyring",
+    "sabine": "Sabine",
+    "kuttruff": "Kuttruff",
+    "millington": "Millington",
+    "fitzroy": "Fitzroy",
+    "arau": "ArauPuchades",
+}
 
 EXIT_CODES = {
     0: "done",
@@ -85,22 +89,31 @@ def cli() -> None:
     "--method", default="mle", show_default=True, help="mle, lse, soft, smooth or robust."
 )
 @click.option(
-    "--equation", type=click.Choice(tuple(EQUATIONS)), default="eyring", show_default=True,
+    "--equation",
+    type=click.Choice(tuple(EQUATIONS)),
+    default="eyring",
+    show_default=True,
     help="The reverberation equation; the last three only predict, and are calibrated in the loop.",
-)  # fmt: skip
+)
 @click.option(
-    "--solver", default="clarabel", show_default=True,
+    "--solver",
+    default="clarabel",
+    show_default=True,
     help="clarabel, osqp, another solver of cvxpy's, or qpsolvers:NAME.",
-)  # fmt: skip
+)
 @click.option(
-    "--unreachable", type=click.Choice(("raise", "nearest")), default="raise", show_default=True,
+    "--unreachable",
+    type=click.Choice(("raise", "nearest")),
+    default="raise",
+    show_default=True,
     help="Where no coefficients give the measured T: stop, or take the nearest.",
-)  # fmt: skip
+)
 @click.option(
-    "--out", type=click.Path(file_okay=False),
+    "--out",
+    type=click.Path(file_okay=False),
     help="Folder for the calibrated room (room.toml), everything (result.json) and T(f) "
     "(reverberation_time.png). Nothing is written without it.",
-)  # fmt: skip
+)
 @json_option
 @quiet_option
 def calibrate(
@@ -146,9 +159,9 @@ def calibrate(
 
 def _write(result: CalibrationResult, folder: Path) -> list[Path]:
     """Write room, JSON and figure, all or none; without matplotlib no figure, and that is said."""
-    from rtcal.acoustics.files import write_all
     from rtcal.acoustics.room_files import room_text
     from rtcal.report import figures
+    from rtcal.support.files import write_all
 
     room, numbers, drawing = (folder / name for name in WRITTEN)
     contents = {room: room_text(result.room).encode(), numbers: result.to_json().encode()}

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.acoustics.files import spare
-from rtcal.console import bar_wanted, json_option, quiet_option, tell
+from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
-from rtcal.progress import bar
+from rtcal.support.files import spare
+from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
     from rtcal.discrepancy import Case, Finding
@@ -38,12 +38,14 @@ def _common(command: Any) -> Any:
             "--seed", default=0, show_default=True, help="Of the control rooms and the bootstrap."
         ),
         click.option(
-            "--engine", "engines", multiple=True,
+            "--engine",
+            "engines",
+            multiple=True,
             help="At least two simulators for the control rooms; path tracing and network if not "
             "given.",
         ),
         click.argument("case", type=click.Path()),
-    ):  # fmt: skip
+    ):
         command = option(command)
     return command
 
@@ -51,9 +53,11 @@ def _common(command: Any) -> Any:
 @gap.command(short_help="Which effects the data could tell apart.")
 @click.argument("case", type=click.Path())
 @click.option(
-    "--change", default=0.2, show_default=True,
+    "--change",
+    default=0.2,
+    show_default=True,
     help="How much the effects are to change T, at the most changed band.",
-)  # fmt: skip
+)
 @json_option
 @quiet_option
 def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
@@ -86,13 +90,19 @@ def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: b
     "--out", type=click.Path(dir_okay=False), required=True, help="The case with the effect (JSON)."
 )
 @click.option(
-    "--room", type=click.Path(dir_okay=False),
+    "--room",
+    type=click.Path(dir_okay=False),
     help="The room with the effect (TOML), for rtcal calibrate; what absorbs is a material of it.",
-)  # fmt: skip
+)
 def apply(
-    case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool, out: str,
+    case: str,
+    engines: tuple[str, ...],
+    seed: int,
+    as_json: bool,
+    quiet: bool,
+    out: str,
     room: str | None,
-) -> None:  # fmt: skip
+) -> None:
     """Add the named effect to CASE's model, and say what calibration then gives.
 
     Where the finding is ambiguous, the best candidate is added, and the others are named. Where there
@@ -102,19 +112,21 @@ def apply(
 
     Example: rtcal gap apply case.toml --out corrected.json --room corrected.toml
     """
-    from rtcal.acoustics.files import write_all
     from rtcal.acoustics.room_files import room_text
     from rtcal.discrepancy import corrected_room, recalibrate
     from rtcal.discrepancy.corrected import not_in_room
     from rtcal.discrepancy.recalibration import table
     from rtcal.discrepancy.wording import added, nothing_to_add
+    from rtcal.support.files import write_all
 
     written = [out] if room is None else [out, room]
     finding = _find(_case(case, written), engines, seed, quiet)
     record: dict[str, Any] = {
-        "verdict": finding.verdict, "effect": finding.effect,
-        "candidates": list(finding.candidates), "evidence": dict(finding.evidence),
-    }  # fmt: skip
+        "verdict": finding.verdict,
+        "effect": finding.effect,
+        "candidates": list(finding.candidates),
+        "evidence": dict(finding.evidence),
+    }
     if (nothing := nothing_to_add(finding)) is not None:
         text = f"{nothing}\nNothing is written."
         tell(text, {**record, "sentence": nothing, "written": []}, quiet=quiet, as_json=as_json)
@@ -132,10 +144,13 @@ def apply(
     absent = [] if room is None else not_in_room(corrected)
     lines += [f"  not in {room}: {line}" for line in absent]
     record |= {
-        "sentence": sentence, "present": [p.to_dict() for p in corrected.present],
-        "calibrated": calibrated.to_dict(), "written": written, "notes": list(finding.notes),
+        "sentence": sentence,
+        "present": [p.to_dict() for p in corrected.present],
+        "calibrated": calibrated.to_dict(),
+        "written": written,
+        "notes": list(finding.notes),
         "not_in_room": absent,
-    }  # fmt: skip
+    }
     text = "\n".join([*lines, f"Written: {', '.join(written)}"])
     tell(text, record, quiet=quiet, as_json=as_json)
 

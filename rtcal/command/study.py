@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.console import bar_wanted, json_option, json_text, quiet_option
+from rtcal.command.console import bar_wanted, json_option, json_text, quiet_option
 from rtcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -20,36 +20,55 @@ NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 @click.command(short_help="The paper's stochastic study beside its numbers.")
 @click.option(
-    "--room", "rooms", type=click.Choice(ROOMS), multiple=True, default=("shoebox",),
+    "--room",
+    "rooms",
+    type=click.Choice(ROOMS),
+    multiple=True,
+    default=("shoebox",),
     show_default=True,
     help="shoebox: Tables 1 and 2. lecture-hall: Table 3 with a stand-in for the hall, whose areas "
     "the paper does not give. halls: five halls at random, analytic. May be given several times.",
-)  # fmt: skip
+)
 @click.option(
-    "--sigma-r", multiple=True, type=float, default=(0.01, 0.05, 0.1), show_default=True,
+    "--sigma-r",
+    multiple=True,
+    type=float,
+    default=(0.01, 0.05, 0.1),
+    show_default=True,
     help="Parameter of the Rayleigh distribution of sigma. May be given several times.",
-)  # fmt: skip
+)
 @click.option(
-    "--realisations", type=click.IntRange(1), default=10_000, show_default=True,
+    "--realisations",
+    type=click.IntRange(1),
+    default=10_000,
+    show_default=True,
     help="Rooms drawn.",
-)  # fmt: skip
+)
 @click.option(
-    "--trials", type=click.IntRange(0), default=10_000, show_default=True,
+    "--trials",
+    type=click.IntRange(0),
+    default=10_000,
+    show_default=True,
     help="Draws of the true coefficients for each room; 0: the analytic study only.",
-)  # fmt: skip
+)
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True,
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
     help="Of the random numbers: the same seed, the same tables.",
-)  # fmt: skip
+)
 @click.option("--workers", type=click.IntRange(1), help="Threads; default: all cores.")
 @click.option(
-    "--folder", type=click.Path(file_okay=False),
+    "--folder",
+    type=click.Path(file_okay=False),
     help="Keep finished pieces here and go on from them after an interruption.",
-)  # fmt: skip
+)
 @click.option(
-    "--out", type=click.Path(file_okay=False),
+    "--out",
+    type=click.Path(file_okay=False),
     help="Folder for the tables (CSV) and figures (PNG).",
-)  # fmt: skip
+)
 @json_option
 @quiet_option
 def study(
@@ -86,8 +105,10 @@ def study(
 
         figures.new_figure()  # without matplotlib, stop here and not after the study
         target = _folder(out)
-    areas = {"shoebox": list(studies.rooms.SHOEBOX),
-             "lecture-hall": list(studies.rooms.LECTURE_HALL.values())}  # fmt: skip
+    areas = {
+        "shoebox": list(studies.rooms.SHOEBOX),
+        "lecture-hall": list(studies.rooms.LECTURE_HALL.values()),
+    }
     for name in dict.fromkeys(rooms):
         if name == "halls":
             text, tables = _halls(sigma_r, realisations, seed)
@@ -108,9 +129,15 @@ def study(
                 continue
             place = None if folder is None else Path(folder) / f"{name}-{level:g}"
             done = studies.run(
-                areas[name], level, realisations, trials, seed, workers=workers, folder=place,
+                areas[name],
+                level,
+                realisations,
+                trials,
+                seed,
+                workers=workers,
+                folder=place,
                 progress=bar_wanted(quiet),
-            )  # fmt: skip
+            )
             say(_scores(level, done.scores(), reference))
             say(_bounds(done))
             found.append(
@@ -227,8 +254,12 @@ def _write(done: Study, folder: Path, stem: str) -> None:
     from rtcal import studies
     from rtcal.report import figures, study_figures
 
-    tables = {"scores": done.scores(), "controlled-scores": done.controlled_scores(),
-              "bound-effects": done.bound_effects(), "spread": done.spread()}  # fmt: skip
+    tables = {
+        "scores": done.scores(),
+        "controlled-scores": done.controlled_scores(),
+        "bound-effects": done.bound_effects(),
+        "spread": done.spread(),
+    }
     for name, table in tables.items():
         studies.write_table(table, folder / f"{stem}-{name}.csv")
     title = f"{stem}: {done.realisations:,} realisations of {done.trials:,} trials"

@@ -12,15 +12,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal import checks
 from rtcal.calibration.instance import Flags, Instance
-from rtcal.calibration.marginals import POINTS, marginals, unmatched
 from rtcal.calibration.result import CalibrationResult, JointResult
-from rtcal.calibration.sampler import sample
 from rtcal.calibration.terms import ExactMatch, PriorDeviation, SoftMatch, match_matrix
 from rtcal.calibration.twin import Twin
 from rtcal.errors import DataError, ModelError
-from rtcal.types import Array
+from rtcal.posterior.marginals import POINTS, marginals, unmatched
+from rtcal.posterior.sampler import sample
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 _STEP = 1e-5
 """Relative step of T in the differences that tell how the problem's numbers follow T."""
@@ -166,8 +166,11 @@ def _by_fft(result: JointResult) -> Posterior:
     alpha, scale = instance.alpha(u), instance.alpha(instance.scale)
     mu, lower, upper = (instance.alpha(v) for v in (instance.mu, instance.lower, instance.upper))
     areas, target = instance.areas[0], instance.target[0]
-    soft = [w for t, w in zip(solution.twin.objective.terms, instance.weights, strict=True)
-            if isinstance(t, SoftMatch)]  # fmt: skip
+    soft = [
+        w
+        for t, w in zip(solution.twin.objective.terms, instance.weights, strict=True)
+        if isinstance(t, SoftMatch)
+    ]
     pull = np.nan_to_num(solution.match_multipliers[0])
     noise = np.zeros(layout.n_bands)
     if soft:
@@ -206,9 +209,13 @@ def _by_fft(result: JointResult) -> Posterior:
         correlation[k][np.ix_(free, free)] = found.covariance / np.outer(spread, spread)
     rows = list(layout.rows)
     return Posterior(
-        mean[rows], sigma[rows], correlation[:, rows][:, :, rows], points[rows], cumulative[rows],
+        mean[rows],
+        sigma[rows],
+        correlation[:, rows][:, :, rows],
+        points[rows],
+        cumulative[rows],
         before[rows],
-    )  # fmt: skip
+    )
 
 
 def _distribution(points: Array, density: Array) -> Array:
@@ -236,9 +243,10 @@ def _sampled(result: JointResult, n_samples: int, seed: int) -> Posterior:
         np.fill_diagonal(correlation[k], 1.0)
     # The prior of the same terms without the measurement, in the same box.
     blind = replace(
-        twin.instance, target=np.full_like(twin.instance.target, np.nan),
+        twin.instance,
+        target=np.full_like(twin.instance.target, np.nan),
         time=np.full_like(twin.instance.time, np.nan),
-    )  # fmt: skip
+    )
     prior = Twin(blind, twin.objective, twin.row_constraints)
     before = sample(prior, solution.unknowns, n_samples, seed + 1)
     return Posterior(
@@ -291,9 +299,7 @@ def _known(result: JointResult) -> tuple[Array, Array, Array]:
     instance = result.solution.twin.instance
     layout = instance.layout
     room = result.configurations.union
-    sigma = np.concatenate([
-        room.sigma[layout.first].ravel(), instance.further(instance.sigma)
-    ])  # fmt: skip
+    sigma = np.concatenate([room.sigma[layout.first].ravel(), instance.further(instance.sigma)])
     prior = next(t for t in result.solution.twin.objective.terms if t.is_prior)
     if not (isinstance(prior, PriorDeviation) and prior.correlated()):
         # A method that leaves the correlations out of its objective (lse) is judged with them.
@@ -324,10 +330,12 @@ def sensitivity(result: CalibrationResult | JointResult) -> Array:
 def _slopes(result: JointResult) -> Array:
     """db/dT of every matched row, (rows,); 0 where T is missing."""
     rooms = result.configurations.rooms
-    slopes: Array = np.array([
-        result.equation.target_sensitivity(room, own.reverberation_time)
-        for room, own in zip(rooms, result.data, strict=True)
-    ])  # fmt: skip
+    slopes: Array = np.array(
+        [
+            result.equation.target_sensitivity(room, own.reverberation_time)
+            for room, own in zip(rooms, result.data, strict=True)
+        ]
+    )
     return np.asarray(np.nan_to_num(slopes).ravel())
 
 

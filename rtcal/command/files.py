@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from rtcal.acoustics.files import spare
-from rtcal.console import bar_wanted, json_option, quiet_option, tell
+from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
+from rtcal.support.files import spare
 
 if TYPE_CHECKING:
     from rtcal.io.impulse_responses import Analysis
@@ -22,13 +22,19 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 @click.command(short_help="Impulse responses (WAV) to T20, T30, EDT, C50, C80, D50, Ts.")
 @click.argument("responses", type=click.Path(), nargs=-1, required=True)
 @click.option(
-    "--bands", type=click.Choice(("octave", "third-octave")), default="octave", show_default=True,
+    "--bands",
+    type=click.Choice(("octave", "third-octave")),
+    default="octave",
+    show_default=True,
     help="Width of the bands.",
-)  # fmt: skip
+)
 @click.option(
-    "--minimum-range", "ranges", multiple=True, metavar="PARAMETER=DB",
+    "--minimum-range",
+    "ranges",
+    multiple=True,
+    metavar="PARAMETER=DB",
     help="The impulse-to-noise ratio that a parameter needs, in place of ISO 3382's: t30=38.",
-)  # fmt: skip
+)
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
 @json_option
 @quiet_option
@@ -45,20 +51,23 @@ def measure(
     Example: rtcal measure *.wav --out t.csv
     """
     from rtcal.io import impulse_responses
-    from rtcal.progress import bar
+    from rtcal.support.progress import bar
 
     spare([] if out is None else [out], responses)
     with bar(len(responses), "response", bar_wanted(quiet)) as shown:
         analysis = impulse_responses.read(
-            responses, bands=bands, minimum_range=_assignments(ranges, "DB"),
+            responses,
+            bands=bands,
+            minimum_range=_assignments(ranges, "DB"),
             progress=lambda: shown.update(1),
-        )  # fmt: skip
+        )
     if not quiet and all(np.isnan(v).all() for v in analysis.measurement.values.values()):
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
     notes = {
         "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,
-        "missing": analysis.missing, "notes": analysis.notes,
-    }  # fmt: skip
+        "missing": analysis.missing,
+        "notes": analysis.notes,
+    }
     _write_and_tell(analysis, notes, out, as_json, quiet)
 
 
@@ -96,9 +105,12 @@ def _write_and_tell(
         found.measurement.save(out)
     measurement = found.measurement
     record = {
-        "centre_frequencies": measurement.centre_frequencies, "pairs": measurement.pairs,
-        "values": measurement.values, **notes, "written": out,
-    }  # fmt: skip
+        "centre_frequencies": measurement.centre_frequencies,
+        "pairs": measurement.pairs,
+        "values": measurement.values,
+        **notes,
+        "written": out,
+    }
     text = str(found) if out is None else f"{found}\nWritten: {out}"
     tell(text, record, quiet=quiet, as_json=as_json)
 
@@ -168,15 +180,21 @@ def import_room(
     "--template", type=click.Path(), help="Program's own file to change; else MATERIALS itself."
 )
 @click.option(
-    "--decimals", type=click.IntRange(0, 15),
+    "--decimals",
+    type=click.IntRange(0, 15),
     help="Decimals of a coefficient (3: a tenth of a percent); else the format's.",
-)  # fmt: skip
+)
 @json_option
 @quiet_option
 def export(
-    program: str, room: str, materials: str, template: str | None, decimals: int | None,
-    as_json: bool, quiet: bool,
-) -> None:  # fmt: skip
+    program: str,
+    room: str,
+    materials: str,
+    template: str | None,
+    decimals: int | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
     """Write ROOM's coefficients into a program's MATERIALS; print what the rounding does to T.
 
     Example: rtcal export catt calibrated/room.toml hall.geo
@@ -188,12 +206,14 @@ def export(
     module = import_module(f"rtcal.io.{program}")
     done = module.write(Room.from_file(room), materials, template=template, decimals=decimals)
     record = {
-        "written": done.path, "equation": done.equation,
+        "written": done.path,
+        "equation": done.equation,
         "centre_frequencies": done.room.centre_frequencies,
         "reverberation_time": done.reverberation_time,
-        "reverberation_time_as_read": done.reverberation_time_as_read, "change_jnd": done.change,
+        "reverberation_time_as_read": done.reverberation_time_as_read,
+        "change_jnd": done.change,
         "bands_not_written": done.bands_not_written,
-    }  # fmt: skip
+    }
     tell(str(done), record, quiet=quiet, as_json=as_json)
 
 

@@ -2,8 +2,8 @@
 
 Which sigma to state:
 
-- `TIERS`, the paper's three: .01 for a painted wall or linoleum, .05 for wood panels or a door, .1 for
-  seats and perforated ceilings (Bellows & Katz 2025, Sect. 4.3.1).
+- `TIERS`, the paper's three: 0.01 for a painted wall or linoleum, 0.05 for wood panels or a door,
+  0.1 for seats and perforated ceilings (Bellows & Katz 2025, Sect. 4.3.1).
 - `sigma_iso_12999_2`: how far laboratories disagree on one and the same specimen. No handbook value
   deserves less; for another specimen in another mounting take `in_situ` of it.
 - `sigma_relative`: a share of alpha with a least value.
@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics.sigma import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.errors import DataError
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 __all__ = ["TIERS", "TruncatedNormal", "in_situ", "sigma_iso_12999_2", "sigma_relative"]
 

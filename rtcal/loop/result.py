@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rtcal import loop_state
-from rtcal.acoustics.files import write_text
 from rtcal.acoustics.measurement import UNITS, Measurement
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
-from rtcal.types import Array
+from rtcal.loop import files as loop_state
+from rtcal.support.files import write_text
+from rtcal.support.types import Array
 
 if TYPE_CHECKING:
-    from rtcal.loop import Loop
+    from rtcal.loop.state import Loop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,12 +97,21 @@ class LoopResult:
             ("gap / JND", 11, shown(self.gap, "+.2f")),
             ("z", 6, shown(z, "+.1f")),
             *(
-                (head, 14, [f"{a} to {b}" for a, b in zip(
-                    shown(self.before.mean(p), ".2f"), shown(self.final.mean(p), ".2f"), strict=True
-                )])
+                (
+                    head,
+                    14,
+                    [
+                        f"{a} to {b}"
+                        for a, b in zip(
+                            shown(self.before.mean(p), ".2f"),
+                            shown(self.final.mean(p), ".2f"),
+                            strict=True,
+                        )
+                    ],
+                )
                 for head, p in zip(heads, others, strict=True)
             ),
-        ]  # fmt: skip
+        ]
         lines = [
             f"Coefficients for {self.simulator} only; {self.simulations} simulations",
             "".join(head.rjust(width) for head, width, _ in columns),

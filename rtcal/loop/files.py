@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics.equations import Eyring, Kuttruff, LinearEquation, Sabine
-from rtcal.acoustics.files import json_numbers, read_text
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_files import parse_room, room_text
 from rtcal.calibration.presets import preset
 from rtcal.errors import DataError, ModelError
-from rtcal.loop_rules import RULES
-from rtcal.types import Array
+from rtcal.loop.rules import RULES
+from rtcal.support import checks
+from rtcal.support.files import json_numbers, read_text
+from rtcal.support.types import Array
 
 if TYPE_CHECKING:
-    from rtcal.loop import Loop
-    from rtcal.loop_result import LoopResult
+    from rtcal.loop.result import LoopResult
+    from rtcal.loop.state import Loop
 
 KIND = "loop 2"
 """What the key ``rtcal`` of a saved loop says."""
@@ -32,9 +32,17 @@ MOST_DECIMALS = 12
 
 _LIMITS = (1e-6, 1e6)  # s, of T: a hard room without air has a longer one than was ever measured
 _KEYS = (
-    "rtcal", "room", "measured", "wanted", "rule", "method", "equation", "decimals", "tolerance",
+    "rtcal",
+    "room",
+    "measured",
+    "wanted",
+    "rule",
+    "method",
+    "equation",
+    "decimals",
+    "tolerance",
     "steps",
-)  # fmt: skip
+)
 _STEP = ("target", "alpha", "simulated", "noise")
 _EQUATIONS = {e.name: e for e in (Sabine, Eyring, Kuttruff)}
 
@@ -43,13 +51,23 @@ def text(loop: Loop, result: Mapping[str, Any] | None = None) -> str:
     """Return a loop as JSON text; the room as the text of its file, ``result`` as `ends` gives it."""
     equation = loop.equation or Eyring()
     steps = [{name: json_numbers(getattr(step, name)) for name in _STEP} for step in loop.steps]
-    return json.dumps({
-        "rtcal": KIND, "room": room_text(loop.room), "measured": loop.measured,
-        "wanted": json_numbers(loop.wanted), "rule": loop.rule, "method": loop.method,
-        "equation": {"name": equation.name, **asdict(equation)}, "decimals": loop.decimals,
-        "tolerance": loop.tolerance, "steps": steps,
-        **({} if result is None else {"result": dict(result)}),
-    }, indent=1, ensure_ascii=False)  # fmt: skip
+    return json.dumps(
+        {
+            "rtcal": KIND,
+            "room": room_text(loop.room),
+            "measured": loop.measured,
+            "wanted": json_numbers(loop.wanted),
+            "rule": loop.rule,
+            "method": loop.method,
+            "equation": {"name": equation.name, **asdict(equation)},
+            "decimals": loop.decimals,
+            "tolerance": loop.tolerance,
+            "steps": steps,
+            **({} if result is None else {"result": dict(result)}),
+        },
+        indent=1,
+        ensure_ascii=False,
+    )
 
 
 def read(
@@ -93,12 +111,15 @@ def _read(
     preset(data["method"], own)
     shape = own.alpha.shape
     fields = {
-        "room": own, "wanted": _times("wanted", data["wanted"], own.n_bands, missing=True),
-        "measured": data["measured"], "rule": data["rule"], "method": data["method"],
+        "room": own,
+        "wanted": _times("wanted", data["wanted"], own.n_bands, missing=True),
+        "measured": data["measured"],
+        "rule": data["rule"],
+        "method": data["method"],
         "equation": equation or _equation(data["equation"]),
         "decimals": readable(data["decimals"]),
         "tolerance": checks.positive("tolerance", data["tolerance"], "JND"),
-    }  # fmt: skip
+    }
     if np.isnan(fields["wanted"]).all():
         raise DataError("wanted = null in every band: there is nothing to calibrate to")
     if not isinstance(data["steps"], list):
@@ -108,14 +129,16 @@ def _read(
         at = f"steps[{i}]"
         _keys(at, step, _STEP)
         found = _times(f"{at}.simulated", step["simulated"], own.n_bands, missing=True)
-        steps.append({
-            "target": _times(f"{at}.target", step["target"], own.n_bands),
-            "alpha": _array(f"{at}.alpha", step["alpha"], shape, (0.0, 1.0)),
-            "simulated": found,
-            "noise": _array(
-                f"{at}.noise", step["noise"], shape[1:], (0.0, _LIMITS[1]), missing=True
-            ),
-        })  # fmt: skip
+        steps.append(
+            {
+                "target": _times(f"{at}.target", step["target"], own.n_bands),
+                "alpha": _array(f"{at}.alpha", step["alpha"], shape, (0.0, 1.0)),
+                "simulated": found,
+                "noise": _array(
+                    f"{at}.noise", step["noise"], shape[1:], (0.0, _LIMITS[1]), missing=True
+                ),
+            }
+        )
     return fields, steps
 
 
@@ -147,8 +170,12 @@ def fingerprint(room: Room) -> str:
     plain = (tuple(room.materials), room.volume, room.speed_of_sound)
     digest = hashlib.sha256(repr(plain).encode())
     for values in (
-        room.areas, room.centre_frequencies, room.air_attenuation, room.alpha, room.sigma,
-    ):  # fmt: skip
+        room.areas,
+        room.centre_frequencies,
+        room.air_attenuation,
+        room.alpha,
+        room.sigma,
+    ):
         digest.update(np.ascontiguousarray(values).tobytes())
     return digest.hexdigest()[:16]
 
@@ -192,9 +219,9 @@ def _array(
     if shape:
         if not isinstance(values, list) or len(values) != shape[0]:
             raise DataError(f"{place} is not a list of {shape[0]} values")
-        return np.array([
-            _array(f"{place}[{i}]", v, shape[1:], limits, missing) for i, v in enumerate(values)
-        ])  # fmt: skip
+        return np.array(
+            [_array(f"{place}[{i}]", v, shape[1:], limits, missing) for i, v in enumerate(values)]
+        )
     if values is None and missing:
         return np.array(np.nan)
     value = checks.number(place, values)

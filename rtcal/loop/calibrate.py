@@ -1,7 +1,7 @@
 """Calibrate a simulator: calibrate an equation, and move its target until the simulator agrees.
 
-`calibrate_simulator` runs the loop of `rtcal.loop` with a simulator that can be called; one that is
-run by hand takes part through `start`, `Loop.next_alpha` and `Loop.record`, or ``rtcal loop``.
+`calibrate_simulator` runs the loop of `rtcal.loop.state` with a simulator that can be called; one that
+is run by hand takes part through `start`, `Loop.next_alpha` and `Loop.record`, or ``rtcal loop``.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal import checks
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, RtcalError, SimulatorError
-from rtcal.loop import Loop as Loop
-from rtcal.loop import start as start
-from rtcal.loop_result import LoopResult as LoopResult
-from rtcal.loop_rules import Rule
+from rtcal.loop.result import LoopResult as LoopResult
+from rtcal.loop.rules import Rule
+from rtcal.loop.state import Loop as Loop
+from rtcal.loop.state import start as start
 from rtcal.simulators.base import Simulator, run
-from rtcal.types import Array
+from rtcal.support import checks
+from rtcal.support.types import Array
 
 
 def calibrate_simulator(
@@ -48,7 +48,7 @@ def calibrate_simulator(
         equal sigmas drive large hard walls to alpha = 0.
     measured : Measurement
     rule : {"secant", "safeguarded", "regression"}, optional
-        `rtcal.loop_rules`; "safeguarded" for a smooth simulator, "regression" for one whose T
+        `rtcal.loop.rules`; "safeguarded" for a smooth simulator, "regression" for one whose T
         jumps with alpha, if not given.
     method, equation
         Of the equation's calibration; see `rtcal.calibrate`.
@@ -107,9 +107,14 @@ def calibrate_simulator(
     if rule is None:
         rule = "safeguarded" if simulator.smooth else "regression"
     loop = start(
-        room, measured, rule=rule, method=method, equation=equation, decimals=decimals,
+        room,
+        measured,
+        rule=rule,
+        method=method,
+        equation=equation,
+        decimals=decimals,
         tolerance=tolerance,
-    )  # fmt: skip
+    )
     found: list[Measurement] = []
     calls = 0
     while not loop.finished and calls < max_simulations:

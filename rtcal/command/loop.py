@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rtcal.acoustics.files import spare
-from rtcal.console import json_option, quiet_option, tell
+from rtcal.command.console import json_option, quiet_option, tell
 from rtcal.errors import DataError
+from rtcal.support.files import spare
 
 if TYPE_CHECKING:
-    from rtcal.loop import Loop
+    from rtcal.loop.state import Loop
 
 
 @click.group(short_help="The closed loop with a program that is run by hand.")
@@ -29,9 +29,12 @@ def loop() -> None:
     "--method", default="mle", show_default=True, help="mle, lse, soft, smooth or robust."
 )
 @click.option(
-    "--rule", type=click.Choice(("secant", "safeguarded", "regression")), default="safeguarded",
-    show_default=True, help="How the next target is found; see docs/closed_loop.md.",
-)  # fmt: skip
+    "--rule",
+    type=click.Choice(("secant", "safeguarded", "regression")),
+    default="safeguarded",
+    show_default=True,
+    help="How the next target is found; see docs/closed_loop.md.",
+)
 @click.option(
     "--decimals", type=click.IntRange(1), help="Decimals of alpha that the program reads."
 )
@@ -57,15 +60,18 @@ def start(
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.calibration.measured import times_in_room
-    from rtcal.loop import start as begin
+    from rtcal.loop.state import start as begin
 
     spare([state, out], [room, measured])
     _refuse_progress(state)
     data = Measurement.from_file(measured)
     begun = begin(
-        Room.from_file(room), data, rule=rule,  # type: ignore[arg-type]
-        method=method, decimals=decimals,
-    )  # fmt: skip
+        Room.from_file(room),
+        data,
+        rule=rule,  # type: ignore[arg-type]
+        method=method,
+        decimals=decimals,
+    )
     first = begun.calibrated(begun.wanted)
     _write(begun, state, out)
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
@@ -100,7 +106,7 @@ def next_(
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.quality import explained
     from rtcal.acoustics.room import Room
-    from rtcal.loop import Loop
+    from rtcal.loop.state import Loop
 
     spare([state, out], [room, simulated])
     going = Loop.load(state, Room.from_file(room))
@@ -130,10 +136,14 @@ def next_(
     lines += explained(going.trust_marks)
     lines.append(_end(going, out) if finished else f"Simulate {out} next.")
     record = {
-        "finished": finished, "state": state, "simulate": out,
-        "centre_frequencies": frequencies, "gap_jnd": going.gap, "status": said,
+        "finished": finished,
+        "state": state,
+        "simulate": out,
+        "centre_frequencies": frequencies,
+        "gap_jnd": going.gap,
+        "status": said,
         "trust_marks": [vars(mark) for mark in going.trust_marks],
-    }  # fmt: skip
+    }
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 
@@ -151,7 +161,7 @@ def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
     Example: rtcal loop back room.toml --state loop.json --out next.toml
     """
     from rtcal.acoustics.room import Room
-    from rtcal.loop import Loop
+    from rtcal.loop.state import Loop
 
     spare([state, out], [room])
     going = Loop.load(state, Room.from_file(room)).back()
@@ -163,7 +173,7 @@ def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
 
 def _refuse_progress(state: str) -> None:
     """Raise DataError where a state would be written over that someone simulated for."""
-    from rtcal.loop import Loop
+    from rtcal.loop.state import Loop
 
     if Path(state).exists() and (n := len(Loop.load(state).steps)):
         raise DataError(
@@ -184,8 +194,8 @@ def _end(going: Loop, out: str) -> str:
 
 def _write(going: Loop, state: str, out: str) -> None:
     """Both files or none: a state without its room would take in what was not simulated."""
-    from rtcal.acoustics.files import write_all
     from rtcal.acoustics.room_files import room_text
+    from rtcal.support.files import write_all
 
     room = going.room.replace(alpha=going.next_alpha, calibration=None)
     n, of = len(going.steps), f"of the loop in {Path(state).name!r}"

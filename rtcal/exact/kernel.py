@@ -1,4 +1,4 @@
-"""The compiled rows of `rtcal.calibration.exact`: one problem after the other, in one thread.
+"""The compiled rows of `rtcal.exact.batch`: one problem after the other, in one thread.
 
 The arithmetic is that of the NumPy twin in `exact`; tests hold the two together.
 """
@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.jit import compiled
-from rtcal.types import Array
+from rtcal.support.jit import compiled
+from rtcal.support.types import Array
 
 EPS = float(np.finfo(float).eps)
 OK, BELOW, ABOVE, BAD_INPUT, UNSETTLED = 0, 1, 2, 3, -1
@@ -85,18 +85,36 @@ def solve_rows(
         for r in range(start, stop):
             if status[r] == UNSETTLED:
                 status[r], multiplier[r] = careful(
-                    mu[r * step_mu], sigma[r * step_sigma], areas[r * step_areas],
-                    lower[r * step_lower], upper[r * step_upper], target[r * step_target],
-                    tolerance[r * step_tolerance], uncertainty[r * step_uncertainty],
-                    weight, free, base_of, alpha[r],
-                )  # fmt: skip
+                    mu[r * step_mu],
+                    sigma[r * step_sigma],
+                    areas[r * step_areas],
+                    lower[r * step_lower],
+                    upper[r * step_upper],
+                    target[r * step_target],
+                    tolerance[r * step_tolerance],
+                    uncertainty[r * step_uncertainty],
+                    weight,
+                    free,
+                    base_of,
+                    alpha[r],
+                )
 
 
 @compiled(reorder=True)
 def careful(
-    m: Array, g: Array, s: Array, low: Array, high: Array,
-    b: float, give: float, u: float, w: Array, free: Array, base: Array, a: Array,
-) -> tuple[int, float]:  # fmt: skip
+    m: Array,
+    g: Array,
+    s: Array,
+    low: Array,
+    high: Array,
+    b: float,
+    give: float,
+    u: float,
+    w: Array,
+    free: Array,
+    base: Array,
+    a: Array,
+) -> tuple[int, float]:
     """Solve a row that the closed form does not settle; return status and multiplier."""
     n = m.size
     for i in range(n):
@@ -135,9 +153,17 @@ def careful(
 
 @compiled(reorder=False)
 def at_end(
-    m: Array, g: Array, w: Array, low: Array, high: Array,
-    b: float, least: float, most: float, near: float, a: Array,
-) -> tuple[int, float]:  # fmt: skip
+    m: Array,
+    g: Array,
+    w: Array,
+    low: Array,
+    high: Array,
+    b: float,
+    least: float,
+    most: float,
+    near: float,
+    a: Array,
+) -> tuple[int, float]:
     """Write the only feasible point where b is an end; return status and multiplier."""
     below, above = b < least - near, b > most + near
     if below or above:
@@ -161,9 +187,17 @@ def at_end(
 
 @compiled(reorder=True)
 def fix(
-    m: Array, w: Array, s: Array, low: Array, high: Array,
-    b: float, slack: float, free: Array, base: Array, a: Array,
-) -> float:  # fmt: skip
+    m: Array,
+    w: Array,
+    s: Array,
+    low: Array,
+    high: Array,
+    b: float,
+    slack: float,
+    free: Array,
+    base: Array,
+    a: Array,
+) -> float:
     """Variable fixing: peg the violators on the side that must be pegged, repeat; return D.
 
     ``a`` is written. Scratch (n,): ``free``, the weights S sigma² of what is free and 0 else, and

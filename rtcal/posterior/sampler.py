@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from rtcal.calibration.layout import Integers
 from rtcal.calibration.twin import Twin
 from rtcal.errors import ModelError, SolverError
-from rtcal.types import Array
+from rtcal.support.types import Array
 
 _CHAINS = 32
 _TRAVEL = np.pi / 2
@@ -89,10 +89,14 @@ def _walls(twin: Twin, free: Integers, basis: Array, centre: Array) -> tuple[Arr
     fixed = sp.csr_array(twin.matrix)[unequal] @ np.where(twin.movable, 0.0, twin.instance.centre)
     normals = np.vstack([basis, -basis, rows @ basis, -rows @ basis])
     at = rows @ centre + fixed
-    gaps = np.concatenate([
-        centre - twin.lower[free], twin.upper[free] - centre,
-        at - twin.row_lower[unequal], twin.row_upper[unequal] - at,
-    ])  # fmt: skip
+    gaps = np.concatenate(
+        [
+            centre - twin.lower[free],
+            twin.upper[free] - centre,
+            at - twin.row_lower[unequal],
+            twin.row_upper[unequal] - at,
+        ]
+    )
     length = np.linalg.norm(normals, axis=1)
     used = np.isfinite(gaps) & (length > 1e-14)
     return normals[used] / length[used, np.newaxis], gaps[used] / length[used]

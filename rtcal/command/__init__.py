@@ -1,0 +1,1 @@
+"""The `rtcal` command: parse, call, print, exit code."""

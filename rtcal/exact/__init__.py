@@ -1,0 +1,5 @@
+"""The calibration QP with bounds, exactly, for millions of rooms at once; see `solve`."""
+
+from rtcal.exact.batch import ABOVE, BAD_INPUT, BELOW, OK, Answer, solve
+
+__all__ = ["ABOVE", "BAD_INPUT", "BELOW", "OK", "Answer", "solve"]

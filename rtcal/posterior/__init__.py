@@ -1,0 +1,1 @@
+"""What a measurement leaves open: distributions, marginals, samples, sensitivities."""

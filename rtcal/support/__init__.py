@@ -1,0 +1,1 @@
+"""What every part stands on: checks, types, files, progress, numba."""
