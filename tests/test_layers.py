@@ -23,10 +23,10 @@ ORDER = (
     "calibration",
     "simulators",
     "io",
-    "datasets",
     "loop",
     "studies",
     "discrepancy",
+    "datasets",
     "report",
     "command",
 )
