@@ -434,7 +434,7 @@ MUTATIONS = [
     ("steps", [0, "simulated", 0], 1e308, "steps[0].simulated[0] = 1e+308 is not from"),
     ("steps", [0, "simulated", 0], -1, "steps[0].simulated[0] = -1 is not from"),
     ("steps", [0, "noise", 0], -1, "steps[0].noise[0] = -1 is not from"),
-    ("steps", [0, "target", 0], None, "steps[0].target[0] = None is not a number"),
+    ("steps", [0, "target", 0], None, "steps[0].target[0] = null, but the band has a measured T"),
     ("steps", [0, "extra"], 1, 'steps[0] has the key "extra"'),
     ("room", [], 5, "room = '5' is not a text"),
     ("method", [], [], "method = '[]' is not a text"),

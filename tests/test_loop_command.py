@@ -1,5 +1,6 @@
 """`rtcal loop start` and `next`: a program run by hand, between runs of the command."""
 
+import json
 import warnings
 
 import numpy as np
@@ -41,6 +42,34 @@ def test_a_program_run_by_hand_is_calibrated(cr2, tmp_path):
     wanted = measured.decay_time().mean
     assert np.abs(final / wanted - 1).max() < 0.05
     assert np.abs(1.3 * rt.Eyring().reverberation_time(room) / wanted - 1).max() > 0.2
+
+
+def test_a_band_without_a_measured_t_goes_through_the_loop_by_hand(cr2, tmp_path):
+    room, measured = cr2
+    times = measured.mean("t30").copy()
+    times[0] = np.nan
+    partial = rt.Measurement.from_values(room.centre_frequencies, t20=times)
+    done, runner, command, files = begun(room, partial, tmp_path)
+    assert done.exit_code == 0, done.output
+    states = []
+    for factor in (1.5, 1.3):  # two tables that leave the loop unfinished
+        simulated = rt.Room.from_file(str(tmp_path / "next.toml"))
+        assert np.array_equal(simulated.alpha[:, 0], room.alpha[:, 0])
+        table = str(tmp_path / "s.csv")
+        rt.Measurement.from_values(
+            room.centre_frequencies, t20=factor * rt.Eyring().reverberation_time(simulated)
+        ).save(table)
+        done = runner.invoke(cli, [*command, table, *files])
+        assert done.exit_code == 0, done.output
+        assert done.output.count("no measured T") == 1
+        states.append((tmp_path / "loop.json").read_bytes())
+    assert json.loads(states[1])["steps"][1]["target"][0] is None
+    room_file, page = str(tmp_path / "room.toml"), str(tmp_path / "page.html")
+    done = runner.invoke(cli, ["report", str(tmp_path / "loop.json"), "--out", page])
+    assert done.exit_code == 0, done.output
+    done = runner.invoke(cli, ["loop", "back", room_file, *files])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "loop.json").read_bytes() == states[0]
 
 
 def test_another_rooms_state_is_refused(cr2, tmp_path):

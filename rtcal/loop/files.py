@@ -128,12 +128,15 @@ def _read(
     for i, step in enumerate(data["steps"]):
         at = f"steps[{i}]"
         _keys(at, step, _STEP)
-        found = _times(f"{at}.simulated", step["simulated"], own.n_bands, missing=True)
+        target = _times(f"{at}.target", step["target"], own.n_bands, missing=True)
+        if (lacking := np.flatnonzero(np.isnan(target) & np.isfinite(fields["wanted"]))).size:
+            raise DataError(f"{at}.target[{lacking[0]}] = null, but the band has a measured T")
+        simulated = _times(f"{at}.simulated", step["simulated"], own.n_bands, missing=True)
         steps.append(
             {
-                "target": _times(f"{at}.target", step["target"], own.n_bands),
+                "target": target,
                 "alpha": _array(f"{at}.alpha", step["alpha"], shape, (0.0, 1.0)),
-                "simulated": found,
+                "simulated": simulated,
                 "noise": _array(
                     f"{at}.noise", step["noise"], shape[1:], (0.0, _LIMITS[1]), missing=True
                 ),
