@@ -9,6 +9,7 @@ import sys
 import zlib
 from html.parser import HTMLParser
 from pathlib import Path
+from types import ModuleType
 from urllib.parse import unquote, urlsplit
 
 import pytest
@@ -104,11 +105,12 @@ def test_the_site_is_read_without_network(site: Path, pages: dict[Path, Page]) -
 def test_the_api_pages_hold_every_public_name(site: Path, pages: dict[Path, Page]) -> None:
     inventory = (site / "objects.inv").read_bytes().split(b"zlib.\n", 1)[1]
     documented = {line.split()[0] for line in zlib.decompress(inventory).decode().splitlines()}
-    for module, attribute in rtcal._EXPORTS.values():
-        if attribute is not None:
-            assert f"{module}.{attribute}" in documented
-        else:
+    for value in (getattr(rtcal, name) for name in rtcal.__all__):
+        if isinstance(value, ModuleType):
+            module = value.__name__
             assert any(name.startswith(f"{module}.") for name in documented), module
+        else:
+            assert f"{value.__module__}.{value.__qualname__}" in documented
     assert "rtcal.calibration.result.CalibrationResult.gap_after" in documented
 
 

@@ -1,1 +1,18 @@
 """The calibration problem: one convex QP, composed, built once, solved, certified."""
+
+from typing import TYPE_CHECKING
+
+from rtcal.support import lazy
+
+if TYPE_CHECKING:
+    from rtcal.calibration import closed_form as closed_form
+    from rtcal.calibration import terms as terms
+    from rtcal.calibration.configurations import Configurations as Configurations
+    from rtcal.calibration.presets import calibrate as calibrate
+    from rtcal.calibration.problem import Calibration as Calibration
+    from rtcal.calibration.problem import CalibrationProblem as CalibrationProblem
+    from rtcal.calibration.problem import JointProblem as JointProblem
+    from rtcal.calibration.result import CalibrationResult as CalibrationResult
+    from rtcal.calibration.result import JointResult as JointResult
+else:
+    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -1,1 +1,16 @@
-"""Figures and pages."""
+"""Figures and pages of results, loops and findings."""
+
+from typing import TYPE_CHECKING
+
+from rtcal.support import lazy
+
+if TYPE_CHECKING:
+    from rtcal.report import figures as figures
+    from rtcal.report import gap_figures as gap_figures
+    from rtcal.report import gap_report as gap_report
+    from rtcal.report import loop_figures as loop_figures
+    from rtcal.report import material_figures as material_figures
+    from rtcal.report import page as page
+    from rtcal.report import study_figures as study_figures
+else:
+    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

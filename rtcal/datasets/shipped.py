@@ -1,0 +1,47 @@
+"""The rooms that ship with rtcal; source and licence stand beside the data."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
+from rtcal.support import checks
+
+if TYPE_CHECKING:
+    from rtcal.discrepancy.case import Case
+
+_HERE = Path(__file__).parent
+
+
+def path(name: str) -> Path:
+    """Return the path of a shipped file, for example ``path("bras_cr2/room.toml")``."""
+    return _HERE / checks.path("name", name)
+
+
+def bras_cr2() -> tuple[Room, Measurement]:
+    """Return the seminar room CR2 of the BRAS benchmark and its measured T30.
+
+    Aspoeck, Brinkmann, Ackermann, Weinzierl, Vorlaender: BRAS - Benchmark for Room Acoustical
+    Simulation, doi 10.14279/depositonce-6726.3, CC BY-SA 4.0.
+    """
+    folder = path("bras_cr2")
+    return (
+        Room.from_file(str(folder / "room.toml")),
+        Measurement.from_file(str(folder / "measured.csv")),
+    )
+
+
+def hidden_room() -> tuple[Case, dict[str, Any]]:
+    """Return a case in which something is hidden, and the truth: ``alpha`` and what it is.
+
+    A simulated room of six materials, measured in two configurations; rtcal's tests traced it with
+    a tracer of their own (`tests/hidden_world`).
+    """
+    from rtcal.discrepancy.case import Case
+
+    folder = path("hidden_room")
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    return Case.from_file(str(folder / "case.json")), truth

@@ -1,0 +1,134 @@
+"""Printed text that fits the terminal: wrapped sentences and tables in blocks of columns."""
+
+from __future__ import annotations
+
+import shutil
+import textwrap
+from collections.abc import Sequence
+
+Row = tuple[str, Sequence[str]]
+"""A row of a table: its label, and one cell per column."""
+
+NARROWEST = 80
+"""Characters; a line is no longer than the terminal's, and no terminal is taken to be narrower."""
+
+
+def width() -> int:
+    """Return how many characters a line may have: the terminal's width, at least 80.
+
+    Without a terminal, as in a pipe or a notebook, it is 80; the environment variable COLUMNS
+    overrides both.
+    """
+    return max(NARROWEST, shutil.get_terminal_size((NARROWEST, 24)).columns)
+
+
+def wrapped(sentence: str, indent: str = "", hanging: str | None = None) -> list[str]:
+    """Return a sentence as lines within `width`.
+
+    Parameters
+    ----------
+    sentence : str
+        A word longer than a line stays whole: paths and commands are to be copied.
+    indent : str
+        Put before the first line.
+    hanging : str, optional
+        Put before the others; the indent and two blanks if not given.
+
+    Examples
+    --------
+    >>> for line in wrapped("T does not depend on alpha. " * 3, indent="  "):
+    ...     print(line)
+      T does not depend on alpha. T does not depend on alpha. T does not depend on
+        alpha.
+    """
+    return textwrap.wrap(
+        sentence,
+        width(),
+        initial_indent=indent,
+        subsequent_indent=indent + "  " if hanging is None else hanging,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def table(rows: Sequence[Row], *, header: Row | None = None, gap: int = 2) -> list[str]:
+    """Return a table as lines within `width`: columns that do not fit follow in further blocks.
+
+    Each column is as wide as its widest cell. The header stands above each block. A label that
+    takes more than two fifths of a line stands on lines of its own, above its cells.
+
+    Parameters
+    ----------
+    rows : sequence of (label, cells)
+        All with the same number of cells, which are aligned to the right.
+    header : (label, cells), optional
+    gap : int
+        Blanks between two columns.
+
+    Examples
+    --------
+    >>> for line in table([("T before / s", ["2.1", "1.95"])], header=("", ["125 Hz", "250 Hz"])):
+    ...     print(line)
+                  125 Hz  250 Hz
+    T before / s     2.1    1.95
+    """
+    lines = [*([header] if header is not None else []), *rows]
+    most = 2 * width() // 5
+    label_width = max((len(label) for label, _ in lines if len(label) <= most), default=0)
+    columns = list(zip(*(cells for _, cells in lines), strict=True))
+    widths = [gap + max(map(len, column)) for column in columns]
+    text: list[str] = []
+    for first, last in _blocks(widths, width() - label_width):
+        if text:
+            text.append("")
+        for label, cells in lines:
+            if len(label) > most:
+                text += wrapped(label)
+            start = label if len(label) <= most else ""
+            shown = (
+                cell.rjust(space)
+                for cell, space in zip(cells[first:last], widths[first:last], strict=True)
+            )
+            text.append((start.ljust(label_width) + "".join(shown)).rstrip())
+    return text
+
+
+def _blocks(widths: Sequence[int], room: int) -> list[tuple[int, int]]:
+    """Return the first and the last column plus one of each block; a block has at least one."""
+    starts = [0]
+    used = 0
+    for column, space in enumerate(widths):
+        if used + space > room and column > starts[-1]:
+            starts.append(column)
+            used = 0
+        used += space
+    return list(zip(starts, [*starts[1:], len(widths)], strict=True))
+
+
+def printable(text: str) -> str:
+    r"""Return a text with its control characters written out, so that no terminal obeys them.
+
+    Line ends and tabs stay. Names and keys that are read from files may hold escape sequences.
+
+    Examples
+    --------
+    >>> printable("wall\x1b[2J")
+    'wall\\x1b[2J'
+    """
+    return "".join(c if c in "\n\t" or not _obeyed(c) else _written_out(c) for c in text)
+
+
+def _obeyed(character: str) -> bool:
+    """Whether a terminal may act on it: C0 and C1 controls, marks of direction, lone surrogates."""
+    code = ord(character)
+    return (
+        code < 0x20
+        or 0x7F <= code < 0xA0
+        or 0x202A <= code <= 0x202E
+        or 0x2066 <= code <= 0x2069
+        or 0xD800 <= code <= 0xDFFF
+    )
+
+
+def _written_out(character: str) -> str:
+    return character.encode("unicode_escape").decode("ascii")

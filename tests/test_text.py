@@ -1,0 +1,59 @@
+"""Printed text and notebook tables: widths, wrapping, control characters, escapes."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtcal.support import html, text
+
+
+@pytest.fixture(autouse=True)
+def no_terminal(monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
+@pytest.mark.parametrize(("columns", "expected"), [("40", 80), ("80", 80), ("120", 120)])
+def test_a_line_has_the_terminals_width_and_at_least_80(monkeypatch, columns, expected) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    assert text.width() == expected
+    rows = [(f"row {i}", [f"{i}.{j:04d}" for j in range(40)]) for i in range(3)]
+    lines = text.table(rows, header=("", [f"{j} Hz" for j in range(40)]))
+    assert max(map(len, lines)) <= expected
+    cells = " ".join(lines).split()
+    assert all(f"{i}.{j:04d}" in cells for i in range(3) for j in range(40))
+
+
+def test_a_table_that_does_not_fit_goes_on_below_its_header() -> None:
+    lines = text.table([("T / s", ["1.234"] * 20)], header=("", [f"{j} Hz" for j in range(20)]))
+    assert len([line for line in lines if "Hz" in line]) == 2
+    assert len([line for line in lines if line.startswith("T / s")]) == 2
+
+
+def test_a_long_label_stands_above_its_cells() -> None:
+    name = "a very long name of a material " * 4
+    lines = text.table([(name.strip(), ["0.1", "0.2"]), ("short", ["0.3", "0.4"])])
+    assert max(map(len, lines)) <= 80
+    assert lines[-1] == "short  0.3  0.4"
+    assert lines[-2].split() == ["0.1", "0.2"]
+
+
+def test_sentences_are_wrapped_but_no_path_is_broken() -> None:
+    path = "/a" * 60
+    lines = text.wrapped(f"the room is written to {path} as it is", indent="  ")
+    assert path in [line.strip() for line in lines]
+    assert [line for line in lines if len(line) > 80] == ["    " + path]
+
+
+def test_no_terminal_obeys_what_is_printed() -> None:
+    hostile = "wall\x1b[2J\x07\x9b1m\u202e\ud800\tend\n"
+    assert text.printable(hostile) == "wall\\x1b[2J\\x07\\x9b1m\\u202e\\ud800\tend\n"
+    assert text.printable("Wände: 0,05 m² – 4 €") == "Wände: 0,05 m² – 4 €"
+
+
+def test_an_html_table_escapes_and_shades() -> None:
+    page = html.table("<T>", ["", "125"], [["a & b", html.Cell("<3", -2.0)]], notes=["x < y"])
+    assert "&lt;T&gt;" in page
+    assert "a &amp; b" in page
+    assert "rgba(0, 114, 178, 0.45)" in page
+    assert "&lt;3" in page
+    assert "<p>x &lt; y</p>" in page
