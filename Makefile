@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint docs notebooks study fuzz bench clean
+.PHONY: demo test lint docs notebooks study fuzz mutate bench clean
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -36,6 +36,9 @@ study: $(STAMP)  ## the long studies
 fuzz: $(STAMP)  ## 10,000 broken files into every reader
 	$(BIN)/python benchmarks/fuzz_files.py 10000
 
+mutate: $(STAMP)  ## 300 deliberate faults: which does no test see?
+	$(BIN)/python benchmarks/mutation.py
+
 bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python benchmarks/resolve.py
 	$(BIN)/python benchmarks/composed.py
@@ -45,4 +48,4 @@ bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python -m benchmarks.solvers run --short
 
 clean:
-	rm -rf $(VENV) site demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) mutants site demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
