@@ -148,32 +148,3 @@ def bandwidth_factor(frequencies: Array) -> float:
     if len(frequencies) < 2:
         return 0.71
     return 0.23 if float(np.min(frequencies[1:] / frequencies[:-1])) < np.sqrt(2) else 0.71
-
-
-def octave_means(values: Array, frequencies: Array) -> tuple[Array, Array]:
-    """Return octave values, the mean of their three thirds, and the octaves' centres.
-
-    Parameters
-    ----------
-    values : array (..., n_thirds)
-        Absorption coefficients in third-octaves, bands last.
-    frequencies : array (n_thirds,)
-        Nominal third-octave centres in Hz.
-
-    Returns
-    -------
-    (array (..., n_octaves), array (n_octaves,))
-        Only octaves all three of whose thirds are there.
-    """
-    thirds = {nominal(float(f)): i for i, f in enumerate(frequencies)}
-    kept, columns = [], []
-    for centre in OCTAVES:
-        place = THIRD_OCTAVES.index(centre)
-        wanted = THIRD_OCTAVES[place - 1 : place + 2]
-        if all(f in thirds for f in wanted):
-            kept.append(float(centre))
-            columns.append([thirds[f] for f in wanted])
-    means = [np.mean(np.asarray(values)[..., c], axis=-1) for c in columns]
-    if not means:
-        raise DataError("octave_means: no octave has all three of its third-octave bands")
-    return np.stack(means, axis=-1), np.array(kept)

@@ -1,0 +1,296 @@
+"""Third-octaves to octaves and back: the one rule for every format, table and measurement.
+
+An octave consists of its three thirds, each with the same weight:
+
+- Absorption coefficients and areas average.
+- Decay times average by their rate: 1/T_octave = mean of 1/T_third, since T is the inverse of an
+  absorption area.
+- C50 and C80 average as the early share of the energy, D50 and Ts as they are, G as energy.
+
+A third takes the value of its octave: nothing more is known of it, and the thirds average to the
+octave again. An octave with a missing value in one of its thirds is missing. An octave without all
+of its three thirds is refused.
+
+Standard deviations follow from what the errors share. The errors of the tabulated coefficients of a
+material are fully correlated within an octave, so sigma averages like alpha. The errors of measured
+values are independent between thirds, since their variance is inversely proportional to the
+bandwidth (ISO 3382-2:2008, Eqs. 4 and 5): a third has sqrt(3) times the octave's uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import DECAY_TIMES, Measurement
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.support import checks
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """The quantity that averages over the thirds of an octave, for one parameter."""
+
+    forward: Callable[[Array], Array]
+    inverse: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+
+
+def _early_share(clarity: Array) -> Array:
+    return np.asarray(1 / (1 + 10 ** (-clarity / 10)))
+
+
+_DB = np.log(10) / 10
+_LINEAR = _Scale(lambda x: x, lambda x: x, np.ones_like)
+_RATE = _Scale(lambda t: 1 / t, lambda rate: 1 / rate, lambda t: -1 / t**2)
+_CLARITY = _Scale(
+    _early_share,
+    lambda share: 10 * np.log10(share / (1 - share)),
+    lambda c: _DB * _early_share(c) * (1 - _early_share(c)),
+)
+_LEVEL = _Scale(
+    lambda level: 10 ** (level / 10),
+    lambda energy: 10 * np.log10(energy),
+    lambda level: _DB * 10 ** (level / 10),
+)
+_SCALES = {
+    **dict.fromkeys(DECAY_TIMES, _RATE),
+    **dict.fromkeys(("c50", "c80"), _CLARITY),
+    **dict.fromkeys(("d50", "ts"), _LINEAR),
+    "g": _LEVEL,
+}
+
+
+def complete_octaves(frequencies: Iterable[float]) -> Array:
+    """Return the octave centres in Hz of which ``frequencies`` has all three thirds, (n_octaves,).
+
+    Examples
+    --------
+    >>> print(complete_octaves([400, 500, 630, 800, 1000]))
+    [500.]
+    """
+    centres = bands.as_bands(frequencies).tolist()
+    return np.array([f for f in bands.OCTAVES if set(_thirds_of(f)) <= set(centres)], dtype=float)
+
+
+def absorption(values: Array, frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
+    """Return absorption coefficients or areas, or their sigma, in other bands.
+
+    Parameters
+    ----------
+    values : array (..., n_bands)
+        Bands last; NaN where missing.
+    frequencies : sequence (n_bands,)
+        Their centre frequencies in Hz, thirds or octaves.
+    wanted : sequence (n_wanted,)
+        The centre frequencies in Hz to convert to, thirds or octaves.
+
+    Returns
+    -------
+    array (..., n_wanted)
+
+    Raises
+    ------
+    DataError
+        If an octave lacks one of its thirds, or a third its octave. `complete_octaves` tells which
+        octaves can be had.
+
+    Examples
+    --------
+    >>> print(absorption([0.1, 0.2, 0.6], [400, 500, 630], [500]))
+    [0.3]
+    >>> print(absorption([0.3], [500], [400, 500, 630]))
+    [0.3 0.3 0.3]
+    """
+    return _averaged(_LINEAR, values, _Columns(frequencies, wanted))
+
+
+def parameter(
+    values: Array, frequencies: Iterable[float], wanted: Iterable[float], name: str = "t20"
+) -> Array:
+    """Return a measured or simulated parameter in other bands, (..., n_wanted).
+
+    Parameters
+    ----------
+    values : array (..., n_bands)
+        In the unit of `Measurement`, bands last; NaN where missing.
+    frequencies, wanted : sequence
+        Centre frequencies in Hz, thirds or octaves.
+    name : str
+        A key of `rtcal.acoustics.measurement.UNITS`.
+
+    Raises
+    ------
+    DataError
+        For an unknown parameter or a decay time that is not above 0; if an octave lacks one of its
+        thirds, or a third its octave.
+
+    Examples
+    --------
+    >>> print(parameter([1.0, 2.0, 2.0], [400, 500, 630], [500]))
+    [1.5]
+    """
+    scale, values = _scale(name), checks.array("values", values)
+    if name in DECAY_TIMES and (values <= 0).any():
+        raise DataError(f"{name} = {np.nanmin(values):g} s is not above 0")
+    return _averaged(scale, values, _Columns(frequencies, wanted))
+
+
+def parameter_uncertainty(
+    uncertainty: Array,
+    values: Array,
+    frequencies: Iterable[float],
+    wanted: Iterable[float],
+    name: str = "t20",
+) -> Array:
+    """Return the standard uncertainty of a measured parameter in other bands, (..., n_wanted).
+
+    Parameters
+    ----------
+    uncertainty, values : array (..., n_bands)
+        Of the parameter ``name`` and in its unit, bands last; NaN where missing or unknown.
+    frequencies, wanted : sequence
+        Centre frequencies in Hz, thirds or octaves.
+
+    Raises
+    ------
+    DataError
+        As `parameter`, and for two arrays of different shapes.
+
+    Examples
+    --------
+    >>> u = parameter_uncertainty([0.03, 0.03, 0.03], [1.0, 1.0, 1.0], [400, 500, 630], [500])
+    >>> print(u.round(4))
+    [0.0173]
+    """
+    scale, columns = _scale(name), _Columns(frequencies, wanted)
+    spread, centre = checks.array("uncertainty", uncertainty), checks.array("values", values)
+    if spread.shape != centre.shape:
+        raise DataError(f"uncertainty has shape {spread.shape}; values has {centre.shape}")
+    if columns.to_thirds:
+        return np.asarray(np.sqrt(3) * columns.take(spread)[..., 0])
+    one = columns.take(scale.slope(centre) * spread)
+    total = np.sqrt((one**2).sum(-1)) / one.shape[-1]
+    return np.asarray(total / np.abs(scale.slope(_averaged(scale, centre, columns))))
+
+
+def room(stated: Room, wanted: Iterable[float]) -> Room:
+    """Return the room in other bands: alpha, sigma, alpha_min and scattering by `absorption`.
+
+    The air is the same; its attenuation is that of the new bands.
+
+    Raises
+    ------
+    DataError
+        If an octave lacks one of its thirds, or a third its octave.
+    """
+    checks.instance("room", stated, Room)
+    centres = bands.as_bands(wanted)
+    tables = {n: getattr(stated, n) for n in ("alpha", "sigma", "alpha_min", "scattering")}
+    return stated.replace(
+        centre_frequencies=centres,
+        **{
+            name: absorption(table, stated.centre_frequencies, centres)
+            for name, table in tables.items()
+            if table is not None
+        },
+    )
+
+
+def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
+    """Return the measurement in other bands, each parameter by `parameter`.
+
+    The standard deviation over pairs converts like an uncertainty.
+
+    Raises
+    ------
+    DataError
+        If an octave lacks one of its thirds, or a third its octave.
+    """
+    checks.instance("measured", measured, Measurement)
+    stated, centres = measured.centre_frequencies, bands.as_bands(wanted)
+    return Measurement(
+        centre_frequencies=centres,
+        values={p: parameter(v, stated, centres, p) for p, v in measured.values.items()},
+        pairs=measured.pairs,
+        standard_deviation={
+            p: parameter_uncertainty(s, measured.values[p][0], stated, centres, p)
+            for p, s in measured.standard_deviation.items()
+        },
+        uncertainty={
+            p: parameter_uncertainty(u, measured.values[p], stated, centres, p)
+            for p, u in measured.uncertainty.items()
+        },
+        n_sources=measured.n_sources,
+        n_receivers=measured.n_receivers,
+    )
+
+
+def _scale(name: str) -> _Scale:
+    if name not in _SCALES:
+        raise DataError(f'parameter "{name}" is unknown; known are {", ".join(_SCALES)}')
+    return _SCALES[name]
+
+
+def _averaged(scale: _Scale, values: Array, columns: _Columns) -> Array:
+    taken = columns.take(checks.array("values", values))
+    if taken.shape[-1] == 1:
+        return taken[..., 0]
+    return np.asarray(scale.inverse(scale.forward(taken).mean(-1)))
+
+
+class _Columns:
+    """Which columns of the old bands make up each new band, (n_wanted, 1 or 3)."""
+
+    def __init__(self, frequencies: Iterable[float], wanted: Iterable[float]) -> None:
+        self.old = bands.as_bands(frequencies, "frequencies")
+        new = bands.as_bands(wanted, "wanted")
+        is_thirds, are_thirds = _in_thirds(self.old), _in_thirds(new)
+        self.to_thirds = are_thirds and not is_thirds
+        parts = [[f] for f in new.tolist()]
+        if self.to_thirds:
+            parts = [[_octave_of(f)] for f in new.tolist()]
+        elif is_thirds and not are_thirds:
+            parts = [_thirds_of(f) for f in new.tolist()]
+        place = {f: i for i, f in enumerate(self.old.tolist())}
+        for frequency, part in zip(new.tolist(), parts, strict=True):
+            if missing := [f for f in part if f not in place]:
+                raise DataError(
+                    f"the band {bands.label(frequency)} cannot be had: it needs "
+                    f"{_listed(part)}, and {_listed(missing)} {'are' if missing[1:] else 'is'} "
+                    f"missing in {_listed(self.old.tolist())}"
+                )
+        self._index = np.array([[place[f] for f in part] for part in parts])
+
+    def take(self, values: Array) -> Array:
+        """Return (..., n_wanted, 1 or 3)."""
+        if values.ndim == 0 or values.shape[-1] != len(self.old):
+            raise DataError(
+                f"values has shape {values.shape}; its last axis has {len(self.old)} bands"
+            )
+        return values[..., self._index]
+
+
+def _in_thirds(centres: Array) -> bool:
+    """Whether bands are third-octaves: one of them is no octave's centre."""
+    return any(f in bands.THIRD_OCTAVES and f not in bands.OCTAVES for f in centres.tolist())
+
+
+def _thirds_of(octave: float) -> list[float]:
+    if octave not in bands.OCTAVES:
+        return [octave]
+    place = bands.THIRD_OCTAVES.index(octave)
+    return [float(f) for f in bands.THIRD_OCTAVES[place - 1 : place + 2]]
+
+
+def _octave_of(third: float) -> float:
+    return next((float(f) for f in bands.OCTAVES if third in _thirds_of(f)), third)
+
+
+def _listed(frequencies: list[float]) -> str:
+    return f"{', '.join(f'{f:g}' for f in frequencies)} Hz"
