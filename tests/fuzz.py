@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import rtcal as rt
 from rtcal.errors import DataError
 from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, tables
-from rtcal.io.materials import MaterialList
+from rtcal.io.material_list import MaterialList
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def check(name: str, content: bytes, folder: Path) -> bool:
         for material in result.materials:
             assert all(0 <= a <= 1 for a in material.alpha)
             for a, (begin, end) in zip(material.alpha, material.spans, strict=True):
-                number = float(content[begin:end])
+                number = float(result.text.characters[begin:end])
                 assert abs(number * material.unit - a) <= 1e-12
         if set.intersection(*(set(m.centre_frequencies) for m in result.materials)):
             room = result.room(name="", volume=1, areas=dict.fromkeys(result.names, 1.0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from rtcal.io import source
+from rtcal.io import text
 from tests import fuzz
 
 EXAMPLES = 500
@@ -31,7 +31,7 @@ def test_the_good_files_are_read(name: str, tmp_path: Path) -> None:
 
 def large() -> dict[str, tuple[str, bytes]]:
     """Files as large as is let pass, of what costs most."""
-    mb, n = source.MAX_TEXT, 900_000
+    mb, n = text.MAX_TEXT, 900_000
     number = "ABS a{} = <1 2 3 4 5 6>\n"
     pairs = "".join(f"S{i},R,T20,{20 + i},1\n" for i in range(8000))
     rng = np.random.default_rng(0)

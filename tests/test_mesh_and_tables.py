@@ -42,7 +42,7 @@ MESHES = [
     (b"v 0 0 0\nf 1 1 1\n", "line 2: a face without a material"),
     (b"v 0 0\n", "line 1: v has 2 numbers"),
     (b"v 0 0 nan\n", 'line 1: "nan" is not'),
-    (b"v 0 0 0\nusemtl a\nf 1 2 3\n", "line 3: the corner 2 is no vertex; 1 stand above"),
+    (b"v 0 0 0\nusemtl a\nf 1 2 3\n", "line 3: the corner 2 is no vertex; 1 precede it"),
     (b"v 0 0 0\nusemtl a\nf 0 1 1\n", "line 3: the corner 0"),
     (b"usemtl\n", "line 1: usemtl lacks"),
     (b"wall 1 2\n", 'line 1: "wall" is no keyword'),
@@ -67,7 +67,7 @@ def test_bands_down_with_decimal_commas() -> None:
     assert m.values["ts"][0, 0] == pytest.approx(0.08, rel=1e-12)
     assert np.isnan(m.values["ts"][0, 1])
     assert str(table).splitlines() == [
-        "columns parted by ';', decimal comma",
+        "columns separated by ';', decimal comma",
         '"Frequenz [Hz]": band',
         '"T20 (s)": T20',
         '"D50 [%]": D50, times 0.01',

@@ -1,9 +1,21 @@
-"""Foreign formats, each ``read(path)`` and ``write(room, path)``.
+"""Formats of other programs; most are ``read(path)`` and ``write(room, path)``.
 
-`catt`, `odeon`, `pyroomacoustics`, `bras`: material lists. `obj`: a room's mesh. `tables`:
-measured values in CSV. `impulse_responses`: WAV files to a `Measurement` (``rtcal[measurement]``).
+`catt`, `odeon`, `pyroomacoustics` and `bras` hold material lists, `obj` a room's mesh, `tables`
+measured values in CSV. `impulse_responses` turns WAV files into a `Measurement` and needs
+``rtcal[measurement]``. Each module is imported when it is first used.
 """
 
-from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, tables
+from typing import TYPE_CHECKING
 
-__all__ = ["bras", "catt", "impulse_responses", "obj", "odeon", "pyroomacoustics", "tables"]
+from rtcal.support import lazy
+
+if TYPE_CHECKING:
+    from rtcal.io import bras as bras
+    from rtcal.io import catt as catt
+    from rtcal.io import impulse_responses as impulse_responses
+    from rtcal.io import obj as obj
+    from rtcal.io import odeon as odeon
+    from rtcal.io import pyroomacoustics as pyroomacoustics
+    from rtcal.io import tables as tables
+else:
+    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -1,13 +1,14 @@
 """BRAS CSV: absorption coefficients of the Benchmark for Room Acoustical Simulation.
 
-Either one material a file, named as the file is, as the data base publishes them (frequencies, the
-absorption, the scattering if known)::
+A file holds one material, as the data base publishes them. Its rows are frequencies, absorption and, if
+known, scattering; its name is the file's::
 
     20, 25, 31.5, 40
     0.069, 0.055, 0.04, 0.023
     0.1, 0.1, 0.1, 0.1
 
-or a table with a header: a column ``material``, one column a band, further columns to select by::
+Or it holds a table with a header: a column ``material``, one column per band, and further columns that
+rows can be selected by::
 
     room,set,material,20,25,31.5
     CR2,initial,ceiling,0.069,0.055,0.04
@@ -27,19 +28,20 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.io import materials
-from rtcal.io.materials import ListedMaterial, MaterialList, Written
-from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
+from rtcal.io import material_list
+from rtcal.io.material_list import ExportReport, ListedMaterial, MaterialList
+from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.support.files import read_bytes
 
 DECIMALS = 3
 MAX_BANDS = 100
 
 Cell = tuple[str, int, int]
+"""The characters of a cell, and the positions of its start and end in the text."""
 
 
 def read(path: str | os.PathLike[str], *, where: Mapping[str, str] | None = None) -> MaterialList:
-    """Read one material, or the rows of a table; DataError names file, line and rule.
+    """Return one material, or those of a table's rows; DataError names file, line and rule.
 
     ``where`` selects rows of a table: ``where={"room": "CR2", "set": "initial"}``.
     """
@@ -54,16 +56,16 @@ def write(
     equation: LinearEquation | None = None,
     decimals: int | None = None,
     where: Mapping[str, str] | None = None,
-) -> Written:
-    """Write the room's coefficients into ``template``, else into ``path`` if it is there.
+) -> ExportReport:
+    """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
-    Without either a table is made. Returns what the rounding does to T, as `catt.write`.
+    Without either a new table is made. Returns what the rounding does to T, as `catt.write`.
     """
-    return materials.write(
+    return material_list.write(
         room,
         path,
         read=lambda p: read(p, where=where),
-        fresh=_fresh,
+        new_list=_new_list,
         template=template,
         equation=equation,
         decimals=decimals,
@@ -74,25 +76,30 @@ def parse(
     content: bytes, path: str = "BRAS file", *, where: Mapping[str, str] | None = None
 ) -> MaterialList:
     """Return the materials of a file's content; see `read`."""
+    text = decode(content, path)
     rows: list[tuple[int, list[Cell]]] = []
-    start = 0
-    for line, raw in enumerate(as_text(content).split("\n"), start=1):
+    for line, start, raw in lines(text.characters):
         if raw.strip():
-            cells, begin = [], start
-            for text in raw.split(","):
-                lead = len(text) - len(text.lstrip())
-                cells.append((text.strip(), begin + lead, begin + lead + len(text.strip())))
-                begin += len(text) + 1
-            rows.append((line, cells))
-        start += len(raw) + 1
+            rows.append((line, _cells(raw, start)))
     if not rows:
         raise DataError(f"{path}, line 1: empty; frequencies, or the names of columns, are needed")
     line, header = rows[0]
     if len(header) > MAX_BANDS:
         raise DataError(f"{path}, line {line}: {len(header)} columns; at most {MAX_BANDS} are read")
     if re.match(r"[\d.]", header[0][0]):
-        return MaterialList(path=path, content=content, materials=(_one(rows, path, where),))
-    return MaterialList(path=path, content=content, materials=_table(rows, path, where or {}))
+        return MaterialList(path=path, text=text, materials=(_one(rows, path, where),))
+    return MaterialList(path=path, text=text, materials=_table(rows, path, where or {}))
+
+
+def _cells(raw: str, start: int) -> list[Cell]:
+    """Return the cells of a line that begins at position ``start``."""
+    cells = []
+    for characters in raw.split(","):
+        begin = start + len(characters) - len(characters.lstrip())
+        content = characters.strip()
+        cells.append((content, begin, begin + len(content)))
+        start += len(characters) + 1
+    return cells
 
 
 def _one(
@@ -102,8 +109,8 @@ def _one(
         raise DataError(f"{path}: holds one material and no columns to select by")
     if not 2 <= len(rows) <= 3:
         raise DataError(
-            f"{path}, line {rows[-1][0]}: {len(rows)} rows; there are frequencies, absorption and, "
-            "if known, scattering"
+            f"{path}, line {rows[-1][0]}: {len(rows)} rows; the rows are frequencies, "
+            "absorption and, if known, scattering"
         )
     values = [[number(c[0], f"{path}, line {line}") for c in cells] for line, cells in rows]
     for (line, cells), name in zip(rows[1:], ("alpha", "scattering"), strict=False):
@@ -112,7 +119,7 @@ def _one(
                 f"{path}, line {line}: {len(cells)} values for {len(rows[0][1])} frequencies"
             )
         row = values[1] if name == "alpha" else values[2]
-        materials.checked(row, 1.0, f"{path}, line {line}", name)
+        material_list.check_coefficients(row, 1.0, f"{path}, line {line}", name)
     frequencies = bands.as_bands(values[0], f"{path}, line {rows[0][0]}: frequencies")
     return ListedMaterial(
         name=Path(path).stem,
@@ -129,7 +136,7 @@ def _table(
     rows: list[tuple[int, list[Cell]]], path: str, where: Mapping[str, str]
 ) -> tuple[ListedMaterial, ...]:
     line, header = rows[0]
-    names = [readable(c[0]) for c in header]
+    names = [c[0] for c in header]
     for wanted in ("material", *where):
         if names.count(wanted) != 1:
             raise DataError(f'{path}, line {line}: column "{shown(wanted)}" is not there once')
@@ -138,18 +145,18 @@ def _table(
     frequencies = bands.as_bands(
         [number(header[i][0], place) for i in columns], f"{place}: the bands' columns"
     )
-    found = []
+    materials = []
     for line, cells in rows[1:]:
         place = f"{path}, line {line}"
         if len(cells) != len(header):
             raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
-        if any(readable(cells[names.index(c)][0]) != v for c, v in where.items()):
+        if any(cells[names.index(c)][0] != v for c, v in where.items()):
             continue
         values = [number(cells[i][0], place) for i in columns]
-        materials.checked(values, 1.0, place)
-        found.append(
+        material_list.check_coefficients(values, 1.0, place)
+        materials.append(
             ListedMaterial(
-                name=readable(cells[names.index("material")][0]),
+                name=cells[names.index("material")][0],
                 line=line,
                 alpha=tuple(values),
                 centre_frequencies=tuple(float(f) for f in frequencies),
@@ -157,15 +164,15 @@ def _table(
                 decimals=DECIMALS,
             )
         )
-    if not found:
+    if not materials:
         raise DataError(f"{path}, line {line}: no row is selected")
-    return tuple(found)
+    return tuple(materials)
 
 
-def _fresh(room: Room) -> MaterialList:
-    lines = ["material," + ",".join(f"{f:g}" for f in room.centre_frequencies)]
+def _new_list(room: Room) -> MaterialList:
+    rows = ["material," + ",".join(f"{f:g}" for f in room.centre_frequencies)]
     for i, name in enumerate(room.materials):
         if "," in name or not name.isprintable() or name.strip() != name or not name:
             raise DataError(f"material {name!r}: a name in this table has no comma, on one line")
-        lines.append(name + "," + ",".join(f"{a:.{DECIMALS}f}" for a in room.alpha[i]))
-    return parse(("\n".join(lines) + "\n").encode("utf-8"))
+        rows.append(name + "," + ",".join(f"{a:.{DECIMALS}f}" for a in room.alpha[i]))
+    return parse(("\n".join(rows) + "\n").encode("utf-8"))

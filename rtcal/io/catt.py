@@ -1,4 +1,4 @@
-"""CATT-Acoustic: the ``ABS`` statements of a geometry file (.GEO) or of a material list.
+"""CATT-Acoustic: the ``ABS`` statements of a geometry file (.GEO) or a material list.
 
 ::
 
@@ -8,9 +8,9 @@
     ABS1 panel   = <0.28 0.22 0.17 0.09 0.10 0.11>              ; fractions
     ABS floorabs = carpet                                 ; another name for carpet
 
-Sources: the syntax in the examples of CATT's manual (CATT-Acoustic v8.0 User's Manual, CATT 2007,
-the shoebox and the tutorial hall) and the lists that I-Simpa's documentation reads; `docs/io.md`
-says what could not be checked in the program.
+Sources: the examples in CATT-Acoustic v8.0 User's Manual (CATT 2007, the shoebox and the tutorial
+hall) and the lists that I-Simpa's documentation reads. `docs/io.md` says what could not be checked
+in the program.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ import re
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.io import materials
-from rtcal.io.materials import ListedMaterial, MaterialList, Written
-from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
+from rtcal.io import material_list
+from rtcal.io.material_list import ExportReport, ListedMaterial, MaterialList
+from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.support.files import read_bytes
+from rtcal.support.types import Array
 
 BANDS = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
 DECIMALS = 1
@@ -37,7 +38,7 @@ _COLOUR = re.compile(r"\{[ \t]*\d{1,3}[ \t]+\d{1,3}[ \t]+\d{1,3}[ \t]*\}[ \t]*",
 
 
 def read(path: str | os.PathLike[str]) -> MaterialList:
-    """Read the materials of a CATT-Acoustic file; DataError names file, line and rule."""
+    """Return the materials of a CATT-Acoustic file; DataError names file, line and rule."""
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
 
 
@@ -48,19 +49,35 @@ def write(
     template: str | os.PathLike[str] | None = None,
     equation: LinearEquation | None = None,
     decimals: int | None = None,
-) -> Written:
-    """Write the room's coefficients into ``template``, else into ``path`` if it is there.
+) -> ExportReport:
+    """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
     Only numbers that change are written; everything else keeps its bytes. Without either file a
-    new list is made, of the octaves 125 Hz to 4 kHz and up to 16 kHz if the room has them. The
-    report that is returned prints what the rounding does to T (by Eyring if not said otherwise).
-    ``decimals`` are those of a coefficient, 3 for a tenth of a percent; the format's own if not given.
+    new list is made, of the octaves 125 Hz to 4 kHz and up to 16 kHz if the room has them.
+
+    Parameters
+    ----------
+    room : Room
+    path, template : path
+    equation : LinearEquation, optional
+        Predicts what the rounding does to T; Eyring by default.
+    decimals : int, optional
+        Decimals of a coefficient, 3 for a tenth of a percent; the format's own by default.
+
+    Returns
+    -------
+    ExportReport
+
+    Raises
+    ------
+    DataError
+        For a material that the file lacks, and for a file that cannot be read or written.
     """
-    return materials.write(
+    return material_list.write(
         room,
         path,
         read=read,
-        fresh=_fresh,
+        new_list=_new_list,
         template=template,
         equation=equation,
         decimals=decimals,
@@ -69,10 +86,10 @@ def write(
 
 def parse(content: bytes, path: str = "CATT file") -> MaterialList:
     """Return the materials of a file's content; see `read`."""
-    found: list[ListedMaterial] = []
+    text = decode(content, path)
+    materials: list[ListedMaterial] = []
     aliases: dict[str, tuple[str, int]] = {}
-    start = 0
-    for line, raw in enumerate(as_text(content).split("\n"), start=1):
+    for line, start, raw in lines(text.characters):
         code = raw.split(";", 1)[0].rstrip()
         match = _STATEMENT.fullmatch(code)
         keyword, name, value = match.groups() if match else (None, "", "")
@@ -82,21 +99,19 @@ def parse(content: bytes, path: str = "CATT file") -> MaterialList:
                 f'{place}: "{shown(code)}" is no ABS statement: ABS name = <6 to 8 values>'
             )
         if match and (keyword is not None or value.startswith("<")):
-            name = readable(name)
             if value.startswith("<"):
                 offset = start + match.start(3)
                 fraction = keyword is not None and keyword.upper() == "ABS1"
-                found.append(_material(name, value, offset, fraction, place, line))
+                materials.append(_material(name, value, offset, fraction, place, line))
             elif re.fullmatch(_NAME, value):
                 if name in aliases:
                     raise DataError(f'{place}: "{name}" is given twice')
-                aliases[name] = (readable(value), line)
+                aliases[name] = (value, line)
             else:
                 raise DataError(
                     f'{place}: "{shown(value)}" is neither <6 to 8 values> nor another name'
                 )
-        start += len(raw) + 1
-    names = {m.name for m in found}
+    names = {m.name for m in materials}
     for name, (target, line) in aliases.items():
         if name in names:
             raise DataError(f'{path}, line {line}: "{name}" is given twice')
@@ -107,8 +122,8 @@ def parse(content: bytes, path: str = "CATT file") -> MaterialList:
             )
     return MaterialList(
         path=path,
-        content=content,
-        materials=tuple(found),
+        text=text,
+        materials=tuple(materials),
         aliases={name: target for name, (target, _) in aliases.items()},
     )
 
@@ -121,27 +136,28 @@ def _material(
     if not match:
         raise DataError(f'{place}: "{shown(text)}" lacks the closing >')
     values, spans = _numbers(match.group(1), offset + match.start(1), place)
-    materials.checked(values, unit, place)
-    rest, scattering = text[match.end() :], None
-    if rest[:1] in ("L", "l"):
-        listed = _LIST.match(rest[1:].lstrip(" \t"))
-        if not listed:
+    material_list.check_coefficients(values, unit, place)
+    tail, scattering = text[match.end() :], None
+    if tail[:1] in ("L", "l"):
+        tail = tail[1:].lstrip(" \t")
+        scattering_list = _LIST.match(tail)
+        if not scattering_list:
             raise DataError(f"{place}: L, the scattering, lacks its <6 to 8 values>")
-        diffuse, _ = _numbers(listed.group(1), 0, place)
+        diffuse, _ = _numbers(scattering_list.group(1), 0, place)
         if len(diffuse) != len(values):
             raise DataError(
-                f"{place}: {len(values)} absorption and {len(diffuse)} scattering values; as many "
-                "of either are needed"
+                f"{place}: {len(values)} absorption and {len(diffuse)} scattering values; "
+                "the numbers must be equal"
             )
-        materials.checked(diffuse, unit, place, "scattering")
-        scattering = tuple(materials.coefficient(v, unit) for v in diffuse)
-        rest = rest[1:].lstrip(" \t")[listed.end() :]
-    if rest and not _COLOUR.fullmatch(rest):
-        raise DataError(f'{place}: "{shown(rest)}" after the values is no colour {{r g b}}')
+        material_list.check_coefficients(diffuse, unit, place, "scattering")
+        scattering = tuple(material_list.coefficient(v, unit) for v in diffuse)
+        tail = tail[scattering_list.end() :]
+    if tail and not _COLOUR.fullmatch(tail):
+        raise DataError(f'{place}: "{shown(tail)}" after the values is no colour {{r g b}}')
     return ListedMaterial(
         name=name,
         line=line,
-        alpha=tuple(materials.coefficient(v, unit) for v in values),
+        alpha=tuple(material_list.coefficient(v, unit) for v in values),
         centre_frequencies=BANDS[: len(values)],
         spans=spans,
         unit=unit,
@@ -157,8 +173,8 @@ def _numbers(text: str, offset: int, place: str) -> tuple[list[float], tuple[tup
         if token.group() == ":":
             if len(values) != 6:
                 raise DataError(
-                    f"{place}: the : stands after {len(values)} values; it parts 6 "
-                    "octaves to 4 kHz from 8 and 16 kHz"
+                    f"{place}: the : stands after {len(values)} values; it separates "
+                    "the 6 octaves to 4 kHz from 8 and 16 kHz"
                 )
             continue
         values.append(number(token.group(), place))
@@ -168,13 +184,13 @@ def _numbers(text: str, offset: int, place: str) -> tuple[list[float], tuple[tup
     return values, tuple(spans)
 
 
-def _fresh(room: Room) -> MaterialList:
-    columns = materials.octaves(room, BANDS[:6], "CATT-Acoustic")
+def _new_list(room: Room) -> MaterialList:
+    columns = material_list.octaves(room, BANDS[:6], "CATT-Acoustic")
     for f in BANDS[6:]:
         if f not in room.centre_frequencies:
             break
         columns.append(list(room.centre_frequencies).index(f))
-    lines = ["; Absorption, %, in octaves from 125 Hz; written by rtcal"]
+    rows = ["; Absorption, %, in octaves from 125 Hz; written by rtcal"]
     for i, name in enumerate(room.materials):
         if not re.fullmatch(_NAME, name) or not name.isascii():
             raise DataError(
@@ -184,10 +200,10 @@ def _fresh(room: Room) -> MaterialList:
         groups = [f"ABS {name} = <{_percents(room.alpha[i], columns)}>"]
         if room.scattering is not None:
             groups.append(f"L <{_percents(room.scattering[i], columns)}>")
-        lines.append(" ".join(groups))
-    return parse(("\r\n".join(lines) + "\r\n").encode("ascii"))
+        rows.append(" ".join(groups))
+    return parse(("\r\n".join(rows) + "\r\n").encode("ascii"))
 
 
-def _percents(row: object, columns: list[int]) -> str:
-    texts = [f"{100 * row[c]:.{DECIMALS}f}" for c in columns]  # type: ignore[index]
+def _percents(row: Array, columns: list[int]) -> str:
+    texts = [f"{100 * row[c]:.{DECIMALS}f}" for c in columns]
     return " ".join(texts[:6]) + (" : " + " ".join(texts[6:]) if texts[6:] else "")

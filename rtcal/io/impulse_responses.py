@@ -1,15 +1,15 @@
 """Impulse responses (WAV, or pyfar ``Signal``) to T20, T30, EDT, C50, C80, D50 and Ts by band.
 
-Each band is filtered backwards in time (Jacobsen & Rindel 1987): what the filter rings comes before
-the sound, so a decay keeps its slope as long as B T is above 4, where the forward filter needs 16.
-The noise is subtracted, the decay curve ended where Lundeby et al. (1995) find the noise and the
-rest added (Guski & Vorlaender 2014), and the curve divided by its start. A parameter is given only
-where the impulse-to-noise ratio
+Each band is filtered backwards in time (Jacobsen & Rindel 1987), so that the filter's ringing precedes
+the sound. A decay keeps its slope as long as B T is above 4; the forward filter needs 16. The noise is
+subtracted. The decay curve ends where Lundeby et al. (1995) find the noise; the energy beyond is added
+(Guski & Vorlaender 2014), and the curve is divided by its start. A parameter is given only where the
+impulse-to-noise ratio
 
-    INR = 10 lg(E 6 ln(10) / (EDT N)) dB,   E the energy, N the noise's energy in a second,
+    INR = 10 lg(E 6 ln(10) / (EDT N)) dB,   E the energy, N the noise's energy per second,
 
-reaches what ISO 3382 asks: the noise 10 dB below the range that is evaluated. This module is the only
-one that imports pyfar and pyrato (``rtcal[measurement]``).
+reaches what ISO 3382 asks: noise 10 dB below the range that is evaluated. No other module imports
+pyfar and pyrato (``rtcal[measurement]``).
 
 References: ISO 3382-1:2009; ISO 3382-2:2008, 5.3.3; Jacobsen and Rindel, J. Sound Vib. 117 (1987);
 Lundeby, Vigran, Bietz, Vorlaender, Acustica 81 (1995); Guski and Vorlaender, Acta Acust. united Ac.
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import os
 import re
-import struct
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ import numpy as np
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io.wav import MAX_CHANNEL_SAMPLES, check_header
 from rtcal.support.types import Array
 
 MINIMUM_RANGE: dict[str, float] = {
@@ -51,9 +51,7 @@ LEAST_BT = 4.0
 PARAMETERS = ("edt", "t20", "t30", "c50", "c80", "d50", "ts")
 _LAST_LEVEL = {"edt": -10.1, "t20": -25.0, "t30": -35.0}  # dB, where pyrato's regression ends
 _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for third-octaves
-_MAX_SAMPLES, _MAX_CHANNEL = 2**22, 900_000  # 18 s at 48 kHz in a channel
 _NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+)", re.I | re.ASCII)
-_FORMATS = {1: (16, 24, 32), 3: (32, 64)}  # PCM and float: 8 bits hold less than a T20 needs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +97,7 @@ def read(
     signals: dict[tuple[str, str], Any] = {}
     pyfar, _ = _libraries()
     for file in paths:
-        _check_wav(file)
+        check_header(file)
         try:
             signal = pyfar.io.read_audio(os.fspath(file))
         except (OSError, RuntimeError, ValueError, TypeError) as error:
@@ -298,8 +296,10 @@ def _checked(signal: Any, place: str) -> tuple[Array, int]:
     if time.ndim != 2 or time.shape[0] != 1:
         raise DataError(f"impulse response {place}: shape {time.shape}; one channel is needed")
     time = time[0]
-    if len(time) > _MAX_CHANNEL:
-        raise DataError(f"impulse response {place}: {len(time)} samples; at most {_MAX_CHANNEL}")
+    if len(time) > MAX_CHANNEL_SAMPLES:
+        raise DataError(
+            f"impulse response {place}: {len(time)} samples; at most {MAX_CHANNEL_SAMPLES}"
+        )
     peak = float(np.max(np.abs(time))) if len(time) else 0.0
     if not np.isfinite(time).all() or not 0 < peak < 1e150:
         raise DataError(f"impulse response {place}: silent, or a sample is not finite")
@@ -342,64 +342,6 @@ def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
             )
         chosen[parameter.lower()] = float(value)
     return chosen
-
-
-def _check_wav(path: str | os.PathLike[str]) -> None:
-    """Check a WAV file's head before a library reads it: format, channels, rate and length."""
-    try:
-        if not Path(path).is_file():
-            raise DataError(f"{path}: {'not a file' if Path(path).exists() else 'no such file'}")
-        with open(path, "rb") as stream:
-            size = os.fstat(stream.fileno()).st_size
-            head = stream.read(12)
-            if head[:4] != b"RIFF" or head[8:] != b"WAVE":
-                raise DataError(f"{path}, byte 0: not a WAV file (RIFF ... WAVE)")
-            block, position = None, 12
-            for _ in range(1000):
-                stream.seek(position)
-                chunk = stream.read(8)
-                if len(chunk) < 8:
-                    break
-                name, length = struct.unpack("<4sI", chunk)
-                if position + 8 + length > size:
-                    raise DataError(
-                        f"{path}, byte {position}: chunk {name.decode('latin-1')!r} is longer than "
-                        "the file"
-                    )
-                if name == b"fmt ":
-                    block = _block(stream.read(min(length, 40)), f"{path}, byte {position}")
-                elif name == b"data" and block is not None:
-                    samples = length // block[0]
-                    if not (samples <= _MAX_SAMPLES and samples // block[1] <= _MAX_CHANNEL):
-                        raise DataError(
-                            f"{path}, byte {position}: {samples // block[1]} samples in "
-                            f"{block[1]} channels; at most {_MAX_CHANNEL}, {_MAX_SAMPLES} in all"
-                        )
-                    return
-                position += 8 + length + length % 2
-    except (OSError, ValueError) as error:
-        if isinstance(error, DataError):
-            raise
-        raise DataError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-    raise DataError(f"{path}: no samples (chunk 'data' after 'fmt ') in it")
-
-
-def _block(head: bytes, place: str) -> tuple[int, int]:
-    """Bytes of one sample and number of channels, of a format chunk."""
-    if len(head) < 16:
-        raise DataError(f"{place}: the format chunk has {len(head)} bytes; 16 are needed")
-    tag, channels, rate, _, _, bits = struct.unpack("<HHIIHH", head[:16])
-    if tag == 0xFFFE and len(head) >= 26:
-        tag = struct.unpack("<H", head[24:26])[0]
-    if bits not in _FORMATS.get(tag, ()):
-        raise DataError(
-            f"{place}: format {tag} of {bits} bits is none of PCM of 16, 24, 32 and float"
-        )
-    if not (1 <= channels <= 64 and 2000 <= rate <= 400_000):
-        raise DataError(
-            f"{place}: {channels} channels at {rate} Hz; 1 to 64 at 2 kHz to 400 kHz are read"
-        )
-    return bits // 8, channels
 
 
 def _libraries() -> tuple[Any, Any]:

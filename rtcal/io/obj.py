@@ -1,9 +1,14 @@
 """Rooms from a mesh: Wavefront OBJ with material names.
 
-Read are ``v`` (x y z, in ``unit``), ``f`` (corners, negative ones count back), ``usemtl`` (the
-material of the faces that follow), ``o`` and ``g`` (their name), comments and lines continued
-by a backslash. Texture, normals, curves, material libraries and smoothing mean nothing here and are
-passed over. The result is the polyhedron that the tracers take: closed, of plane faces.
+The keywords that are read:
+
+- ``v``: a corner x y z, in ``unit``;
+- ``f``: a face by the numbers of its corners; negative numbers count back;
+- ``usemtl``: the material of the faces that follow;
+- ``o`` and ``g``: the name of the faces that follow.
+
+Comments and lines continued by a backslash are allowed. Texture, normals, curves, material libraries
+and smoothing are ignored. The result is a polyhedron for the tracers: closed, with plane faces.
 
 Source: Wavefront Technologies, Advanced Visualizer Manual, Appendix B1, "Object Files (.obj)".
 """
@@ -15,14 +20,14 @@ import re
 
 from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError
-from rtcal.io.source import MAX_TEXT, as_text, number, readable, shown
+from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.files import read_bytes, write_text
 
 MAX_FACES = 1500
-"""A room for geometrical acoustics has tens to hundreds of faces; closing more takes too long."""
+"""A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
 
-_PASSED = {
+_IGNORED = {
     "vt",
     "vn",
     "vp",
@@ -59,7 +64,7 @@ _PASSED = {
 
 
 def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
-    """Read a room; DataError names file, line and rule, or says where the walls do not close.
+    """Return a room; DataError names file, line and rule, or says where the walls do not close.
 
     ``unit`` is the length of the file's unit in m: 0.001 for a model in mm.
     """
@@ -75,20 +80,19 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
     materials: list[str] = []
     names: list[str] = []
     material, group = "", ""
-    line, held = 0, ""
-    for raw in as_text(content).split("\n"):
-        line += 1
+    line, continued = 1, ""
+    for line, _, raw in lines(decode(content, path).characters):
         place = f"{path}, line {line}"
-        if raw.rstrip("\r").endswith("\\"):
-            held += raw.rstrip("\r")[:-1] + " "
+        if raw.endswith("\\"):
+            continued += raw[:-1] + " "
             continue
-        raw, held = held + raw, ""
-        keyword, *rests = raw.split("#", 1)[0].split(None, 1) or [""]
-        rest = rests[0].strip() if rests else ""
+        statement, continued = continued + raw, ""
+        words = statement.split("#", 1)[0].split(None, 1) or [""]
+        keyword, arguments = words[0], words[1].strip() if len(words) > 1 else ""
         if keyword == "v":
             if len(vertices) >= 4 * MAX_FACES:
                 raise DataError(f"{place}: more than {4 * MAX_FACES} vertices")
-            tokens = rest.split()
+            tokens = arguments.split()
             if not 3 <= len(tokens) <= 7:
                 raise DataError(f"{place}: v has {len(tokens)} numbers; x y z are needed")
             vertices.append(tuple(unit * number(t, place) for t in tokens[:3]))
@@ -97,18 +101,18 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
                 raise DataError(f"{place}: more than {MAX_FACES} faces; simplify the model")
             if not material:
                 raise DataError(f"{place}: a face without a material; usemtl must stand before it")
-            faces.append([_corner(t, len(vertices), place) for t in rest.split()])
+            faces.append([_corner(t, len(vertices), place) for t in arguments.split()])
             if not 3 <= len(faces[-1]) <= 100:
                 raise DataError(f"{place}: a face of {len(faces[-1])} corners; 3 to 100 are read")
             materials.append(material)
             names.append(f"{group or 'face'} {len(faces)}")
         elif keyword == "usemtl":
-            material = text_name(f"{place}: usemtl", readable(rest))
+            material = text_name(f"{place}: usemtl", arguments)
             if not material:
                 raise DataError(f"{place}: usemtl lacks the material's name")
         elif keyword in ("o", "g"):
-            group = text_name(f"{place}: {keyword}", readable(rest))
-        elif keyword and keyword not in _PASSED:
+            group = text_name(f"{place}: {keyword}", arguments)
+        elif keyword and keyword not in _IGNORED:
             raise DataError(f'{place}: "{shown(keyword)}" is no keyword of an OBJ file')
     if not faces:
         raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
@@ -123,15 +127,15 @@ def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
     for material in polyhedron.materials:
         if not material or material.strip() != material or not material.isprintable():
             raise DataError(f"material {material!r}: a name in an OBJ file is one line of text")
-    lines = ["# m; written by rtcal"]
-    lines += ["v " + " ".join(repr(float(x)) for x in vertex) for vertex in polyhedron.vertices]
+    rows = ["# m; written by rtcal"]
+    rows += ["v " + " ".join(repr(float(x)) for x in vertex) for vertex in polyhedron.vertices]
     last = None
     for face, material in zip(polyhedron.faces, polyhedron.materials, strict=True):
         if material != last:
-            lines.append(f"usemtl {material}")
+            rows.append(f"usemtl {material}")
             last = material
-        lines.append("f " + " ".join(str(v + 1) for v in face))
-    write_text(path, "\n".join(lines) + "\n")
+        rows.append("f " + " ".join(str(v + 1) for v in face))
+    write_text(path, "\n".join(rows) + "\n")
 
 
 def _corner(token: str, n_vertices: int, place: str) -> int:
@@ -142,6 +146,6 @@ def _corner(token: str, n_vertices: int, place: str) -> int:
     index = index - 1 if index > 0 else n_vertices + index
     if not 0 <= index < n_vertices or match.group(1) in ("0", "-0"):
         raise DataError(
-            f"{place}: the corner {match.group(1)} is no vertex; {n_vertices} stand above"
+            f"{place}: the corner {match.group(1)} is no vertex; {n_vertices} precede it"
         )
     return index

@@ -1,15 +1,15 @@
 """pyroomacoustics: its material dictionaries, and its JSON data base of them.
 
-A material is an object with ``coeffs``; its name is the key that leads to it. Its bands are its own
-``center_freqs``, else those of the file's outermost object::
+A material is an object with ``coeffs``; its name is its key. Its bands are its own ``center_freqs``,
+else those of the file's outermost object::
 
     {"center_freqs": [125, 250, 500, 1000, 2000],
      "absorption": {"Walls": {"brick": {"description": "", "coeffs": [0.02, 0.03, 0.03, 0.04, 0.05]}}},
      "scattering": {"diffuser": {"coeffs": [0.1, 0.2, 0.3, 0.4, 0.5]}}}
 
-A single object, ``{"description": ..., "coeffs": [...], "center_freqs": [...]}``, is the material
-"material". What stands below an outermost ``scattering`` is kept and not read as absorption.
-Nothing of pyroomacoustics is imported: `dictionaries` makes what its ``Material`` takes.
+A single object, ``{"description": ..., "coeffs": [...], "center_freqs": [...]}``, is read as a material
+named "material". Objects below an outermost ``scattering`` are kept and not read as absorption.
+`dictionaries` returns the arguments of pyroomacoustics' ``Material``; the library is not imported.
 
 Source: pyroomacoustics 0.10.1, ``data/materials.json`` and ``parameters.Material``.
 """
@@ -26,19 +26,20 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.io import materials
-from rtcal.io.materials import ListedMaterial, MaterialList, Written
-from rtcal.io.source import MAX_TEXT, as_text, line_of, number, readable, shown
+from rtcal.io import material_list
+from rtcal.io.material_list import ExportReport, ListedMaterial, MaterialList
+from rtcal.io.text import MAX_TEXT, decode, line_of, number, shown
 from rtcal.support.files import read_bytes
 
 MAX_DEPTH = 32
 
 _TOKEN = re.compile(r'[ \t\r\n]*("(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s{}\[\]:,"]+)', re.S)
-Path = tuple[str | int, ...]
+Keys = tuple[str | int, ...]
+"""The keys and indices that lead to a value."""
 
 
 def read(path: str | os.PathLike[str]) -> MaterialList:
-    """Read the materials of a JSON file; DataError names file, line and rule."""
+    """Return the materials of a JSON file; DataError names file, line and rule."""
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
 
 
@@ -49,17 +50,17 @@ def write(
     template: str | os.PathLike[str] | None = None,
     equation: LinearEquation | None = None,
     decimals: int | None = None,
-) -> Written:
-    """Write the room's coefficients into ``template``, else into ``path`` if it is there.
+) -> ExportReport:
+    """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
-    Without either a data base of the room's materials is made. All digits are written unless
-    ``decimals`` are given, so T does not change; the report says so.
+    Without either a new data base is made. All digits are written unless ``decimals`` are stated, so
+    T does not change; the report says so.
     """
-    return materials.write(
+    return material_list.write(
         room,
         path,
         read=read,
-        fresh=_fresh,
+        new_list=_new_list,
         template=template,
         equation=equation,
         decimals=decimals,
@@ -67,7 +68,7 @@ def write(
 
 
 def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
-    """Return, by material, the arguments of ``pyroomacoustics.Material``.
+    """Return the arguments of ``pyroomacoustics.Material`` by material.
 
     Examples
     --------
@@ -92,10 +93,9 @@ def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
 
 def parse(content: bytes, path: str = "JSON file") -> MaterialList:
     """Return the materials of a JSON file's content; see `read`."""
-    text = as_text(content)
-    start = 3 if text.startswith("\xef\xbb\xbf") else 0
-    lists: dict[Path, list[tuple[str, int, int]]] = {}
-    for where, token, begin, end in _scalars(text, start, path):
+    text = decode(content, path)
+    lists: dict[Keys, list[tuple[str, int, int]]] = {}
+    for where, token, begin, end in _scalars(text.characters, path):
         if (
             len(where) > 1
             and isinstance(where[-1], int)
@@ -103,50 +103,50 @@ def parse(content: bytes, path: str = "JSON file") -> MaterialList:
         ):
             lists.setdefault(where[:-1], []).append((token, begin, end))
     try:
-        json.loads(content[start:])
+        json.loads(text.characters)
     except (ValueError, RecursionError) as error:
         line = getattr(error, "lineno", 1)
         raise DataError(f"{path}, line {line}: not valid JSON: {error}") from error
-    found = []
+    materials = []
     for where, numbers in lists.items():
         if where[-1] != "coeffs" or where[0] == "scattering":
             continue
-        line = line_of(text, numbers[0][1])
+        line = line_of(text.characters, numbers[0][1])
         place = f"{path}, line {line}"
         values = [number(t, place) for t, _, _ in numbers]
-        materials.checked(values, 1.0, place)
-        own = (*where[:-1], "center_freqs")
-        listed = lists.get(own) or lists.get(("center_freqs",))
-        if listed is None:
+        material_list.check_coefficients(values, 1.0, place)
+        beside = (*where[:-1], "center_freqs")
+        centres = lists.get(beside) or lists.get(("center_freqs",))
+        if centres is None:
             raise DataError(f"{place}: these coefficients have no center_freqs")
         frequencies = bands.as_bands(
-            [number(t, place) for t, _, _ in listed], f"{place}: center_freqs"
+            [number(t, place) for t, _, _ in centres], f"{place}: center_freqs"
         )
         if len(values) != len(frequencies) and not (
-            own not in lists and len(values) < len(frequencies)
+            beside not in lists and len(values) < len(frequencies)
         ):
             raise DataError(
                 f"{place}: {len(values)} coefficients for {len(frequencies)} center_freqs"
             )
-        found.append(
+        materials.append(
             ListedMaterial(
                 name=str(where[-2]) if len(where) > 1 else "material",
                 line=line,
                 alpha=tuple(values),
-                # A data base's shorter lists begin at its lowest band, as pyroomacoustics takes them.
+                # pyroomacoustics reads a shorter list of a data base as beginning at its lowest band.
                 centre_frequencies=tuple(float(f) for f in frequencies[: len(values)]),
                 spans=tuple((b, e) for _, b, e in numbers),
             )
         )
-    return MaterialList(path=path, content=content, materials=tuple(found))
+    return MaterialList(path=path, text=text, materials=tuple(materials))
 
 
-def _scalars(text: str, start: int, path: str) -> Iterator[tuple[Path, str, int, int]]:
-    """Yield each value that is no object or list, with the keys that lead to it and its place."""
+def _scalars(text: str, path: str) -> Iterator[tuple[Keys, str, int, int]]:
+    """Yield each value that is no object or list: its keys, its characters, its start and end."""
     keys: list[str | int] = []
     seen: list[set[str]] = []
     expect_key = False
-    position, end = start, len(text.rstrip(" \t\r\n"))
+    position, end = 0, len(text.rstrip(" \t\r\n"))
     while position < end:
         match = _TOKEN.match(text, position)
         if match is None:
@@ -188,12 +188,12 @@ def _scalars(text: str, start: int, path: str) -> Iterator[tuple[Path, str, int,
 
 def _key(token: str, place: str) -> str:
     try:
-        return str(json.loads(readable(token)))
+        return str(json.loads(token))
     except ValueError as error:
-        raise DataError(f'{place}: "{shown(token)}" is not a JSON text') from error
+        raise DataError(f'{place}: "{shown(token)}" is not a JSON string') from error
 
 
-def _fresh(room: Room) -> MaterialList:
+def _new_list(room: Room) -> MaterialList:
     columns = range(room.n_bands)
 
     def table(values: Any) -> dict[str, Any]:

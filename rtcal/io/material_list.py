@@ -1,8 +1,8 @@
-"""Material lists of other programs: read, calibrated values put in, every other byte kept.
+"""Material lists of other programs: a room from a list, and calibrated coefficients back into it.
 
-Each format's module finds the materials and says where each number stands; this one gives them the
-same handling: a `Room` from a list, a room's coefficients back into the list, and what the rounding
-to the program's decimals does to T.
+Each format's module reads the materials and the position of every number. This module does what all
+formats share. Only numbers that change are written; all other bytes stay. The report says what the
+rounding to the program's decimals does to T.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.room import Material, Room, Surface
 from rtcal.errors import DataError
+from rtcal.io.text import Text
 from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
 
@@ -32,19 +33,19 @@ class ListedMaterial:
     ----------
     name : str
     line : int
-        Where it stands, from 1.
+        Line of the file, from 1.
     alpha : sequence (n_bands,)
         Absorption coefficients, 0 to 1.
     centre_frequencies : sequence (n_bands,)
         Hz.
     spans : sequence of (start, end) (n_bands,)
-        The bytes of the file that hold each coefficient.
+        Characters of the file's text that hold each coefficient.
     unit : float
         alpha = number in the file * unit: 0.01 for percent.
     decimals : int or None
         Decimals of a number that is written; None writes all digits.
-    scattering : sequence, optional
-        Scattering coefficients, 0 to 1; they are read and never written over.
+    scattering : sequence (n_bands,), optional
+        Scattering coefficients, 0 to 1. They are read and never changed.
     """
 
     name: str
@@ -66,7 +67,16 @@ class ListedMaterial:
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialList:
-    """The materials of a foreign file, and the file's bytes.
+    """The materials of a foreign file, and the file's text.
+
+    Parameters
+    ----------
+    path : str
+        The file's name in messages.
+    text : Text
+    materials : sequence of ListedMaterial
+    aliases : mapping of str to str
+        Further names of materials.
 
     Examples
     --------
@@ -76,7 +86,7 @@ class MaterialList:
     """
 
     path: str
-    content: bytes = field(repr=False)
+    text: Text = field(repr=False)
     materials: tuple[ListedMaterial, ...]
     aliases: Mapping[str, str] = field(default_factory=dict)
 
@@ -95,7 +105,7 @@ class MaterialList:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The materials' names, in the file's order, without the aliases."""
+        """The names of the materials in the file's order, without aliases."""
         return tuple(m.name for m in self.materials)
 
     def room(
@@ -108,21 +118,30 @@ class MaterialList:
         sigma_minimum: float = 0.01,
         air: Air | None = None,
     ) -> Room:
-        """Return a room of these materials, in the bands that all materials used have.
+        """Return a room of these materials, in the bands that all of its materials have.
 
-        ``areas`` is the area of each material in m², by name or alias, or surfaces (of a
-        mesh: `rtcal.io.obj`). The list states no uncertainty:
-        sigma = max(``sigma_relative`` * alpha, ``sigma_minimum``).
+        Parameters
+        ----------
+        name : str
+        volume : float
+            m³.
+        areas : mapping of str to float, or sequence of Surface
+            Area of each material in m², by name or alias; or surfaces (of a mesh: `rtcal.io.obj`).
+        sigma_relative, sigma_minimum : float
+            A list states no uncertainty: sigma = max(sigma_relative alpha, sigma_minimum).
+        air : Air, optional
+
+        Raises
+        ------
+        DataError
+            For a material that the list lacks, for no area, and as `Room` does.
         """
         surfaces = (
             [Surface(n, n, a) for n, a in areas.items()]
             if isinstance(areas, Mapping)
             else list(areas)
         )
-        used: dict[str, ListedMaterial] = {}
-        for surface in surfaces:
-            listed = self._listed(surface.material)
-            used[surface.material] = listed
+        used = {surface.material: self._listed(surface.material) for surface in surfaces}
         if not used:
             raise DataError(f"{self.path}: no areas; a room has at least one surface")
         common = [
@@ -130,14 +149,16 @@ class MaterialList:
             for f in next(iter(used.values())).centre_frequencies
             if all(f in m.centre_frequencies for m in used.values())
         ]
-        scattered = all(m.scattering is not None for m in used.values())
+        all_scatter = all(m.scattering is not None for m in used.values())
         materials = []
-        for called, m in used.items():
-            columns = [m.centre_frequencies.index(f) for f in common]
-            alpha = [m.alpha[c] for c in columns]
+        for material_name, listed in used.items():
+            columns = [listed.centre_frequencies.index(f) for f in common]
+            alpha = [listed.alpha[c] for c in columns]
             sigma = [max(sigma_relative * a, sigma_minimum) for a in alpha]
-            scattering = [m.scattering[c] for c in columns] if scattered and m.scattering else None
-            materials.append(Material(called, alpha, sigma, 0.0, scattering, self.path))
+            scattering = None
+            if all_scatter and listed.scattering:
+                scattering = [listed.scattering[c] for c in columns]
+            materials.append(Material(material_name, alpha, sigma, 0.0, scattering, self.path))
         return Room.from_surfaces(
             name=name,
             volume=volume,
@@ -148,23 +169,29 @@ class MaterialList:
         )
 
     def _listed(self, name: str) -> ListedMaterial:
-        called = name if name in self.names else self.aliases.get(name)
+        """Return the material of a name or alias."""
+        target = name if name in self.names else self.aliases.get(name)
         for material in self.materials:
-            if material.name == called:
+            if material.name == target:
                 return material
-        known = ", ".join([*self.names, *self.aliases])
-        raise DataError(f'"{name}" is no material of {self.path}; it has {known}')
+        names = ", ".join([*self.names, *self.aliases])
+        raise DataError(f'"{name}" is no material of {self.path}; it has {names}')
 
     def with_alpha(self, room: Room) -> tuple[bytes, Room]:
         """Return the file with the room's coefficients in it, and the room as it is then read.
 
-        A number is written anew only where the coefficient, rounded to the file's decimals, is
-        not the one that stands there. Raises DataError for a material that the file lacks, for
-        a list without a band of the room's, and for aliases given two coefficients.
+        A number is written only where the coefficient, rounded to the file's decimals, differs
+        from the one that stands there.
+
+        Raises
+        ------
+        DataError
+            For a material that the file lacks, for a material that has none of the room's bands,
+            and for two aliases of one material with different coefficients.
         """
-        read = np.array(room.alpha)
-        changes: dict[tuple[int, int], str] = {}
-        given: dict[tuple[int, int], tuple[float, str]] = {}
+        as_read = np.array(room.alpha)
+        texts: dict[tuple[int, int], str] = {}
+        written: dict[tuple[int, int], tuple[float, str]] = {}
         for i, name in enumerate(room.materials):
             material = self._listed(name)
             columns = [
@@ -180,29 +207,42 @@ class MaterialList:
                 if k is None:
                     continue
                 alpha, span = float(room.alpha[i, k]), material.spans[b]
-                if given.setdefault(span, (alpha, name))[0] != alpha:
+                if written.setdefault(span, (alpha, name))[0] != alpha:
                     raise DataError(
-                        f'{room.place("alpha", i, k)} = {alpha:g}, but "{given[span][1]}" stands '
-                        f"for the same material of {self.path} and has {given[span][0]:g}"
+                        f'{room.place("alpha", i, k)} = {alpha:g}, but "{written[span][1]}" is '
+                        f"the same material of {self.path} and has {written[span][0]:g}"
                     )
                 text, value = material.rounded(alpha)
                 if material.alpha[b] in (alpha, value):
                     value = material.alpha[b]
                 else:
-                    changes[span] = text
-                read[i, k] = value
-        pieces, done = [], 0
-        for (start, end), text in sorted(changes.items()):
-            pieces += [self.content[done:start], text.encode("ascii")]
-            done = end
-        return b"".join([*pieces, self.content[done:]]), room.replace(alpha=read)
+                    texts[span] = text
+                as_read[i, k] = value
+        pieces, position = [], 0
+        for (start, end), text in sorted(texts.items()):
+            pieces += [self.text.characters[position:start], text]
+            position = end
+        pieces.append(self.text.characters[position:])
+        return self.text.encode("".join(pieces)), room.replace(alpha=as_read)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Written:
+class ExportReport:
     """What a program reads from the file that was written, and what the rounding does to T.
 
-    ``room`` has the coefficients as they are read; T in s, (n_bands,), by ``equation``.
+    Parameters
+    ----------
+    path : str
+    equation : str
+        The reverberation equation that gives both T.
+    room : Room
+        The room with the coefficients as the program reads them.
+    reverberation_time : array (n_bands,)
+        T in s before the rounding.
+    reverberation_time_as_read : array (n_bands,)
+        T in s after it.
+    bands_not_written : sequence of float
+        Bands of the room in Hz that the file does not have.
     """
 
     path: str
@@ -218,31 +258,36 @@ class Written:
         return quality.gap_jnd(self.reverberation_time_as_read, self.reverberation_time)
 
     def __str__(self) -> str:
-        lines = [
+        rows = [
             f"{self.path}: T by {self.equation}, before and after the rounding of alpha",
             f"{'band':>8} {'T, s':>9} {'as read, s':>11} {'change, JND':>12}",
         ]
-        for f, t, r, c in zip(
+        for f, before, after, change in zip(
             self.room.centre_frequencies,
             self.reverberation_time,
             self.reverberation_time_as_read,
             self.change,
             strict=True,
         ):
-            lines.append(f"{bands.label(f):>8} {t:9.4f} {r:11.4f} {c:+12.4f}")
+            rows.append(f"{bands.label(f):>8} {before:9.4f} {after:11.4f} {change:+12.4f}")
         if self.bands_not_written:
             missing = ", ".join(bands.label(f) for f in self.bands_not_written)
-            lines.append(f"Not in the file, so not written: {missing}")
-        return "\n".join(lines)
+            rows.append(f"Not in the file, so not written: {missing}")
+        return "\n".join(rows)
 
 
 def coefficient(value: float, unit: float) -> float:
-    """Return the coefficient of a number in the file; percent divide, so that 7 gives 0.07."""
+    """Return the coefficient that a number of the file means.
+
+    Percent are divided by 100, so that 7 gives 0.07 to the last bit.
+    """
     return value / round(1 / unit) if unit < 1 else value
 
 
-def checked(values: Sequence[float], unit: float, place: str, name: str = "alpha") -> None:
-    """Raise DataError unless every number is a coefficient from 0 to 1 (0 to 100 in percent)."""
+def check_coefficients(
+    values: Sequence[float], unit: float, place: str, name: str = "alpha"
+) -> None:
+    """Raise DataError unless every number is from 0 to 1 (0 to 100 in percent)."""
     for value in values:
         if not 0 <= coefficient(value, unit) <= 1:
             raise DataError(f"{place}: {name} {value:g} is not in [0, {1 / unit:g}]")
@@ -253,16 +298,19 @@ def write(
     path: str | os.PathLike[str],
     *,
     read: Callable[[str | os.PathLike[str]], MaterialList],
-    fresh: Callable[[Room], MaterialList],
+    new_list: Callable[[Room], MaterialList],
     template: str | os.PathLike[str] | None,
     equation: LinearEquation | None,
     decimals: int | None,
-) -> Written:
-    """Write a room's coefficients: into the template, else the file that is there, else anew."""
+) -> ExportReport:
+    """Write a room's coefficients into the template, else into the file that exists, else anew.
+
+    ``read`` and ``new_list`` are the format's: a file's material list, and a new one for a room.
+    """
     if template is not None or Path(path).exists():
         listed = read(template if template is not None else path)
     else:
-        listed = fresh(room)
+        listed = new_list(room)
     if decimals is not None:
         listed = replace(
             listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)
@@ -270,7 +318,7 @@ def write(
     content, as_read = listed.with_alpha(room)
     equation = equation or Eyring()
     held = {f for m in listed.materials for f in m.centre_frequencies}
-    report = Written(
+    report = ExportReport(
         path=os.fspath(path),
         equation=equation.name,
         room=as_read,
@@ -283,7 +331,7 @@ def write(
 
 
 def _with_decimals(listed: ListedMaterial, decimals: int) -> ListedMaterial:
-    """The material, its numbers written with these decimals of the coefficient."""
+    """Return the material with its numbers written to these decimals of the coefficient."""
     least = 2 if listed.unit == 0.01 else 0
     if not least <= decimals <= 15:
         raise DataError(
@@ -294,7 +342,7 @@ def _with_decimals(listed: ListedMaterial, decimals: int) -> ListedMaterial:
 
 
 def octaves(room: Room, needed: Sequence[float], program: str) -> list[int]:
-    """Return the room's columns of the bands that a fresh file of a program must have."""
+    """Return the room's columns of the bands that a new file of a program must have."""
     columns = [bands.index(np.asarray(room.centre_frequencies), f) for f in needed]
     for f, column in zip(needed, columns, strict=True):
         if column is None:

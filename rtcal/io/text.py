@@ -1,0 +1,125 @@
+"""The text of a foreign file: decoded once, then read line by line and number by number."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rtcal.errors import DataError
+
+MAX_TEXT = 2**18
+"""Largest size in bytes of a material list, a table or a mesh: twice ODEON's own library."""
+
+_BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8", b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
+_UNMARKED = ("utf-8", "cp1252", "latin-1")
+_NAMES = {"cp1252": "Windows-1252", "latin-1": "ISO 8859-1"}
+_LINE = re.compile(r"([^\r\n]*)(\r\n|\r|\n|\Z)")
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?\Z", re.ASCII)
+_TYPOGRAPHIC_MINUS = re.compile("[\u2212\u2013](?=[\\d.,])")  # a minus sign, or a dash as one
+
+
+@dataclass(frozen=True)
+class Text:
+    """The characters of a file, and what it takes to write them back to the same bytes."""
+
+    characters: str
+    codec: str = "utf-8"
+    byte_order_mark: bytes = b""
+
+    @property
+    def encoding(self) -> str:
+        r"""The encoding's name in messages.
+
+        Examples
+        --------
+        >>> decode(b"b\xe9ton").encoding
+        'Windows-1252'
+        """
+        return _NAMES.get(self.codec, self.codec.upper())
+
+    def encode(self, characters: str) -> bytes:
+        """Return other characters in this file's encoding.
+
+        Raises
+        ------
+        DataError
+            If the encoding lacks one of the characters.
+        """
+        try:
+            return self.byte_order_mark + characters.encode(self.codec)
+        except UnicodeEncodeError as error:
+            lacking = error.object[error.start]
+            raise DataError(f'"{shown(lacking)}" does not exist in {self.encoding}') from error
+
+
+def decode(content: bytes, path: str = "file") -> Text:
+    """Return a file's text: by its byte order mark, else UTF-8, else Windows-1252.
+
+    Windows-1252 leaves five bytes undefined; a file that has one is read as ISO 8859-1.
+
+    Raises
+    ------
+    DataError
+        If the file breaks the encoding that its byte order mark names.
+    """
+    for mark, codec in _BYTE_ORDER_MARKS.items():
+        if content.startswith(mark):
+            try:
+                return Text(content[len(mark) :].decode(codec), codec, mark)
+            except UnicodeDecodeError as error:
+                line = content.count(b"\n", 0, len(mark) + error.start) + 1
+                raise DataError(
+                    f"{path}, line {line}: byte {len(mark) + error.start} is not "
+                    f"{codec.upper()}, which the byte order mark promises"
+                ) from error
+    for codec in _UNMARKED[:-1]:
+        try:
+            return Text(content.decode(codec), codec)
+        except UnicodeDecodeError:
+            continue
+    return Text(content.decode(_UNMARKED[-1]), _UNMARKED[-1])
+
+
+def lines(characters: str) -> Iterator[tuple[int, int, str]]:
+    r"""Yield the number of each line from 1, the position where it starts, and its characters.
+
+    Examples
+    --------
+    >>> list(lines("a\r\nbc\rd"))
+    [(1, 0, 'a'), (2, 3, 'bc'), (3, 6, 'd')]
+    """
+    for number_of_line, match in enumerate(_LINE.finditer(characters), start=1):
+        if match.group() or match.start() < len(characters):
+            yield number_of_line, match.start(), match.group(1)
+
+
+def line_of(characters: str, position: int) -> int:
+    """Return the number, from 1, of the line that holds a position."""
+    return characters.count("\n", 0, position) + 1
+
+
+def number(token: str, place: str) -> float:
+    """Return a decimal number; a typographic minus counts as a minus.
+
+    Raises
+    ------
+    DataError
+        For anything else, and for a number that is not finite.
+
+    Examples
+    --------
+    >>> number("\u22121.5", "line 1")
+    -1.5
+    """
+    plain = _TYPOGRAPHIC_MINUS.sub("-", token, count=1) if token else token
+    value = float(plain) if len(plain) <= 40 and _NUMBER.match(plain) else float("nan")
+    if not abs(value) < 1e300:
+        raise DataError(f'{place}: "{shown(token)}" is not a finite number')
+    return value
+
+
+def shown(text: str, length: int = 40) -> str:
+    """Return text for a message: printable and at most ``length`` characters."""
+    text = text if text.isprintable() else repr(text)[1:-1]
+    return text if len(text) <= length else text[:length] + "..."
