@@ -156,8 +156,8 @@ def test_what_is_no_state_is_said_plainly(cr2, tmp_path):
     good = state.read_text()
     for content, message in (
         (good[:150], "is no state of a loop"),
-        ("[1]", "lacks the mark of one"),
-        ("{}", "lacks the mark of one"),
+        ("[1]", "not a JSON object"),
+        ("{}", 'its "rtcal" is not "loop 2"'),
         (good.replace('"rule": "safeguarded"', '"rule": "huh"'), "is not one of secant"),
         (good.replace('"wanted"', '"wnated"'), "lacks wanted"),
     ):

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from rtcal.acoustics.measurement import UNITS, Measurement
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
-from rtcal.loop import files as loop_state
-from rtcal.support.files import write_text
+from rtcal.loop import files
+from rtcal.loop.state import Loop
+from rtcal.support.files import json_numbers, write_text
 from rtcal.support.types import Array
-
-if TYPE_CHECKING:
-    from rtcal.loop.state import Loop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,12 +70,24 @@ class LoopResult:
         """Why not to believe the coefficients of a band; see `Loop.trust_marks`."""
         return self.loop.trust_marks
 
+    def ends(self) -> dict[str, Any]:
+        """Return what the simulator had before and after: means by parameter and band, JSON-able."""
+        return {
+            "simulator": self.simulator,
+            "confirmed": self.confirmation is not None,
+            "status": list(self.status),
+            **{
+                name: {p: json_numbers(measurement.mean(p)) for p in measurement.values}
+                for name, measurement in (("before", self.before), ("after", self.final))
+            },
+        }
+
     def to_json(self) -> str:
         """Return the loop and what the simulator had before and after, as JSON text.
 
         `Loop.load` reads the loop in it, ``rtcal report`` all of it.
         """
-        return loop_state.text(self.loop, loop_state.ends(self))
+        return files.text({**self.loop.to_dict(), "result": self.ends()})
 
     def save(self, path: str) -> None:
         """Write `to_json` to a file, whole or not at all."""

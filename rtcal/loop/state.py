@@ -7,9 +7,10 @@ by one of the rules of `rtcal.loop.rules`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +20,16 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import JND, TrustMark, gap_jnd
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_files import room_text
 from rtcal.calibration.measured import history, refuse_twice, times_in_room
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
-from rtcal.errors import DataError
-from rtcal.loop import files as loop_state
+from rtcal.errors import DataError, ModelError
+from rtcal.loop import files
 from rtcal.loop.rules import RULES, Rule
 from rtcal.support import checks
-from rtcal.support.files import write_text
+from rtcal.support.files import json_numbers, write_text
 from rtcal.support.types import Array
 
 STATUSES = ("converged", "no measured T", "unreachable", "not converging", "not confirmed")
@@ -304,9 +306,37 @@ class Loop:
         high = np.minimum(high, 0.999 * equation.largest_mean_alpha * room.total_area)
         return equation.time(room, high), equation.time(room, low)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the loop as plain values for JSON: what `from_dict` reads."""
+        equation = self.equation or Eyring()
+        return {
+            "room": room_text(self.room),
+            "measured": self.measured,
+            "wanted": json_numbers(self.wanted),
+            "rule": self.rule,
+            "method": self.method,
+            "equation": {"name": equation.name, **asdict(equation)},
+            "decimals": self.decimals,
+            "tolerance": self.tolerance,
+            "steps": [
+                {name: json_numbers(values) for name, values in vars(step).items()}
+                for step in self.steps
+            ],
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], equation: LinearEquation | None = None) -> Loop:
+        """Return the loop of plain values, as `to_dict` gives them.
+
+        ``equation`` takes the place of the dict's, which has to be Sabine's, Eyring's or Kuttruff's.
+        Raises DataError or ModelError for an entry that breaks a rule.
+        """
+        attributes, steps = files.attributes(data, equation)
+        return cls(**attributes, steps=tuple(Step(**step) for step in steps))
+
     def to_json(self) -> str:
         """Return the loop, its room included, as JSON text, which `load` reads."""
-        return loop_state.text(self)
+        return files.text(self.to_dict())
 
     def save(self, path: str) -> None:
         """Write the loop, its room included, to a JSON file, whole or not at all."""
@@ -316,12 +346,22 @@ class Loop:
     def load(
         cls, path: str, room: Room | None = None, equation: LinearEquation | None = None
     ) -> Loop:
-        """Read a loop, of this room if one is given; see `rtcal.loop.files.read`.
+        """Read a loop from its file; ``equation`` as in `from_dict`.
 
-        DataError if the file is of another room, or is no loop.
+        Raises DataError if the file is no loop, or if a room is given and the loop is another's.
         """
-        fields, steps = loop_state.read(path, room, equation)
-        return cls(**fields, steps=tuple(Step(**step) for step in steps))
+        data = files.read(path)
+        try:
+            loop = cls.from_dict(data, equation)
+        except (DataError, ModelError) as error:
+            raise DataError(f"{path} is no state of a loop: {error}") from error
+        if room is None:
+            return loop
+        if files.fingerprint(room) != files.fingerprint(loop.room):
+            raise DataError(
+                f'{path} is the state of another room, or room "{room.name}" was changed since'
+            )
+        return replace(loop, room=room)
 
 
 def start(
@@ -338,7 +378,7 @@ def start(
     if not isinstance(rule, str) or rule not in RULES:
         raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
     checks.instance("room", room, Room)
-    loop_state.readable(decimals)
+    files.checked_decimals(decimals)
     checks.positive("tolerance", tolerance, "JND")
     data = times_in_room(room, measured)
     refuse_twice(room, data)

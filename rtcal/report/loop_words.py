@@ -117,7 +117,7 @@ def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
 
 
 def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
-    """Return the simulator's name and the rows of what it had before and after; see `loop_state.ends`.
+    """Return the simulator's name and the rows of what it had before and after; see `LoopResult.ends`.
 
     DataError if it is nothing of the kind.
     """

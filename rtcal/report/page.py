@@ -17,7 +17,7 @@ import numpy as np
 from rtcal.acoustics import room_files
 from rtcal.acoustics.quality import letters
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.loop import files as loop_state
+from rtcal.loop import files as loop_files
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
 from rtcal.report import figures, loop_figures, loop_words, material_figures, words
@@ -121,12 +121,12 @@ def loop_page(
 ) -> str:
     """Return a closed loop as such a page; DataError if nothing has been simulated yet.
 
-    ``ends``, as `rtcal.loop.files.ends` gives it, belongs to a `Loop`; a `LoopResult` has its own.
+    ``ends``, as `LoopResult.ends` gives it, belongs to a `Loop`; a `LoopResult` has its own.
     ``place`` names it in messages.
     """
     loop = result.loop if isinstance(result, LoopResult) else result
     if isinstance(result, LoopResult):
-        ends = loop_state.ends(result)
+        ends = result.ends()
     shown = None if ends is None else loop_words.read_ends(loop, ends, place)
     status = loop.status if shown is None else shown["status"]
     summary = loop_words.summary(loop, status)
@@ -160,7 +160,7 @@ def page_of(path: str | os.PathLike[str], progress: Callable[[], None] | None = 
     """Return the page of what rtcal saved: ``result.json``, its folder, a loop's state or result."""
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
     record = read_json(place)
-    if record.get("rtcal") == loop_state.KIND:
+    if record.get("rtcal") == loop_files.KIND:
         loop = Loop.load(os.fspath(place))
         return loop_page(loop, record.get("result"), place=os.fspath(place), progress=progress)
     return page(from_dict(record, os.fspath(place)), progress=progress)

@@ -27,11 +27,11 @@ def number(place: str, value: object, error: type[RtcalError] = DataError) -> fl
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, real):
-        raise error(f"{place} = {_shown(value)} is not a number")
+        raise error(f"{place} = {shown(value)} is not a number")
     try:
         return float(value)
     except OverflowError as cause:
-        raise error(f"{place} = {_shown(value)} is too large a number") from cause
+        raise error(f"{place} = {shown(value)} is too large a number") from cause
 
 
 def positive(place: str, value: object, unit: str = "") -> float:
@@ -57,21 +57,21 @@ def whole(place: str, value: object, least: int, error: type[RtcalError] = DataE
     4
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise error(f"{place} = {_shown(value)} is not a whole number of at least {least}")
+        raise error(f"{place} = {shown(value)} is not a whole number of at least {least}")
     return int(value)
 
 
 def flag(place: str, value: object) -> bool:
     """Return true or false; DataError for anything else, also for 0, 1 and text."""
     if not isinstance(value, bool | np.bool_):
-        raise DataError(f"{place} = {_shown(value)} is not true or false")
+        raise DataError(f"{place} = {shown(value)} is not true or false")
     return bool(value)
 
 
 def instance(place: str, value: object, kind: type[T]) -> T:
     """Return what is of one of rtcal's types; DataError for anything else."""
     if not isinstance(value, kind):
-        raise DataError(f"{place} = {_shown(value)} is not a rtcal.{kind.__name__}")
+        raise DataError(f"{place} = {shown(value)} is not a rtcal.{kind.__name__}")
     return value
 
 
@@ -96,24 +96,34 @@ def array(place: str, value: object, error: type[RtcalError] = DataError) -> Arr
 def listed(place: str, value: object) -> tuple[Any, ...]:
     """Return the members of a sequence; DataError for one text and for anything else."""
     if isinstance(value, str | bytes) or not isinstance(value, Iterable):
-        raise DataError(f"{place} = {_shown(value)} is not a list")
+        raise DataError(f"{place} = {shown(value)} is not a list")
     return tuple(value)
 
 
 def mapped(place: str, value: object) -> dict[Any, Any]:
     """Return a mapping as a dict; DataError for anything else."""
     if not isinstance(value, Mapping):
-        raise DataError(f"{place} = {_shown(value)} is not a mapping")
+        raise DataError(f"{place} = {shown(value)} is not a mapping")
     return dict(value)
 
 
 def path(place: str, value: object) -> Path:
     """Return a path; DataError for anything else."""
     if not isinstance(value, str | os.PathLike):
-        raise DataError(f"{place} = {_shown(value)} is not a path")
+        raise DataError(f"{place} = {shown(value)} is not a path")
     return Path(value)
 
 
-def _shown(value: object) -> str:
-    text = repr(value)
+def shown(value: object) -> str:
+    """Return a value as a message shows it: on one line, at most 60 characters.
+
+    Examples
+    --------
+    >>> shown("x" * 100)
+    "'xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx..."
+    """
+    try:
+        text = " ".join(repr(value).split())
+    except (ValueError, RecursionError):  # an integer of thousands of digits, lists without an end
+        text = f"a {type(value).__name__} that is too long to show"
     return text if len(text) <= 60 else text[:57] + "..."
