@@ -199,7 +199,7 @@ def test_the_loops_path(loop) -> None:
     drawn = line(right, "125 Hz").get_ydata()
     assert drawn[loop.best[0]] == pytest.approx(loop.gap[0])
     assert abs(drawn[0]) > abs(drawn[loop.best[0]])
-    begun = rt.closed_loop.start(*rt.datasets.bras_cr2())
+    begun = rt.loop.start(*rt.datasets.bras_cr2())
     with pytest.raises(DataError, match="no simulation yet"):
         loop_figures.path(begun)
 
@@ -290,7 +290,7 @@ def test_a_loops_file_holds_its_room_and_equation(loop, tmp_path) -> None:
     np.testing.assert_array_equal(again.room.sigma, loop.room.sigma)
     assert again.status == loop.status
     assert again.equation == rt.Eyring()
-    other = rt.closed_loop.start(*rt.datasets.bras_cr2(), equation=rt.Kuttruff(path_variance=0.3))
+    other = rt.loop.start(*rt.datasets.bras_cr2(), equation=rt.Kuttruff(path_variance=0.3))
     other.save(path)
     assert Loop.load(path).equation == rt.Kuttruff(path_variance=0.3)
     path = tmp_path / "loop.json"
