@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -96,6 +96,20 @@ def label(frequency: float) -> str:
     ('31.5 Hz', '1000 Hz')
     """
     return f"{frequency:g} Hz"
+
+
+def span(frequencies: Sequence[float] | Array) -> str:
+    """Return how many bands there are and from where to where, for a sentence.
+
+    Examples
+    --------
+    >>> span([125, 250, 500]), span([1000])
+    ('3 bands, 125 to 500 Hz', '1 band, 1000 Hz')
+    """
+    first, last = (f"{f:g}" for f in (frequencies[0], frequencies[-1]))
+    if len(frequencies) == 1:
+        return f"1 band, {last} Hz"
+    return f"{len(frequencies)} bands, {first} to {last} Hz"
 
 
 def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") -> Array:

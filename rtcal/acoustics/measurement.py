@@ -11,7 +11,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import text_name
 from rtcal.errors import DataError
-from rtcal.support import checks
+from rtcal.support import checks, html
 from rtcal.support.types import Array
 
 UNITS: dict[str, str] = {
@@ -51,6 +51,12 @@ def plausible_time(place: str, seconds: float, parameter: str = "t20") -> None:
             f"{place} = {seconds:g} s is not from {low:g} to {high:g} s, as in any room: "
             "is it in seconds?"
         )
+
+
+def _mean_text(mean: float, uncertainty: float) -> str:
+    if not np.isfinite(mean):
+        return "–"
+    return f"{mean:.3g}" + (f" ± {uncertainty:.2g}" if np.isfinite(uncertainty) else "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +188,26 @@ class Measurement:
             )
         array.setflags(write=False)
         return array
+
+    def __repr__(self) -> str:
+        return f"<{self._description}>"
+
+    def _repr_html_(self) -> str:
+        """Return a table of each parameter's mean over the pairs ± its standard uncertainty."""
+        rows = []
+        for parameter in self.values:
+            unit = f" / {UNITS[parameter]}" if UNITS[parameter] else ""
+            means = zip(self.mean(parameter), self.mean_uncertainty(parameter), strict=True)
+            rows.append([parameter.upper() + unit, *(_mean_text(m, u) for m, u in means)])
+        labels = [bands.label(f) for f in self.centre_frequencies]
+        return html.table(self._description, ["mean ± u", *labels], rows)
+
+    @property
+    def _description(self) -> str:
+        parameters = ", ".join(parameter.upper() for parameter in self.values)
+        n = len(self.pairs)
+        pairs = "a summary" if self.is_summary else f"{n} pair{'s' * (n > 1)}"
+        return f"Measurement of {parameters}: {pairs}, {bands.span(self.centre_frequencies)}"
 
     @property
     def is_summary(self) -> bool:

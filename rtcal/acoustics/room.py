@@ -22,7 +22,8 @@ from rtcal.acoustics.materials import (
     text_name,
 )
 from rtcal.errors import DataError
-from rtcal.support import checks
+from rtcal.support import checks, html
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
@@ -237,6 +238,34 @@ class Room:
                 f"alpha_min = {array[i, k]:g}"
             )
         return frozen(array)
+
+    def __repr__(self) -> str:
+        return f"<{self._description}>"
+
+    def _repr_html_(self) -> str:
+        """Return a table of alpha ± sigma per material and band, darker where more is absorbed."""
+        rows: list[list[str | html.Cell]] = [
+            [
+                name,
+                f"{area:.4g}",
+                *(
+                    html.Cell(f"{alpha:.3f} ± {sigma:.3f}", float(alpha))
+                    for alpha, sigma in zip(self.alpha[i], self.sigma[i], strict=True)
+                ),
+            ]
+            for i, (name, area) in enumerate(zip(self.materials, self.areas, strict=True))
+        ]
+        labels = [bands.label(f) for f in self.centre_frequencies]
+        return html.table(self._description, ["α ± σ", "S / m²", *labels], rows)
+
+    @property
+    def _description(self) -> str:
+        calibrated = "" if self.calibration is None else ", calibrated"
+        return (
+            f'Room "{shortened(self.name)}": {self.volume:.4g} m³, {self.total_area:.4g} m², '
+            f"{self.n_materials} material{'s' * (self.n_materials > 1)}, "
+            f"{bands.span(self.centre_frequencies)}{calibrated}"
+        )
 
     @property
     def n_materials(self) -> int:

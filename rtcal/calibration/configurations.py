@@ -8,8 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
 
@@ -43,6 +45,13 @@ class Configurations:
 
     rooms: Sequence[Room]
     names: Sequence[str] = ()
+
+    def __repr__(self) -> str:
+        materials = {material for room in self.rooms for material in room.materials}
+        return (
+            f"<Configurations: {shortened(', '.join(self.names))}, {len(materials)} materials, "
+            f"{bands.span(self.rooms[0].centre_frequencies)}>"
+        )
 
     def __post_init__(self) -> None:
         if not isinstance(self.rooms, Iterable):

@@ -42,6 +42,10 @@ class Hall:
     receivers: Mapping[str, Point]
     held_out: Mapping[str, Point]
 
+    def __repr__(self) -> str:
+        counts = f"{len(self.sources)} sources, {len(self.receivers)} receivers"
+        return f"<Hall {self.room!r}: {counts}, {len(self.held_out)} held out>"
+
 
 def _hall(
     name: str,

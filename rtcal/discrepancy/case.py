@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -18,6 +19,7 @@ from rtcal.discrepancy.effect_checks import EQUATIONS
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
 from rtcal.support.files import write_text
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
 NORMAL_90 = 1.6449
@@ -141,6 +143,14 @@ class Case:
         check_room(self.room)
         for c in self.configurations:
             check_configuration(self.room, c)
+
+    def __repr__(self) -> str:
+        names = ", ".join(c.name for c in self.configurations)
+        return (
+            f'<Case "{shortened(self.room.name)}": {self.room.n_materials} materials, '
+            f"{bands.span(self.room.centre_frequencies)}, {len(self.configurations)} "
+            f"configurations: {shortened(names)}>"
+        )
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Case:

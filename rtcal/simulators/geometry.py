@@ -88,6 +88,9 @@ class Polyhedron:
     triangle_faces: NDArray[np.int64] = field(init=False)
     volume: float = field(init=False)
 
+    def __repr__(self) -> str:
+        return f"<Polyhedron: {self.volume:.4g} m³, {len(self.faces)} faces>"
+
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
             if isinstance(value, np.ndarray):

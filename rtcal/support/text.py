@@ -105,6 +105,17 @@ def _blocks(widths: Sequence[int], room: int) -> list[tuple[int, int]]:
     return list(zip(starts, [*starts[1:], len(widths)], strict=True))
 
 
+def shortened(text: str, longest: int = 40) -> str:
+    """Return a text of at most ``longest`` characters; an ellipsis says that it was longer.
+
+    Examples
+    --------
+    >>> shortened("perforated gypsum board", 16)
+    'perforated gyps…'
+    """
+    return text if len(text) <= longest else text[: longest - 1] + "…"
+
+
 def printable(text: str) -> str:
     r"""Return a text with its control characters written out, so that no terminal obeys them.
 

@@ -1,0 +1,77 @@
+"""What an interpreter and a notebook show: one line, or a table."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+
+
+def box(**changes):
+    room = rt.Room(
+        name="box & <co>",
+        volume=60,
+        materials=["floor", "wall"],
+        areas=[20, 74],
+        alpha=[[0.4, 0.5], [0.02, 0.03]],
+        sigma=[[0.1, 0.1], [0.01, 0.01]],
+        centre_frequencies=[500, 1000],
+    )
+    return room.replace(**changes)
+
+
+def shown_objects():
+    room, measured = rt.datasets.bras_cr2()
+    hall = rt.datasets.halls.lecture_hall()
+    case, _ = rt.datasets.hidden_room()
+    configurations = rt.Configurations([room, room.replace(name="in winter")])
+    return [room, measured, case, hall, hall.geometry, configurations]
+
+
+@pytest.mark.parametrize("value", shown_objects(), ids=lambda v: type(v).__name__)
+def test_a_repr_is_one_short_line(value) -> None:
+    assert "\n" not in repr(value)
+    assert len(repr(value)) < 160
+
+
+def test_a_room_says_what_it_is() -> None:
+    assert repr(box()) == '<Room "box & <co>": 60 m³, 94 m², 2 materials, 2 bands, 500 to 1000 Hz>'
+    room, measured = rt.datasets.bras_cr2()
+    assert "calibrated" not in repr(room)
+    assert repr(rt.calibrate(room, measured).room).endswith(", calibrated>")
+
+
+def test_a_long_name_is_shortened() -> None:
+    assert len(repr(box(name="hall " * 500))) < 160
+
+
+def cells(html):
+    """Text of each row's cells; the parser refuses what is not well formed."""
+    table = ElementTree.fromstring(f"<div>{html}</div>").find("table")
+    return [["".join(c.itertext()) for c in row] for row in table.iter("tr")]
+
+
+def test_a_notebook_shows_a_room_as_a_table() -> None:
+    assert cells(box()._repr_html_()) == [
+        ["α ± σ", "S / m²", "500 Hz", "1000 Hz"],
+        ["floor", "20", "0.400 ± 0.100", "0.500 ± 0.100"],
+        ["wall", "74", "0.020 ± 0.010", "0.030 ± 0.010"],
+    ]
+
+
+def test_a_notebook_shows_means_and_what_is_missing() -> None:
+    measured = rt.Measurement(
+        centre_frequencies=[500, 1000],
+        values={"t20": [[2.0, np.nan]], "c80": [[1.25, -3.0]]},
+        pairs=[("S", "R")],
+        uncertainty={"t20": [[0.1, np.nan]]},
+    )
+    assert cells(measured._repr_html_()) == [
+        ["mean ± u", "500 Hz", "1000 Hz"],
+        ["T20 / s", "2 ± 0.1", "–"],
+        ["C80 / dB", "1.25", "-3"],
+    ]
+    assert repr(measured) == "<Measurement of T20, C80: 1 pair, 2 bands, 500 to 1000 Hz>"
