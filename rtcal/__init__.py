@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from rtcal import studies as studies
     from rtcal.acoustics import priors as priors
     from rtcal.acoustics.air import Air as Air
+    from rtcal.acoustics.equations import ArauPuchades as ArauPuchades
     from rtcal.acoustics.equations import Eyring as Eyring
+    from rtcal.acoustics.equations import Fitzroy as Fitzroy
     from rtcal.acoustics.equations import Kuttruff as Kuttruff
+    from rtcal.acoustics.equations import Millington as Millington
     from rtcal.acoustics.equations import Sabine as Sabine
     from rtcal.acoustics.materials import Material as Material
     from rtcal.acoustics.materials import Surface as Surface
     from rtcal.acoustics.measurement import Measurement as Measurement
-    from rtcal.acoustics.other_equations import ArauPuchades as ArauPuchades
-    from rtcal.acoustics.other_equations import Fitzroy as Fitzroy
-    from rtcal.acoustics.other_equations import Millington as Millington
     from rtcal.acoustics.room import Room as Room
     from rtcal.calibration import closed_form as closed_form
     from rtcal.calibration import terms as terms

@@ -153,6 +153,28 @@ def index(frequencies: Array, frequency: float) -> int | None:
     return int(near[0]) if near.size else None
 
 
+def correlation(frequencies: Array, per_octave: float) -> Array:
+    """Return the correlation of errors between bands, (n_bands, n_bands): per_octave ** octaves.
+
+    Parameters
+    ----------
+    frequencies : array (n_bands,)
+        Hz.
+    per_octave : float
+        The correlation of two bands an octave apart, 0 to below 1.
+
+    Examples
+    --------
+    >>> print(correlation(np.array([500.0, 1000.0, 2000.0]), 0.5))
+    [[1.   0.5  0.25]
+     [0.5  1.   0.5 ]
+     [0.25 0.5  1.  ]]
+    """
+    octave = np.log2(np.asarray(frequencies, dtype=float))
+    apart = np.abs(octave[:, np.newaxis] - octave)
+    return np.asarray(np.where(apart == 0, 1.0, per_octave**apart))
+
+
 def bandwidth_factor(frequencies: Array) -> float:
     """Return bandwidth / centre frequency: 0.71 for octaves, 0.23 for third-octaves.
 

@@ -52,8 +52,8 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.acoustics.room import CalibrationRecord, Material, Room, Surface
-from rtcal.acoustics.sigma import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.errors import DataError
 from rtcal.support.files import read_text, write_text
 from rtcal.support.types import Array

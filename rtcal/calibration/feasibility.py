@@ -120,7 +120,7 @@ def settle(
     asked = np.isfinite(times)
     low, high = reach(instance)
     tolerance = end_tolerance(instance)
-    ceiling = equation.largest_mean_alpha * instance.areas.sum(axis=1)[:, np.newaxis]
+    ceiling = equation.largest_mean * instance.areas.sum(axis=1)[:, np.newaxis]
     top = np.minimum(high, ceiling)
     wanted_low, wanted_high = wanted
     # What a tolerance leaves open is closed here: the target nearest to what can be reached.

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import click
 
 import rtcal
+from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.command.console import WRITTEN, json_option, quiet_option
 from rtcal.command.files import export, import_room, measure, table
 from rtcal.command.gap import NOTHING_TO_ADD, gap
@@ -33,15 +34,6 @@ from rtcal.support.files import spare
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
-
-EQUATIONS = {
-    "eyring": "Eyring",
-    "sabine": "Sabine",
-    "kuttruff": "Kuttruff",
-    "millington": "Millington",
-    "fitzroy": "Fitzroy",
-    "arau": "ArauPuchades",
-}
 
 EXIT_CODES = {
     0: "done",
@@ -90,10 +82,10 @@ def cli() -> None:
 )
 @click.option(
     "--equation",
-    type=click.Choice(tuple(EQUATIONS)),
+    type=click.Choice(equation_keys(LinearEquation)),
     default="eyring",
     show_default=True,
-    help="The reverberation equation; the last three only predict, and are calibrated in the loop.",
+    help="The reverberation equation.",
 )
 @click.option(
     "--solver",
@@ -137,14 +129,13 @@ def calibrate(
         if not out:
             raise DataError("--out is empty; it is a folder")
         spare([Path(out) / name for name in WRITTEN], [room, measured])
-    chosen = getattr(rtcal, EQUATIONS[equation])()
     with warnings.catch_warnings():  # the page says it where the user looks
         warnings.simplefilter("ignore", MissingAirWarning)
         result = rtcal.calibrate(
             rtcal.Room.from_file(room),
             rtcal.Measurement.from_file(measured),
             method=method,
-            equation=chosen,
+            equation=EQUATIONS[equation](),
             solver=solver,
             unreachable="nearest" if unreachable == "nearest" else "raise",
         )

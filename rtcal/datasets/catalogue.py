@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.priors import in_situ, sigma_iso_12999_2
 from rtcal.acoustics.room import Material
-from rtcal.acoustics.sigma import in_situ, sigma_iso_12999_2
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import refuse_twice, times_in_room
 from rtcal.discrepancy.case_checks import check_configuration, check_room, shares
-from rtcal.discrepancy.effect_checks import EQUATIONS
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
 from rtcal.support.files import write_text
@@ -109,8 +109,9 @@ class Case:
         Volume, materials with area, alpha and sigma, band correlation, air or none.
     configurations : sequence of Configuration
         At least one.
-    equation : {"eyring", "sabine", "kuttruff", "millington"}
-        That the user's model calculates T with.
+    equation : str
+        The equation with which the user's model calculates T: the key of a `MeanEquation`, such as
+        "eyring", "sabine", "kuttruff" or "millington".
     facing : array (n_materials, 3), optional
         Share of each material's area that faces along x, y and z; from the room's surfaces and
         their axes where they are stated, a third each where not.
@@ -130,8 +131,7 @@ class Case:
     present: Sequence[Present] = ()
 
     def __post_init__(self) -> None:
-        if self.equation not in EQUATIONS:
-            raise DataError(f"equation = {self.equation!r} is not one of {', '.join(EQUATIONS)}")
+        mean_equation(self.equation)
         object.__setattr__(self, "configurations", tuple(self.configurations))
         object.__setattr__(self, "present", tuple(self.present))
         if not self.configurations:

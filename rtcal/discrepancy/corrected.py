@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.equations import Eyring, Kuttruff, Sabine
+from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.discrepancy.case import NORMAL_90, Case, Configuration, Present
@@ -26,12 +26,8 @@ from rtcal.errors import DataError
 from rtcal.simulators.base import Simulator, check_alpha, run
 from rtcal.support.types import Array
 
-EQUATIONS = {"sabine": Sabine(), "eyring": Eyring(), "kuttruff": Kuttruff()}
-"""Those of a case's that a calibration can invert."""
 _LARGEST_SHARE = 0.5
 """Of the walls, that an absorber takes so that more of it may be found."""
-_LARGEST_EXPONENT = -np.log1p(-0.999)
-"""Of an absorber under Millington's equation, where alpha = 1 has none."""
 _REST = {
     "coupled room": "the simulator has no second room; draw it in its geometry",
     "noise floor": "a simulator's decay has no noise; take the noise off the measurement",
@@ -227,6 +223,7 @@ def _stated(case: Case) -> Room:
 def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
     """The corrected room, and the effects that it cannot hold."""
     made, at, base = _stated(case), _bare(case), _base(case)
+    equation = mean_equation(at.equation)
     areas, alpha, sigma = made.areas, [*made.alpha], [*made.sigma]
     names, rest, sources = list(made.materials), list[Present](), dict(made.sources)
     for p in case.present:
@@ -238,13 +235,13 @@ def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
         wall, both = _absorption(at), _absorption(after)
         if np.allclose(wall, both, rtol=0, atol=1e-12):
             continue  # another volume, area, air or equation: the room has it already
-        top = _LARGEST_EXPONENT if at.equation == "millington" else 1.0
+        top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
         w = float(max(((both - wall) / (top - wall)).max(), ((wall - both) / wall).max()))
         w = max(w, min(w * (1 + NORMAL_90 * _spread(p)), _LARGEST_SHARE))
         own = np.clip(wall + (both - wall) / w, 0, top)
         areas = np.append((1 - w) * areas, w * made.total_area)
         names.append(p.effect if p.effect not in names else f"{p.effect} (found)")
-        alpha.append(-np.expm1(-own) if at.equation == "millington" else own)
+        alpha.append(equation.coefficient(own))
         if p.size_interval is not None:
             sources[names[-1]] = _source(p)
         sigma.append(np.abs(alpha[-1] - made.absorption_area / made.total_area) * _spread(p))
@@ -282,8 +279,6 @@ def _spread(p: Present) -> float:
 
 
 def _absorption(s: State) -> Array:
-    """The mean coefficient of everything that absorbs but the air; Millington's mean exponent."""
+    """The mean that the equation takes over everything that absorbs but the air."""
     exponent = (s.surface_absorption + s.objects) / s.total_area
-    if s.equation == "millington":
-        return np.asarray(exponent)
-    return EQUATIONS[s.equation].mean_alpha(exponent)
+    return mean_equation(s.equation).inverse(exponent)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.equations import mean_equation
 from rtcal.discrepancy.model import Decay, State
 from rtcal.errors import DataError, RtcalError
 from rtcal.support import checks
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from rtcal.discrepancy.effects import Effect, Parameters
 
 T = TypeVar("T")
-EQUATIONS = ("eyring", "sabine", "kuttruff", "millington")
-"""That a state, and so a case, can be predicted with."""
 _TEXTS = ("name", "size", "unit")
 _RESERVED = ("none", "unknown")
 _ARRAYS = {
@@ -140,8 +139,8 @@ def _check_field(where: str, name: str, value: Any, state: State) -> None:
         found = checks.number(where, value)
         if not (np.isfinite(found) and least <= found <= most):
             raise DataError(f"{where} = {found:g} is not {_rule(least, most)}")
-    elif name == "equation" and value not in EQUATIONS:
-        raise DataError(f"{where} = {value!r} is not one of {', '.join(EQUATIONS)}")
+    elif name == "equation":
+        mean_equation(value, where)
     elif name == "shape" and not (value is None or callable(value)):
         raise DataError(f"{where} = {value!r} does not turn a state into a Decay")
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics import decay
+from rtcal.acoustics import bands, decay
+from rtcal.acoustics.equations import Eyring, mean_equation
 from rtcal.acoustics.materials import Surface
 from rtcal.acoustics.room import Room
 from rtcal.discrepancy.case import Case
@@ -105,11 +106,8 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
     Bands are correlated as the room says; a configuration's changes are drawn apart.
     """
     room = case.room
-    octaves = np.abs(np.subtract.outer(*[np.log2(room.centre_frequencies)] * 2))
-    correlation = (
-        room.band_correlation**octaves if room.band_correlation > 0 else np.eye(len(octaves))
-    )
-    factor = np.linalg.cholesky(correlation + 1e-10 * np.eye(len(octaves)))
+    correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
+    factor = np.linalg.cholesky(correlation + 1e-10 * np.eye(room.n_bands))
 
     def drawn(mean: Array, sigma: Array) -> Array:
         z = rng.standard_normal((n, *mean.shape)) @ factor.T
@@ -301,8 +299,7 @@ def _by_axis(share: Array, alpha: Array) -> Array:
 def _time(room: Room, share: Array, alpha: Array) -> Array:
     """Eyring's T of the control room, (n_bands,)."""
     mean = np.clip(room.areas @ _by_axis(share, alpha) / room.total_area, 1e-3, 0.99)
-    loss = -room.total_area * np.log1p(-mean) + 4 * room.air_attenuation * room.volume
-    return np.asarray(24 * np.log(10) / room.speed_of_sound * room.volume / loss)
+    return Eyring().time(room, room.total_area * mean)
 
 
 def _features(energy: Array, width: float, level: float) -> Array:
@@ -333,7 +330,7 @@ def _theory(
             air=room.air_attenuation,
             frequencies=room.centre_frequencies,
             speed_of_sound=room.speed_of_sound,
-            equation="eyring" if case.equation in ("sabine", "millington") else case.equation,
+            equation=mean_equation(case.equation).diffuse_field().key,
         )
         out.append(predict([made], distance).features[0])
     return np.array(out)

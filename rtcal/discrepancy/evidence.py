@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.bands import correlation
 from rtcal.discrepancy.case import Case, Configuration, Present
 from rtcal.discrepancy.effect_checks import changed, tried
 from rtcal.discrepancy.effects import Effect, Parameters
@@ -247,8 +248,7 @@ def alpha_variance(
     independent there of what it is elsewhere. ``states`` and ``predicted`` by configuration.
     """
     room = case.room
-    octaves = np.abs(np.subtract.outer(*[np.log2(room.centre_frequencies)] * 2))
-    rho = room.band_correlation**octaves if room.band_correlation > 0 else np.eye(len(octaves))
+    rho = correlation(room.centre_frequencies, room.band_correlation)
     pull = np.stack(
         [
             sensitivities(column) * p.reverberation_time[:, None, :] / (6 * np.log(10))

@@ -12,12 +12,17 @@ from functools import cached_property
 
 import numpy as np
 
+from rtcal.acoustics.equations import MeanEquation, mean_equation
 from rtcal.support.types import Array
 
 FEATURES = ("t20", "edt", "t30", "c80", "g")
 """Rows of every feature table: ln T20 (s), ln EDT/T20, ln T30/T20, C80 and G in dB."""
 _LN6 = 6 * np.log(10)
 _STEPS = 12
+_FROM_ENDS = 1e-6
+"""Distance that the mean over the walls keeps from 0, and in relation from the equation's largest."""
+STEEPEST = 0.98
+"""Coefficient up to which a slope is taken: beyond it, ln T is far from linear in alpha."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +41,9 @@ class State:
     """A room in one configuration, as a model knows it.
 
     ``areas`` (n_materials,), ``alpha`` (n_materials, n_bands), ``facing`` (n_materials, 3), ``air``
-    (n_bands,) in 1/m. ``covering`` (n_bands,) is what panels and openings add to S'alpha in m²,
-    ``objects`` (n_bands,) the absorption area of things that stand free. ``floor_db`` is the noise
+    (n_bands,) in 1/m. ``equation`` is the key of a `MeanEquation`. ``covering`` (n_bands,) is what
+    panels and openings add to the sum S_i h(alpha_i) of the equation in m², ``objects`` (n_bands,)
+    the absorption area of things that stand free. ``floor_db`` is the noise
     under the level at which the decay starts, over ``record`` reverberation times; ``direct_db``
     what the direct sound has above an omnidirectional source's.
     """
@@ -86,9 +92,9 @@ class State:
 
     def covered(self, area: float, spectrum: Array) -> State:
         """Return the state with ``area`` m² of wall replaced by something of this spectrum."""
-        gain = area * (spectrum - self._wall)
-        if self.equation == "millington":
-            gain = area * (-np.log1p(-np.minimum(spectrum, 0.999)) + np.log1p(-self._wall))
+        equation = mean_equation(self.equation)
+        patch = equation.contribution(np.minimum(spectrum, equation.largest_alpha))
+        gain = area * (patch - equation.contribution(self._wall))
         return replace(self, covering=self.covering + gain)
 
     def with_objects(self, absorption_area: Array) -> State:
@@ -104,27 +110,36 @@ def _each(states: Sequence[State], name: str) -> Array:
     return out
 
 
-def _mean_alpha(states: Sequence[State]) -> Array:
-    """What the surfaces absorb of what falls on them, (n, n_bands)."""
-    areas, alpha = np.array([s.areas for s in states]), np.array([s.alpha for s in states])
-    area = np.einsum("nm,nmk->nk", areas, alpha) + _each(states, "covering")
-    return np.asarray(np.clip(area / areas.sum(1)[:, None], 1e-6, 1 - 1e-6))
+def _by_equation(states: Sequence[State]) -> list[tuple[MeanEquation, list[int]]]:
+    """Return the equations of the states, each with the places of its states."""
+    places: dict[str, list[int]] = {}
+    for i, s in enumerate(states):
+        places.setdefault(s.equation, []).append(i)
+    return [(mean_equation(key), where) for key, where in places.items()]
+
+
+def _stacked(states: Sequence[State]) -> tuple[Array, Array]:
+    """Return the areas (n, n_materials) and alpha (n, n_materials, n_bands) of states."""
+    return np.array([s.areas for s in states]), np.array([s.alpha for s in states])
+
+
+def _mean(equation: MeanEquation, states: Sequence[State]) -> Array:
+    """Return the mean over the walls that the equation takes, (n, n_bands), within its range."""
+    areas, alpha = _stacked(states)
+    walls = equation.contribution(np.minimum(alpha, equation.largest_alpha))
+    total = np.einsum("nm,nmk->nk", areas, walls) + _each(states, "covering")
+    highest = (1 - _FROM_ENDS) * equation.largest_mean
+    return np.asarray(np.clip(total / areas.sum(1)[:, None], _FROM_ENDS, highest))
 
 
 def surface_absorption(states: Sequence[State]) -> Array:
     """Return S a(alpha) in m² of many states of one room, (n, n_bands)."""
-    equation = np.array([s.equation for s in states])[:, None]
-    mean = _mean_alpha(states)
-    exponent = -np.log1p(-mean)
-    exponent = np.where(equation == "sabine", mean, exponent)
-    # gamma² = 0.4 (Kuttruff 2016, Sect. 5.4)
-    exponent = np.where(equation == "kuttruff", exponent * (1 - 0.2 * exponent), exponent)
-    out = np.array([s.areas for s in states]).sum(1)[:, None] * exponent
-    for i, s in enumerate(states):
-        if s.equation != "millington":
-            continue
-        out[i] = s.areas @ -np.log1p(-np.minimum(s.alpha, 1 - 1e-6)) + s.covering
-    return np.asarray(out)
+    out = np.empty((len(states), len(states[0].air)))
+    for equation, where in _by_equation(states):
+        group = [states[i] for i in where]
+        areas = np.array([s.total_area for s in group])[:, None]
+        out[where] = areas * equation.exponent(_mean(equation, group))
+    return out
 
 
 def rates(states: Sequence[State]) -> Array:
@@ -137,18 +152,16 @@ def rates(states: Sequence[State]) -> Array:
 
 def sensitivities(states: Sequence[State]) -> Array:
     """Return d k / d alpha in 1/s of many states, (n, n_materials, n_bands)."""
-    equation = np.array([s.equation for s in states])[:, None]
-    mean = np.minimum(_mean_alpha(states), 0.98)
-    slope = 1 / (1 - mean)
-    slope = np.where(equation == "sabine", 1.0, slope)
-    slope = np.where(equation == "kuttruff", slope * (1 + 0.4 * np.log1p(-mean)), slope)
-    volume = np.array([s.volume for s in states])[:, None]
-    flow = states[0].speed_of_sound / (4 * volume) * np.array([s.areas for s in states])
-    out = flow[:, :, None] * slope[:, None, :]
-    for i, s in enumerate(states):
-        if s.equation == "millington":
-            out[i] = flow[i][:, None] / (1 - np.minimum(s.alpha, 0.99))
-    return np.asarray(out)
+    out = np.empty((len(states), *states[0].alpha.shape))
+    for equation, where in _by_equation(states):
+        group = [states[i] for i in where]
+        areas, alpha = _stacked(group)
+        slope = equation.slope(np.minimum(_mean(equation, group), STEEPEST))[:, None, :]
+        walls = equation.contribution_slope(np.minimum(alpha, STEEPEST))
+        volume = np.array([s.volume for s in group])[:, None]
+        flow = states[0].speed_of_sound / (4 * volume) * areas
+        out[where] = flow[:, :, None] * slope * walls
+    return out
 
 
 @dataclass(frozen=True, eq=False)

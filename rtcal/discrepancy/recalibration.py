@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.equations import Eyring, LinearEquation, Sabine
+from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.configurations import Configurations
@@ -29,7 +29,7 @@ from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
 from rtcal.discrepancy.case import NORMAL_90, Case, Configuration, Present
 from rtcal.discrepancy.corrected import corrected_room
 from rtcal.discrepancy.evidence import KAPPA, ModelError, observe
-from rtcal.discrepancy.model import FEATURES, State, predict
+from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import amount, in_words, material_of, titled
 from rtcal.errors import MissingAirWarning
@@ -215,7 +215,8 @@ def _calibrated(
     present = list(fitted.present)
     alpha, changed = np.array(room.alpha), dict[tuple[str, str], Array]()
     solved: JointResult
-    for _ in range(_ROUNDS if present or fitted.equation == "millington" else 1):
+    is_linear = isinstance(mean_equation(fitted.equation), LinearEquation)
+    for _ in range(1 if is_linear and not present else _ROUNDS):
         case = replace(fitted, present=present)
         states = [_state(case, c, alpha, changed) for c in fitted.configurations]
         rooms = [_room(room, c, s) for c, s in zip(fitted.configurations, states, strict=True)]
@@ -316,8 +317,7 @@ def _room(room: Room, c: Configuration, s: State) -> Room:
 
 
 def _equation(case: Case, s: State) -> LinearEquation:
-    kind = Sabine if s.equation == "sabine" else Eyring
-    return kind(speed_of_sound=case.room.speed_of_sound)
+    return replace(mean_equation(s.equation).linear(), speed_of_sound=case.room.speed_of_sound)
 
 
 def _size(p: Present) -> float:
@@ -362,10 +362,9 @@ def _gains(case: Case, states: list[State]) -> list[tuple[Present, Array]]:
 
 def _slope(s: State) -> Array:
     """d (S a) / d (S'alpha) of the QP's equation."""
-    if s.equation == "sabine":
-        return np.ones_like(s.air)
+    equation = mean_equation(s.equation).linear()
     mean = (s.areas @ s.alpha + s.covering) / s.total_area
-    return np.asarray(1 / (1 - np.clip(mean, 0, 0.98)))
+    return equation.slope(np.clip(mean, 0, min(STEEPEST, equation.largest_mean)))
 
 
 def _qp_time(
@@ -373,7 +372,7 @@ def _qp_time(
 ) -> Array:
     """T of the QP's equation for the state's alpha and the effects that are its unknowns."""
     area = room.areas @ s.alpha + sum((g * size for g, size in gains), np.zeros_like(s.air))
-    top = equation.largest_mean_alpha * room.total_area
+    top = equation.largest_mean * room.total_area
     return equation.time(room, np.clip(area, 1e-6, 0.999 * top))
 
 

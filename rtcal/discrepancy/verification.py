@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
+from rtcal.acoustics.quality import JND
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.evidence import (
     NONE,
@@ -33,7 +34,6 @@ from rtcal.discrepancy.wording import best, listed, rivals, standing
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
-_JND = {"t20": 0.05, "edt": 0.05, "t30": 0.05, "c80": 1.0, "g": 1.0}
 _WORSE = 0.1
 """JND by which the mean gap in what alpha cannot absorb may grow before a finding is withdrawn."""
 _SURPRISED = -1.0
@@ -233,7 +233,7 @@ def _better(nats: float) -> str:
 
 
 def _gap(feature: int, measured: Array, modelled: Array) -> Array:
-    jnd = _JND[FEATURES[feature]]
+    jnd = JND[FEATURES[feature]]
     if feature < 3:  # relative, from logarithms
         return np.asarray((np.exp(modelled - measured) - 1) / jnd)
     return np.asarray((modelled - measured) / jnd)

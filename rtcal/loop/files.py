@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.equations import Eyring, Kuttruff, LinearEquation, Sabine
+from rtcal.acoustics.equations import LinearEquation, linear_equation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_files import parse_room
 from rtcal.calibration.presets import preset
@@ -43,7 +43,6 @@ _KEYS = (
     "steps",
 )
 _STEP_KEYS = ("target", "alpha", "simulated", "noise")
-_EQUATIONS = {e.name: e for e in (Sabine, Eyring, Kuttruff)}
 
 
 def text(data: Mapping[str, Any]) -> str:
@@ -133,7 +132,6 @@ def fingerprint(room: Room) -> str:
 def _equation(data: Any) -> LinearEquation:
     parameters = checks.mapped("equation", data)
     named = {"name": parameters.pop("name", None)}
-    name = Entries("equation.", named, ["name"]).choice("name", _EQUATIONS)
-    equation = _EQUATIONS[name]
+    equation = linear_equation(Entries("equation.", named, ["name"]).text("name"))
     needed = [field.name for field in fields_of(equation)]
     return equation(**Entries("equation.", parameters, needed).values)

@@ -303,7 +303,7 @@ class Loop:
         share = 1e-3
         low = room.areas @ least + share * (room.areas @ (most - least))
         high = room.areas @ most - share * (room.areas @ (most - least))
-        high = np.minimum(high, 0.999 * equation.largest_mean_alpha * room.total_area)
+        high = np.minimum(high, 0.999 * equation.largest_mean * room.total_area)
         return equation.time(room, high), equation.time(room, low)
 
     def to_dict(self) -> dict[str, Any]:

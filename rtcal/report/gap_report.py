@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
-from rtcal.discrepancy.corrected import EQUATIONS
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.recalibration import effect_said
 from rtcal.discrepancy.verification import Verification, verify
@@ -93,7 +92,7 @@ def write(finding: Finding, folder: Path, reproduction: Reproduction | None = No
             finding.case.room,
             first.measured,
             unreachable="nearest",
-            equation=EQUATIONS.get(finding.case.equation, Eyring()),
+            equation=mean_equation(finding.case.equation).linear(),
         )
     told = summary(finding, verified, reproduction)
     text = page(usual, finding=told, finding_figures=list(drawn.values()))

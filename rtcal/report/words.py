@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.equations import linear_equation
 from rtcal.acoustics.quality import JND, TrustMark
 from rtcal.calibration.presets import METHODS
 from rtcal.report.saved import Saved
@@ -295,7 +296,7 @@ def command(seen: Saved) -> str | None:
         "--method",
         record["method"],
         "--equation",
-        record["equation"].lower(),
+        linear_equation(record["equation"]).key,
         "--solver",
         record["solver"]["name"],
     ]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from rtcal.acoustics.quality import JND
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
@@ -16,9 +17,6 @@ from rtcal.calibration.terms.base import Rows, Sums, half_squares, limited, reci
 from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
 from rtcal.support.types import Array
-
-_JND = 0.05
-"""Just noticeable difference of T, relative (ISO 3382-1:2009, table A.1)."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,7 @@ class MatchWithin:
 
     def __post_init__(self) -> None:
         checks.number("MatchWithin: jnd", self.jnd, ModelError)
-        if not 0 <= self.jnd < 1 / _JND:
+        if not 0 <= self.jnd < 1 / JND["t20"]:
             raise ModelError(f"MatchWithin({self.jnd:g}): the tolerance must be from 0 to below 20")
 
     @property
@@ -115,7 +113,7 @@ class MatchWithin:
         """
         if self.jnd == 0:
             return instance.target, instance.target
-        tolerance = _JND * self.jnd
+        tolerance = JND["t20"] * self.jnd
         low = instance.target_of(instance.time * (1 + tolerance))
         high = instance.target_of(instance.time * (1 - tolerance))
         return np.fmin(low, instance.target), np.fmax(high, instance.target)

@@ -11,6 +11,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
+from rtcal.acoustics.bands import correlation
 from rtcal.calibration.context import Context
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
@@ -216,8 +217,6 @@ def _named(given: Any) -> bool:
 def _factors(
     term: PriorDeviation, layout: Layout, names: tuple[str, ...]
 ) -> tuple[list[Array], Array]:
-    octaves = np.log2(np.array(layout.centre_frequencies))
-    apart = np.abs(octaves[:, np.newaxis] - octaves)
     given: Any = term.band_correlation
     by_material = dict(given) if _named(given) else None
     for name in by_material or ():
@@ -228,7 +227,7 @@ def _factors(
         if isinstance(r, float):
             if not 0 <= r < 1:
                 raise ModelError(f"band_correlation {r:g} is not in [0, 1)")
-            table = np.where(apart == 0, 1.0, r**apart) if r else np.eye(layout.n_bands)
+            table = correlation(np.array(layout.centre_frequencies), r)
         else:
             table = np.array(r)
         bands.append(_cholesky(table, layout.n_bands, f'band_correlation of "{name}"'))
