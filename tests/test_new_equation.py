@@ -20,7 +20,7 @@ from rtcal.acoustics.equations import base as registry
 from rtcal.discrepancy.model import STEEPEST, sensitivities
 from rtcal.discrepancy.recalibration import plain, recalibrate
 from rtcal.discrepancy.states import state
-from rtcal.loop.state import Loop
+from rtcal.loop.state import Loop, start
 from rtcal.report.words import linear_equation
 from rtcal.simulators.equation import EquationSimulator
 
@@ -45,7 +45,7 @@ class Quadratic(LinearEquation):
 @pytest.fixture
 def quadratic() -> Iterator[type[Any]]:
     names: dict[str, Any] = {"LinearEquation": LinearEquation, "ClassVar": ClassVar, "np": np}
-    exec(ONE_FILE, names)  # noqa: S102 (the text above)
+    exec(ONE_FILE, names)
     yield register(names["Quadratic"])
     del EQUATIONS["quadratic"]
 
@@ -81,9 +81,9 @@ def test_a_new_equation_is_a_case_s_model(quadratic: type[Any]) -> None:
 
 def test_a_new_equation_is_kept_in_a_saved_loop(quadratic: type[Any], cr2, tmp_path: Path) -> None:
     room, measured = cr2
-    loop = Loop.start(room, measured, equation=quadratic())
+    loop = start(room, measured, equation=quadratic())
     loop.save(str(tmp_path / "loop.json"))
-    assert Loop.from_file(str(tmp_path / "loop.json")).equation == quadratic()
+    assert Loop.load(str(tmp_path / "loop.json")).equation == quadratic()
 
 
 def test_a_new_equation_is_a_command_s_choice(tmp_path: Path) -> None:
