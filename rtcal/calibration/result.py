@@ -27,6 +27,11 @@ from rtcal.calibration.feasibility import Unreachable
 from rtcal.calibration.instance import Instance
 from rtcal.calibration.measured import Measured, history
 from rtcal.calibration.terms import Matching, SoftMatch
+from rtcal.calibration.uncertainty import density, estimate_sigma, innovation, optimality
+from rtcal.errors import ModelError
+from rtcal.posterior.density import CoupledBands, IndependentBands
+from rtcal.posterior.distributions import exact_posterior
+from rtcal.posterior.sensitivities import Optimality
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 
@@ -186,15 +191,13 @@ class CalibrationResult:
     @cached_property
     def plausibility(self) -> Plausibility:
         """How far T was from what was known, per band and in all, with the prior's own sigma."""
-        from rtcal.posterior.distributions import miss
-
-        found, covariance = miss(self.joint)
+        deviation, covariance = innovation(self.joint.solution, self.joint.configurations)
         own = slice(
             self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
         )
         further = self._instance.further(self.joint.solution.active.astype(float))
         at_bound = bool(self.active[:, self.matched].any() or further.any())
-        return plausibility(found[own], covariance[own, own], at_bound)
+        return plausibility(deviation[own], covariance[own, own], at_bound)
 
     @cached_property
     def air_share(self) -> Array:
@@ -219,8 +222,8 @@ class CalibrationResult:
     def posterior_sigma(self) -> Array:
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands).
 
-        That of the linear estimate, for a prior with the room's sigma and a T with its uncertainty;
-        see `rtcal.posterior.distributions.estimate_sigma`. Bounds are not counted in.
+        That of the linear estimate, for a prior with the room's sigma and a T with its uncertainty.
+        It does not count bounds; `rtcal.posterior.posterior` does.
         """
         return self.joint.posterior_sigma[self._rows]
 
@@ -240,19 +243,31 @@ class CalibrationResult:
     def interval(self) -> tuple[Array, Array] | None:
         """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
 
-        Exact, from `rtcal.posterior.distributions`; None where that would take long (sampling, for
-        correlations, order or several configurations; or over 40 materials), or where the method
-        has no posterior (`lse`, `robust`).
+        Exact, from `rtcal.posterior`. None where that would take long (sampling, for correlations,
+        order or several configurations; or over 40 materials), or where the method has no
+        posterior (`lse`, `robust`).
         """
         if len(self.joint.materials) > _MOST_FOR_INTERVALS:
             return None
-        from rtcal.posterior.distributions import marginal_posterior
-
-        known = marginal_posterior(self.joint)
-        if known is None:
+        try:
+            density = self.joint.density()
+        except ModelError:  # the method has no posterior
             return None
-        low, high = known.interval(0.9)
+        if not isinstance(density, IndependentBands):
+            return None
+        low, high = exact_posterior(density).interval(0.9)
         return low[self._rows], high[self._rows]
+
+    def density(self) -> IndependentBands | CoupledBands:
+        """Return the density of the coefficients, for `rtcal.posterior.posterior`.
+
+        Raises ModelError if the method has none (`lse`, `robust`).
+        """
+        return self.joint.density()
+
+    def optimality(self) -> Optimality:
+        """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
+        return self.joint.optimality()
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing."""
@@ -332,11 +347,22 @@ class JointResult:
         sizes = instance.further(self.solution.unknowns)
         return dict(zip(instance.layout.further, sizes.tolist(), strict=True))
 
+    def density(self) -> IndependentBands | CoupledBands:
+        """Return the density of the unknowns, for `rtcal.posterior.posterior`.
+
+        Raises ModelError if the method has none (`lse`, `robust`).
+        """
+        return density(self.solution)
+
+    def optimality(self) -> Optimality:
+        """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
+        return optimality(self.solution, self.data, self.assemble, bounds=True)
+
     @cached_property
     def _estimate_sigma(self) -> Array:
-        from rtcal.posterior.distributions import estimate_sigma
-
-        return estimate_sigma(self)
+        return estimate_sigma(
+            self.solution, self.configurations, self.equation, self.data, self.assemble
+        )
 
     @property
     def posterior_sigma(self) -> Array:

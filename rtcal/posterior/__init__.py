@@ -1,1 +1,6 @@
-"""What a measurement leaves open: distributions, marginals, samples, sensitivities."""
+"""What a measurement leaves open: distributions of the coefficients, and their sensitivity to T."""
+
+from rtcal.posterior.distributions import Posterior, posterior
+from rtcal.posterior.sensitivities import sensitivity
+
+__all__ = ["Posterior", "posterior", "sensitivity"]

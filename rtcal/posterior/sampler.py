@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
-from rtcal.calibration.layout import Integers
-from rtcal.calibration.twin import Twin
 from rtcal.errors import ModelError, SolverError
+from rtcal.posterior.density import TruncatedNormal
 from rtcal.support.types import Array
+
+Integers = NDArray[np.intp]
 
 _CHAINS = 32
 _TRAVEL = np.pi / 2
@@ -23,15 +25,12 @@ _MIXED = 1.05
 """Between-chain over within-chain spread (Gelman & Rubin 1992) up to which samples are returned."""
 
 
-def sample(twin: Twin, u: Array, n_samples: int, seed: int) -> Array:
-    """Return samples of exp(-objective) within the twin's rows and box, (n_samples, size).
+def sample(density: TruncatedNormal, n_samples: int, seed: int) -> Array:
+    """Return samples of a truncated normal density, (n_samples, size).
 
     Parameters
     ----------
-    twin : Twin
-        Its objective is quadratic.
-    u : array (size,)
-        A point that satisfies the equalities.
+    density : TruncatedNormal
     n_samples : int
     seed : int
 
@@ -42,12 +41,12 @@ def sample(twin: Twin, u: Array, n_samples: int, seed: int) -> Array:
     SolverError
         If the chains disagree: the samples would not be trustworthy.
     """
-    free = np.flatnonzero(twin.movable)
+    free = np.flatnonzero(density.scale > 0)
     if len(free) > _LARGEST:
         raise ModelError(f"{len(free)} unknowns are too many to sample; at most {_LARGEST}")
     rng = np.random.default_rng(seed)
-    basis, centre = _coordinates(twin, u, free)
-    walls, offset = _walls(twin, free, basis, centre)
+    basis, centre = _coordinates(density, free)
+    walls, offset = _walls(density, free, basis, centre)
     draws = max(2 * int(np.ceil(n_samples / _CHAINS / 2)), 60)
     w = np.tile(_interior(walls, offset)[:, np.newaxis], _CHAINS)
     kept = np.empty((draws, basis.shape[1], _CHAINS))
@@ -57,44 +56,47 @@ def sample(twin: Twin, u: Array, n_samples: int, seed: int) -> Array:
             kept[draw] = w
     values = np.einsum("ij,djc->dci", basis, kept)
     _check_mixing(values)
-    out = np.tile(u, (draws * _CHAINS, 1))
+    out = np.tile(density.point, (draws * _CHAINS, 1))
     out[:, free] = values.reshape(-1, len(free)) + centre
     return out[:n_samples]
 
 
-def _coordinates(twin: Twin, u: Array, free: Integers) -> tuple[Array, Array]:
+def _coordinates(density: TruncatedNormal, free: Integers) -> tuple[Array, Array]:
     """Basis B and centre c: the free unknowns are c + B w with w standard normal."""
     from scipy.linalg import cholesky, null_space, solve_triangular
 
-    scale = twin.sigma[free]
-    curvature = twin.curvature(u)
+    scale = density.scale[free]
+    curvature = density.curvature
     if sp.issparse(curvature):
         own = curvature[free][:, free].toarray() * np.outer(scale, scale)
     else:
         own = np.diag(curvature[free] * scale**2)
-    equal = (twin.row_lower == twin.row_upper) & (twin.row_norm > 0)
-    rows = sp.csr_array(twin.matrix)[equal][:, free].toarray() * scale
+    equal = density.row_lower == density.row_upper
+    rows = sp.csr_array(density.matrix)[equal][:, free].toarray() * scale
+    rows = rows[np.abs(rows).max(axis=1, initial=0.0) > 0]
     within = null_space(rows) if len(rows) else np.eye(len(free))
     factor = cholesky(within.T @ own @ within, lower=True)
     basis = within @ solve_triangular(factor, np.eye(factor.shape[0]), lower=True).T
     # The mode without inequalities: one Newton step within the equalities.
-    step = basis @ (basis.T @ (twin.gradient(u)[free] * scale))
-    return scale[:, np.newaxis] * basis, u[free] - scale * step
+    step = basis @ (basis.T @ (density.gradient[free] * scale))
+    return scale[:, np.newaxis] * basis, density.point[free] - scale * step
 
 
-def _walls(twin: Twin, free: Integers, basis: Array, centre: Array) -> tuple[Array, Array]:
+def _walls(
+    density: TruncatedNormal, free: Integers, basis: Array, centre: Array
+) -> tuple[Array, Array]:
     """F and g of F w + g >= 0, the rows of F of unit length."""
-    unequal = twin.row_lower < twin.row_upper
-    rows = sp.csr_array(twin.matrix)[unequal][:, free].toarray()
-    fixed = sp.csr_array(twin.matrix)[unequal] @ np.where(twin.movable, 0.0, twin.instance.centre)
+    unequal = density.row_lower < density.row_upper
+    rows = sp.csr_array(density.matrix)[unequal][:, free].toarray()
+    fixed = sp.csr_array(density.matrix)[unequal] @ np.where(density.scale > 0, 0.0, density.point)
     normals = np.vstack([basis, -basis, rows @ basis, -rows @ basis])
     at = rows @ centre + fixed
     gaps = np.concatenate(
         [
-            centre - twin.lower[free],
-            twin.upper[free] - centre,
-            at - twin.row_lower[unequal],
-            twin.row_upper[unequal] - at,
+            centre - density.lower[free],
+            density.upper[free] - centre,
+            at - density.row_lower[unequal],
+            density.row_upper[unequal] - at,
         ]
     )
     length = np.linalg.norm(normals, axis=1)

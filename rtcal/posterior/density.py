@@ -1,0 +1,102 @@
+"""What was solved, as plain arrays: the densities whose marginals or samples are asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IndependentBands:
+    """Independent truncated normal priors and one matched sum per band.
+
+    Attributes
+    ----------
+    rows : tuple of int (n_materials,)
+        The row of coefficients of each material; materials may share one.
+    mu, sigma, lower, upper : array (n_rows, n_bands)
+        The priors and their bounds; sigma = 0 where a coefficient is held.
+    alpha : array (n_rows, n_bands)
+        The calibrated coefficients.
+    areas : array (n_rows,)
+        S in m².
+    target, noise : array (n_bands,)
+        b and its standard uncertainty in m²; b is NaN where there is none, noise is 0 where the match
+        is exact.
+    multiplier : array (n_bands,)
+        D in 1/m²: free coefficients are mu - D S sigma².
+    at_end : array (n_bands,) of bool
+        Whether b stands at an end of its reach, so that it has a single answer.
+    """
+
+    rows: tuple[int, ...]
+    mu: Array
+    sigma: Array
+    lower: Array
+    upper: Array
+    alpha: Array
+    areas: Array
+    target: Array
+    noise: Array
+    multiplier: Array
+    at_end: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TruncatedNormal:
+    """A normal density within bounds, linear equalities and linear inequalities.
+
+    The density of u is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)).
+
+    Attributes
+    ----------
+    point : array (size,)
+        p, where the equalities hold.
+    gradient : array (size,)
+        g.
+    curvature : array (size,) or sparse array (size, size)
+        H, or its diagonal where it has nothing else.
+    scale : array (size,)
+        The scale of each unknown; 0 where it is held.
+    lower, upper : array (size,)
+        The bounds.
+    matrix : array or sparse array (n_rows, size)
+    row_lower, row_upper : array (n_rows,)
+        Limits of ``matrix @ u``; equal for an equality.
+    """
+
+    point: Array
+    gradient: Array
+    curvature: Any
+    scale: Array
+    lower: Array
+    upper: Array
+    matrix: Any
+    row_lower: Array
+    row_upper: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CoupledBands:
+    """A density that couples bands, configurations or further unknowns.
+
+    The unknowns are the coefficients, row by row with the bands last, and then the further ones.
+
+    Attributes
+    ----------
+    rows : tuple of int (n_materials,)
+        The row of coefficients of each material.
+    n_bands : int
+    further : tuple of str
+        Names of the further unknowns.
+    posterior, prior : TruncatedNormal
+        With the measurement and without it.
+    """
+
+    rows: tuple[int, ...]
+    n_bands: int
+    further: tuple[str, ...]
+    posterior: TruncatedNormal
+    prior: TruncatedNormal
