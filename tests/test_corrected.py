@@ -18,7 +18,7 @@ from rtcal.discrepancy import Case, Present, corrected_room, recalibrate, simula
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
-from rtcal.posterior.distributions import posterior
+from rtcal.posterior import posterior
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource

@@ -9,7 +9,7 @@ from scipy import stats
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
-from rtcal.posterior.distributions import estimate_sigma, posterior, sensitivity
+from rtcal.posterior import posterior, sensitivity
 from rtcal.posterior.marginals import marginals
 from tests.conftest import random_room, true_times
 
@@ -176,7 +176,7 @@ def test_sensitivity_is_how_the_answer_follows_t(method: str) -> None:
         np.testing.assert_allclose(slope[:, k, 0, k], wanted, rtol=1e-6)
 
 
-def test_estimate_sigma_of_any_composition_against_draws() -> None:
+def test_posterior_sigma_of_any_composition_against_draws() -> None:
     """Truth and noise drawn 4,000 times, the composed estimate solved for each."""
     rng = np.random.default_rng(1)
     room = random_room(rng, 4, 2)
@@ -190,7 +190,7 @@ def test_estimate_sigma_of_any_composition_against_draws() -> None:
     problem = calibration.build(room)
     t = EYRING.time(room, room.absorption_area)
     base = problem.solve(t)
-    u = estimate_sigma(base.joint).reshape(4, 2)
+    u = base.posterior_sigma
     layout = base.joint.solution.twin.instance.layout
     factor = np.linalg.cholesky(terms.PriorDeviation(band_correlation=0.5).correlation(layout))
     b_slope = EYRING.target_sensitivity(room, t)

@@ -12,7 +12,7 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.command import main as cli
 from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
 from rtcal.loop import calibrate as closed_loop
-from rtcal.posterior.distributions import posterior, sensitivity
+from rtcal.posterior import posterior, sensitivity
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.external import External, command
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron

@@ -232,8 +232,6 @@ def _covariances(solution: Solution, configurations: Configurations) -> tuple[Ar
             band_correlation=room.band_correlation, material_correlation=room.material_correlation
         )
     match = match_matrix(instance)
-    cross = sigma[:, np.newaxis] * prior.correlate(
-        sigma[:, np.newaxis] * match.T.toarray(), layout
-    )
+    cross = sigma[:, np.newaxis] * prior.correlate(sigma[:, np.newaxis] * match.T.toarray(), layout)
     noise = np.nan_to_num(instance.target_uncertainty).ravel() ** 2
     return sigma, cross, np.asarray(match @ cross + np.diag(noise))

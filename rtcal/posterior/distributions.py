@@ -18,6 +18,7 @@ from rtcal.posterior.sampler import sample
 from rtcal.support import checks
 from rtcal.support.types import Array
 
+
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """The distribution of alpha given the measurement.
@@ -145,15 +146,19 @@ def exact_posterior(bands: IndependentBands) -> Posterior:
         free = np.flatnonzero(bands.sigma[:, k] > 0)
         if not len(free):
             continue
-        prior = tuple(v[free, k] for v in (bands.mu, bands.sigma, bands.lower, bands.upper))
-        band = unmatched(*prior)
+        mu, sigma_prior = bands.mu[free, k], bands.sigma[free, k]
+        lower, upper = bands.lower[free, k], bands.upper[free, k]
+        band = unmatched(mu, sigma_prior, lower, upper)
         prior_sigma[free, k] = np.sqrt(np.diag(band.covariance))
         if np.isfinite(bands.target[k]):
             if bands.at_end[k]:
                 continue
             held = float(bands.areas @ np.where(bands.sigma[:, k] > 0, 0.0, bands.alpha[:, k]))
             band = marginals(
-                *prior,
+                mu,
+                sigma_prior,
+                lower,
+                upper,
                 bands.areas[free],
                 float(bands.target[k]) - held,
                 float(bands.noise[k]),
