@@ -2,7 +2,7 @@
 
 diffuse: a box of 5 x 7 x 3 m with scattering 1, T20 against Kuttruff's equation with gamma² from the
 paths, and against Eyring's. specular: the same box with scattering 0, energy in 50 ms steps against
-the image sources'. meanings: T20 of the two meanings of scattering in the corridor. noise: the stated
+the image sources'. models: T20 of the two scattering models in the corridor. noise: the stated
 standard error of T20 in the lecture hall against the spread over 12 seeds. engines: pyroomacoustics
 against ours, both with vector scattering, in the lecture hall and the corridor; T20 (mean over
 receivers) by the worst of seven bands with the noise of the difference there, and the energy of 0.5 s,
@@ -20,11 +20,11 @@ import numpy as np
 import rtcal as rt
 from rtcal.acoustics.decay import decay_time
 from rtcal.datasets import halls
-from rtcal.simulators.energies import jackknife
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.image_source import ImageSource
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
+from rtcal.simulators.tracer import jackknife
 
 SIDES = (5.0, 7.0, 3.0)
 ALPHAS = np.array([0.05, 0.1, 0.2, 0.3, 0.4])
@@ -94,7 +94,7 @@ def specular(n_paths: int) -> None:
     )
 
 
-def meanings(n_paths: int) -> None:
+def scattering_models(n_paths: int) -> None:
     hall = halls.corridor()
     alpha = np.full_like(hall.room.alpha, 0.2)
     times = [
@@ -106,15 +106,15 @@ def meanings(n_paths: int) -> None:
                 n_paths=n_paths,
                 receivers=hall.receivers,
                 scattering=0.1,
-                meaning=meaning,
+                scattering_model=scattering_model,
             )
             .energy(alpha, 2.0)
             .mean(axis=0)
         )[0]
-        for meaning in ("random", "vector")
+        for scattering_model in ("random", "vector")
     ]
     print(
-        f"meanings: corridor, scattering 0.1, alpha 0.2: T20 random {times[0]:.3f} s, vector "
+        f"models: corridor, scattering 0.1, alpha 0.2: T20 random {times[0]:.3f} s, vector "
         f"{times[1]:.3f} s, ratio {times[0] / times[1]:.2f}"
     )
 
@@ -156,7 +156,7 @@ def engines(name: str, scattering: float, seconds: float, n_rays: int) -> None:
         "receivers": {**hall.receivers, **hall.held_out},
     }
     energies = [
-        PathTracing(**common, n_paths=4 * n_rays, meaning="vector").energy(
+        PathTracing(**common, n_paths=4 * n_rays, scattering_model="vector").energy(
             hall.room.alpha, seconds, seed=3
         ),
         RayTracing(**common, n_rays=n_rays, n_batches=16).energy(hall.room.alpha, seconds, seed=3),
@@ -206,7 +206,7 @@ def main() -> None:
     arguments = parser.parse_args()
     diffuse(arguments.paths)
     specular(arguments.paths)
-    meanings(arguments.paths // 4)
+    scattering_models(arguments.paths // 4)
     noise(arguments.paths // 8)
     for name, seconds in (("lecture_hall", 1.6), ("corridor", 2.5)):
         for scattering in (1.0, 0.1, 0.0):

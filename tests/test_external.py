@@ -2,8 +2,10 @@
 
 import os
 import pathlib
+import signal
 import sys
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,11 +13,13 @@ import pytest
 import rtcal as rt
 from rtcal.errors import DataError, SimulatorError
 from rtcal.simulators import base
-from rtcal.simulators.external import External, command
+from rtcal.simulators.external import External
+from rtcal.simulators.program import command
 
 PROGRAM = """
 import os
 import pathlib
+import signal
 import sys
 import rtcal as rt
 given, found, seed = sys.argv[1:]
@@ -168,7 +172,7 @@ def test_what_a_program_is_called_and_started_with(cr2):
     for name in ("", " ", "two\nlines", 5):
         with pytest.raises(DataError, match="name"):
             External(room=room, run=lambda alpha, seed: alpha[0], name=name)
-    with pytest.raises(DataError, match="deterministic = 'no' is not True or False"):
+    with pytest.raises(DataError, match="deterministic = 'no' is not true or false"):
         external(room, lambda alpha, seed: alpha[0], deterministic="no")
 
 
@@ -188,3 +192,144 @@ def test_times_that_are_no_times(cr2):
 
     with pytest.raises(SimulatorError, match="raised RuntimeError: first second"):
         base.run(external(room, fails), room.alpha)
+
+
+def test_a_callable_cannot_change_the_coefficients_of_its_caller(cr2):
+    """It scaled alpha in place: the loop then said "converged" with other coefficients."""
+    room, _ = cr2
+
+    def scales_in_place(alpha, seed):
+        alpha *= 0.5
+        return rt.Eyring().time(room, room.areas @ alpha)
+
+    alpha = room.alpha.copy()
+    with pytest.raises(SimulatorError, match=r"raised ValueError: .*read-only"):
+        base.run(external(room, scales_in_place), alpha)
+    assert np.array_equal(alpha, room.alpha)
+
+
+class Scaling:
+    """A simulator of one's own, which changes the array that it is given."""
+
+    name, deterministic, smooth = "scaling", True, True
+
+    def __init__(self, room):
+        self.room = room
+        self.materials, self.centre_frequencies = room.materials, room.centre_frequencies
+
+    def simulate(self, alpha, *, seed=0):
+        alpha *= 0.5
+        times = rt.Eyring().time(self.room, self.room.areas @ alpha)
+        return rt.Measurement.from_values(self.centre_frequencies, t20=times)
+
+
+def test_a_simulator_cannot_change_the_coefficients_of_its_caller(cr2):
+    room, measured = cr2
+    alpha = room.alpha.copy()
+    with pytest.raises(SimulatorError, match="read-only"):
+        base.run(Scaling(room), alpha)
+    assert np.array_equal(alpha, room.alpha)
+    with pytest.raises(SimulatorError, match="read-only"):
+        rt.calibrate_simulator(Scaling(room), room, measured)
+
+
+def test_sys_exit_in_a_callable_is_an_error(cr2):
+    room, measured = cr2
+
+    def ends(alpha, seed):
+        sys.exit(3)
+
+    for limit in (None, 5.0):
+        with pytest.raises(SimulatorError, match=r"other program called sys\.exit\(3\)"):
+            external(room, ends, time_limit=limit).simulate(room.alpha)
+    with pytest.raises(SimulatorError, match=r"sys\.exit\(3\)"):
+        rt.calibrate_simulator(external(room, ends), room, measured)
+
+
+def test_masked_times_are_refused(cr2):
+    room, _ = cr2
+    times = np.ma.masked_array(np.ones(room.n_bands), mask=True)
+    with pytest.raises(SimulatorError, match="masked array with hidden entries"):
+        external(room, lambda alpha, seed: times).simulate(room.alpha)
+    times.mask = False  # nothing is hidden
+    assert external(room, lambda alpha, seed: times).simulate(room.alpha).mean("t20").sum() > 0
+
+
+WRITES = """
+import pathlib, subprocess, sys
+rows = "".join(f"S,R,T20,{band},0.5\\n" for band in (125, 250, 500, 1000, 2000, 4000))
+pathlib.Path(sys.argv[2]).write_text("source,receiver,parameter,band,value\\n" + rows)
+"""
+
+
+def test_error_output_is_cut(cr2):
+    room, _ = cr2
+    program = "import sys; sys.stderr.write('x' * 3_000_000 + 'the end'); sys.exit(2)"
+    run = command([sys.executable, "-c", program], room, time_limit=60)
+    with pytest.raises(SimulatorError, match=r"ended with status 2: x+ ") as caught:
+        run(room.alpha, 0)
+    assert len(str(caught.value)) < 500 + len(sys.executable)
+    # What is kept, however much is written:
+    block = "'line\\n' * 200_000"
+    program = f"import sys; [sys.stderr.write({block}) for _ in range(100)]; sys.exit('the end')"
+    run = command([sys.executable, "-c", program], room, time_limit=60)
+    tracemalloc.start()
+    with pytest.raises(SimulatorError, match="ended with status 1: the end"):
+        run(room.alpha, 0)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 5e6  # of 100 MB written
+
+
+def test_error_output_does_not_steer_the_terminal(cr2):
+    room, _ = cr2
+    program = "import sys; sys.exit('gone' + chr(27) + '[2J')"
+    with pytest.raises(SimulatorError, match=r"status 1: gone\\x1b\[2J"):
+        command([sys.executable, "-c", program], room)(room.alpha, 0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="asks for a process by its number")
+def test_a_child_that_keeps_the_error_output_open_does_not_delay_the_result(cr2, tmp_path):
+    room, _ = cr2
+    number = tmp_path / "number"
+    program = WRITES + (
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        f"open({str(number)!r}, 'w').write(str(child.pid))"
+    )
+    measured = command([sys.executable, "-c", program], room, time_limit=20)(room.alpha, 0)
+    assert measured.mean("t20") == pytest.approx(np.full(room.n_bands, 0.5))
+    child = int(number.read_text())
+    assert not ended(child)  # it is not the program's result: it may serve the next run
+    os.kill(child, signal.SIGKILL)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes in /proc")
+def test_a_child_in_a_session_of_its_own_is_ended_too(cr2, tmp_path):
+    room, _ = cr2
+    number = tmp_path / "number"
+    grandchild = (
+        "import os, time\n"
+        f"if not os.fork(): open({str(number)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+    )
+    program = (
+        "import subprocess, sys, time\n"
+        f"subprocess.Popen([sys.executable, '-c', {grandchild!r}], start_new_session=True).wait()\n"
+        "time.sleep(60)"
+    )
+    run = command([sys.executable, "-c", program], room, time_limit=4.0)
+    with pytest.raises(SimulatorError, match=r"ran for longer than 4 s$"):
+        run(room.alpha, 0)
+    child = int(number.read_text())
+    for _ in range(50):
+        if ended(child):
+            break
+        time.sleep(0.1)
+    assert ended(child)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "one", None, True])
+def test_a_seed_is_a_whole_number(cr2, seed):
+    room, _ = cr2
+    for simulator in (external(room, lambda alpha, seed: alpha[0] + 1), Scaling(room)):
+        with pytest.raises(DataError, match=r"seed = .* is not a whole number of at least 0"):
+            base.run(simulator, room.alpha, seed=seed)

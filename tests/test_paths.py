@@ -6,8 +6,9 @@ import pytest
 from rtcal.acoustics.decay import decay_time
 from rtcal.datasets import halls
 from rtcal.errors import DataError
-from rtcal.simulators import energies, path_numba, path_numpy, paths
+from rtcal.simulators import path_numba, path_numpy, paths
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.tracer import jackknife
 
 C = 343.0
 BIN = 0.002 * C  # m
@@ -16,7 +17,7 @@ BIN = 0.002 * C  # m
 def trace(geometry, sources, receivers, scattering, seconds, **options):
     receivers = np.array(receivers, dtype=float)
     names = list(geometry.areas)
-    settings = {"n_paths": 4000, "n_batches": 16, "meaning": "random", "seed": 1} | options
+    settings = {"n_paths": 4000, "n_batches": 16, "scattering_model": "random", "seed": 1} | options
     return paths.trace(
         geometry,
         np.array(sources, dtype=float),
@@ -40,8 +41,8 @@ def diffuse():
     return trace(BOX, SOURCE, RECEIVERS, 1.0, 2.8, n_paths=12000)
 
 
-@pytest.mark.parametrize("meaning", ["random", "vector"])
-def test_the_numpy_twin_makes_the_same_paths(meaning, monkeypatch):
+@pytest.mark.parametrize("scattering_model", ["random", "vector"])
+def test_the_numpy_twin_makes_the_same_paths(scattering_model, monkeypatch):
     hall = halls.lecture_hall()
     alpha = np.random.default_rng(0).uniform(0, 1, (9, 3))
     alpha[2, 1] = 1.0  # nothing comes back from it
@@ -56,7 +57,7 @@ def test_the_numpy_twin_makes_the_same_paths(meaning, monkeypatch):
             0.2,
             n_paths=200,
             n_batches=2,
-            meaning=meaning,
+            scattering_model=scattering_model,
         )
         found.append((made, made.energy(alpha, np.array([0, 1e-3, 1e-2]), BIN)))
     (first, energy), (second, twin) = found
@@ -174,7 +175,7 @@ def test_the_receivers_radius_does_not_bias_the_energy():
         longest=20.0,
         n_paths=200_000,
         n_batches=4,
-        meaning="random",
+        scattering_model="random",
         seed=3,
     )
     heard = made.energy(np.full((1, 1), 0.999), np.zeros(1), BIN).sum(axis=-1).mean()
@@ -194,10 +195,12 @@ def test_scattering_means_two_things():
     receivers = list(halls.corridor().receivers.values())
     t = {}
     for s in (0.1, 1.0):
-        for meaning in ("random", "vector"):
-            made = trace(corridor, [(4, 1, 1.5)], receivers, s, 1.5, meaning=meaning)
+        for scattering_model in ("random", "vector"):
+            made = trace(
+                corridor, [(4, 1, 1.5)], receivers, s, 1.5, scattering_model=scattering_model
+            )
             energy = made.energy(np.full((1, 1), 0.2), np.zeros(1), BIN).mean(axis=0)
-            t[s, meaning] = decay_time(energy[0], 0.002).mean()
+            t[s, scattering_model] = decay_time(energy[0], 0.002).mean()
     assert t[1.0, "vector"] == pytest.approx(t[1.0, "random"], rel=1e-9)
     assert t[0.1, "random"] > 1.2 * t[0.1, "vector"]
 
@@ -248,7 +251,7 @@ def test_walls_with_gaps_let_paths_out():
         object.__setattr__(gap, name, value)
     object.__setattr__(gap, "triangles", closed.triangles[1:])
     object.__setattr__(gap, "triangle_faces", closed.triangle_faces[1:])
-    with pytest.raises(DataError, match="found no wall"):
+    with pytest.raises(DataError, match="hit no wall"):
         trace(gap, SOURCE, RECEIVERS, 0.5, 0.1)
 
 
@@ -261,5 +264,5 @@ def test_bad_input(diffuse):
 
 def test_jackknife_of_a_mean_is_its_standard_error():
     values = np.random.default_rng(0).normal(2, 1, (40, 3))
-    error = energies.jackknife(lambda mean: mean, values)
+    error = jackknife(lambda mean: mean, values)
     assert error == pytest.approx(values.std(axis=0, ddof=1) / np.sqrt(40))

@@ -14,9 +14,10 @@ from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
 from rtcal.loop import calibrate as closed_loop
 from rtcal.posterior import posterior, sensitivity
 from rtcal.simulators.equation import EquationSimulator
-from rtcal.simulators.external import External, command
+from rtcal.simulators.external import External
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.program import command
 from rtcal.simulators.shoebox import shoebox
 from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
 

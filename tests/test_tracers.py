@@ -9,10 +9,11 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.decay import decay_time
 from rtcal.datasets import halls
 from rtcal.errors import DataError, MissingDependencyError, TooShortError
-from rtcal.simulators import base, energies
+from rtcal.simulators import base
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
+from rtcal.simulators.tracer import jackknife, measurement
 
 pytest.importorskip("pyroomacoustics")
 
@@ -85,7 +86,7 @@ def test_a_longer_decay_gets_longer_paths():
 
 
 def test_a_decay_without_end_is_too_short(monkeypatch):
-    monkeypatch.setattr(energies, "LONGEST", 0.5)
+    monkeypatch.setattr("rtcal.simulators.tracer.LONGEST", 0.5)
     room = HALL.room.replace(air=None)
     with pytest.raises(TooShortError, match="too short to hold T20"):
         path_tracer(room=room).simulate(np.zeros_like(room.alpha), seed=1)
@@ -105,10 +106,10 @@ def test_noise_that_cannot_be_told_is_nan():
     """One batch has all but the direct sound: without it there is no T20, and nothing late."""
     time = np.arange(600) * 0.002
     energy = np.tile(10 ** (-6 * time / 0.5), (4, 1, 1, 1))
-    shared = energies.measurement(energy, 0.002, np.array([1000.0]), [("S", "R")])
+    shared = measurement(energy, 0.002, np.array([1000.0]), [("S", "R")])
     energy[1:, ..., 1:] = 0
     energy[0, ..., 1:] *= 4
-    found = energies.measurement(energy, 0.002, np.array([1000.0]), [("S", "R")])
+    found = measurement(energy, 0.002, np.array([1000.0]), [("S", "R")])
     for name in ("t20", "c50"):
         assert found.values[name] == pytest.approx(shared.values[name], rel=1e-9)
         assert np.isnan(found.uncertainty[name]).all()
@@ -186,7 +187,7 @@ def test_the_direct_sound_of_both_is_the_inverse_square_law():
         ("corridor", 0.1, 2.5, 60000),
     ],
 )
-def test_both_engines_agree_where_they_mean_the_same(name, scattering, seconds, n_rays):
+def test_both_engines_agree_where_their_scattering_model_does(name, scattering, seconds, n_rays):
     # 3 %, and one standard error of the difference for the noise that is left (0.4 to 2 %).
     hall = getattr(halls, name)()
     points = {
@@ -196,12 +197,12 @@ def test_both_engines_agree_where_they_mean_the_same(name, scattering, seconds, 
     common = {"geometry": hall.geometry, "room": hall.room, "scattering": scattering, **points}
     times, errors = [], []
     for tracer in (
-        PathTracing(**common, n_paths=4 * n_rays, meaning="vector"),
+        PathTracing(**common, n_paths=4 * n_rays, scattering_model="vector"),
         RayTracing(**common, n_rays=n_rays, n_batches=16),
     ):
         energy = tracer.energy(hall.room.alpha, seconds, seed=3)
         times.append(mean_t20(energy.mean(axis=0)))
-        errors.append(energies.jackknife(mean_t20, energy) / times[-1])
+        errors.append(jackknife(mean_t20, energy) / times[-1])
     deviation = times[1] / times[0] - 1
     noise = np.hypot(*errors)
     print(name, scattering, "deviation", deviation.round(3), "noise", noise.round(3))
@@ -243,9 +244,9 @@ def test_bad_alpha(make):
         make().simulate(np.full_like(HALL.room.alpha, np.nan))
 
 
-def test_meanings_are_two():
+def test_scattering_models_are_two():
     with pytest.raises(DataError, match='"diffuse" is not "random" or "vector"'):
-        path_tracer(meaning="diffuse")
+        path_tracer(scattering_model="diffuse")
 
 
 def test_without_pyroomacoustics_the_extra_is_named(monkeypatch):

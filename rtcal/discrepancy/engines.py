@@ -20,13 +20,16 @@ from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.paths import Scattering
+from rtcal.simulators.paths import ScatteringModel
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
 from rtcal.support.types import Array
 
 _AXIS_OF_WALL = (0, 0, 1, 1, 2, 2)
-SCATTERING: Mapping[Scattering, tuple[float, float]] = {"random": (0.4, 0.9), "vector": (0.5, 0.9)}
+SCATTERING: Mapping[ScatteringModel, tuple[float, float]] = {
+    "random": (0.4, 0.9),
+    "vector": (0.5, 0.9),
+}
 """Of a control room's walls, by what is meant by it: what is taken for an ordinary room.
 
 Up to 0.3 of the paths is the effect "non-diffuse field". A sum of vectors with less than half of it
@@ -181,7 +184,7 @@ def path_tracing(
             n_paths=_PATHS,
             n_batches=2,
             scattering=scattering[number],
-            meaning=meanings[number],
+            scattering_model=meanings[number],
             workers=1,
         )
         alphas = draw_alpha(case, rng, draws)
@@ -257,7 +260,7 @@ def rays(
     return Controls("rays", np.array(errors))
 
 
-def _scattering(meanings: Sequence[Scattering], rng: np.random.Generator) -> list[float]:
+def _scattering(meanings: Sequence[ScatteringModel], rng: np.random.Generator) -> list[float]:
     """A coefficient for each control room, those of one meaning spread evenly over its range."""
     seen = dict.fromkeys(SCATTERING, 0)
     out = []

@@ -1,1 +1,23 @@
-"""Simulators: what turns absorption coefficients into a decay. They never import calibration."""
+"""Simulators: absorption coefficients in, a `Measurement` out.
+
+`PathTracing` and `RayTracing` take rooms with plane walls, a `Polyhedron`. `ScatteringDelayNetwork`
+and `ImageSource` take shoeboxes. `EquationSimulator` evaluates an equation. `External` calls a
+function, `command` another program. `Simulator` is the protocol that all of them follow.
+"""
+
+from typing import TYPE_CHECKING
+
+from rtcal.support import lazy
+
+if TYPE_CHECKING:
+    from rtcal.simulators.base import Simulator as Simulator
+    from rtcal.simulators.equation import EquationSimulator as EquationSimulator
+    from rtcal.simulators.external import External as External
+    from rtcal.simulators.geometry import Polyhedron as Polyhedron
+    from rtcal.simulators.image_source import ImageSource as ImageSource
+    from rtcal.simulators.path_tracing import PathTracing as PathTracing
+    from rtcal.simulators.program import command as command
+    from rtcal.simulators.ray_tracing import RayTracing as RayTracing
+    from rtcal.simulators.sdn import ScatteringDelayNetwork as ScatteringDelayNetwork
+else:
+    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -1,13 +1,12 @@
-"""What every simulator is to the rest of the package.
+"""The protocol that every simulator follows, and the checks around a call.
 
-A simulator is built for one room, its sources and receivers; then it turns absorption coefficients
-into a `Measurement`, as often as it is asked. It draws its random numbers from the seed alone: the
-same alpha and seed give the same measurement.
+A simulator is built for one room with its sources and receivers. It turns absorption coefficients
+into a `Measurement`, as often as it is called. Its random numbers depend on the seed alone: the same
+alpha and seed give the same measurement.
 
-Its noise stands in what it returns: where the measurement's ``uncertainty["t20"]`` is given,
-(n_pairs, n_bands), it is the standard error of each T20 from the random numbers. A deterministic
-simulator states none. A decay that ends before it holds T20 is a `TooShortError`, never a NaN that
-a mean over pairs would swallow: `rtcal.acoustics.decay.measurement` sees to both.
+The measurement's ``uncertainty["t20"]``, (n_pairs, n_bands), is the standard error of each T20 that
+the random numbers cause. A deterministic simulator states none. A decay that ends before it holds
+T20 raises `TooShortError`: a NaN would be lost in the mean over pairs.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, RtcalError, SimulatorError, of_bands
 from rtcal.support import checks
 from rtcal.support.types import Array
@@ -31,102 +31,134 @@ class Simulator(Protocol):
     Attributes
     ----------
     name : str
-        Calibrated coefficients belong to the simulator of this name, settings that matter included.
+        Calibrated coefficients belong to the simulator of this name. The name contains the
+        settings that change T.
     materials : sequence of str (n_materials,)
-        What the rows of alpha are, as in the `Room`.
+        Materials of the rows of alpha, as in the `Room`.
     centre_frequencies : array (n_bands,)
-        Hz; what the columns of alpha are.
+        Bands of the columns of alpha in Hz.
     deterministic : bool
-        Whether the seed changes nothing.
+        Whether the result does not depend on the seed.
     smooth : bool
-        Whether with one seed T moves smoothly with alpha, as where all alpha weigh the same paths.
-        The steps of a closed loop share a seed: they then differ by alpha and by no noise.
+        Whether T is a smooth function of alpha while the seed stays the same. A path tracer is
+        smooth if every alpha weighs the same paths.
     """
 
     @property
     def name(self) -> str:
-        """The simulator's name."""
+        """Name that calibrated coefficients belong to."""
         ...
 
     @property
     def materials(self) -> Sequence[str]:
-        """What the rows of alpha are."""
+        """Materials of the rows of alpha."""
         ...
 
     @property
     def centre_frequencies(self) -> Array:
-        """What the columns of alpha are, in Hz."""
+        """Bands of the columns of alpha in Hz."""
         ...
 
     @property
     def deterministic(self) -> bool:
-        """Whether the seed changes nothing."""
+        """Whether the result does not depend on the seed."""
         ...
 
     @property
     def smooth(self) -> bool:
-        """Whether with one seed T moves smoothly with alpha."""
+        """Whether T is a smooth function of alpha while the seed stays the same."""
         ...
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return what is measured in the simulated room for alpha (n_materials, n_bands)."""
+        """Return the simulated measurement for alpha (n_materials, n_bands), which is read-only."""
         ...
 
 
+class RoomSimulator:
+    """Base of the simulators that are built for a `Room`, whose materials and bands alpha has."""
+
+    room: Room
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Materials of the rows of alpha."""
+        return tuple(self.room.materials)
+
+    @property
+    def centre_frequencies(self) -> Array:
+        """Bands of the columns of alpha in Hz."""
+        return self.room.centre_frequencies
+
+
 def check_alpha(simulator: Simulator, alpha: Array) -> Array:
-    """Return alpha as an array; DataError unless it is (n_materials, n_bands) and within [0, 1]."""
-    alpha = checks.array("alpha", alpha)
+    """Return a read-only copy of alpha.
+
+    A simulator that changes it in place would else change the coefficients of its caller.
+
+    Raises
+    ------
+    DataError
+        If alpha is not (n_materials, n_bands), or a coefficient is not in [0, 1].
+    """
+    alpha = checks.array("alpha", alpha).copy()
     shape = (len(simulator.materials), len(simulator.centre_frequencies))
     if alpha.shape != shape:
         raise DataError(
             f"alpha has shape {alpha.shape}; {simulator.name} asks for (n_materials, n_bands) = {shape}"
         )
-    if (bad := ~((alpha >= 0) & (alpha <= 1))).any():
-        i, k = (int(v) for v in np.argwhere(bad)[0])
+    if (outside := ~((alpha >= 0) & (alpha <= 1))).any():
+        i, k = (int(v) for v in np.argwhere(outside)[0])
         place = f'alpha["{simulator.materials[i]}", {bands.label(simulator.centre_frequencies[k])}]'
         raise DataError(f"{place} = {alpha[i, k]:g} is not in [0, 1]")
+    alpha.setflags(write=False)
     return alpha
 
 
 def run(simulator: Simulator, alpha: Array, *, seed: int = 0) -> Measurement:
-    """Simulate and check what comes back.
+    """Simulate a read-only copy of alpha and check the measurement.
 
     Raises
     ------
+    DataError
+        For a seed that is not a whole number of at least 0, or an alpha as in `check_alpha`.
     SimulatorError
-        If the simulator raises anything but an `RtcalError`, returns no `Measurement`, other bands,
-        or a T20 that is missing for some pair.
+        If the simulator raises anything but an `RtcalError`, or returns no `Measurement`, other
+        bands, or no T20 for some pair.
     """
+    checks.whole("seed", seed, 0)
     alpha = check_alpha(simulator, alpha)
     try:
-        found = simulator.simulate(alpha, seed=seed)
+        measurement = simulator.simulate(alpha, seed=seed)
     except RtcalError:
         raise
-    except Exception as error:
-        said = " ".join(str(error).split())
-        raise SimulatorError(f"{simulator.name} raised {type(error).__name__}: {said}") from error
-    return check_measurement(simulator, found)
+    except (Exception, SystemExit) as error:  # a script's sys.exit() must not end the caller
+        text = " ".join(str(error).split())
+        raise SimulatorError(f"{simulator.name} raised {type(error).__name__}: {text}") from error
+    return check_measurement(simulator, measurement)
 
 
-def check_measurement(simulator: Simulator, found: object) -> Measurement:
-    """Return a simulator's answer; SimulatorError where it is none (see `run`)."""
-    if not isinstance(found, Measurement):
+def check_measurement(simulator: Simulator, measurement: object) -> Measurement:
+    """Return the simulator's measurement; SimulatorError as in `run`."""
+    if not isinstance(measurement, Measurement):
         raise SimulatorError(
-            f"{simulator.name} returned {type(found).__name__}; a simulator returns a Measurement"
+            f"{simulator.name} returned {type(measurement).__name__}; a simulator returns a "
+            "Measurement"
         )
-    own = simulator.centre_frequencies
-    if found.centre_frequencies.shape != own.shape or (found.centre_frequencies != own).any():
+    expected, returned = simulator.centre_frequencies, measurement.centre_frequencies
+    if not np.array_equal(returned, expected):
         raise SimulatorError(
-            f"{simulator.name} returned bands {found.centre_frequencies.tolist()} Hz; it was asked "
-            f"for {own.tolist()} Hz"
+            f"{simulator.name} returned bands {returned.tolist()} Hz; the room has "
+            f"{expected.tolist()} Hz"
         )
-    if "t20" not in found.values:
-        raise SimulatorError(f"{simulator.name} returned no t20, only {', '.join(found.values)}")
-    if (lost := np.isnan(found.values["t20"])).any():
-        pair, band = (int(i) for i in np.argwhere(lost)[0])
+    if "t20" not in measurement.values:
+        raise SimulatorError(
+            f"{simulator.name} returned no t20, only {', '.join(measurement.values)}"
+        )
+    if (missing := np.isnan(measurement.values["t20"])).any():
+        pair, band = (int(i) for i in np.argwhere(missing)[0])
         error = SimulatorError(
-            f"{simulator.name} returned NaN for t20[{' to '.join(found.pairs[pair])}, "
-            f"{bands.label(own[band])}]; a mean over the other pairs would hide it"
+            f"{simulator.name} returned NaN for t20[{' to '.join(measurement.pairs[pair])}, "
+            f"{bands.label(expected[band])}]; a mean over the other pairs would hide it"
         )
-        raise of_bands(error, np.flatnonzero(lost.any(axis=0)))
-    return found
+        raise of_bands(error, np.flatnonzero(missing.any(axis=0)))
+    return measurement

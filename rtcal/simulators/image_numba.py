@@ -1,4 +1,4 @@
-"""Weighing image sources, compiled; twin of the NumPy lines in `rtcal.simulators.image_source`."""
+"""Weighing of image sources, compiled; `rtcal.simulators.image_source` does the same in NumPy."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def weigh(
     weights: Array,
     n_bins: int,
 ) -> Array:
-    """Return the energy of each bin, (n_bands, n_bins); arguments as in the NumPy twin."""
-    # Unsigned, as no index is negative: looking after those that might be takes half of the time.
+    """Return the energy of each bin, (n_bands, n_bins); arguments as in the NumPy function."""
+    # Unsigned indices need no check for negative values, which would take half of the time.
     unsigned = np.uint64
     return _weigh(x, y, z, rows.view(unsigned), starts.view(unsigned), bins, weights, n_bins)
 
@@ -39,8 +39,8 @@ def _weigh(
     out = np.zeros((len(x), n_bins))
     for run in range(len(rows)):
         begin, first = starts[run], rows[run, 2]
-        for band in range(len(x)):  # within the run, whose images are at hand then
-            left = x[band, rows[run, 0]] * y[band, rows[run, 1]]
+        for band in range(len(x)):  # the inner loops stay within the run: its images are cached
+            reflected = x[band, rows[run, 0]] * y[band, rows[run, 1]]
             for i in range(starts[run + 1] - begin):
-                out[band, bins[begin + i]] += left * z[band, first + i] * weights[begin + i]
+                out[band, bins[begin + i]] += reflected * z[band, first + i] * weights[begin + i]
     return out

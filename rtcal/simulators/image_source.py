@@ -1,16 +1,14 @@
-"""Image sources of a shoebox: counted once, weighed for any absorption afterwards.
+"""Image sources of a shoebox, constructed once and weighed for any alpha.
 
-Where an image source stands and which walls it was mirrored in does not depend on what the walls
-absorb. So the images are counted once and kept, with their hits per wall, and weighed by
+The position of an image source and the walls it was mirrored in do not depend on absorption. The
+images are therefore stored with their hits per wall. For any alpha and band, an image at the
+distance d contributes the energy (Allen & Berkley 1979; energies are added, not pressures)
 
-    E = product over walls (1 - alpha)^hits exp(-m d) / (4 pi d²)
-
-for any alpha and band (Allen & Berkley 1979; energies are added, not pressures).
+    E = product over walls (1 - alpha)^hits exp(-m d) / (4 pi d²).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import ClassVar
@@ -20,25 +18,35 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.simulators.base import check_alpha
-from rtcal.simulators.shoebox import Shoebox, shoebox
+from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.support import checks, jit
 from rtcal.support.types import Array
 
-Point = Sequence[float]
 _MOST_IMAGES = 50_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """The images of one source as one receiver hears them, in the order of their lattice.
+    """The images of one source as heard by one receiver. All arrays are read-only.
 
-    ``hits`` by axis, (n_lattice, 2), of the near and the far wall. Images that differ along the last
-    axis alone are a run: ``rows`` (n_runs, 3) its first image's row in each axis' hits, ``starts``
-    (n_runs + 1,) where its images begin. By image, (n_images,): its time bin in ``bins`` and
-    1 / (4 pi d²) in 1/m² in ``weights``. ``lengths`` (n_bins,) is the mean d of a bin's images in m.
+    Images that differ in their position along the last axis only form a run.
+
+    Attributes
+    ----------
+    hits : tuple of int arrays (n_lattice, 2)
+        By axis: hits on the near and on the far wall.
+    rows : int array (n_runs, 3)
+        Row of each axis' ``hits`` that the run's first image has.
+    starts : int array (n_runs + 1,)
+        Number of each run's first image.
+    bins : int array (n_images,)
+        Time bin of each image.
+    weights : array (n_images,)
+        1 / (4 pi d²) in 1/m².
+    lengths : array (n_bins,)
+        Mean d of each bin's images in m.
     """
 
     hits: tuple[NDArray[np.int64], ...]
@@ -48,27 +56,34 @@ class Images:
     weights: Array
     lengths: Array
 
+    def __post_init__(self) -> None:
+        for hits in self.hits:
+            hits.setflags(write=False)
+        for values in (self.rows, self.starts, self.bins, self.weights, self.lengths):
+            values.setflags(write=False)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImageSource:
-    """The image sources of a shoebox, energies added in time bins.
+class ImageSource(ShoeboxSimulator):
+    """The image sources of a shoebox, whose energies are added in time bins.
 
     Parameters
     ----------
     room : Room
-        A shoebox, as for `ScatteringDelayNetwork`.
+        A shoebox: with dimensions, and a surface for each of
+        `rtcal.simulators.geometry.SHOEBOX_WALLS` or a single material.
     sources, receivers : mapping of name to (x, y, z)
         In m, inside the room.
     duration : float
-        s after the direct sound; two thirds of the longest T that is to be simulated. The number
-        of images grows with its cube.
+        Length of the decay in s after the direct sound. A decay of two thirds of T holds T20. The
+        number of images grows with the cube of the duration.
     bin_width : float
-        s, at most 0.01.
+        Width of the bins in s, at most 0.01.
 
     Raises
     ------
     DataError
-        If the room is no shoebox, a place is outside it, or there would be over 50 million images.
+        If the room is no shoebox, a position is outside it, or a pair needs over 50 million images.
 
     References
     ----------
@@ -77,6 +92,7 @@ class ImageSource:
 
     Examples
     --------
+    >>> from rtcal.acoustics.room import Room
     >>> room = Room(name="box", volume=105, materials=["all"], areas=[142], alpha=[[0.3]],
     ...             sigma=[[0.1]], centre_frequencies=[1000], dimensions=(5, 7, 3))
     >>> images = ImageSource(
@@ -85,80 +101,63 @@ class ImageSource:
     [0.42]
     """
 
-    room: Room
-    sources: Mapping[str, Point]
-    receivers: Mapping[str, Point]
     duration: float
     bin_width: float = 0.001
     name: ClassVar[str] = "image sources"
-    deterministic: ClassVar[bool] = True
-    smooth: ClassVar[bool] = True
-    box: Shoebox = field(init=False)
     images: tuple[Images, ...] = field(init=False)
-    attenuation: Array = field(init=False)
 
     def __post_init__(self) -> None:
         checks.positive("duration", self.duration, "s")
         decay.bins(self.bin_width)
-        box = shoebox(self.room, self.sources, self.receivers)
+        super().__post_init__()
         radius = self.duration * self.room.speed_of_sound
-        number = 4 / 3 * np.pi * radius**3 / np.prod(box.dimensions)
+        number = 4 / 3 * np.pi * radius**3 / np.prod(self.box.dimensions)
         if number > _MOST_IMAGES:
             raise DataError(
-                f"duration = {self.duration:g} s asks for {number / 1e6:.0f} million image sources a "
-                f"pair; at most {_MOST_IMAGES // 1_000_000} million are counted"
+                f"duration = {self.duration:g} s needs {number / 1e6:.0f} million image sources per "
+                f"pair; the limit is {_MOST_IMAGES // 1_000_000} million"
             )
-        object.__setattr__(self, "box", box)
-        object.__setattr__(
-            self, "images", tuple(self._count(s, r) for s, r in product(box.sources, box.receivers))
-        )
-        object.__setattr__(self, "attenuation", self.room.air_attenuation)
-
-    @property
-    def materials(self) -> Sequence[str]:
-        """What the rows of alpha are."""
-        return self.room.materials
-
-    @property
-    def centre_frequencies(self) -> Array:
-        """What the columns of alpha are, in Hz."""
-        return self.room.centre_frequencies
+        positions = product(self.box.sources, self.box.receivers)
+        object.__setattr__(self, "images", tuple(self._images(s, r) for s, r in positions))
 
     def energy(self, alpha: Array) -> Array:
         """Return the energy in each bin after the direct sound, (n_pairs, n_bands, n_bins), in 1/m².
 
-        Of a source of unit energy: the direct sound is 1 / (4 pi d²). The air takes from a bin what
-        it takes over the mean length of the bin's images.
+        The source has unit energy: the direct sound is 1 / (4 pi d²). The air attenuates each bin
+        by the mean length of its images.
         """
         alpha = check_alpha(self, alpha)
         out = np.zeros((len(self.images), alpha.shape[1], self._n_bins))
-        # What any number of hits on a wall leaves, (6, n_bands, n_hits); 0**0 is 1.
-        most = max(int(axis.max()) for found in self.images for axis in found.hits)
-        near_far = (1 - alpha[self.box.walls])[..., np.newaxis] ** np.arange(most + 1)
+        # (1 - alpha)^hits for every wall and number of hits, (6, n_bands, n_hits); 0**0 is 1.
+        most = max(int(axis.max()) for images in self.images for axis in images.hits)
+        reflected = (1 - alpha[self.box.walls])[..., np.newaxis] ** np.arange(most + 1)
         weigh = _weigh
         if jit.available():
             from rtcal.simulators import image_numba
 
             weigh = image_numba.weigh
-        for to, found in zip(out, self.images, strict=True):
+        for energy, images in zip(out, self.images, strict=True):
             x, y, z = (
                 near[:, hits[:, 0]] * far[:, hits[:, 1]]
-                for near, far, hits in zip(near_far[::2], near_far[1::2], found.hits, strict=True)
+                for near, far, hits in zip(
+                    reflected[::2], reflected[1::2], images.hits, strict=True
+                )
             )
-            to[:] = weigh(
-                x, y, z, found.rows, found.starts, found.bins, found.weights, self._n_bins
+            energy[:] = weigh(
+                x, y, z, images.rows, images.starts, images.bins, images.weights, self._n_bins
             )
-            to *= np.exp(-np.multiply.outer(self.attenuation, found.lengths))
+            energy *= np.exp(-np.multiply.outer(self.room.air_attenuation, images.lengths))
         return out
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return EDT, T20, T30, C50, C80, D50 and Ts by pair; ``seed`` changes nothing.
+        """Return EDT, T20, T30, C50, C80, D50 and Ts by pair; the seed has no effect.
 
         Raises
         ------
         TooShortError
-            If ``duration`` does not hold T20.
+            If a decay of ``duration`` does not hold T20.
         """
+        checks.whole("seed", seed, 0)
         return decay.measurement(
             self.energy(alpha), self.bin_width, self.centre_frequencies, self.box.pairs
         )
@@ -167,37 +166,34 @@ class ImageSource:
     def _n_bins(self) -> int:
         return int(np.ceil(self.duration / self.bin_width))
 
-    def _count(self, source: Array, receiver: Array) -> Images:
+    def _images(self, source: Array, receiver: Array) -> Images:
         direct = float(np.linalg.norm(receiver - source))
-        if direct == 0:
-            raise DataError("a source and a receiver are at the same place")
         c, width = self.room.speed_of_sound, self.bin_width
-        places, hits = lattice(self.box.dimensions, source, direct + self._n_bins * width * c)
-        square = [(p - r) ** 2 for p, r in zip(places, receiver, strict=True)]
-        beside = square[1][:, np.newaxis] + square[2]
+        coordinates, hits = lattice(self.box.dimensions, source, direct + self._n_bins * width * c)
+        square = [(x - r) ** 2 for x, r in zip(coordinates, receiver, strict=True)]
+        across = square[1][:, np.newaxis] + square[2]
         bins, lengths, rows, sizes = [], [], [], []
         for i, x2 in enumerate(square[0]):
-            length = np.sqrt(x2 + beside)
-            when = (length - direct) / (c * width) + 1e-9
-            # The last axis is in order, so those near enough are one stretch of each row.
-            inside = when < self._n_bins
+            length = np.sqrt(x2 + across)
+            arrival = (length - direct) / (c * width) + 1e-9
+            # Coordinates increase, so the images within the duration are contiguous in each row.
+            inside = arrival < self._n_bins
             size = inside.sum(axis=1)
-            here = np.flatnonzero(size)
-            rows.append(
-                np.stack([np.full(here.size, i), here, inside[here].argmax(axis=1)], axis=1)
-            )
-            sizes.append(size[here])
-            bins.append(when[inside].astype(np.uint32))
+            heard = np.flatnonzero(size)
+            first = inside[heard].argmax(axis=1)
+            rows.append(np.stack([np.full(heard.size, i), heard, first], axis=1))
+            sizes.append(size[heard])
+            bins.append(arrival[inside].astype(np.uint32))
             lengths.append(length[inside])
         bin_, length = np.concatenate(bins), np.concatenate(lengths)
-        number = np.bincount(bin_, minlength=self._n_bins)
+        images_per_bin = np.bincount(bin_, minlength=self._n_bins)
         return Images(
             hits=tuple(hits),
             rows=np.concatenate(rows),
             starts=np.concatenate([[0], np.cumsum(np.concatenate(sizes))]),
             bins=bin_,
             weights=1 / (4 * np.pi * length**2),
-            lengths=np.bincount(bin_, length, self._n_bins) / np.maximum(number, 1),
+            lengths=np.bincount(bin_, length, self._n_bins) / np.maximum(images_per_bin, 1),
         )
 
 
@@ -213,16 +209,16 @@ def _weigh(
 ) -> Array:
     """Return the energy of each bin, (n_bands, n_bins).
 
-    ``x``, ``y`` and ``z``, (n_bands, n_lattice): what an image's hits along each axis leave.
+    ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
     """
     size = np.diff(starts)
-    last = np.arange(len(bins)) + np.repeat(rows[:, 2] - starts[:-1], size)
-    first = np.repeat(np.arange(len(rows)), size)
-    left = x[:, rows[:, 0]] * y[:, rows[:, 1]]
+    row_of_z = np.arange(len(bins)) + np.repeat(rows[:, 2] - starts[:-1], size)
+    run = np.repeat(np.arange(len(rows)), size)
+    reflected_xy = x[:, rows[:, 0]] * y[:, rows[:, 1]]
     return np.array(
         [
-            np.bincount(bins, b[first] * c[last] * weights, n_bins)
-            for b, c in zip(left, z, strict=True)
+            np.bincount(bins, xy[run] * z_of_band[row_of_z] * weights, n_bins)
+            for xy, z_of_band in zip(reflected_xy, z, strict=True)
         ]
     )
 
@@ -230,18 +226,18 @@ def _weigh(
 def lattice(
     dimensions: Array, source: Array, radius: float
 ) -> tuple[list[Array], list[NDArray[np.int64]]]:
-    """Return, by axis, where images within ``radius`` m stand and how often both walls are hit.
+    """Return the images' coordinates and wall hits by axis, at least to the distance ``radius`` m.
 
-    Coordinates (n_images,) in m, increasing, and hits (n_images, 2) of the near and the far wall:
-    the image (-1)^u x + 2 n L was mirrored |n - u| times in the wall at 0 and |n| times in that at L
+    Coordinates (n_lattice,) in m increase. Hits (n_lattice, 2) count the near and the far wall: the
+    image (-1)^u x + 2 n L was mirrored |n - u| times in the wall at 0 and |n| times in that at L
     (Allen & Berkley 1979, Eq. 10).
     """
-    places, hits = [], []
+    coordinates, hits = [], []
     for length, x in zip(dimensions, source, strict=True):
         most = int(np.ceil(radius / (2 * length))) + 1
         n, u = (v.ravel() for v in np.meshgrid(np.arange(-most, most + 1), [0, 1], indexing="ij"))
-        place = np.asarray(np.where(u, -x, x) + 2 * n * length)
-        order = np.argsort(place)
-        places.append(place[order])
+        coordinate = np.asarray(np.where(u, -x, x) + 2 * n * length)
+        order = np.argsort(coordinate)
+        coordinates.append(coordinate[order])
         hits.append(np.stack([np.abs(n - u), np.abs(n)], axis=1)[order])
-    return places, hits
+    return coordinates, hits

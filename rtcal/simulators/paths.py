@@ -1,12 +1,12 @@
-"""Sound paths in a polyhedron, traced once and weighted afterwards.
+"""Sound paths in a polyhedron, traced once and weighed for any alpha.
 
-Which walls a path meets does not depend on what they absorb. So a path is kept as the materials it
-hits, in order, and where receivers hear it; the energy heard is
+The walls that a path hits do not depend on their absorption. A path is therefore stored as the
+sequence of materials it hits and receivers that hear it. A receiver hears the energy
 
     E = w product over hits (1 - alpha) exp(-m L),
 
-L the length travelled, m the air's attenuation and w the path's share of the source's energy over
-the receiver's cross-section. Any alpha, band and air weighs the same paths anew.
+where L is the length travelled, m the attenuation of air, and w the path's share of the source
+energy per cross-section of the receiver. The same paths give E for every alpha, band and air.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import jit
 from rtcal.support.types import Array
 
-Scattering = Literal["random", "vector"]
-"""What a scattering coefficient s does to a reflection.
+ScatteringModel = Literal["random", "vector"]
+"""How a wall with the scattering coefficient s reflects a path.
 
-``"random"``: with probability s the path goes on in a random direction after Lambert's law, else
-specularly (Heinz 1993; Vorlaender 2008, Sect. 11.3). ``"vector"``: it goes on along
-s·Lambert + (1 - s)·specular, both unit vectors (Christensen & Rindel 2005, Forum Acusticum;
-pyroomacoustics does the same). They agree at 0 and at 1 and nowhere else.
+``"random"``: with probability s in a random direction after Lambert's law, else specularly (Heinz
+1993; Vorlaender 2008, Sect. 11.3). ``"vector"``: along s·Lambert + (1 - s)·specular, both unit
+vectors (Christensen & Rindel 2005, Forum Acusticum; also pyroomacoustics). The two models agree at
+s = 0 and s = 1 only.
 """
 
 _LOST = 1e-4
-"""The share of paths that may slip through an edge by rounding; more, and the walls have gaps."""
+"""Share of paths that may leave through an edge by rounding. A larger share means gaps in the walls."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Some paths from one source: a stream of events and what the receivers heard.
+    """Paths from one source: wall hits and receptions in order.
 
-    ``events``: per path, from ``starts[i]`` to ``starts[i + 1]``, the material of each hit, or
-    n_materials + receiver where a receiver hears the path. ``lengths`` (m) and ``weights`` (1/m²)
-    belong to the latter, in order.
+    ``events[starts[i]:starts[i + 1]]`` belongs to path i: the number of the material for a wall
+    hit, n_materials + receiver for a reception. ``lengths`` (m) and ``weights`` (1/m²) have one
+    value per reception. All arrays are read-only.
     """
 
     events: NDArray[np.uint16]
@@ -54,6 +54,10 @@ class Batch:
     weights: NDArray[np.float32]
     lost: int
     free_paths: tuple[float, float, float]  # number, sum in m, sum of squares in m²
+
+    def __post_init__(self) -> None:
+        for values in (self.events, self.starts, self.lengths, self.weights):
+            values.setflags(write=False)
 
     @property
     def nbytes(self) -> int:
@@ -70,15 +74,15 @@ class Paths:
     Attributes
     ----------
     batches : tuple of tuples of Batch
-        By source and batch. Batches share no random number: their spread is the noise.
+        By source and batch. Batches are independent, so their spread gives the standard error.
     n_materials, n_paths : int
         ``n_paths`` per source.
     longest : float
-        m; every path is followed to this length.
+        Length in m to which every path is followed.
     direct : array (n_sources, n_receivers)
         Length of the direct sound in m, NaN where a wall hides the source.
     first : array (n_sources, n_receivers)
-        Length of the first sound in m: the direct one, else the first path heard.
+        Length of the first sound in m: the direct sound, else the first path heard.
     """
 
     batches: tuple[tuple[Batch, ...], ...]
@@ -88,6 +92,10 @@ class Paths:
     direct: Array
     first: Array
 
+    def __post_init__(self) -> None:
+        self.direct.setflags(write=False)
+        self.first.setflags(write=False)
+
     @property
     def nbytes(self) -> int:
         """Memory of all paths in bytes."""
@@ -95,13 +103,13 @@ class Paths:
 
     @property
     def mean_free_path(self) -> float:
-        """Mean length in m from one reflection to the next; 4V/S in a diffuse field."""
+        """Mean length in m between two reflections; 4V/S in a diffuse field."""
         number, total, _ = self._free_paths()
         return total / number
 
     @property
     def gamma_squared(self) -> float:
-        """The free paths' variance over their squared mean: gamma² of Kuttruff's equation."""
+        """Variance of the free paths over their squared mean: gamma² of Kuttruff's equation."""
         number, total, squares = self._free_paths()
         return squares / number / (total / number) ** 2 - 1
 
@@ -110,7 +118,7 @@ class Paths:
         return float(sums[0]), float(sums[1]), float(sums[2])
 
     def energy(self, alpha: Array, air_attenuation: Array, bin_length: float) -> Array:
-        """Return the energy that reaches each receiver, by length travelled after the first sound.
+        """Return the energy that each receiver hears, in bins of length after the first sound.
 
         Parameters
         ----------
@@ -119,13 +127,14 @@ class Paths:
         air_attenuation : array (n_bands,)
             m in 1/m.
         bin_length : float
-            Width of a bin in m: c times its width in s. The first bin starts with the first sound.
+            Width of a bin in m: the speed of sound times the width in s. The first bin starts with
+            the first sound.
 
         Returns
         -------
         array (n_batches, n_sources, n_receivers, n_bands, n_bins)
-            As many bins as every pair fills. Energy over area in 1/m² of a source of unit energy,
-            so that the direct sound is 1/(4 pi r²). The mean over batches is the estimate.
+            As many bins as every pair fills. Energy per area in 1/m² for a source of unit energy:
+            the direct sound is 1/(4 pi r²). The estimate is the mean over batches.
         """
         alpha = np.asarray(alpha, dtype=float)
         attenuation = np.ascontiguousarray(air_attenuation, dtype=float)
@@ -155,8 +164,8 @@ class Paths:
                     out[b, s],
                 )
                 out[b, s] /= len(batch.starts) - 1
-        seen = self.direct[..., np.newaxis]
-        direct = np.exp(-attenuation * seen) / (4 * np.pi * seen**2)
+        length = self.direct[..., np.newaxis]
+        direct = np.exp(-attenuation * length) / (4 * np.pi * length**2)
         out[..., 0] += np.nan_to_num(direct)
         return out
 
@@ -181,16 +190,16 @@ def trace(
     longest: float,
     n_paths: int,
     n_batches: int,
-    meaning: Scattering,
+    scattering_model: ScatteringModel,
     seed: int,
     workers: int | None = None,
 ) -> Paths:
     """Trace ``n_paths`` from each source.
 
-    Receivers are spheres. A path that has met no diffuse reflection is weighted for the sphere as
-    its image source sees it, 1 / (L² solid angle), every other one by 1 / (pi r²): both make the
-    expected energy that at the receiver's centre, whatever the radius (exactly, where no edge
-    shades a part of the sphere). The direct sound is not traced, since it is known.
+    Receivers are spheres of radius r. A path without a diffuse reflection is weighed by
+    1 / (L² solid angle), with the sphere's solid angle at its image source, every other path by
+    1 / (pi r²). The expected energy is then that at the receiver's centre for any radius, exactly
+    if no edge shades a part of the sphere. The direct sound is not traced but calculated.
 
     Parameters
     ----------
@@ -203,28 +212,28 @@ def trace(
     radii : array (n_receivers,)
         In m; no more than the distance to the nearest wall.
     longest : float
-        How far to follow each path, in m.
+        Length in m to which each path is followed.
     n_paths, n_batches : int
-        Paths per source, and into how many independent batches they are divided.
-    meaning : "random" or "vector"
-        See `Scattering`.
+        Paths per source, and number of independent batches.
+    scattering_model : "random" or "vector"
+        See `ScatteringModel`.
     seed : int
-        The same seed gives the same paths, whatever ``longest`` and ``workers``: longer paths
-        start with the shorter ones.
+        The same seed gives the same paths for any ``longest`` and ``workers``: longer paths start
+        as the shorter ones do.
     workers : int, optional
-        Threads; as many as there are processors if not given.
+        Number of threads, by default the number of processors.
 
     Raises
     ------
     DataError
-        If more than one path in 10,000 finds no wall: the faces leave gaps or cut each other.
+        If more than one path in 10,000 hits no wall: the faces leave gaps or cut each other.
     """
     planes, sides = _planes(geometry)
     owners = materials[geometry.triangle_faces]
     per_batch = -(-n_paths // n_batches)
     run = kernels().trace
 
-    def one(job: tuple[int, int]) -> Batch:
+    def trace_batch(job: tuple[int, int]) -> Batch:
         s, b = job
         sequence = np.random.SeedSequence([seed, s, b])
         seeds = sequence.generate_state(per_batch, np.uint64)
@@ -238,7 +247,7 @@ def trace(
             sides,
             owners,
             np.ascontiguousarray(scattering, dtype=float),
-            meaning == "vector",
+            scattering_model == "vector",
             receivers,
             np.ascontiguousarray(radii, dtype=float),
         )
@@ -247,11 +256,11 @@ def trace(
 
     jobs = [(s, b) for s in range(len(sources)) for b in range(n_batches)]
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        done = list(pool.map(one, jobs))
+        done = list(pool.map(trace_batch, jobs))
     lost = sum(batch.lost for batch in done)
     if lost > max(1, _LOST * per_batch * len(jobs)):
         raise DataError(
-            f"{lost} of {per_batch * len(jobs)} paths found no wall: the room's faces leave gaps or "
+            f"{lost} of {per_batch * len(jobs)} paths hit no wall: the room's faces leave gaps or "
             "cut through each other"
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
@@ -285,7 +294,7 @@ def _planes(geometry: Polyhedron) -> tuple[Array, Array]:
 
 
 def _sphere(n: int, rng: np.random.Generator) -> Array:
-    """Return n directions spread evenly over the sphere (a Fibonacci lattice), turned at random."""
+    """Return n directions of a Fibonacci lattice on the sphere, rotated at random."""
     height = 1 - (2 * np.arange(n) + 1) / n
     turn = np.pi * (1 + np.sqrt(5)) * np.arange(n)
     across = np.sqrt(1 - height**2)
@@ -299,12 +308,13 @@ def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Ar
     planes, sides = _planes(geometry)
     lengths = np.empty((len(sources), len(receivers)))
     for s, source in enumerate(sources):
-        way = receivers - source
-        lengths[s] = np.linalg.norm(way, axis=1)
+        vectors = receivers - source
+        lengths[s] = np.linalg.norm(vectors, axis=1)
         if not lengths[s].all():
             raise DataError("a source and a receiver are at the same place")
-        towards = way / lengths[s][:, np.newaxis]
-        _, t = path_numpy.nearest(np.tile(source, (len(way), 1)), towards, planes, sides)
+        directions = vectors / lengths[s][:, np.newaxis]
+        origins = np.tile(source, (len(vectors), 1))
+        _, t = path_numpy.nearest(origins, directions, planes, sides)
         lengths[s, t < lengths[s]] = np.nan
     return lengths
 
@@ -312,7 +322,7 @@ def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Ar
 def _first(
     batches: tuple[tuple[Batch, ...], ...], direct: Array, n_materials: int, longest: float
 ) -> Array:
-    """Return the length of the first sound: direct, else heard first, else all of ``longest``."""
+    """Return the length of the first sound: direct, else first heard, else ``longest``."""
     first = direct.copy()
     for s, r in np.argwhere(np.isnan(direct)):
         heard = [

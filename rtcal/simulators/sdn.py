@@ -1,43 +1,42 @@
-"""The scattering delay network: a shoebox' reverberation from six nodes on its walls.
+"""Scattering delay network: the reverberation of a shoebox from six nodes on its walls.
 
-Each node stands where the first-order reflection from source to receiver meets its wall; the nodes
-are joined by delay lines. First-order reflections are exact, later ones have the right density and
-the walls' losses, at a small part of the cost of image sources.
+Each node stands where the first-order reflection from source to receiver meets its wall. Delay lines
+join the nodes. First-order reflections are exact. Later ones have the right density and the walls'
+losses, and cost much less than image sources.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, TooShortError
 from rtcal.simulators.base import check_alpha
-from rtcal.simulators.shoebox import Shoebox, shoebox
+from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.support import checks, jit
 from rtcal.support.types import Array
 
-Point = Sequence[float]
 _NODES = 6
 _PORTS = 5
-_LEAST_SAMPLES = 10  # of a mean free path; below, T at alpha = 0.3 moves by more than one JND
-# Port j of node k leads to node j, or to j + 1 from k on: a node has no line to itself.
+# Per mean free path. Fewer samples change T at alpha = 0.3 by more than one JND
+# (test_the_lowest_sampling_rate_has_the_right_t20).
+_LEAST_SAMPLES = 10
+# Port j of node k leads to node j if j < k, else to node j + 1: no line joins a node to itself.
 _NEIGHBOUR = np.array([[j + (j >= k) for j in range(_PORTS)] for k in range(_NODES)])
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """The delays (samples) and lengths (m) of one source-receiver pair.
+    """The delays in samples and lengths in m of one source-receiver pair. Arrays are read-only.
 
-    ``lines`` and ``line_lengths`` (6, 5) from node to neighbour; ``source_delays``,
-    ``source_lengths``, ``tap_delays``, ``tap_lengths`` (6,); ``direct_delay``, ``direct_length``.
+    ``lines`` and ``line_lengths`` (6, 5) lead from node to node, ``source_delays`` and
+    ``source_lengths`` (6,) from the source to the nodes, ``tap_delays`` and ``tap_lengths`` (6,)
+    from the nodes to the receiver.
     """
 
     lines: NDArray[np.int64]
@@ -49,45 +48,51 @@ class Network:
     direct_delay: int
     direct_length: float
 
+    def __post_init__(self) -> None:
+        for values in (self.lines, self.line_lengths, self.source_delays, self.source_lengths):
+            values.setflags(write=False)
+        for values in (self.tap_delays, self.tap_lengths):
+            values.setflags(write=False)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ScatteringDelayNetwork:
+class ScatteringDelayNetwork(ShoeboxSimulator):
     """A scattering delay network (SDN) of a shoebox, all bands at once.
 
-    Node k turns the waves p+ that come in from its five neighbours, and the source's p_S, into
+    Node k scatters the waves p+ from its five neighbours and p_S from the source:
 
-        p- = beta (A (p+ + p_S / 2)),   A = (2/5) 1 1' - I,   beta = sqrt(1 - alpha),
+        p- = beta (A (p+ + p_S / 2)),   A = (2/5) 1 1' - I,   beta = sqrt(1 - alpha).
 
-    and the receiver hears (2/5) sum p-. Gains: 1/d from the source to a node,
-    1/(1 + d_nr/d_sn) from a node to the receiver, none between nodes, 1/d along the line of sight; air
-    takes exp(-m d / 2) along each line. Delays are d fs / c, rounded so that first-order
+    The receiver hears (2/5) sum p-. The gain is 1/d from the source to a node,
+    1/(1 + d_nr/d_sn) from a node to the receiver, 1 between nodes, and 1/d along the line of sight.
+    Air attenuates every line by exp(-m d / 2). Delays are d fs / c, rounded so that first-order
     reflections arrive within half a sample.
 
-    At high absorption T20 spans a few arrivals and depends on where source and receiver stand:
-    average at least four positions, or leave the line of sight out.
+    At high absorption T20 spans few arrivals and depends on the positions: average at least four
+    positions, or leave the line of sight out.
 
     The method is covered by US patent 8,908,875 B2 (De Sena, Hacihabiboglu, Cvetkovic; granted
-    2014): see to a licence before you use it in a product.
+    2014). Its use in a product may need a licence.
 
     Parameters
     ----------
     room : Room
         A shoebox: with dimensions, and a surface for each of
-        `rtcal.simulators.geometry.SHOEBOX_WALLS` or a single material. Its bands and air count,
-        its alpha does not.
+        `rtcal.simulators.geometry.SHOEBOX_WALLS` or a single material. The simulation takes its
+        bands, air and speed of sound, not its alpha.
     sources, receivers : mapping of name to (x, y, z)
-        In m, inside the room.
+        Positions in m, inside the room.
     sampling_rate : float
-        Hz; at least 10 samples along the mean free path 4V/S, since delays are whole samples.
+        In Hz. Delays are whole samples, so the mean free path 4V/S needs at least 10 samples.
     line_of_sight : bool
-        Whether the direct sound is in the response.
+        Whether the response contains the direct sound.
     longest : float
-        s; responses are as long as T20 needs, and no longer than this.
+        Limit in s of the responses, which are otherwise as long as T20 needs.
 
     Raises
     ------
     DataError
-        If the room is no such shoebox, or a place is outside it.
+        If the room is no shoebox, a position is outside it, or the sampling rate is too low.
 
     References
     ----------
@@ -96,6 +101,7 @@ class ScatteringDelayNetwork:
 
     Examples
     --------
+    >>> from rtcal.acoustics.room import Room
     >>> room = Room(name="box", volume=105, materials=["all"], areas=[142], alpha=[[0.3]],
     ...             sigma=[[0.1]], centre_frequencies=[1000], dimensions=(5, 7, 3))
     >>> sdn = ScatteringDelayNetwork(
@@ -104,22 +110,16 @@ class ScatteringDelayNetwork:
     [0.46]
     """
 
-    room: Room
-    sources: Mapping[str, Point]
-    receivers: Mapping[str, Point]
     sampling_rate: float = 44100.0
     line_of_sight: bool = True
     longest: float = 20.0
-    deterministic: ClassVar[bool] = True
-    smooth: ClassVar[bool] = True
-    box: Shoebox = field(init=False)
     networks: tuple[Network, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         for name, unit in (("sampling_rate", "Hz"), ("longest", "s")):
             checks.positive(name, getattr(self, name), unit)
-        box = shoebox(self.room, self.sources, self.receivers)
-        object.__setattr__(self, "box", box)
+        checks.flag("line_of_sight", self.line_of_sight)
+        super().__post_init__()
         rate = self.sampling_rate / self.room.speed_of_sound
         if (least := _LEAST_SAMPLES / self.mean_free_path) > rate * (1 + 1e-9):
             raise DataError(
@@ -127,37 +127,28 @@ class ScatteringDelayNetwork:
                 f"at least {least * self.room.speed_of_sound:.0f} Hz are {_LEAST_SAMPLES} samples "
                 "along this room's mean free path"
             )
-        networks = (
-            _network(box.dimensions, s, r, rate) for s, r in product(box.sources, box.receivers)
-        )
+        positions = product(self.box.sources, self.box.receivers)
+        networks = (_network(self.box.dimensions, s, r, rate) for s, r in positions)
         object.__setattr__(self, "networks", tuple(networks))
 
     @property
     def name(self) -> str:
-        """The simulator's name."""
+        """Name that calibrated coefficients belong to."""
         return f"scattering delay network ({self.sampling_rate:g} Hz)"
 
     @property
     def mean_free_path(self) -> float:
-        """4V/S in m."""
+        """Mean free path 4V/S in m."""
         return 4 * self.room.volume / self.room.total_area
 
-    @property
-    def materials(self) -> Sequence[str]:
-        """What the rows of alpha are."""
-        return self.room.materials
-
-    @property
-    def centre_frequencies(self) -> Array:
-        """What the columns of alpha are, in Hz."""
-        return self.room.centre_frequencies
-
     def impulse_responses(self, alpha: Array, duration: float) -> Array:
-        """Return the pressure responses, (n_pairs, n_bands, n_samples), from the source's pulse on.
+        """Return the pressure responses, (n_pairs, n_bands, n_samples), from the emission on.
 
-        The bands' responses are full-band ones with that band's coefficients: none is filtered.
+        ``duration`` is in s. A band's response is the full-band response with its coefficients, not
+        filtered.
         """
         alpha = check_alpha(self, alpha)
+        checks.positive("duration", duration, "s")
         n = max(int(np.ceil(duration * self.sampling_rate)), 1)
         reflection = np.sqrt(1 - alpha[self.box.walls])
         out = np.empty((len(self.networks), alpha.shape[1], n))
@@ -166,13 +157,14 @@ class ScatteringDelayNetwork:
         return out
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return EDT, T20, T30, C50, C80, D50 and Ts by pair; ``seed`` changes nothing.
+        """Return EDT, T20, T30, C50, C80, D50 and Ts by pair; the seed has no effect.
 
         Raises
         ------
         TooShortError
-            If the decay does not hold T20 within ``longest``.
+            If a decay of ``longest`` does not hold T20.
         """
+        checks.whole("seed", seed, 0)
         duration = min(self._estimate(check_alpha(self, alpha)), self.longest)
         while True:
             responses = self.impulse_responses(alpha, duration)
@@ -189,7 +181,10 @@ class ScatteringDelayNetwork:
                 duration = min(1.6 * duration, self.longest)
 
     def _estimate(self, alpha: Array) -> float:
-        """Eyring's T in s of the most reverberant band, at least 0.1: T20 needs two thirds of T."""
+        """Return Eyring's T in s of the most reverberant band, at least 0.1, plus the first delay.
+
+        T20 needs two thirds of T.
+        """
         room = self.room
         exponent = -np.log1p(-np.minimum(room.areas @ alpha / room.total_area, 1 - 1e-9))
         loss = np.min(room.total_area * exponent + 4 * room.air_attenuation * room.volume)
@@ -199,13 +194,12 @@ class ScatteringDelayNetwork:
         return float(max(t, 0.1) + travel)
 
     def _from_onset(self, responses: Array) -> Array:
-        """Return the responses with the direct sound first, even where it is left out."""
-        first = [network.direct_delay for network in self.networks]
-        out = np.zeros((*responses.shape[:2], responses.shape[2] - min(first)))
-        for to, response, start in zip(out, responses, first, strict=True):
-            to[:, : responses.shape[2] - start] = response[:, start:]
-        # The latest pair's response ends first; there all end, lest a decay seem cut off.
-        return out[..., : responses.shape[2] - max(first)]
+        """Return the responses from the time of the direct sound on, all of one length."""
+        delays = [network.direct_delay for network in self.networks]
+        length = responses.shape[2] - max(delays)
+        return np.stack(
+            [r[:, delay : delay + length] for r, delay in zip(responses, delays, strict=True)]
+        )
 
     def _render(self, network: Network, reflection: Array, out: Array) -> None:
         """Write one pair's responses, (n_bands, n_samples)."""
@@ -236,7 +230,7 @@ class ScatteringDelayNetwork:
 
 
 def _network(dimensions: Array, source: Array, receiver: Array, rate: float) -> Network:
-    """Put the nodes of one pair on the walls; ``rate`` in samples a metre."""
+    """Place the nodes of one pair on the walls; ``rate`` in samples per m."""
     nodes = np.empty((_NODES, 3))
     for wall in range(_NODES):
         axis, far = divmod(wall, 2)
@@ -248,19 +242,17 @@ def _network(dimensions: Array, source: Array, receiver: Array, rate: float) -> 
     between = np.linalg.norm(nodes[:, np.newaxis] - nodes, axis=-1)
     lengths = np.take_along_axis(between, _NEIGHBOUR, axis=1)
     from_source = np.linalg.norm(nodes - source, axis=1)
-    to_receiver_ = np.linalg.norm(nodes - receiver, axis=1)
+    from_nodes = np.linalg.norm(nodes - receiver, axis=1)
     direct = float(np.linalg.norm(receiver - source))
-    if direct == 0:
-        raise DataError("a source and a receiver are at the same place")
     source_delays = np.rint(rate * from_source).astype(np.int64)
-    whole = np.rint(rate * (from_source + to_receiver_)).astype(np.int64)
+    first_order_delays = np.rint(rate * (from_source + from_nodes)).astype(np.int64)
     return Network(
         lines=np.maximum(np.rint(rate * lengths).astype(np.int64), 1),
         line_lengths=lengths,
         source_delays=source_delays,
         source_lengths=from_source,
-        tap_delays=whole - source_delays,
-        tap_lengths=to_receiver_,
+        tap_delays=first_order_delays - source_delays,
+        tap_lengths=from_nodes,
         direct_delay=int(np.rint(rate * direct)),
         direct_length=direct,
     )
@@ -278,11 +270,11 @@ def _blocks(
 ) -> Array:
     """Run the network in blocks of its smallest delay; return the response (n_bands, n).
 
-    ``delays`` (6, 5), ``source_delays`` and ``tap_delays`` (6,) in samples; ``lines`` (6, 5,
+    ``delays`` (6, 5), ``source_delays`` and ``tap_delays`` (6,) are in samples. ``lines`` (6, 5,
     n_bands), ``reflection``, ``injected`` and ``heard`` (6, n_bands) are gains.
     """
     block, longest = int(delays.min()), int(delays.max())
-    # What comes in at each port, in a buffer that is moved up as it runs full.
+    # Incoming waves by port. A full buffer is shifted to its start.
     kept = longest + 64 * block
     incoming = np.zeros((_NODES, _PORTS, kept, lines.shape[-1]))
     out = np.zeros((n + int(tap_delays.max()) + block, lines.shape[-1]))
@@ -293,14 +285,13 @@ def _blocks(
             incoming[:, :, :left] = incoming[:, :, start - base :].copy()
             incoming[:, :, left:] = 0
             base = start
-        here = slice(start - base, start - base + block)
-        wave = incoming[:, :, here]
+        wave = incoming[:, :, start - base : start - base + block]
         pressure = 0.4 * wave.sum(axis=1)
         for k in np.flatnonzero(
             (source_delays >= start) & (source_delays < start + block)
         ).tolist():
             at = int(source_delays[k]) - start
-            # A (p+ + p_S / 2) adds p_S / 2 at each port, p_S to the node's pressure.
+            # A (p+ + p_S / 2) adds p_S / 2 at each port, and p_S to the node's pressure.
             pressure[k, at] += injected[k] / 2
             out[start + at + tap_delays[k]] += heard[k] * reflection[k] * injected[k] / 2
         outgoing = reflection[:, np.newaxis, np.newaxis] * (pressure[:, np.newaxis] - wave)

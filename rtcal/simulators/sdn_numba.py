@@ -1,4 +1,4 @@
-"""The scattering delay network, compiled; twin of the NumPy blocks in `rtcal.simulators.sdn`."""
+"""The scattering delay network, compiled; `rtcal.simulators.sdn` does the same in NumPy."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def blocks(
     heard: Array,
     n: int,
 ) -> Array:
-    """Return the response (n_bands, n); arguments as in the NumPy twin."""
+    """Return the response (n_bands, n); arguments as in the NumPy function."""
     n_bands = lines.shape[2]
     block, longest = delays.min(), delays.max()
-    # What comes in at each port, in a buffer that is moved up as it runs full: short enough for
-    # the processor's cache, and without a wrap inside a block, so that loops over samples vectorise.
+    # Incoming waves by port. The buffer fits the processor's cache. It is shifted to its start when
+    # full, so that no block wraps around and the loops over samples vectorise.
     kept = 2 * longest + block
     incoming = np.empty((6, 5, kept))
     pressure = np.empty(block)
@@ -42,9 +42,9 @@ def blocks(
                         for i in range(left, kept):
                             incoming[k, j, i] = 0.0
                 base = start
-            here = start - base
+            offset = start - base
             for k in range(6):
-                waves = incoming[k, :, here : here + block]
+                waves = incoming[k, :, offset : offset + block]
                 for i in range(block):
                     pressure[i] = 0.4 * (
                         waves[0, i] + waves[1, i] + waves[2, i] + waves[3, i] + waves[4, i]
@@ -53,7 +53,7 @@ def blocks(
                 tapped = out[b, start + tap_delays[k] : start + tap_delays[k] + block]
                 gain = heard[k, b] * beta
                 if start <= source_delays[k] < start + block:
-                    # A (p+ + p_S / 2) adds p_S / 2 at each port, p_S to the node's pressure.
+                    # A (p+ + p_S / 2) adds p_S / 2 at each port, and p_S to the node's pressure.
                     pressure[source_delays[k] - start] += injected[k, b] / 2
                     tapped[source_delays[k] - start] += gain * injected[k, b] / 2
                 for i in range(block):
@@ -61,8 +61,8 @@ def blocks(
                 for j in range(5):
                     to = j + 1 if j >= k else j
                     port = k - 1 if k > to else k
-                    then = here + delays[k, j]
-                    leaving = incoming[to, port, then : then + block]
+                    arrival = offset + delays[k, j]
+                    leaving = incoming[to, port, arrival : arrival + block]
                     loss = beta * lines[k, j, b]
                     for i in range(block):
                         leaving[i] = loss * (pressure[i] - waves[j, i])

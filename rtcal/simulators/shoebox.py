@@ -1,15 +1,19 @@
-"""A `Room` as a shoebox with a source and receivers, for simulators that know no other shape."""
+"""A `Room` as a shoebox with sources and receivers, and the base of the simulators of shoeboxes."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
+from rtcal.simulators.base import RoomSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support import checks
 from rtcal.support.types import Array
@@ -19,10 +23,18 @@ Point = Sequence[float]
 
 @dataclass(frozen=True, eq=False)
 class Shoebox:
-    """Dimensions (3,) in m, the material's row of each of the six walls, and the places in it.
+    """A shoebox with sources and receivers.
 
-    ``sources`` (n_sources, 3) and ``receivers`` (n_receivers, 3) in m; ``pairs`` their names, sources
-    first.
+    Attributes
+    ----------
+    dimensions : array (3,)
+        In m.
+    walls : int array (6,)
+        Row of alpha of each wall, in the order of `SHOEBOX_WALLS`.
+    sources, receivers : array (n, 3)
+        Positions in m.
+    pairs : tuple of (source, receiver)
+        Names, the pairs of the first source first.
     """
 
     dimensions: Array
@@ -31,18 +43,47 @@ class Shoebox:
     receivers: Array
     pairs: tuple[tuple[str, str], ...]
 
+    def __post_init__(self) -> None:
+        for values in (self.dimensions, self.walls, self.sources, self.receivers):
+            values.setflags(write=False)
+        for source in self.sources:
+            if (self.receivers == source).all(axis=1).any():
+                raise DataError("a source and a receiver are at the same place")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShoeboxSimulator(RoomSimulator, ABC):
+    """A deterministic simulator of shoeboxes, whose T is a smooth function of alpha.
+
+    The parameters are described by `ScatteringDelayNetwork` and `ImageSource`.
+    """
+
+    room: Room
+    sources: Mapping[str, Point]
+    receivers: Mapping[str, Point]
+    box: Shoebox = field(init=False)
+    deterministic: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "box", shoebox(self.room, self.sources, self.receivers))
+
+    @abstractmethod
+    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
+        """Return the simulated measurement for alpha (n_materials, n_bands)."""
+
 
 def shoebox(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Point]) -> Shoebox:
     """Return the room as a shoebox.
 
-    Its surfaces are named after `SHOEBOX_WALLS`, one a wall; a room of a single material needs no
-    surfaces.
+    A room of several materials has one surface per wall, named as in `SHOEBOX_WALLS`. A room of a
+    single material needs no surfaces.
 
     Raises
     ------
     DataError
-        If the room states no dimensions, a wall has no surface, the areas are not the box's (1 %),
-        or a source or a receiver is outside.
+        If the room states no dimensions, a wall has no surface, an area differs from the walls' by
+        over 1 %, a position is outside, or a source and a receiver are at the same place.
     """
     checks.instance("room", room, Room)
     if room.dimensions is None:
@@ -50,13 +91,13 @@ def shoebox(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Po
     if room.n_materials == 1:
         materials = dict.fromkeys(SHOEBOX_WALLS, room.materials[0])
     else:
-        named = {s.name: s.material for s in room.surfaces}
-        if missing := [wall for wall in SHOEBOX_WALLS if wall not in named]:
+        material_of_surface = {s.name: s.material for s in room.surfaces}
+        if missing := [wall for wall in SHOEBOX_WALLS if wall not in material_of_surface]:
             raise DataError(
                 f'room "{room.name}" has no surface "{missing[0]}"; a shoebox of several materials '
-                f"has one surface a wall: {', '.join(SHOEBOX_WALLS)}"
+                f"has one surface per wall: {', '.join(SHOEBOX_WALLS)}"
             )
-        materials = {wall: named[wall] for wall in SHOEBOX_WALLS}
+        materials = {wall: material_of_surface[wall] for wall in SHOEBOX_WALLS}
     box = Polyhedron.shoebox(room.dimensions, materials)
     for material, area in zip(room.materials, room.areas, strict=True):
         if abs(box.areas.get(material, 0.0) - area) > 0.01 * area:
@@ -66,7 +107,7 @@ def shoebox(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Po
                 f"{box.areas.get(material, 0.0):.4g} m²"
             )
     return Shoebox(
-        dimensions=np.asarray(room.dimensions, dtype=float),
+        dimensions=np.array(room.dimensions, dtype=float),
         walls=np.array([room.material_index(materials[wall]) for wall in SHOEBOX_WALLS]),
         sources=box.require_inside("source", sources),
         receivers=box.require_inside("receiver", receivers),

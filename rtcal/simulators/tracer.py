@@ -1,0 +1,210 @@
+"""Base of the tracers: geometry, positions and scattering in, energy decays with their noise out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import decay
+from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.simulators.base import RoomSimulator, check_alpha
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.support import checks
+from rtcal.support.types import Array
+
+LONGEST = 60.0
+"""s; a tracer follows no decay for longer. A decay that then holds no T20 is a `TooShortError`."""
+
+RADIUS_SHARE = 0.075
+"""A receiver's default radius over the cube root of the volume: 0.5 m in 300 m³, 1.6 m in 10,000 m³."""
+
+OFF_VOLUME = 0.1
+"""Relative difference that the room's volume may have from the geometry's. Plans are no more precise,
+and T is proportional to the volume. The volume of a case and of its dimensions agree as closely."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tracer(RoomSimulator, ABC):
+    """A simulator that follows rays or paths through a `Polyhedron`, in independent batches.
+
+    The parameters are described by `PathTracing` and `RayTracing`.
+    """
+
+    geometry: Polyhedron
+    room: Room
+    sources: Mapping[str, Any]
+    receivers: Mapping[str, Any]
+    scattering: Any = None
+    radius: float | None = None
+    bin_width: float = 0.002
+    n_batches: int = 8
+    deterministic: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        checks.instance("room", self.room, Room)
+        checks.instance("geometry", self.geometry, Polyhedron)
+        for kind in ("sources", "receivers"):
+            points = checks.mapped(kind, getattr(self, kind))
+            self.geometry.require_inside(kind[:-1], points)
+            places = {str(name): tuple(map(float, point)) for name, point in points.items()}
+            object.__setattr__(self, kind, places)
+        checks.whole("n_batches", self.n_batches, 1)
+        decay.bins(self.bin_width)
+        if self.radius is not None:
+            checks.positive("radius", self.radius, "m")
+        check_walls(self.geometry, self.room)
+        scattering = scattering_coefficients(self.room, self.scattering)
+        object.__setattr__(self, "scattering", scattering)
+
+    def _check_batches(self, name: str, number: int) -> None:
+        """Raise DataError unless ``number`` rays or paths fill at least two batches."""
+        checks.whole(name, number, 1)
+        if self.n_batches < 2 or number < self.n_batches:
+            raise DataError(
+                f"{name} = {number} in n_batches = {self.n_batches}: the noise needs at least two "
+                "batches, with one or more in each"
+            )
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name that calibrated coefficients belong to."""
+
+    @property
+    @abstractmethod
+    def smooth(self) -> bool:
+        """Whether T is a smooth function of alpha while the seed stays the same."""
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Names of source and receiver by pair, the pairs of the first source first."""
+        return tuple((s, r) for s in self.sources for r in self.receivers)
+
+    @abstractmethod
+    def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:
+        """Return energy decays, (n_batches, n_sources, n_receivers, n_bands, n_bins), in 1/m²."""
+
+    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
+        """Return EDT, T20, T30, C50, C80, D50 and Ts for alpha (n_materials, n_bands), by pair.
+
+        The uncertainty of EDT, T20, C50 and C80 is the standard error that tracing causes. The
+        decay is traced for longer until it holds T20.
+
+        Raises
+        ------
+        DataError
+            For an alpha that is not (n_materials, n_bands) or not in [0, 1], or a negative seed.
+        TooShortError
+            If a decay of `LONGEST` does not hold T20.
+        """
+        alpha = check_alpha(self, alpha)
+        energy = decay_long_enough(
+            lambda seconds: self.energy(alpha, seconds, seed=seed), self.room, alpha
+        )
+        by_pair = energy.reshape(len(energy), len(self.pairs), *energy.shape[3:])
+        return measurement(by_pair, self.bin_width, self.centre_frequencies, self.pairs)
+
+    def _points(self) -> tuple[Array, Array]:
+        """Return the positions of sources and receivers in m, each (n, 3)."""
+        return np.array(list(self.sources.values())), np.array(list(self.receivers.values()))
+
+    def _radii(self) -> Array:
+        """Return each receiver's radius in m, at most its distance from the nearest wall."""
+        radius = self.radius or RADIUS_SHARE * self.geometry.volume ** (1 / 3)
+        return np.minimum(radius, self.geometry.wall_distance(self._points()[1]))
+
+    def _bands_by_scattering(self) -> list[NDArray[np.int64]]:
+        """Return the bands' numbers in groups that have the same scattering coefficients."""
+        columns, group = np.unique(self.scattering, axis=1, return_inverse=True)
+        return [np.asarray(np.flatnonzero(group.reshape(-1) == g)) for g in range(columns.shape[1])]
+
+
+def check_walls(geometry: Polyhedron, room: Room) -> None:
+    """Raise DataError for a wall material that the room lacks, or a volume off by `OFF_VOLUME`."""
+    for material in geometry.materials:
+        room.material_index(material)
+    if abs(room.volume / geometry.volume - 1) > OFF_VOLUME:
+        raise DataError(
+            f"room: volume = {room.volume:g} m³, but the geometry holds {geometry.volume:g} m³; they "
+            f"may differ by at most {100 * OFF_VOLUME:.0f} %"
+        )
+
+
+def scattering_coefficients(room: Room, scattering: Any) -> Array:
+    """Return read-only scattering coefficients (n_materials, n_bands), by default the room's."""
+    shape = (room.n_materials, room.n_bands)
+    if scattering is None:
+        if room.scattering is None:
+            raise DataError(
+                f'room "{room.name}" states no scattering coefficients; pass scattering'
+            )
+        return room.scattering
+    values = checks.array("scattering", scattering)
+    try:
+        values = np.broadcast_to(values[:, np.newaxis] if values.ndim == 1 else values, shape)
+    except ValueError as error:
+        raise DataError(
+            f"scattering: {error}; it is a number, (n_materials,) or (n_materials, n_bands) = {shape}"
+        ) from error
+    if (outside := ~((values >= 0) & (values <= 1))).any():
+        i, k = (int(v) for v in np.argwhere(outside)[0])
+        raise DataError(f"{room.place('scattering', i, k)} = {values[i, k]:g} is not in [0, 1]")
+    values = values.copy()
+    values.setflags(write=False)
+    return values
+
+
+def jackknife(estimate: Callable[[Array], Array], batches: Array) -> Array:
+    """Return the standard error of ``estimate(mean over batches)``; batches on axis 0.
+
+    Leave-one-out (Efron & Stein 1981): sqrt((n - 1)/n sum (estimate_i - mean)²). NaN if some
+    estimate without one batch is not finite: the standard error is then unknown.
+    """
+    n = len(batches)
+    total = batches.sum(axis=0)
+    left_out = np.stack([estimate((total - batch) / (n - 1)) for batch in batches])
+    left_out[~np.isfinite(left_out)] = np.nan
+    spread = left_out - left_out.mean(axis=0)
+    return np.asarray(np.sqrt((n - 1) / n * np.sum(spread**2, axis=0)))
+
+
+def measurement(
+    energy: Array, bin_width: float, centre_frequencies: Array, pairs: Sequence[tuple[str, str]]
+) -> Measurement:
+    """Return the parameters of energy decays in batches, (n_batches, n_pairs, n_bands, n_bins).
+
+    The parameters belong to the mean over batches. The uncertainty of EDT, T20, C50 and C80 is the
+    batches' jackknife standard error.
+    """
+    estimates: dict[str, Callable[[Array], Array]] = {
+        "edt": lambda e: decay.decay_time(e, bin_width, "edt"),
+        "t20": lambda e: decay.decay_time(e, bin_width, "t20"),
+        "c50": lambda e: decay.clarity(e, bin_width, 0.05),
+        "c80": lambda e: decay.clarity(e, bin_width, 0.08),
+    }
+    noise = {name: jackknife(estimate, energy) for name, estimate in estimates.items()}
+    return decay.measurement(
+        energy.mean(axis=0), bin_width, centre_frequencies, pairs, uncertainty=noise
+    )
+
+
+def decay_long_enough(trace: Callable[[float], Array], room: Room, alpha: Array) -> Array:
+    """Return ``trace(seconds)``, (n_batches, ...), with seconds doubled until it holds T20.
+
+    Starts with Eyring's T for alpha, and stops at `LONGEST`.
+    """
+    times = Eyring().reverberation_time(room.replace(alpha=alpha, calibration=None))
+    seconds = float(np.clip(np.max(times), 0.2, LONGEST))
+    while True:
+        energy = trace(seconds)
+        if seconds >= LONGEST or not decay.too_short(energy.mean(axis=0)).any():
+            return energy
+        seconds = min(2 * seconds, LONGEST)
