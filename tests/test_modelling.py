@@ -125,19 +125,23 @@ def test_no_random_feasible_point_beats_the_optimum(seed: int, name: str) -> Non
     room = a_room(rng)
     result = composed(name).build(room).solve(true_times(rng, room, EYRING))
     solution = result.joint.solution
-    twin, u = solution.twin, solution.unknowns
-    best = twin.value(u)
-    equal = twin.row_lower == twin.row_upper
-    rows = np.asarray(twin.matrix)[equal] * twin.sigma
+    model, u = solution.model, solution.unknowns
+    best = model.value(u)
+    equal = model.row_lower == model.row_upper
+    rows = np.asarray(model.matrix)[equal] * model.sigma
     for scale in (1e-3, 1e-1):
         step = rng.standard_normal(len(u))
         step -= np.linalg.pinv(rows) @ (rows @ step)
-        trial = u + scale * twin.sigma * step
-        at = twin.matrix @ trial
-        inside = (trial >= twin.lower).all() and (trial <= twin.upper).all()
-        slack = 1e-12 * np.maximum(twin.row_norm, 1)
-        if inside and (at >= twin.row_lower - slack).all() and (at <= twin.row_upper + slack).all():
-            assert twin.value(trial) >= best - 1e-9
+        trial = u + scale * model.sigma * step
+        at = model.matrix @ trial
+        inside = (trial >= model.lower).all() and (trial <= model.upper).all()
+        slack = 1e-12 * np.maximum(model.row_norm, 1)
+        if (
+            inside
+            and (at >= model.row_lower - slack).all()
+            and (at <= model.row_upper + slack).all()
+        ):
+            assert model.value(trial) >= best - 1e-9
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -191,7 +191,7 @@ def test_posterior_sigma_of_any_composition_against_draws() -> None:
     t = EYRING.time(room, room.absorption_area)
     base = problem.solve(t)
     u = base.posterior_sigma
-    layout = base.joint.solution.twin.instance.layout
+    layout = base.joint.solution.model.data.layout
     factor = np.linalg.cholesky(terms.PriorDeviation(band_correlation=0.5).correlation(layout))
     b_slope = EYRING.target_sensitivity(room, t)
     gain = sensitivity(base.joint)[:, :, 0] / b_slope

@@ -274,7 +274,7 @@ def test_raw_and_polished_answers_are_both_kept(cr2) -> None:
 
 
 def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) -> None:
-    import rtcal.calibration.core as core
+    import rtcal.calibration.convex_program as core
 
     monkeypatch.setattr(core, "polish", lambda *_: None)
     with pytest.raises(rt.errors.SolverError, match="does not pass: primal residual"):
@@ -283,20 +283,20 @@ def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) 
 
 def test_certificate_catches_a_wrong_answer(cr2) -> None:
     from rtcal.calibration.certificate import certify
-    from rtcal.calibration.twin import Multipliers
+    from rtcal.calibration.numpy_model import Multipliers
 
     result = rt.calibrate(*cr2)
     raw = result.raw
     zero = np.zeros(result.alpha.size)
     right = Multipliers(np.nan_to_num(result.multipliers), zero, zero)
-    assert certify(raw.twin, result.alpha, right).worst < 1e-12
+    assert certify(raw.model, result.alpha, right).worst < 1e-12
     off = result.alpha.copy()
     off[0, 2] += 1e-4
-    assert certify(raw.twin, off, right).primal_residual[2] > 1e-6
+    assert certify(raw.model, off, right).primal_residual[2] > 1e-6
     wrong = Multipliers(right.rows * 1.001, zero, zero)
-    assert certify(raw.twin, result.alpha, wrong).worst > 1e-6
+    assert certify(raw.model, result.alpha, wrong).worst > 1e-6
     for bad in (wrong, Multipliers(-right.rows, zero, zero)):
-        bound = certify(raw.twin, result.alpha, bad).alpha_error_bound
+        bound = certify(raw.model, result.alpha, bad).alpha_error_bound
         assert bound.max() > 1e-4
 
 

@@ -12,8 +12,8 @@ from rtcal import terms
 from rtcal.calibration.assemble import Assembler, layout_of
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.context import Context
-from rtcal.calibration.instance import Instance
 from rtcal.calibration.measured import times_in_room
+from rtcal.calibration.problem_data import ProblemData
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()
@@ -37,8 +37,8 @@ ROWS = {
 }
 
 
-def made(seed: int, term: object = None) -> tuple[Context, Instance, rt.Room]:
-    """An instance with a missing T, a coefficient with sigma = 0 and one that is pinned."""
+def made(seed: int, term: object = None) -> tuple[Context, ProblemData, rt.Room]:
+    """Problem data with a missing T, a coefficient with sigma = 0 and one that is pinned."""
     rng = np.random.default_rng(seed)
     room = random_room(rng, 4, 4)
     sigma = room.sigma.copy()
@@ -52,15 +52,15 @@ def made(seed: int, term: object = None) -> tuple[Context, Instance, rt.Room]:
     configurations = Configurations([room])
     layout = layout_of(configurations, objective, [])
     assembler = Assembler(layout, EYRING, objective, (), 0, None)
-    instance = assembler.instance(configurations, [times_in_room(room, t)], None)
+    data = assembler.problem_data(configurations, [times_in_room(room, t)], None)
     where = np.zeros(layout.size, dtype=bool)
     where[5] = True
-    return Context(layout), instance.pin(where, np.full(layout.size, 0.9)), room
+    return Context(layout), data.pin(where, np.full(layout.size, 0.9)), room
 
 
-def point(instance: Instance, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    x = np.random.default_rng(seed + 1).standard_normal(instance.layout.size)
-    return x, instance.centre + instance.scale * x
+def point(data: ProblemData, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    x = np.random.default_rng(seed + 1).standard_normal(data.layout.size)
+    return x, data.centre + data.scale * x
 
 
 @pytest.mark.parametrize("name", OBJECTIVE)
@@ -68,45 +68,45 @@ def point(instance: Instance, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def test_expression_equals_the_numpy_twin(name: str, seed: int) -> None:
     """Up to a constant: what is held contributes one, and x of what is held is free."""
     term = OBJECTIVE[name]
-    context, instance, _ = made(seed, term)
+    context, data, _ = made(seed, term)
     expression = term.expression(context, 0)
-    context.update(instance)
-    values, twins = [], []
-    loose = (instance.scale == 0) & (np.arange(instance.layout.size) < instance.layout.n_alpha)
+    context.update(data)
+    values, numpy_values = [], []
+    loose = (data.scale == 0) & (np.arange(data.layout.size) < data.layout.n_alpha)
     for s in (seed, seed + 50):
-        x, u = point(instance, s)
+        x, u = point(data, s)
         # The helper unknowns of a term and the x of held coefficients take their best value.
         problem = cp.Problem(cp.Minimize(expression), [context.x[~loose] == x[~loose]])
         problem.solve(solver="CLARABEL", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
         values.append(problem.value)
-        twins.append(instance.weights[0] * term.value(u, instance))
-    assert abs(twins[1] - twins[0]) > 1e-3
-    assert values[1] - values[0] == pytest.approx(twins[1] - twins[0], rel=1e-6)
+        numpy_values.append(data.weights[0] * term.value(u, data))
+    assert abs(numpy_values[1] - numpy_values[0]) > 1e-3
+    assert values[1] - values[0] == pytest.approx(numpy_values[1] - numpy_values[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("name", OBJECTIVE)
 def test_gradient_and_curvature_are_derivatives_of_the_value(name: str) -> None:
     term = OBJECTIVE[name]
-    _, instance, _ = made(3, term)
+    _, data, _ = made(3, term)
     rng = np.random.default_rng(0)
-    u = instance.centre + 0.02 * rng.standard_normal(instance.layout.size)
-    curvature = term.curvature(u, instance)
+    u = data.centre + 0.02 * rng.standard_normal(data.layout.size)
+    curvature = term.curvature(u, data)
     curvature = curvature.toarray() if sp.issparse(curvature) else np.diag(curvature)
-    gradient = term.gradient(u, instance)
+    gradient = term.gradient(u, data)
     h = 1e-6
     for i in range(len(u)):
         step = np.zeros_like(u)
         step[i] = h
-        slope = (term.value(u + step, instance) - term.value(u - step, instance)) / (2 * h)
+        slope = (term.value(u + step, data) - term.value(u - step, data)) / (2 * h)
         assert gradient[i] == pytest.approx(slope, rel=1e-5, abs=1e-5)
-        bend = (term.gradient(u + step, instance) - term.gradient(u - step, instance)) / (2 * h)
+        bend = (term.gradient(u + step, data) - term.gradient(u - step, data)) / (2 * h)
         np.testing.assert_allclose(curvature[i], bend, rtol=1e-5, atol=1e-3)
     assert np.abs(gradient).max() > 1e-4
     # The claimed convexity holds: curvature - diag(m / sigma²) has no negative eigenvalue.
-    sigma = instance.sigma
+    sigma = data.sigma
     moves = sigma > 0
     scaled = (curvature * np.outer(sigma, sigma))[np.ix_(moves, moves)]
-    m = term.convexity(instance)[moves]
+    m = term.convexity(data)[moves]
     assert np.linalg.eigvalsh(scaled - np.diag(m)).min() > -1e-9 * max(1, np.abs(scaled).max())
 
 
@@ -114,12 +114,12 @@ def test_gradient_and_curvature_are_derivatives_of_the_value(name: str) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_constraint_expressions_equal_the_rows_of_the_twin(name: str, seed: int) -> None:
     term = ROWS[name]
-    context, instance, _ = made(seed)
+    context, data, _ = made(seed)
     constraints = term.constraints(context)
-    context.update(instance)
-    x, u = point(instance, seed)
+    context.update(data)
+    x, u = point(data, seed)
     context.x.value = x
-    rows, scale = term.rows(instance), term.row_scale(instance)
+    rows, scale = term.rows(data), term.row_scale(data)
     at = rows.matrix @ u
     applies = scale > 0
     for constraint, sign in constraints:
@@ -139,43 +139,43 @@ def test_constraint_expressions_equal_the_rows_of_the_twin(name: str, seed: int)
 def test_correlated_prior_is_the_gaussian_with_that_correlation() -> None:
     """Dense algebra, the unknown with sigma = 0 integrated out."""
     term = OBJECTIVE["correlated"]
-    _, instance, room = made(1, term)
-    layout = instance.layout
+    _, data, room = made(1, term)
+    layout = data.layout
     r = term.correlation(layout)
     octaves = np.log2(room.centre_frequencies)
     assert r[0, 3] == pytest.approx(0.7 ** (octaves[3] - octaves[0]))
     assert r[4, 5] == 0
     assert r[4, 12] == pytest.approx(0.5)  # the same band of two materials
-    moves = instance.sigma > 0
+    moves = data.sigma > 0
     x = np.random.default_rng(2).standard_normal(layout.size)
-    u = instance.mu + instance.sigma * x
+    u = data.mu + data.sigma * x
     inverse = np.linalg.inv(r[np.ix_(moves, moves)])
     wanted = 0.5 * x[moves] @ inverse @ x[moves]
-    assert term.value(u, instance) == pytest.approx(wanted, rel=1e-10)
+    assert term.value(u, data) == pytest.approx(wanted, rel=1e-10)
     columns = np.random.default_rng(3).standard_normal((layout.size, 2))
     np.testing.assert_allclose(term.correlate(columns, layout), r @ columns, atol=1e-12)
 
 
 def test_a_term_is_priced_by_hand() -> None:
-    _, instance, room = made(0, terms.SoftMatch(0.05))
-    u = instance.mu.copy()
+    _, data, room = made(0, terms.SoftMatch(0.05))
+    u = data.mu.copy()
     u[:4] += 0.1
-    miss = (room.areas @ instance.alpha(u) - instance.target[0])[[0, 1, 3]]
-    t = instance.time[0]
+    miss = (room.areas @ data.alpha(u) - data.target[0])[[0, 1, 3]]
+    t = data.time[0]
     slope = (EYRING.target(room, t * 1.001) - EYRING.target(room, t * 0.999)) / 0.002
     u_b = np.abs(0.05 * slope)[[0, 1, 3]]
-    assert terms.SoftMatch(0.05).value(u, instance) == pytest.approx(
+    assert terms.SoftMatch(0.05).value(u, data) == pytest.approx(
         0.5 * np.sum((miss / u_b) ** 2), rel=1e-4
     )
     x = np.array([0.5, -3.0])
     h = terms.HuberDeviation(threshold=1.0, convex=0.1)
-    u = instance.mu.copy()
-    u[2:4] += instance.sigma[2:4] * x
+    u = data.mu.copy()
+    u[2:4] += data.sigma[2:4] * x
     wanted = 0.1 * (0.125 + 4.5) + 0.9 * (0.125 + 3.0 - 0.5)
-    assert h.value(u, instance) == pytest.approx(wanted, rel=1e-12)
+    assert h.value(u, data) == pytest.approx(wanted, rel=1e-12)
     smooth = terms.BandSmoothness()
     # Row 0 has sigma = 0 in band 1, so only bands 2 and 3 are neighbours there.
-    assert smooth.value(u, instance) == pytest.approx(0.5 * (3.5**2), rel=1e-12)
+    assert smooth.value(u, data) == pytest.approx(0.5 * (3.5**2), rel=1e-12)
 
 
 @pytest.mark.parametrize(

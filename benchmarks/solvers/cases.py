@@ -15,7 +15,7 @@ import scipy.sparse as sp
 import rtcal as rt
 from benchmarks.solvers import truth
 from rtcal import terms
-from rtcal.calibration.compiled import Whitened
+from rtcal.calibration.compiled_qp import WhitenedQP
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
@@ -95,7 +95,7 @@ class Case(qpbenchmark.Problem):
     ) -> None:
         self.family, self.built, self.measured, self.room = family, built, measured, room
         self.separable = separable
-        self.whitened: Whitened = built.whitened(measured, room)
+        self.whitened: WhitenedQP = built.whitened(measured, room)
         qp = self.whitened.matrices
         rows = sp.csr_matrix(qp.A)
         n = qp.n_equal

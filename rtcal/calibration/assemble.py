@@ -12,9 +12,9 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
-from rtcal.calibration.measured import Measured
+from rtcal.calibration.measured import MeasuredTimes
+from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms import (
     BoundConstraint,
     FurtherUnknown,
@@ -64,12 +64,12 @@ class Assembler:
                 )
         return tuple(w / prior for w in chosen)
 
-    def instance(
+    def problem_data(
         self,
         configurations: Configurations,
-        data: Sequence[Measured],
+        measured: Sequence[MeasuredTimes],
         weights: Mapping[ObjectiveTerm, float] | None,
-    ) -> Instance:
+    ) -> ProblemData:
         """Return the numbers; DataError where priors, bounds or data break a rule."""
         room = configurations.union
         shape = room.alpha.shape
@@ -86,7 +86,7 @@ class Assembler:
         alpha, sigma = room.alpha[self.layout.first], np.asarray(sigma)[self.layout.first]
         self._check_box(room, alpha, sigma, lower, upper)
         further = self._further
-        c, k = len(data), shape[1]
+        c, k = len(measured), shape[1]
         gains = np.zeros((c, k, len(further)))
         for p, term in enumerate(further):
             gains[:, :, p] = term.gains(c, k)
@@ -94,7 +94,7 @@ class Assembler:
         def flat(values: Array, more: list[float]) -> Array:
             return np.concatenate([values.ravel(), more])
 
-        times = np.array([d.reverberation_time for d in data])
+        times = np.array([d.reverberation_time for d in measured])
         slopes = np.array(
             [
                 self.equation.target_sensitivity(r, t)
@@ -102,7 +102,7 @@ class Assembler:
             ]
         )
         held = (sigma == 0) | (lower == upper)
-        instance = Instance(
+        data = ProblemData(
             layout=self.layout,
             mu=flat(alpha, [t.mean for t in further]),
             sigma=flat(sigma, [t.sigma for t in further]),
@@ -112,7 +112,7 @@ class Assembler:
             gains=gains,
             time=times,
             target=self.target(configurations.rooms, times),
-            target_uncertainty=np.abs(slopes) * np.array([d.uncertainty for d in data]),
+            target_uncertainty=np.abs(slopes) * np.array([d.uncertainty for d in measured]),
             target_of=lambda t: self.target(configurations.rooms, t),
             weights=self.weights(weights),
             pinned=np.concatenate([held.ravel(), np.zeros(len(further), dtype=bool)]),
@@ -121,8 +121,8 @@ class Assembler:
             ),
         )
         for soft in self._soft:
-            instance = replace(instance, target_uncertainty=soft.uncertainty(instance))
-        return instance
+            data = replace(data, target_uncertainty=soft.uncertainty(data))
+        return data
 
     def target(self, rooms: Sequence[Room], times: Array) -> Array:
         """Return b in m² for T in s, both (n_configurations, n_bands)."""
@@ -232,7 +232,7 @@ def layout_of(
     )
 
 
-def fitting(built: Configurations, given: Configurations) -> Configurations:
+def require_same_shape(built: Configurations, given: Configurations) -> Configurations:
     """Return ``given`` if it has the shape that the problem was built with, else DataError."""
     for room in given.rooms:
         if not isinstance(room, Room):

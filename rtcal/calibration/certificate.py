@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.calibration.layout import Layout
-from rtcal.calibration.twin import Multipliers, Twin
+from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.support.types import Array
 
 _EPS = np.finfo(float).eps
@@ -48,43 +48,43 @@ class Certificate:
         )
 
 
-def certify(twin: Twin, u: Array, multipliers: Multipliers) -> Certificate:
+def certify(model: NumpyModel, u: Array, multipliers: Multipliers) -> Certificate:
     """Return the certificate of an answer.
 
     Parameters
     ----------
-    twin : Twin
+    model : NumpyModel
     u : array (size,)
         The unknowns.
     multipliers : Multipliers
     """
-    instance = twin.instance
-    layout = instance.layout
+    data = model.data
+    layout = data.layout
     u = u.ravel()
-    matrix, sigma = twin.matrix, twin.sigma
+    matrix, sigma = model.matrix, model.sigma
     values = np.asarray(matrix @ u)
-    miss = np.maximum(np.maximum(twin.row_lower - values, values - twin.row_upper), 0.0)
-    outside = np.maximum(np.maximum(twin.lower - u, u - twin.upper), 0.0)
-    relative = np.divide(miss, twin.row_norm, out=miss.copy(), where=twin.row_norm > 0)
-    bands = twin.row_band
+    miss = np.maximum(np.maximum(model.row_lower - values, values - model.row_upper), 0.0)
+    outside = np.maximum(np.maximum(model.lower - u, u - model.upper), 0.0)
+    relative = np.divide(miss, model.row_norm, out=miss.copy(), where=model.row_norm > 0)
+    bands = model.row_band
     primal = _by_band(outside, layout, np.max)
     np.maximum.at(primal, bands, relative)
 
-    gradient, pull = twin.gradient(u), np.asarray(matrix.T @ multipliers.rows)
+    gradient, pull = model.gradient(u), np.asarray(matrix.T @ multipliers.rows)
     force = gradient + pull
     dual = _by_band(np.abs(sigma * (force - multipliers.lower + multipliers.upper)), layout, np.max)
-    slack_lower, slack_upper = u - twin.lower, _finite(twin.upper - u)
+    slack_lower, slack_upper = u - model.lower, _finite(model.upper - u)
     gap = _gap(multipliers.lower, multipliers.upper, slack_lower, slack_upper)
-    row_gap = _row_gap(twin, multipliers.rows, values)
+    row_gap = _row_gap(model, multipliers.rows, values)
     total_gap = _by_band(gap, layout, np.sum)
     np.add.at(total_gap, bands, row_gap)
 
     # For the bound every imbalance is given to the box, whatever the multipliers said: then the
     # Lagrangian is stationary at u, and 1/2 sum m (du / sigma)² is at most the gap. An unknown
     # without an upper side takes its imbalance by completing its own square instead.
-    force = np.where(twin.movable, force, 0.0)
-    m = twin.convexity
-    open_above = np.isinf(twin.upper) & (force < 0)
+    force = np.where(model.movable, force, 0.0)
+    m = model.convexity
+    open_above = np.isinf(model.upper) & (force < 0)
     own = np.divide((force * sigma) ** 2, m, out=np.zeros_like(m), where=open_above)
     force = np.where(open_above, 0.0, force)
     repaired = _by_band(
@@ -98,27 +98,27 @@ def certify(twin: Twin, u: Array, multipliers: Multipliers) -> Certificate:
         layout,
         np.sum,
     )
-    free = (twin.movable & (u > twin.lower) & (u < twin.upper)).astype(float)
-    reach = np.sqrt(np.asarray(twin.squares @ (sigma * free) ** 2))
+    free = (model.movable & (u > model.lower) & (u < model.upper)).astype(float)
+    reach = np.sqrt(np.asarray(model.squares @ (sigma * free) ** 2))
     # S'alpha itself is known to rounding only.
-    rounding = (twin.entries + 1) * _EPS * np.asarray(twin.absolute @ np.abs(u))
+    rounding = (model.entries + 1) * _EPS * np.asarray(model.absolute @ np.abs(u))
     off = np.divide(miss + rounding, reach, out=np.zeros_like(miss), where=reach > 0)
     steepness = float(np.linalg.norm(gradient * sigma))
     extra = np.abs(multipliers.rows) * (miss + rounding) + steepness * off + row_gap
     distance = np.zeros(layout.n_bands)
     np.add.at(repaired, bands, extra)
     np.add.at(distance, bands, off)
-    if not twin.separate(u):  # bands are coupled: their gaps count together
+    if not model.separate(u):  # bands are coupled: their gaps count together
         repaired = np.full(layout.n_bands, repaired.sum())
         distance = np.full(layout.n_bands, distance.sum())
-    strength = instance.alpha(m)
+    strength = data.alpha(m)
     spread = np.divide(
         2 * np.maximum(repaired, 0),
         strength,
         out=np.full_like(strength, np.nan),
         where=strength > 0,
     )
-    bound = instance.alpha(sigma) * (np.sqrt(spread) + distance)
+    bound = data.alpha(sigma) * (np.sqrt(spread) + distance)
     return Certificate(
         primal_residual=primal,
         dual_residual=dual,
@@ -143,8 +143,8 @@ def _gap(lower: Array, upper: Array, slack_lower: Array, slack_upper: Array) -> 
     return np.asarray(lower * slack_lower + upper * slack_upper)
 
 
-def _row_gap(twin: Twin, rows: Array, values: Array) -> Array:
+def _row_gap(model: NumpyModel, rows: Array, values: Array) -> Array:
     """Multiplier times slack of the inequality rows."""
-    slack = np.where(rows > 0, twin.row_upper - values, values - twin.row_lower)
-    equality = (twin.row_lower == twin.row_upper) | (rows == 0)
+    slack = np.where(rows > 0, model.row_upper - values, values - model.row_lower)
+    equality = (model.row_lower == model.row_upper) | (rows == 0)
     return np.where(equality, 0.0, np.abs(rows) * np.maximum(np.where(equality, 0.0, slack), 0.0))

@@ -2,7 +2,7 @@
 
 In the whitened unknowns x (u = centre + scale x) most products that a term wants, such as
 area times sigma, would be products of two parameters, which cvxpy cannot compile once. So a term
-never multiplies parameters: it says how to compute its coefficients of alpha from an `Instance`, and
+never multiplies parameters: it says how to compute its coefficients of alpha from an `ProblemData`, and
 the context computes the coefficients of x and the constant outside cvxpy.
 """
 
@@ -16,11 +16,11 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Integers, Layout
+from rtcal.calibration.problem_data import ProblemData
 from rtcal.support.types import Array
 
-Coefficients = Callable[[Instance], tuple[Array, Array]]
+Coefficients = Callable[[ProblemData], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +35,12 @@ class Affine:
     coefficients: Any
     constant: Any
 
-    def update(self, instance: Instance) -> None:
-        """Set the derived parameters for ``instance``."""
-        values, constant = self.compute(instance)
+    def update(self, data: ProblemData) -> None:
+        """Set the derived parameters for ``data``."""
+        values, constant = self.compute(data)
         # save_value: the setter's checks of shape and kind cost more than the numbers.
-        self.coefficients.save_value(values * instance.scale[self.columns])
-        moved = values * instance.centre[self.columns]
+        self.coefficients.save_value(values * data.scale[self.columns])
+        moved = values * data.centre[self.columns]
         self.constant.save_value(constant + np.bincount(self.rows, moved, minlength=self.n_rows))
 
 
@@ -51,7 +51,7 @@ class Context:
         self.layout = layout
         self.x = cp.Variable(layout.size, name="x")
         self._affine: list[Affine] = []
-        self._parameters: list[tuple[Any, Callable[[Instance], Array]]] = []
+        self._parameters: list[tuple[Any, Callable[[ProblemData], Array]]] = []
 
     @property
     def size(self) -> int:
@@ -72,7 +72,7 @@ class Context:
         rows, columns : array (n_entries,)
             Where the coefficients stand; fixed when the problem is built.
         n_rows : int
-        compute : function of an Instance
+        compute : function of ProblemData
             Returns the coefficients of the unknowns (n_entries,) and the constants (n_rows,).
         """
         coefficients = cp.Parameter(len(columns))
@@ -99,9 +99,12 @@ class Context:
         return made
 
     def parameter(
-        self, shape: int | tuple[int, ...], compute: Callable[[Instance], Array], **attributes: bool
+        self,
+        shape: int | tuple[int, ...],
+        compute: Callable[[ProblemData], Array],
+        **attributes: bool,
     ) -> Any:
-        """Return a cvxpy parameter that ``compute`` fills from each instance."""
+        """Return a cvxpy parameter that ``compute`` fills from each data."""
         parameter = cp.Parameter(shape, **attributes)
         self._parameters.append((parameter, compute))
         return parameter
@@ -128,9 +131,9 @@ class Context:
             c * k,
         )
 
-    def update(self, instance: Instance) -> None:
-        """Set every derived parameter for ``instance``."""
+    def update(self, data: ProblemData) -> None:
+        """Set every derived parameter for ``data``."""
         for affine in self._affine:
-            affine.update(instance)
+            affine.update(data)
         for parameter, compute in self._parameters:
-            parameter.save_value(compute(instance))
+            parameter.save_value(compute(data))

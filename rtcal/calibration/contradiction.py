@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal.calibration.twin import Twin
+from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.errors import InfeasibleError
 from rtcal.support.types import Array
 
 _NOTHING = 1e-9
 
 
-def explain(twin: Twin) -> None:
+def explain(model: NumpyModel) -> None:
     """Raise InfeasibleError, naming what would have to give way, if the constraints contradict.
 
     An elastic linear programme (Chinneck 2008, ch. 6): minimise the sum of all relaxations, each in
@@ -23,30 +23,30 @@ def explain(twin: Twin) -> None:
     """
     from scipy.optimize import linprog
 
-    instance, layout = twin.instance, twin.instance.layout
-    matrix = sp.csr_array(twin.matrix)
+    data, layout = model.data, model.data.layout
+    matrix = sp.csr_array(model.matrix)
     n_rows, size = matrix.shape
     sides = [np.asarray(part.maximum(0).sum(axis=1)).ravel() for part in (matrix, -matrix)]
     norm = np.maximum(*sides)
     norm[norm == 0] = 1.0
     scaled = sp.diags_array(1 / norm) @ matrix
     # Unknowns, then relaxations of rows up and down, then of the box down and up.
-    low, high = twin.row_lower / norm, twin.row_upper / norm
+    low, high = model.row_lower / norm, model.row_upper / norm
     one, none = sp.eye_array(n_rows), sp.csr_array((n_rows, size))
     square, empty = sp.eye_array(size), sp.csr_array((size, n_rows))
     above = sp.hstack([scaled, one * 0, -one, none, none])
     below = sp.hstack([-scaled, -one, one * 0, none, none])
     floor = sp.hstack([-square, empty, empty, -square, square * 0])
     ceiling = sp.hstack([square, empty, empty, square * 0, -square])
-    limits = np.concatenate([high, -low, -twin.lower, twin.upper])
+    limits = np.concatenate([high, -low, -model.lower, model.upper])
     system = sp.csr_array(sp.vstack([above, below, floor, ceiling]))
     used = np.isfinite(limits)
-    held = ~twin.movable
+    held = ~model.movable
     hard_upper = np.where(np.arange(size) < layout.n_alpha, 1.0, np.inf)
     bounds = np.concatenate(
         [
             np.column_stack(
-                [np.where(held, instance.centre, 0.0), np.where(held, instance.centre, hard_upper)]
+                [np.where(held, data.centre, 0.0), np.where(held, data.centre, hard_upper)]
             ),
             np.column_stack(
                 [np.zeros(2 * n_rows + 2 * size), np.full(2 * n_rows + 2 * size, np.inf)]
@@ -60,27 +60,27 @@ def explain(twin: Twin) -> None:
     relaxed = found.x[size:]
     raise InfeasibleError(
         "the constraints contradict each other. The smallest relaxation that removes it: "
-        + "; ".join(_named(twin, relaxed, norm))
+        + "; ".join(_named(model, relaxed, norm))
     )
 
 
-def _named(twin: Twin, relaxed: Array, norm: Array) -> list[str]:
-    layout = twin.instance.layout
+def _named(model: NumpyModel, relaxed: Array, norm: Array) -> list[str]:
+    layout = model.data.layout
     n_rows, size = len(norm), layout.size
     labels = [
         term.label(row, layout)
-        for term in twin.row_constraints
-        for row in range(len(term.row_scale(twin.instance)))
+        for term in model.row_constraints
+        for row in range(len(term.row_scale(model.data)))
     ]
     out = []
     for side, (start, word) in enumerate(((0, "lower"), (n_rows, "higher"))):
         for row in np.flatnonzero(relaxed[start : start + n_rows] > _NOTHING):
-            limit = (twin.row_lower, twin.row_upper)[side][row]
+            limit = (model.row_lower, model.row_upper)[side][row]
             by = relaxed[start + row] * norm[row]
             out.append(f"{labels[row]}: {limit:.4g} {word} by {by:.4g}")
     for start, limits, word in (
-        (2 * n_rows, twin.lower, "lower bound {:.4g} lower by {:.4g}"),
-        (2 * n_rows + size, twin.upper, "upper bound {:.4g} higher by {:.4g}"),
+        (2 * n_rows, model.lower, "lower bound {:.4g} lower by {:.4g}"),
+        (2 * n_rows + size, model.upper, "upper bound {:.4g} higher by {:.4g}"),
     ):
         for u in np.flatnonzero(relaxed[start : start + size] > _NOTHING):
             out.append(f"{layout.place(int(u))}: " + word.format(limits[u], relaxed[start + u]))

@@ -10,7 +10,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.calibration.instance import Flags, Instance
+from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.errors import InfeasibleError
 from rtcal.support.types import Array
 
@@ -47,55 +47,55 @@ class Unreachable:
         )
 
 
-def reach(instance: Instance) -> tuple[Array, Array]:
+def reach(data: ProblemData) -> tuple[Array, Array]:
     """Return the least and the most S'alpha in m² within the box, each (n_configurations, n_bands).
 
     Unknowns that cannot move are counted where they are; effects add what theirs allow.
     """
-    lower, upper = _box(instance)
-    least = instance.areas @ instance.alpha(lower)
-    most = instance.areas @ instance.alpha(upper)
-    if instance.gains.size:
+    lower, upper = _box(data)
+    least = data.areas @ data.alpha(lower)
+    most = data.areas @ data.alpha(upper)
+    if data.gains.size:
         with np.errstate(invalid="ignore"):  # 0 times an unlimited size
-            ends = instance.gains[..., np.newaxis] * np.stack(
-                [instance.further(lower), instance.further(upper)], axis=-1
+            ends = data.gains[..., np.newaxis] * np.stack(
+                [data.further(lower), data.further(upper)], axis=-1
             )
         ends = np.nan_to_num(ends, nan=0.0, posinf=np.inf, neginf=-np.inf)
         least, most = least + ends.min(axis=-1).sum(axis=-1), most + ends.max(axis=-1).sum(axis=-1)
     return least, most
 
 
-def _box(instance: Instance) -> tuple[Array, Array]:
+def _box(data: ProblemData) -> tuple[Array, Array]:
     """The box, closed around what cannot move."""
-    moves = instance.scale > 0
+    moves = data.scale > 0
     return (
-        np.where(moves, instance.lower, instance.centre),
-        np.where(moves, instance.upper, instance.centre),
+        np.where(moves, data.lower, data.centre),
+        np.where(moves, data.upper, data.centre),
     )
 
 
-def end_tolerance(instance: Instance) -> Array:
+def end_tolerance(data: ProblemData) -> Array:
     """Return how near to an end b counts as that end, in m², (n_configurations, n_bands).
 
     In floats the areas' sum exceeds the rational sum half of the time, so equality would be luck.
     """
-    upper = instance.alpha(_box(instance)[1])
-    n = instance.areas.shape[1]
-    return np.asarray(16 * n * np.finfo(float).eps * (instance.areas @ np.abs(upper)))
+    upper = data.alpha(_box(data)[1])
+    n = data.areas.shape[1]
+    return np.asarray(16 * n * np.finfo(float).eps * (data.areas @ np.abs(upper)))
 
 
-def settle(
-    instance: Instance,
+def restrict_to_reach(
+    data: ProblemData,
     rooms: Sequence[Room],
     wanted: tuple[Array, Array],
     equation: LinearEquation,
     unreachable: str,
-) -> tuple[Instance, Flags, Flags, tuple[Unreachable, ...]]:
+) -> tuple[ProblemData, Flags, Flags, tuple[Unreachable, ...]]:
     """Check every exactly matched target and pin the bands that stand at an end.
 
     Parameters
     ----------
-    instance : Instance
+    data : ProblemData
     rooms : sequence of Room
         One a configuration.
     wanted : two arrays (n_configurations, n_bands)
@@ -105,7 +105,7 @@ def settle(
 
     Returns
     -------
-    instance : Instance
+    data : ProblemData
         Unreachable targets moved to the nearest end, and coefficients at an end pinned there.
     at_lower, at_upper : array (size,) of bool
         Unknowns that an end forces to a bound.
@@ -116,11 +116,11 @@ def settle(
     InfeasibleError
         With ``unreachable="raise"``, naming every band that cannot be reached.
     """
-    times = instance.time
+    times = data.time
     asked = np.isfinite(times)
-    low, high = reach(instance)
-    tolerance = end_tolerance(instance)
-    ceiling = equation.largest_mean * instance.areas.sum(axis=1)[:, np.newaxis]
+    low, high = reach(data)
+    tolerance = end_tolerance(data)
+    ceiling = equation.largest_mean * data.areas.sum(axis=1)[:, np.newaxis]
     top = np.minimum(high, ceiling)
     wanted_low, wanted_high = wanted
     # What a tolerance leaves open is closed here: the target nearest to what can be reached.
@@ -154,25 +154,25 @@ def settle(
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low
     settled = np.where(at_low, low, np.where(at_high, top, target))
     at_high &= top >= high - tolerance  # an equation's own ceiling is no end of the box
-    at_lower, at_upper = _forced(instance, at_low, at_high)
-    pinned = instance.pin(at_lower | at_upper, np.where(at_lower, instance.lower, instance.upper))
+    at_lower, at_upper = _forced(data, at_low, at_high)
+    pinned = data.pin(at_lower | at_upper, np.where(at_lower, data.lower, data.upper))
     moved = too_low | too_high | at_low | at_high
-    target = np.where(moved | np.isnan(instance.target), settled, instance.target)
+    target = np.where(moved | np.isnan(data.target), settled, data.target)
     return replace(pinned, target=target), at_lower, at_upper, tuple(found)
 
 
-def _forced(instance: Instance, at_low: Flags, at_high: Flags) -> tuple[Flags, Flags]:
+def _forced(data: ProblemData, at_low: Flags, at_high: Flags) -> tuple[Flags, Flags]:
     """Unknowns at their lower and at their upper side because a match stands at its end."""
-    moves = instance.scale > 0
-    present = instance.areas[:, :, np.newaxis] > 0
+    moves = data.scale > 0
+    present = data.areas[:, :, np.newaxis] > 0
     sides = []
     for here, other in ((at_low, at_high), (at_high, at_low)):
         alpha = np.any(here[:, np.newaxis, :] & present, axis=0).ravel()
         further = np.any(
-            (here[..., np.newaxis] & (instance.gains > 0))
-            | (other[..., np.newaxis] & (instance.gains < 0)),
+            (here[..., np.newaxis] & (data.gains > 0))
+            | (other[..., np.newaxis] & (data.gains < 0)),
             axis=(0, 1),
         )
         sides.append(moves & np.concatenate([alpha, further]))
     at_lower, at_upper = sides
-    return at_lower, at_upper & ~at_lower & np.isfinite(instance.upper)
+    return at_lower, at_upper & ~at_lower & np.isfinite(data.upper)

@@ -17,7 +17,7 @@ from rtcal.support.types import Array
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredTimes:
     """Measured T in the room's bands.
 
     ``reverberation_time`` and ``uncertainty`` in s, (n_bands,), NaN where missing or unknown;
@@ -34,7 +34,7 @@ class Measured:
     caution: str
 
 
-def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> Measured:
+def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:
     """Return the measured T in the room's bands; NaN where a band has none.
 
     Raises
@@ -61,7 +61,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
             raise DataError(
                 f"the measurement has {given}, but no T20 and no T30 in any band of the room"
             )
-        return Measured(
+        return MeasuredTimes(
             mean, spread, used, ignored, _fingerprint(room, mean), _other_bandwidth(room, measured)
         )
     try:
@@ -76,7 +76,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         raise DataError(f"T[{band}] = {times[k]:g} s is not finite and above 0")
     if not np.isfinite(times).any():
         raise DataError("measured T is missing in every band; there is nothing to calibrate to")
-    return Measured(
+    return MeasuredTimes(
         times,
         np.full(times.shape, np.nan),
         tuple("t20" if here else "" for here in np.isfinite(times)),
@@ -108,7 +108,7 @@ def _other_bandwidth(room: Room, measured: Measurement) -> str:
     return f"T was measured in {kinds[0]}, the coefficients are in {kinds[1]}: not the same bands"
 
 
-def refuse_twice(room: Room, data: Measured) -> None:
+def refuse_repeated_data(room: Room, data: MeasuredTimes) -> None:
     """Raise DataError if the room was calibrated on exactly these data already."""
     if room.calibration is not None and data.fingerprint in room.calibration.measured.split():
         raise DataError(
@@ -117,7 +117,7 @@ def refuse_twice(room: Room, data: Measured) -> None:
         )
 
 
-def history(room: Room, data: Measured) -> str:
+def data_history(room: Room, data: MeasuredTimes) -> str:
     """Return the fingerprints of all data that a room is calibrated on after this."""
     before = [] if room.calibration is None else [room.calibration.measured]
     return " ".join([*before, data.fingerprint])

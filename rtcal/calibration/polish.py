@@ -15,8 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rtcal.calibration.instance import Flags
-from rtcal.calibration.twin import Multipliers, Twin
+from rtcal.calibration.numpy_model import Multipliers, NumpyModel
+from rtcal.calibration.problem_data import Flags
 from rtcal.support.types import Array
 
 _ROUNDS = 60
@@ -35,13 +35,17 @@ class Polished:
 
 
 def polish(
-    twin: Twin, alpha: Array, multipliers: Multipliers, forced_lower: Flags, forced_upper: Flags
+    model: NumpyModel,
+    alpha: Array,
+    multipliers: Multipliers,
+    forced_lower: Flags,
+    forced_upper: Flags,
 ) -> Polished | None:
     """Return the optimum near a solver's answer, or None if the active set does not settle.
 
     Parameters
     ----------
-    twin : Twin
+    model : NumpyModel
     alpha : array (size,)
         The solver's answer, flattened.
     multipliers : Multipliers
@@ -49,45 +53,45 @@ def polish(
     forced_lower, forced_upper : array (size,) of bool
         Coefficients that a target at the end of its reach forces to a bound.
     """
-    lower, upper, sigma = twin.lower, twin.upper, twin.sigma
+    lower, upper, sigma = model.lower, model.upper, model.sigma
     # At an optimum either a slack or its multiplier is 0; in whitened units the larger one tells.
-    reciprocal = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=twin.movable)
-    at_lower = twin.movable & (multipliers.lower * sigma > (alpha - lower) * reciprocal)
-    at_upper = twin.movable & (multipliers.upper * sigma > (upper - alpha) * reciprocal)
+    reciprocal = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=model.movable)
+    at_lower = model.movable & (multipliers.lower * sigma > (alpha - lower) * reciprocal)
+    at_upper = model.movable & (multipliers.upper * sigma > (upper - alpha) * reciprocal)
     at_lower = (at_lower & ~forced_upper) | forced_lower
     at_upper = (at_upper & ~at_lower) | forced_upper
-    fixed_row = twin.row_lower == twin.row_upper
-    side = np.where(fixed_row, 1, np.sign(_active_rows(twin, alpha, multipliers.rows)))
-    alpha = np.where(twin.movable, alpha, twin.instance.centre)
+    fixed_row = model.row_lower == model.row_upper
+    side = np.where(fixed_row, 1, np.sign(_active_rows(model, alpha, multipliers.rows)))
+    alpha = np.where(model.movable, alpha, model.data.centre)
     worst, patience = np.inf, _PATIENCE
     for _ in range(_ROUNDS):
         alpha = np.where(at_lower, lower, np.where(at_upper, upper, alpha))
-        free = twin.movable & ~at_lower & ~at_upper
-        limit = np.where(side < 0, twin.row_lower, twin.row_upper)
-        solved = _solve(twin, alpha, free, side != 0, limit)
+        free = model.movable & ~at_lower & ~at_upper
+        limit = np.where(side < 0, model.row_lower, model.row_upper)
+        solved = _solve(model, alpha, free, side != 0, limit)
         if solved is None:
             return None
         trial, rows, moving = solved
         below, above = free & (trial < lower), free & (trial > upper)
-        at_rows = np.asarray(twin.matrix @ trial)
-        slack = _ROUNDING * np.maximum(twin.row_norm, 1e-300)
-        row_below = (side == 0) & (at_rows < twin.row_lower - slack)
-        row_above = (side == 0) & (at_rows > twin.row_upper + slack)
+        at_rows = np.asarray(model.matrix @ trial)
+        slack = _ROUNDING * np.maximum(model.row_norm, 1e-300)
+        row_below = (side == 0) & (at_rows < model.row_lower - slack)
+        row_above = (side == 0) & (at_rows > model.row_upper + slack)
         if below.any() or above.any() or row_below.any() or row_above.any():
             at_lower, at_upper = at_lower | below, at_upper | above
             side = np.where(row_below, -1, np.where(row_above, 1, side))
             alpha = np.clip(trial, lower, upper)
             continue
-        starved = (side != 0) & ~moving & (twin.row_norm > 0)
+        starved = (side != 0) & ~moving & (model.row_norm > 0)
         if starved.any():
-            release = _released(twin, trial, limit, starved, slack, at_lower, at_upper)
+            release = _released(model, trial, limit, starved, slack, at_lower, at_upper)
             if release.any():
                 at_lower, at_upper = at_lower & ~release, at_upper & ~release
                 alpha = trial
                 continue
-            rows = undetermined(twin, trial, rows, starved, at_lower, at_upper)
-        gradient = twin.gradient(trial)
-        force = np.asarray(gradient + twin.matrix.T @ rows)
+            rows = undetermined(model, trial, rows, starved, at_lower, at_upper)
+        gradient = model.gradient(trial)
+        force = np.asarray(gradient + model.matrix.T @ rows)
         balance = force * sigma
         tolerance = _ROUNDING * (1 + np.max(np.abs(gradient * sigma), initial=0.0))
         free_lower = at_lower & (balance < -tolerance)
@@ -112,32 +116,32 @@ def polish(
     return None
 
 
-def _active_rows(twin: Twin, alpha: Array, rows: Array) -> Array:
+def _active_rows(model: NumpyModel, alpha: Array, rows: Array) -> Array:
     """Multiplier of an inequality row where it outweighs the slack, else 0."""
-    if np.array_equal(twin.row_lower, twin.row_upper):
+    if np.array_equal(model.row_lower, model.row_upper):
         return np.zeros(len(rows))
-    values = np.asarray(twin.matrix @ alpha)
-    distance = np.where(rows > 0, twin.row_upper - values, values - twin.row_lower)
-    k = np.sqrt(np.asarray(twin.squares @ twin.sigma**2))
+    values = np.asarray(model.matrix @ alpha)
+    distance = np.where(rows > 0, model.row_upper - values, values - model.row_lower)
+    k = np.sqrt(np.asarray(model.squares @ model.sigma**2))
     scaled = np.divide(distance, k, out=np.full_like(distance, np.inf), where=k > 0)
     return np.where(np.abs(rows) * k > scaled, rows, 0.0)
 
 
 def _solve(
-    twin: Twin, alpha: Array, free: Flags, active: Flags, limit: Array
+    model: NumpyModel, alpha: Array, free: Flags, active: Flags, limit: Array
 ) -> tuple[Array, Array, Flags] | None:
     """One Newton step on the free coefficients with the active rows as equalities.
 
     Returns alpha, the rows' multipliers, and which rows have a free coefficient.
     """
     rows = np.zeros(len(active))
-    scale = twin.sigma[free]
-    norm = np.sqrt(np.asarray(twin.squares[:, free] @ scale**2))
+    scale = model.sigma[free]
+    norm = np.sqrt(np.asarray(model.squares[:, free] @ scale**2))
     used = active & (norm > 0)
-    matrix = twin.matrix[used][:, free] * scale / norm[used][:, np.newaxis]
-    miss = (limit[used] - np.asarray(twin.matrix @ alpha)[used]) / norm[used]
-    force = twin.gradient(alpha)[free] * scale
-    curvature = twin.curvature(alpha)
+    matrix = model.matrix[used][:, free] * scale / norm[used][:, np.newaxis]
+    miss = (limit[used] - np.asarray(model.matrix @ alpha)[used]) / norm[used]
+    force = model.gradient(alpha)[free] * scale
+    curvature = model.curvature(alpha)
     if sp.issparse(curvature):
         step, pull = _coupled(curvature[free][:, free] * scale, scale, matrix, force, miss)
     else:
@@ -187,7 +191,7 @@ def _coupled(
 
 
 def _released(
-    twin: Twin,
+    model: NumpyModel,
     alpha: Array,
     limit: Array,
     starved: Flags,
@@ -201,10 +205,10 @@ def _released(
     one to let go is the first to move as the row's multiplier leaves its interval.
     """
     release = np.zeros(len(alpha), dtype=bool)
-    miss = limit - np.asarray(twin.matrix @ alpha)
-    gradient = twin.gradient(alpha)
+    miss = limit - np.asarray(model.matrix @ alpha)
+    gradient = model.gradient(alpha)
     for row in np.flatnonzero(starved & (np.abs(miss) > slack)):
-        values = _line(twin, int(row))
+        values = _line(model, int(row))
         wanted = np.sign(miss[row]) * np.sign(values)  # the direction that mends the row
         able = ((wanted > 0) & at_lower) | ((wanted < 0) & at_upper)
         cost = np.full(len(alpha), np.inf)
@@ -214,14 +218,14 @@ def _released(
     return release
 
 
-def _line(twin: Twin, row: int) -> Array:
+def _line(model: NumpyModel, row: int) -> Array:
     """One row's coefficients, (size,)."""
-    line = twin.matrix[[row]]
+    line = model.matrix[[row]]
     return np.asarray(line.toarray() if sp.issparse(line) else line).ravel()
 
 
 def undetermined(
-    twin: Twin, alpha: Array, rows: Array, starved: Flags, at_lower: Flags, at_upper: Flags
+    model: NumpyModel, alpha: Array, rows: Array, starved: Flags, at_lower: Flags, at_upper: Flags
 ) -> Array:
     """Give rows without a free coefficient their multiplier.
 
@@ -229,11 +233,11 @@ def undetermined(
     -gradient / coefficient, every one at its upper bound for at most that. Its end nearest 0 is
     taken.
     """
-    gradient = twin.gradient(alpha)
+    gradient = model.gradient(alpha)
     sign = at_lower.astype(float) - at_upper.astype(float)
     rows = rows.copy()
     for row in np.flatnonzero(starved):
-        values = _line(twin, int(row))
+        values = _line(model, int(row))
         pull = sign * values
         ends = np.divide(-gradient, values, out=np.zeros_like(values), where=pull != 0)
         at_least = ends[pull > 0].max(initial=-np.inf)

@@ -10,11 +10,11 @@ from typing import Any, Literal, overload
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.calibration.assemble import Assembler, fitting, layout_of
-from rtcal.calibration.compiled import Whitened
+from rtcal.calibration.assemble import Assembler, layout_of, require_same_shape
+from rtcal.calibration.compiled_qp import WhitenedQP
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.core import Core
-from rtcal.calibration.measured import Measured, refuse_twice, times_in_room
+from rtcal.calibration.convex_program import ConvexProgram
+from rtcal.calibration.measured import MeasuredTimes, refuse_repeated_data, times_in_room
 from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.calibration.terms import (
     BoundConstraint,
@@ -121,7 +121,7 @@ class Calibration:
 
 def _compiled(
     calibration: Calibration, configurations: Configurations, equation: Equation
-) -> tuple[Assembler, Core]:
+) -> tuple[Assembler, ConvexProgram]:
     if not isinstance(equation, Equation) or isinstance(equation, type):
         raise ModelError(f"equation = {equation!r} is not an equation such as rtcal.Eyring()")
     if not isinstance(equation, LinearEquation):
@@ -138,10 +138,10 @@ def _compiled(
     place, prior = next((i, t) for i, t in enumerate(objective.terms) if t.is_prior)
     sigma: float | None = getattr(prior, "sigma", None)
     assembler = Assembler(layout, equation, objective, tuple(boxes), place, sigma)
-    return assembler, Core(layout, objective, rows)
+    return assembler, ConvexProgram(layout, objective, rows)
 
 
-def _data(given: Configurations, measured: Sequence[Times]) -> list[Measured]:
+def _measured_times(given: Configurations, measured: Sequence[Times]) -> list[MeasuredTimes]:
     """One measurement a configuration, each in its room's bands."""
     if isinstance(measured, str | Measurement) or not isinstance(measured, Iterable):
         raise DataError(
@@ -219,7 +219,7 @@ class CalibrationProblem:
             method=method,
         ).results[0]
 
-    def whitened(self, measured: Times, room: Room | None = None) -> Whitened:
+    def whitened(self, measured: Times, room: Room | None = None) -> WhitenedQP:
         """Return the QP of one measurement, as `JointProblem.whitened` does."""
         given = Configurations([self.room if room is None else room])
         return self._joint.whitened([measured], given)
@@ -233,7 +233,7 @@ class JointProblem:
     ) -> None:
         self.configurations = configurations
         self.equation = equation
-        self._assembler, self._core = _compiled(calibration, configurations, equation)
+        self._assembler, self._program = _compiled(calibration, configurations, equation)
 
     def solve(
         self,
@@ -256,13 +256,13 @@ class JointProblem:
             raise DataError(f'unreachable = "{unreachable}" is not "raise" or "nearest"')
         given = self.configurations
         if configurations is not None:
-            given = fitting(self.configurations, configurations)
-        data = _data(given, measured)
-        for room, own in zip(given.rooms, data, strict=True):
-            refuse_twice(room, own)
+            given = require_same_shape(self.configurations, configurations)
+        times = _measured_times(given, measured)
+        for room, of_room in zip(given.rooms, times, strict=True):
+            refuse_repeated_data(room, of_room)
         assembler = self._assembler
-        solution = self._core.solve(
-            assembler.instance(given, data, weights),
+        solution = self._program.solve(
+            assembler.problem_data(given, times, weights),
             given.rooms,
             assembler.equation,
             solver=solver,
@@ -276,13 +276,13 @@ class JointProblem:
             equation=assembler.equation,
             method=method,
             solver=solver,
-            data=tuple(data),
-            assemble=lambda new: assembler.instance(given, new, weights),
+            measured_times=tuple(times),
+            assemble=lambda new: assembler.problem_data(given, new, weights),
         )
 
     def whitened(
         self, measured: Sequence[Times], configurations: Configurations | None = None
-    ) -> Whitened:
+    ) -> WhitenedQP:
         """Return the QP of the measurements, unsolved and unchecked: it may have no answer.
 
         minimise ½ x'Px + q'x  subject to  A x = b (the first n_equal rows), A x <= b (the others);
@@ -295,6 +295,6 @@ class JointProblem:
         """
         given = self.configurations
         if configurations is not None:
-            given = fitting(self.configurations, configurations)
-        data = _data(given, measured)
-        return self._core.whitened(self._assembler.instance(given, data, None))
+            given = require_same_shape(self.configurations, configurations)
+        times = _measured_times(given, measured)
+        return self._program.whitened(self._assembler.problem_data(given, times, None))

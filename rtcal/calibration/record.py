@@ -32,7 +32,7 @@ def record(result: CalibrationResult) -> dict[str, Any]:
     ``inputs`` holds the room and the mean T with its uncertainty as the texts of their files: with
     them the calibration can be done again from the record alone.
     """
-    room, plausible, twin = result.prior, result.plausibility, result.joint.solution.twin
+    room, plausible, model = result.prior, result.plausibility, result.joint.solution.model
     return {
         "rtcal": KIND,
         "versions": versions(),
@@ -40,8 +40,8 @@ def record(result: CalibrationResult) -> dict[str, Any]:
         "method": result.method,
         "equation": result.equation.name,
         "equation_parameters": _own_parameters(result.equation),
-        "objective": [repr(term) for term in twin.objective.terms],
-        "constraints": [repr(row) for row in twin.row_constraints],
+        "objective": [repr(term) for term in model.objective.terms],
+        "constraints": [repr(row) for row in model.row_constraints],
         "volume": room.volume,
         "air": None if room.air is None else vars(room.air),
         "centre_frequencies": json_numbers(room.centre_frequencies),

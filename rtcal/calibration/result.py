@@ -22,11 +22,11 @@ from rtcal.acoustics.quality import (
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.core import RawAnswer, Solution
+from rtcal.calibration.convex_program import RawSolution, Solution
 from rtcal.calibration.feasibility import Unreachable
-from rtcal.calibration.instance import Instance
-from rtcal.calibration.measured import Measured, history
-from rtcal.calibration.terms import Matching, SoftMatch
+from rtcal.calibration.measured import MeasuredTimes, data_history
+from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.terms import MatchConstraint, SoftMatch
 from rtcal.calibration.uncertainty import density, estimate_sigma, innovation, optimality
 from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
@@ -69,9 +69,9 @@ class CalibrationResult:
         return self.joint.solver
 
     @property
-    def measured_data(self) -> Measured:
+    def measured_data(self) -> MeasuredTimes:
         """The measurement, in the room's bands."""
-        return self.joint.data[self.configuration]
+        return self.joint.measured_times[self.configuration]
 
     @cached_property
     def _rows(self) -> list[int]:
@@ -87,16 +87,16 @@ class CalibrationResult:
     @property
     def target(self) -> Array:
         """b in m², (n_bands,), NaN where missing."""
-        return np.asarray(self._instance.target[self.configuration])
+        return np.asarray(self._problem_data.target[self.configuration])
 
     @property
     def target_uncertainty(self) -> Array:
         """Standard uncertainty of b in m², (n_bands,), NaN where unknown."""
-        return np.asarray(self._instance.target_uncertainty[self.configuration])
+        return np.asarray(self._problem_data.target_uncertainty[self.configuration])
 
     @property
-    def _instance(self) -> Instance:
-        return self.joint.solution.twin.instance
+    def _problem_data(self) -> ProblemData:
+        return self.joint.solution.model.data
 
     @property
     def multipliers(self) -> Array:
@@ -115,7 +115,7 @@ class CalibrationResult:
         return replace(whole, alpha_error_bound=whole.alpha_error_bound[self._rows])
 
     @property
-    def raw(self) -> RawAnswer:
+    def raw(self) -> RawSolution:
         """The solver's own answer."""
         return self.joint.solution.raw
 
@@ -138,9 +138,9 @@ class CalibrationResult:
     @cached_property
     def added_absorption(self) -> Array:
         """What effects add to the room's S'alpha in m², (n_bands,)."""
-        instance = self._instance
-        own = instance.further(self.joint.solution.unknowns)
-        return np.asarray(instance.gains[self.configuration] @ own)
+        data = self._problem_data
+        own = data.further(self.joint.solution.unknowns)
+        return np.asarray(data.gains[self.configuration] @ own)
 
     @property
     def measured(self) -> Array:
@@ -195,7 +195,7 @@ class CalibrationResult:
         own = slice(
             self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
         )
-        further = self._instance.further(self.joint.solution.active.astype(float))
+        further = self._problem_data.further(self.joint.solution.active.astype(float))
         at_bound = bool(self.active[:, self.matched].any() or further.any())
         return plausibility(deviation[own], covariance[own, own], at_bound)
 
@@ -233,7 +233,7 @@ class CalibrationResult:
         record = CalibrationRecord(
             method=self.method,
             equation=self.equation.name,
-            measured=history(self.prior, self.measured_data),
+            measured=data_history(self.prior, self.measured_data),
             solver=self.solver,
             version=__version__,
         )
@@ -296,7 +296,7 @@ class JointResult:
         The answer over the unknowns, its multipliers and its certificate.
     equation, method, solver
         As asked for.
-    data : tuple of Measured
+    measured_times : tuple of MeasuredTimes
         One a configuration.
     assemble : function
         The numbers of the same problem for other measurements.
@@ -307,8 +307,8 @@ class JointResult:
     equation: LinearEquation
     method: str
     solver: str
-    data: tuple[Measured, ...]
-    assemble: Callable[[Sequence[Measured]], Instance]
+    measured_times: tuple[MeasuredTimes, ...]
+    assemble: Callable[[Sequence[MeasuredTimes]], ProblemData]
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -318,12 +318,12 @@ class JointResult:
     @cached_property
     def alpha(self) -> Array:
         """The calibrated coefficients, (n_materials, n_bands)."""
-        return self.solution.twin.instance.layout.expand(self.solution.unknowns)
+        return self.solution.model.data.layout.expand(self.solution.unknowns)
 
     @cached_property
     def active(self) -> NDArray[np.int8]:
         """-1 at the lower bound, 1 at the upper, 0 free, (n_materials, n_bands)."""
-        layout = self.solution.twin.instance.layout
+        layout = self.solution.model.data.layout
         return layout.expand(self.solution.active.astype(float)).astype(np.int8)
 
     @property
@@ -334,18 +334,18 @@ class JointResult:
     @property
     def asks_for_measured_time(self) -> bool:
         """Whether a constraint or a term of weight above 0 ties alpha to the measured T."""
-        twin = self.solution.twin
-        terms = zip(twin.objective.terms, twin.instance.weights, strict=True)
-        return any(isinstance(r, Matching) for r in twin.row_constraints) or any(
+        model = self.solution.model
+        terms = zip(model.objective.terms, model.data.weights, strict=True)
+        return any(isinstance(r, MatchConstraint) for r in model.row_constraints) or any(
             isinstance(t, SoftMatch) and w > 0 for t, w in terms
         )
 
     @cached_property
     def effects(self) -> dict[str, float]:
         """The sizes of the further unknowns, by name."""
-        instance = self.solution.twin.instance
-        sizes = instance.further(self.solution.unknowns)
-        return dict(zip(instance.layout.further, sizes.tolist(), strict=True))
+        data = self.solution.model.data
+        sizes = data.further(self.solution.unknowns)
+        return dict(zip(data.layout.further, sizes.tolist(), strict=True))
 
     def density(self) -> IndependentBands | CoupledBands:
         """Return the density of the unknowns, for `rtcal.posterior.posterior`.
@@ -356,25 +356,25 @@ class JointResult:
 
     def optimality(self) -> Optimality:
         """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
-        return optimality(self.solution, self.data, self.assemble, bounds=True)
+        return optimality(self.solution, self.measured_times, self.assemble, bounds=True)
 
     @cached_property
     def _estimate_sigma(self) -> Array:
         return estimate_sigma(
-            self.solution, self.configurations, self.equation, self.data, self.assemble
+            self.solution, self.configurations, self.equation, self.measured_times, self.assemble
         )
 
     @property
     def posterior_sigma(self) -> Array:
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands)."""
-        return self.solution.twin.instance.layout.expand(self._estimate_sigma)
+        return self.solution.model.data.layout.expand(self._estimate_sigma)
 
     @property
     def effects_sigma(self) -> dict[str, float]:
         """Standard deviation of the sizes of the further unknowns, by name."""
-        instance = self.solution.twin.instance
-        sizes = instance.further(self._estimate_sigma)
-        return dict(zip(instance.layout.further, sizes.tolist(), strict=True))
+        data = self.solution.model.data
+        sizes = data.further(self._estimate_sigma)
+        return dict(zip(data.layout.further, sizes.tolist(), strict=True))
 
     @cached_property
     def results(self) -> tuple[CalibrationResult, ...]:

@@ -19,7 +19,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal.calibration.compiled import Compiled
+from rtcal.calibration.compiled_qp import CompiledQP
 from rtcal.errors import MissingDependencyError, ModelError, SolverError
 from rtcal.support.types import Array
 
@@ -41,13 +41,13 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Answer:
+class SolverOutput:
     """What a solver said, before anything is checked.
 
     Attributes
     ----------
     x : array (size,)
-        Whitened unknowns.
+        WhitenedQP unknowns.
     row_duals : list of array
         cvxpy's dual value of each row constraint.
     lower_dual, upper_dual : array (size,)
@@ -68,12 +68,12 @@ class Answer:
     seconds: float
 
 
-def _collect(compiled: Compiled, status: str, iterations: int, seconds: float) -> Answer:
+def _collect(compiled: CompiledQP, status: str, iterations: int, seconds: float) -> SolverOutput:
     """The values that cvxpy has put into its variables and constraints."""
     x = compiled.x.value
     if x is None or not np.isfinite(x).all():
         raise SolverError(f"the solver returned no values; its status is {status}")
-    return Answer(
+    return SolverOutput(
         x=np.array(x, dtype=float),
         row_duals=[_dual(c) for c in compiled.rows],
         lower_dual=np.maximum(_dual(compiled.lower), 0.0),
@@ -90,16 +90,16 @@ def _dual(constraint: Any) -> Array:
 
 
 def run(
-    compiled: Compiled,
+    compiled: CompiledQP,
     solver: str,
     settings: Mapping[str, Any] | None = None,
     start: tuple[Array, list[Array]] | None = None,
-) -> Answer:
+) -> SolverOutput:
     """Solve the compiled problem with the numbers that its parameters now hold.
 
     Parameters
     ----------
-    compiled : Compiled
+    compiled : CompiledQP
     solver : str
         A cvxpy solver in any case, or ``"qpsolvers:NAME"``.
     settings : mapping, optional
@@ -141,7 +141,7 @@ def _installed() -> dict[str, str]:
     return {str(s).upper(): str(s) for s in cp.installed_solvers()}
 
 
-def _cvxpy(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answer:
+def _cvxpy(compiled: CompiledQP, name: str, settings: dict[str, Any]) -> SolverOutput:
     known = _installed()
     if name not in known:
         have = ", ".join(sorted(s.lower() for s in known))
@@ -171,7 +171,7 @@ def _refused(name: str, settings: Mapping[str, Any], error: Exception) -> ModelE
     return ModelError(f'solver "{name}" refuses the settings {stated}: {error}')
 
 
-def _clarabel(compiled: Compiled, settings: dict[str, Any]) -> Answer:
+def _clarabel(compiled: CompiledQP, settings: dict[str, Any]) -> SolverOutput:
     import clarabel
 
     qp = compiled.matrices()
@@ -198,8 +198,8 @@ def _clarabel(compiled: Compiled, settings: dict[str, Any]) -> Answer:
 
 
 def _osqp(
-    compiled: Compiled, settings: dict[str, Any], start: tuple[Array, list[Array]] | None
-) -> Answer:
+    compiled: CompiledQP, settings: dict[str, Any], start: tuple[Array, list[Array]] | None
+) -> SolverOutput:
     import osqp
 
     qp = compiled.matrices()
@@ -232,7 +232,7 @@ def _osqp(
     )
 
 
-def _qpsolvers(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answer:
+def _qpsolvers(compiled: CompiledQP, name: str, settings: dict[str, Any]) -> SolverOutput:
     import qpsolvers
 
     if name not in qpsolvers.available_solvers:
@@ -263,14 +263,14 @@ def _qpsolvers(compiled: Compiled, name: str, settings: dict[str, Any]) -> Answe
 
 
 def _own(
-    compiled: Compiled,
+    compiled: CompiledQP,
     name: str,
     x: Array | None,
     y: Array,
     status: str,
     iterations: int,
     seconds: float,
-) -> Answer:
+) -> SolverOutput:
     """Read the answer of a solver that was called on the compiled matrices."""
     if x is None or not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise SolverError(f'solver "{name}" returned no values; its status is {status}')

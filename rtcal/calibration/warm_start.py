@@ -5,28 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from rtcal.calibration import closed_form
-from rtcal.calibration.instance import Instance
+from rtcal.calibration.problem_data import ProblemData
 from rtcal.support.types import Array
 
 _ROUNDS = 8
 
 
-def from_closed_form(instance: Instance) -> tuple[Array, list[Array]]:
+def from_closed_form(data: ProblemData) -> tuple[Array, list[Array]]:
     """Return x (size,) and the duals of the exact match and of the two sides of the box.
 
     Where the closed form leaves the box, the violators are held at their bound and it is taken
     again (Bellows & Katz 2025, Sect. 3.3). That is a start, not the optimum: none is let go.
     """
-    areas = instance.areas[0]
-    centre, scale = instance.alpha(instance.centre), instance.alpha(instance.scale)
-    lower, upper = instance.alpha(instance.lower), instance.alpha(instance.upper)
+    areas = data.areas[0]
+    centre, scale = data.alpha(data.centre), data.alpha(data.scale)
+    lower, upper = data.alpha(data.lower), data.alpha(data.upper)
     alpha = centre
     held = scale == 0
     pull = np.zeros(alpha.shape[1])
     for _ in range(_ROUNDS):
         free = np.where(held, 0.0, scale)
-        moves = instance.matched[0] & ((areas @ free) > 0)
-        target = np.where(moves, instance.target[0], areas @ alpha)
+        moves = data.matched[0] & ((areas @ free) > 0)
+        target = np.where(moves, data.target[0], areas @ alpha)
         # A band that cannot move: any finite spread will do, its pull is 0.
         spread = np.where(moves, free, 1.0)
         pull = np.where(

@@ -14,7 +14,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.calibration.measured import refuse_twice, times_in_room
+from rtcal.calibration.measured import refuse_repeated_data, times_in_room
 from rtcal.discrepancy.case_checks import check_configuration, check_room, shares
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
@@ -203,7 +203,7 @@ class Case:
             return
         for c in self.configurations:
             if np.isfinite(c.measured.decay_time().mean).any():
-                refuse_twice(self.room, times_in_room(self.room, c.measured))
+                refuse_repeated_data(self.room, times_in_room(self.room, c.measured))
 
     def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:
         """Return the case with some of its parameters, and some of its configurations."""

@@ -21,7 +21,7 @@ from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.measured import history, times_in_room
+from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.presets import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
@@ -98,7 +98,9 @@ class Recalibrated:
                 method="gap",
                 equation=self.joint.equation.name,
                 solver=self.joint.solver,
-                measured=" ".join([history(stated, data[0]), *(d.fingerprint for d in data[1:])]),
+                measured=" ".join(
+                    [data_history(stated, data[0]), *(d.fingerprint for d in data[1:])]
+                ),
                 version=__version__,
             ),
         )

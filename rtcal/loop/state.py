@@ -21,7 +21,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import JND, TrustMark, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_files import room_text
-from rtcal.calibration.measured import history, refuse_twice, times_in_room
+from rtcal.calibration.measured import data_history, refuse_repeated_data, times_in_room
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
@@ -381,11 +381,11 @@ def start(
     files.checked_decimals(decimals)
     checks.positive("tolerance", tolerance, "JND")
     data = times_in_room(room, measured)
-    refuse_twice(room, data)
+    refuse_repeated_data(room, data)
     return Loop(
         room=room,
         wanted=data.reverberation_time,
-        measured=history(room, data),
+        measured=data_history(room, data),
         rule=rule,
         method=method,
         equation=equation,

@@ -1,18 +1,18 @@
 """What a calibration is composed of: objective terms and constraints.
 
 Objective terms add with ``+`` and scale with ``*``; constraints stand in a list. Each gives two
-independent descriptions of itself: an expression for cvxpy, and a plain-NumPy twin (value, gradient
+independent descriptions of itself: an expression for cvxpy, and a plain-NumPy model (value, gradient
 and curvature of an objective term; rows of a constraint). The certificate is computed from the
 twins, so a wrong expression cannot certify itself; the tests compare the two.
 
-In expression and twin the unknowns u are one flat vector: alpha row by row with the bands last,
+In expression and model the unknowns u are one flat vector: alpha row by row with the bands last,
 then further unknowns (`rtcal.calibration.layout.Layout`).
 """
 
 from rtcal.calibration.terms.base import (
     BoundConstraint,
     FurtherUnknown,
-    Matching,
+    MatchConstraint,
     Objective,
     ObjectiveTerm,
     RowConstraint,
@@ -48,8 +48,8 @@ __all__ = [
     "FurtherUnknown",
     "GroupAbsorption",
     "HuberDeviation",
+    "MatchConstraint",
     "MatchWithin",
-    "Matching",
     "Objective",
     "ObjectiveTerm",
     "PriorDeviation",

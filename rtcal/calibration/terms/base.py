@@ -11,8 +11,8 @@ import numpy as np
 
 from rtcal.acoustics.room import Room
 from rtcal.calibration.context import Context
-from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Integers, Layout
+from rtcal.calibration.problem_data import ProblemData
 from rtcal.errors import ModelError
 from rtcal.support import checks
 from rtcal.support.types import Array
@@ -26,25 +26,25 @@ class ObjectiveTerm(Protocol):
     """Whether it is the prior that makes alpha unique; a calibration has exactly one."""
 
     def expression(self, context: Context, weight: int) -> Any:
-        """Return the cvxpy expression, its weight (number ``weight`` of the instance) folded in.
+        """Return the cvxpy expression, its weight (number ``weight`` of the data) folded in.
 
         A prior's weight is 1: the whole objective is scaled so.
         """
         ...
 
-    def value(self, u: Array, instance: Instance) -> float:
+    def value(self, u: Array, data: ProblemData) -> float:
         """Return the unweighted value at the unknowns u."""
         ...
 
-    def gradient(self, u: Array, instance: Instance) -> Array:
+    def gradient(self, u: Array, data: ProblemData) -> Array:
         """Return the unweighted gradient, (size,)."""
         ...
 
-    def curvature(self, u: Array, instance: Instance) -> Any:
+    def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return the unweighted second derivative: its diagonal (size,), or a sparse matrix."""
         ...
 
-    def convexity(self, instance: Instance) -> Array:
+    def convexity(self, data: ProblemData) -> Array:
         """Return m, (size,), with curvature >= diag(m / sigma²) everywhere; 0 where unsure."""
         ...
 
@@ -86,14 +86,14 @@ def as_objective(term: ObjectiveTerm | Objective) -> Objective:
     raise ModelError(f"{term!r} is not an objective term")
 
 
-class Sums:
+class BaseTerm:
     """Lets a term be added and scaled, and says what most terms are."""
 
     is_prior: ClassVar[bool] = False
 
-    def convexity(self, instance: Instance) -> Array:
+    def convexity(self, data: ProblemData) -> Array:
         """Return zeros: no strong convexity is claimed."""
-        return np.zeros(instance.layout.size)
+        return np.zeros(data.layout.size)
 
     def correlate(self, columns: Array, layout: Layout) -> Array:
         """Return the columns as they are: independent."""
@@ -127,12 +127,12 @@ class RowConstraint(Protocol):
         """Return cvxpy constraints, each with the sign of its dual in the rows' multipliers."""
         ...
 
-    def row_scale(self, instance: Instance) -> Array:
+    def row_scale(self, data: ProblemData) -> Array:
         """Return by what each row is multiplied in the cvxpy constraint, (n_rows,)."""
         ...
 
-    def rows(self, instance: Instance) -> Rows:
-        """Return the rows' NumPy twin; one that does not apply is all zero and without limits."""
+    def rows(self, data: ProblemData) -> Rows:
+        """Return the rows' NumPy model; one that does not apply is all zero and without limits."""
         ...
 
     def label(self, row: int, layout: Layout) -> str:
@@ -141,10 +141,10 @@ class RowConstraint(Protocol):
 
 
 @runtime_checkable
-class Matching(RowConstraint, Protocol):
+class MatchConstraint(RowConstraint, Protocol):
     """A row constraint that holds S'alpha to the measured T: one row a configuration and band."""
 
-    def wanted(self, instance: Instance) -> tuple[Array, Array]:
+    def target_limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return the least and the most S'alpha in m², both (n_configurations, n_bands)."""
         ...
 
@@ -189,14 +189,14 @@ def limited(
         if not term.sides[side]:
             continue
 
-        def compute(instance: Instance, side: int = side) -> tuple[Array, Array]:
-            scale = term.row_scale(instance)
-            limit = term.limits(instance)[side]
+        def compute(data: ProblemData, side: int = side) -> tuple[Array, Array]:
+            scale = term.row_scale(data)
+            limit = term.limits(data)[side]
             applies = np.isfinite(limit) & (scale > 0)
             scale = np.where(applies, scale, 0.0)
             # A row that does not apply reads 0 <= 1, which leaves the solver an interior.
             constant = np.where(applies, -np.where(applies, limit, 0.0) * scale, 1 - 2 * side)
-            return term.coefficients(instance) * scale[rows], constant
+            return term.coefficients(data) * scale[rows], constant
 
         expression = context.affine(rows, columns, n_rows, compute).expression
         made.append((expression <= 0 if side else expression >= 0, sign))
@@ -211,15 +211,15 @@ class LimitedRows(Protocol):
         """Whether there is a lower limit, and an upper one."""
         ...
 
-    def limits(self, instance: Instance) -> tuple[Array, Array]:
+    def limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return the lower and the upper limit of every row, (n_rows,) each."""
         ...
 
-    def coefficients(self, instance: Instance) -> Array:
+    def coefficients(self, data: ProblemData) -> Array:
         """Return the coefficients of the unknowns, in the order of the pattern."""
         ...
 
-    def row_scale(self, instance: Instance) -> Array:
+    def row_scale(self, data: ProblemData) -> Array:
         """Return by what each row is multiplied, (n_rows,)."""
         ...
 

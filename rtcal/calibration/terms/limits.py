@@ -11,16 +11,16 @@ import scipy.sparse as sp
 
 from rtcal.acoustics.room import Room
 from rtcal.calibration.context import Context
-from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Integers, Layout
-from rtcal.calibration.terms.base import Rows, Sums, half_squares, limited, reciprocal
+from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited, reciprocal
 from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
 from rtcal.support.types import Array
 
 
 @dataclass(frozen=True)
-class BandSmoothness(Sums):
+class BandSmoothness(BaseTerm):
     """½ sum (x_k+1 - x_k)² / d_k, x = (alpha - mu) / sigma, d_k octaves from band k to k+1.
 
     When to use it: with `SoftMatch` or bands without T, when a material's error is expected to
@@ -39,42 +39,42 @@ class BandSmoothness(Sums):
         rows = np.tile(np.arange(n_rows), 2)
         columns = np.concatenate([left, left + 1])
 
-        def compute(instance: Instance) -> tuple[Array, Array]:
-            sigma = instance.sigma
+        def compute(data: ProblemData) -> tuple[Array, Array]:
+            sigma = data.sigma
             both = (sigma[left] > 0) & (sigma[left + 1] > 0)
-            steep = np.sqrt(instance.weights[weight] / self._octaves(layout)) * both
+            steep = np.sqrt(data.weights[weight] / self._octaves(layout)) * both
             low, high = -steep * reciprocal(sigma[left]), steep * reciprocal(sigma[left + 1])
-            constant = -(low * instance.mu[left] + high * instance.mu[left + 1])
+            constant = -(low * data.mu[left] + high * data.mu[left + 1])
             return np.concatenate([low, high]), constant
 
         return half_squares(context.affine(rows, columns, n_rows, compute).expression)
 
-    def value(self, u: Array, instance: Instance) -> float:
+    def value(self, u: Array, data: ProblemData) -> float:
         """Return ½ sum (x_k+1 - x_k)² / d_k."""
-        x = (u - instance.mu) * instance.inverse_sigma
-        return 0.5 * float(np.sum((self._differences(instance) @ x) ** 2))
+        x = (u - data.mu) * data.inverse_sigma
+        return 0.5 * float(np.sum((self._differences(data) @ x) ** 2))
 
-    def gradient(self, u: Array, instance: Instance) -> Array:
+    def gradient(self, u: Array, data: ProblemData) -> Array:
         """Return D'D x / sigma."""
-        inverse = instance.inverse_sigma.copy()
-        differences = self._differences(instance)
-        x = (u - instance.mu) * inverse
+        inverse = data.inverse_sigma.copy()
+        differences = self._differences(data)
+        x = (u - data.mu) * inverse
         return np.asarray(differences.T @ (differences @ x) * inverse)
 
-    def curvature(self, u: Array, instance: Instance) -> Any:
+    def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return D'D over sigma sigma': a sparse matrix."""
-        scaled = self._differences(instance) @ sp.diags_array(instance.inverse_sigma)
+        scaled = self._differences(data) @ sp.diags_array(data.inverse_sigma)
         return sp.csr_array(scaled.T @ scaled)
 
-    def _differences(self, instance: Instance) -> Any:
+    def _differences(self, data: ProblemData) -> Any:
         """D over the whitened unknowns; a difference with a sigma of 0 is left out."""
-        layout = instance.layout
+        layout = data.layout
         n, k = layout.n_rows, layout.n_bands
         one = sp.diags_array([-np.ones(k - 1), np.ones(k - 1)], offsets=[0, 1], shape=(k - 1, k))
         over_all = sp.hstack(
             [sp.kron(sp.eye_array(n), one), sp.csr_array((n * (k - 1), layout.size - n * k))]
         )
-        known = np.asarray(instance.alpha(instance.sigma) == 0)
+        known = np.asarray(data.alpha(data.sigma) == 0)
         both = ~(known[:, 1:] | known[:, :-1]).ravel()
         return sp.csr_array(sp.diags_array(both / np.sqrt(self._octaves(layout))) @ over_all)
 
@@ -219,25 +219,25 @@ class AtMost:
             context, np.tile(np.arange(n), 2), np.concatenate([lesser, greater]), n, self
         )
 
-    def coefficients(self, instance: Instance) -> Array:
+    def coefficients(self, data: ProblemData) -> Array:
         """Return 1 for the lesser, -1 for the greater."""
-        n = len(self._places(instance.layout)[0])
+        n = len(self._places(data.layout)[0])
         return np.repeat([1.0, -1.0], n)
 
-    def limits(self, instance: Instance) -> tuple[Array, Array]:
+    def limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return no lower limit and 0."""
-        n = len(self._places(instance.layout)[0])
+        n = len(self._places(data.layout)[0])
         return np.full(n, -np.inf), np.zeros(n)
 
-    def row_scale(self, instance: Instance) -> Array:
+    def row_scale(self, data: ProblemData) -> Array:
         """Return 1 / |sigma| of the two; 0 if neither can move."""
-        lesser, greater = self._places(instance.layout)
-        return reciprocal(np.hypot(instance.scale[lesser], instance.scale[greater]))
+        lesser, greater = self._places(data.layout)
+        return reciprocal(np.hypot(data.scale[lesser], data.scale[greater]))
 
-    def rows(self, instance: Instance) -> Rows:
+    def rows(self, data: ProblemData) -> Rows:
         """The difference is at most 0."""
-        lesser, greater = self._places(instance.layout)
-        matrix = np.zeros((len(lesser), instance.layout.size))
+        lesser, greater = self._places(data.layout)
+        matrix = np.zeros((len(lesser), data.layout.size))
         for row, (i, j) in enumerate(zip(lesser, greater, strict=True)):
             matrix[row, i] += 1
             matrix[row, j] -= 1
@@ -309,39 +309,39 @@ class GroupAbsorption:
         if self.least != self.most:
             return limited(context, rows, columns, n_rows, self)
 
-        def compute(instance: Instance) -> tuple[Array, Array]:
-            scale = self.row_scale(instance)
-            return self.coefficients(instance) * scale[rows], -self.limits(instance)[0] * scale
+        def compute(data: ProblemData) -> tuple[Array, Array]:
+            scale = self.row_scale(data)
+            return self.coefficients(data) * scale[rows], -self.limits(data)[0] * scale
 
         return [(context.affine(rows, columns, n_rows, compute).expression == 0, 1)]
 
-    def coefficients(self, instance: Instance) -> Array:
+    def coefficients(self, data: ProblemData) -> Array:
         """Return the areas of the group's rows, each for every band."""
-        _, columns, _ = self._pattern(instance.layout)
-        return np.asarray(self._areas(instance)[columns // instance.layout.n_bands])
+        _, columns, _ = self._pattern(data.layout)
+        return np.asarray(self._areas(data)[columns // data.layout.n_bands])
 
-    def limits(self, instance: Instance) -> tuple[Array, Array]:
+    def limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return the limits in m², the same for every band."""
-        _, _, n = self._pattern(instance.layout)
+        _, _, n = self._pattern(data.layout)
         least = -np.inf if self.least is None else self.least
         most = np.inf if self.most is None else self.most
         return np.full(n, least), np.full(n, most)
 
-    def row_scale(self, instance: Instance) -> Array:
+    def row_scale(self, data: ProblemData) -> Array:
         """Return 1 / |S sigma| over the group; 0 if none of it can move."""
-        rows, columns, n_rows = self._pattern(instance.layout)
-        moved = self.coefficients(instance) * instance.scale[columns]
+        rows, columns, n_rows = self._pattern(data.layout)
+        moved = self.coefficients(data) * data.scale[columns]
         return reciprocal(np.sqrt(np.bincount(rows, weights=moved**2, minlength=n_rows)))
 
-    def rows(self, instance: Instance) -> Rows:
+    def rows(self, data: ProblemData) -> Rows:
         """The group's absorption area, one row a band."""
-        layout = instance.layout
-        own = self._areas(instance)
+        layout = data.layout
+        own = self._areas(data)
         columns = layout.index(None, self.band).reshape(layout.n_rows, -1)
         matrix = np.zeros((columns.shape[1], layout.size))
         for row in range(columns.shape[1]):
             matrix[row, columns[:, row]] = own
-        return Rows(sp.csr_array(matrix), *self.limits(instance))
+        return Rows(sp.csr_array(matrix), *self.limits(data))
 
     def label(self, row: int, layout: Layout) -> str:
         """Return the group and the band."""
@@ -349,16 +349,16 @@ class GroupAbsorption:
         band = layout.place(int(places[row])).rsplit(", ", 1)[1].rstrip("]")
         return f"absorption of {', '.join(self.materials)} at {band}"
 
-    def _areas(self, instance: Instance) -> Array:
+    def _areas(self, data: ProblemData) -> Array:
         """The group's own areas by row of alpha."""
-        layout = instance.layout
+        layout = data.layout
         if not 0 <= self.configuration < layout.n_configurations:
             raise ModelError(
                 f"GroupAbsorption(configuration={self.configuration}): there are "
                 f"{layout.n_configurations}"
             )
         here = np.isin(np.arange(layout.n_rows), self._members(layout))
-        return np.where(here, instance.areas[self.configuration], 0.0)
+        return np.where(here, data.areas[self.configuration], 0.0)
 
     def _members(self, layout: Layout) -> list[int]:
         members = sorted({int(layout.index(m)[0]) // layout.n_bands for m in self.materials})

@@ -11,9 +11,9 @@ import scipy.sparse as sp
 
 from rtcal.acoustics.quality import JND
 from rtcal.calibration.context import Context
-from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
-from rtcal.calibration.terms.base import Rows, Sums, half_squares, limited, reciprocal
+from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited, reciprocal
 from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
 from rtcal.support.types import Array
@@ -31,29 +31,29 @@ class ExactMatch:
         """One equality a band, scaled by k = |S sigma| so that all bands weigh alike."""
         rows, columns, n_rows = context.match_pattern()
 
-        def compute(instance: Instance) -> tuple[Array, Array]:
-            scale = self.row_scale(instance)
-            values = match_values(instance) * scale[rows]
-            target = np.where(instance.matched, instance.target, 0.0).ravel()
+        def compute(data: ProblemData) -> tuple[Array, Array]:
+            scale = self.row_scale(data)
+            values = match_values(data) * scale[rows]
+            target = np.where(data.matched, data.target, 0.0).ravel()
             return values, -target * scale
 
         return [(context.affine(rows, columns, n_rows, compute).expression == 0, 1)]
 
-    def row_scale(self, instance: Instance) -> Array:
+    def row_scale(self, data: ProblemData) -> Array:
         """Return 1 / |S sigma| over the unknowns that can move; 0 where there is no row."""
-        return _row_scale(instance)
+        return _row_scale(data)
 
-    def rows(self, instance: Instance) -> Rows:
+    def rows(self, data: ProblemData) -> Rows:
         """S'alpha = b; bands without T have a row of zeros without limits."""
         low, high = (
-            np.where(instance.matched, v, e).ravel()
-            for v, e in zip(self.wanted(instance), (-np.inf, np.inf), strict=True)
+            np.where(data.matched, v, e).ravel()
+            for v, e in zip(self.target_limits(data), (-np.inf, np.inf), strict=True)
         )
-        return Rows(match_matrix(instance), low, high)
+        return Rows(match_matrix(data), low, high)
 
-    def wanted(self, instance: Instance) -> tuple[Array, Array]:
+    def target_limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return b twice."""
-        return instance.target, instance.target
+        return data.target, data.target
 
     def label(self, row: int, layout: Layout) -> str:
         """Return the band that a row matches."""
@@ -93,38 +93,38 @@ class MatchWithin:
         rows, columns, n_rows = context.match_pattern()
         return limited(context, rows, columns, n_rows, self)
 
-    def coefficients(self, instance: Instance) -> Array:
+    def coefficients(self, data: ProblemData) -> Array:
         """Return S."""
-        return match_values(instance)
+        return match_values(data)
 
-    def limits(self, instance: Instance) -> tuple[Array, Array]:
+    def limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return the least and the most S'alpha, flattened; without limit where T is missing."""
-        low, high = self.wanted(instance)
-        matched = instance.matched
+        low, high = self.target_limits(data)
+        matched = data.matched
         return (
             np.where(matched, low, -np.inf).ravel(),
             np.where(matched, high, np.inf).ravel(),
         )
 
-    def wanted(self, instance: Instance) -> tuple[Array, Array]:
+    def target_limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return b of the longest and of the shortest T in the tolerance.
 
         A target that was moved to the end of its reach widens the tolerance to that end.
         """
         if self.jnd == 0:
-            return instance.target, instance.target
+            return data.target, data.target
         tolerance = JND["t20"] * self.jnd
-        low = instance.target_of(instance.time * (1 + tolerance))
-        high = instance.target_of(instance.time * (1 - tolerance))
-        return np.fmin(low, instance.target), np.fmax(high, instance.target)
+        low = data.target_of(data.time * (1 + tolerance))
+        high = data.target_of(data.time * (1 - tolerance))
+        return np.fmin(low, data.target), np.fmax(high, data.target)
 
-    def row_scale(self, instance: Instance) -> Array:
+    def row_scale(self, data: ProblemData) -> Array:
         """Return 1 / |S sigma| over the unknowns that can move; 0 where there is no row."""
-        return _row_scale(instance)
+        return _row_scale(data)
 
-    def rows(self, instance: Instance) -> Rows:
+    def rows(self, data: ProblemData) -> Rows:
         """Lower <= S'alpha <= upper; bands without T have a row of zeros without limits."""
-        return Rows(match_matrix(instance), *self.limits(instance))
+        return Rows(match_matrix(data), *self.limits(data))
 
     def label(self, row: int, layout: Layout) -> str:
         """Return the band that a row matches."""
@@ -132,7 +132,7 @@ class MatchWithin:
 
 
 @dataclass(frozen=True)
-class SoftMatch(Sums):
+class SoftMatch(BaseTerm):
     """½ sum ((S'alpha - b) / u_b)²: match T as far as its own uncertainty deserves.
 
     u_b = |db/dT| u_T.
@@ -155,59 +155,58 @@ class SoftMatch(Sums):
             if not (np.isfinite(relative) and relative > 0):
                 raise ModelError(f"SoftMatch(relative={relative:g}): it must be above 0")
 
-    def uncertainty(self, instance: Instance) -> Array:
+    def uncertainty(self, data: ProblemData) -> Array:
         """Return u_b in m², (n_configurations, n_bands); DataError where it is unknown or 0."""
-        u = instance.target_uncertainty
-        unknown = instance.matched & ~np.isfinite(u)
+        u = data.target_uncertainty
+        unknown = data.matched & ~np.isfinite(u)
         if self.relative is not None and unknown.any():
             step = 1e-4
             slope = (
-                instance.target_of(instance.time * (1 + step))
-                - instance.target_of(instance.time * (1 - step))
+                data.target_of(data.time * (1 + step)) - data.target_of(data.time * (1 - step))
             ) / (2 * step)
             u = np.where(unknown, np.abs(slope) * self.relative, u)
-        bad = instance.matched & ~(u > 0)
+        bad = data.matched & ~(u > 0)
         if bad.any():
             row = int(np.flatnonzero(bad.ravel())[0])
             raise DataError(
-                f"u_T[{instance.layout.band_label(row)}] is unknown or 0, and a soft match weighs "
+                f"u_T[{data.layout.band_label(row)}] is unknown or 0, and a soft match weighs "
                 "by it: state it in the measurement, or give SoftMatch(relative=...)"
             )
-        return np.where(instance.matched, u, np.nan)
+        return np.where(data.matched, u, np.nan)
 
     def expression(self, context: Context, weight: int) -> Any:
         """½ |w^½ (S'alpha - b) / u_b|²."""
         rows, columns, n_rows = context.match_pattern()
 
-        def compute(instance: Instance) -> tuple[Array, Array]:
-            u = self.uncertainty(instance).ravel()
-            steep = np.where(np.isfinite(u), np.sqrt(instance.weights[weight]) / u, 0.0)
-            target = np.where(instance.matched, instance.target, 0.0).ravel()
-            return match_values(instance) * steep[rows], -target * steep
+        def compute(data: ProblemData) -> tuple[Array, Array]:
+            u = self.uncertainty(data).ravel()
+            steep = np.where(np.isfinite(u), np.sqrt(data.weights[weight]) / u, 0.0)
+            target = np.where(data.matched, data.target, 0.0).ravel()
+            return match_values(data) * steep[rows], -target * steep
 
         return half_squares(context.affine(rows, columns, n_rows, compute).expression)
 
-    def value(self, u: Array, instance: Instance) -> float:
+    def value(self, u: Array, data: ProblemData) -> float:
         """Return ½ sum ((S'alpha - b) / u_b)²."""
-        return 0.5 * float(np.nansum(self._miss(u, instance) ** 2))
+        return 0.5 * float(np.nansum(self._miss(u, data) ** 2))
 
-    def gradient(self, u: Array, instance: Instance) -> Array:
+    def gradient(self, u: Array, data: ProblemData) -> Array:
         """Return S (S'alpha - b) / u_b²."""
-        pull = np.nan_to_num(self._miss(u, instance) / self.uncertainty(instance)).ravel()
-        return np.asarray(match_matrix(instance).T @ pull)
+        pull = np.nan_to_num(self._miss(u, data) / self.uncertainty(data)).ravel()
+        return np.asarray(match_matrix(data).T @ pull)
 
-    def curvature(self, u: Array, instance: Instance) -> Any:
+    def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return S S' / u_b²: a sparse matrix that couples the materials of a band."""
-        steep = np.nan_to_num(1 / self.uncertainty(instance).ravel())
-        matrix = sp.diags_array(steep) @ match_matrix(instance)
+        steep = np.nan_to_num(1 / self.uncertainty(data).ravel())
+        matrix = sp.diags_array(steep) @ match_matrix(data)
         return sp.csr_array(matrix.T @ matrix)
 
-    def _miss(self, u: Array, instance: Instance) -> Array:
-        return (instance.absorption_area(u) - instance.target) / self.uncertainty(instance)
+    def _miss(self, u: Array, data: ProblemData) -> Array:
+        return (data.absorption_area(u) - data.target) / self.uncertainty(data)
 
 
 @dataclass(frozen=True)
-class AddedAbsorption(Sums):
+class AddedAbsorption(BaseTerm):
     """A further unknown theta >= 0: an effect that adds theta times its gain to S'alpha.
 
     ½ ((theta - mean) / sigma)² is its prior in the objective.
@@ -263,66 +262,66 @@ class AddedAbsorption(Sums):
         """½ |w^½ (theta - mean) / sigma|²."""
         place = np.array([self._place(context.layout)])
 
-        def compute(instance: Instance) -> tuple[Array, Array]:
-            steep = np.array([np.sqrt(instance.weights[weight]) / self.sigma])
+        def compute(data: ProblemData) -> tuple[Array, Array]:
+            steep = np.array([np.sqrt(data.weights[weight]) / self.sigma])
             return steep, -self.mean * steep
 
         return half_squares(context.affine(np.array([0]), place, 1, compute).expression)
 
-    def value(self, u: Array, instance: Instance) -> float:
+    def value(self, u: Array, data: ProblemData) -> float:
         """Return ½ ((theta - mean) / sigma)²."""
-        return 0.5 * float(((u[self._place(instance.layout)] - self.mean) / self.sigma) ** 2)
+        return 0.5 * float(((u[self._place(data.layout)] - self.mean) / self.sigma) ** 2)
 
-    def gradient(self, u: Array, instance: Instance) -> Array:
+    def gradient(self, u: Array, data: ProblemData) -> Array:
         """Return (theta - mean) / sigma² at theta's place."""
         gradient = np.zeros_like(u)
-        place = self._place(instance.layout)
+        place = self._place(data.layout)
         gradient[place] = (u[place] - self.mean) / self.sigma**2
         return gradient
 
-    def curvature(self, u: Array, instance: Instance) -> Any:
+    def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return 1 / sigma² at theta's place: a diagonal."""
-        return self.convexity(instance) / self.sigma**2
+        return self.convexity(data) / self.sigma**2
 
-    def convexity(self, instance: Instance) -> Array:
+    def convexity(self, data: ProblemData) -> Array:
         """Return 1 at theta's place."""
-        m = np.zeros(instance.layout.size)
-        m[self._place(instance.layout)] = 1.0
+        m = np.zeros(data.layout.size)
+        m[self._place(data.layout)] = 1.0
         return m
 
     def _place(self, layout: Layout) -> int:
         return layout.n_alpha + layout.further.index(self.name)
 
 
-def match_values(instance: Instance) -> Array:
+def match_values(data: ProblemData) -> Array:
     """Coefficients of the unknowns in S'alpha, in the order of `Context.match_pattern`."""
-    layout = instance.layout
+    layout = data.layout
     c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
-    areas = np.broadcast_to(instance.areas[:, :, np.newaxis], (c, n, k))
-    gains = np.swapaxes(instance.gains, 1, 2)
-    matched = instance.matched[:, np.newaxis, :]
+    areas = np.broadcast_to(data.areas[:, :, np.newaxis], (c, n, k))
+    gains = np.swapaxes(data.gains, 1, 2)
+    matched = data.matched[:, np.newaxis, :]
     return np.concatenate(
         [np.where(matched, areas, 0.0).ravel(), np.where(matched, gains, 0.0).ravel()]
     )
 
 
-def match_matrix(instance: Instance) -> Any:
+def match_matrix(data: ProblemData) -> Any:
     """Return S' as a sparse matrix, one row a configuration and band, over the unknowns."""
-    layout = instance.layout
+    layout = data.layout
     c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
-    areas = np.broadcast_to(instance.areas[:, np.newaxis, :], (c, k, n))
-    values = np.where(instance.matched[:, :, np.newaxis], areas, 0.0)
+    areas = np.broadcast_to(data.areas[:, np.newaxis, :], (c, k, n))
+    values = np.where(data.matched[:, :, np.newaxis], areas, 0.0)
     columns = np.arange(n) * k + np.arange(k)[:, np.newaxis]
     columns = np.broadcast_to(columns, (c, k, n))
     starts = np.arange(0, c * k * n + 1, n)
     matrix = sp.csr_array((values.ravel(), columns.ravel(), starts), shape=(c * k, n * k))
     if not layout.further:
         return matrix
-    gains = np.where(instance.matched[:, :, np.newaxis], instance.gains, 0.0)
+    gains = np.where(data.matched[:, :, np.newaxis], data.gains, 0.0)
     return sp.csr_array(sp.hstack([matrix, sp.csr_array(gains.reshape(c * k, -1))]))
 
 
-def _row_scale(instance: Instance) -> Array:
-    alpha, further = instance.alpha(instance.scale), instance.further(instance.scale)
-    size = np.sqrt(instance.areas**2 @ alpha**2 + instance.gains**2 @ further**2)
-    return np.where(instance.matched, reciprocal(size), 0.0).ravel()
+def _row_scale(data: ProblemData) -> Array:
+    alpha, further = data.alpha(data.scale), data.further(data.scale)
+    size = np.sqrt(data.areas**2 @ alpha**2 + data.gains**2 @ further**2)
+    return np.where(data.matched, reciprocal(size), 0.0).ravel()

@@ -13,9 +13,9 @@ import scipy.sparse as sp
 
 from rtcal.acoustics.bands import correlation
 from rtcal.calibration.context import Context
-from rtcal.calibration.instance import Instance
 from rtcal.calibration.layout import Layout
-from rtcal.calibration.terms.base import Sums, half_squares
+from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.terms.base import BaseTerm, half_squares
 from rtcal.errors import ModelError
 from rtcal.support import checks
 from rtcal.support.types import Array
@@ -29,15 +29,15 @@ def _positive(what: str, value: float | None) -> None:
         raise ModelError(f"{what}={given:g}): it must be finite and above 0")
 
 
-def _deviation(u: Array, instance: Instance) -> Array:
+def _deviation(u: Array, data: ProblemData) -> Array:
     """(u - mu) / sigma of the coefficients, 0 where sigma = 0 and for further unknowns."""
-    x = (u - instance.mu) * instance.inverse_sigma
-    x[instance.layout.n_alpha :] = 0.0
+    x = (u - data.mu) * data.inverse_sigma
+    x[data.layout.n_alpha :] = 0.0
     return np.asarray(x)
 
 
 @dataclass(frozen=True)
-class PriorDeviation(Sums):
+class PriorDeviation(BaseTerm):
     """½ x'R⁻¹x, x = (alpha - mu) / sigma: stay near what was known, by how well it was known.
 
     When to use it: always (or `HuberDeviation`); it makes the answer unique. The paper's
@@ -138,42 +138,42 @@ class PriorDeviation(Sums):
             cp.multiply(loose, x)
         )
 
-    def value(self, u: Array, instance: Instance) -> float:
+    def value(self, u: Array, data: ProblemData) -> float:
         """Return ½ x'R⁻¹x over the coefficients with sigma > 0."""
-        x = _deviation(u, instance)
-        return 0.5 * float(x @ self._apply(x, instance))
+        x = _deviation(u, data)
+        return 0.5 * float(x @ self._apply(x, data))
 
-    def gradient(self, u: Array, instance: Instance) -> Array:
+    def gradient(self, u: Array, data: ProblemData) -> Array:
         """Return R⁻¹x / sigma, 0 where sigma = 0."""
-        return self._apply(_deviation(u, instance), instance) * instance.inverse_sigma
+        return self._apply(_deviation(u, data), data) * data.inverse_sigma
 
-    def curvature(self, u: Array, instance: Instance) -> Any:
+    def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return R⁻¹ over sigma sigma': 1 / sigma² on a diagonal without correlations."""
-        inverse = instance.inverse_sigma.copy()
-        inverse[instance.layout.n_alpha :] = 0.0
+        inverse = data.inverse_sigma.copy()
+        inverse[data.layout.n_alpha :] = 0.0
         if not self.correlated():
             return inverse**2
         scale = sp.diags_array(inverse)
-        return sp.csr_array(scale @ self._padded(instance) @ scale)
+        return sp.csr_array(scale @ self._padded(data) @ scale)
 
-    def convexity(self, instance: Instance) -> Array:
+    def convexity(self, data: ProblemData) -> Array:
         """Return the least eigenvalue of R⁻¹ for every coefficient."""
         least = 1.0
         if self.correlated():
-            bands, between = self.factors(instance.layout)
+            bands, between = self.factors(data.layout)
             largest = np.linalg.norm(between, 2) ** 2
             least = 1 / float(largest * max(np.linalg.norm(b, 2) ** 2 for b in bands))
-        m = np.full(instance.layout.size, least)
-        m[instance.layout.n_alpha :] = 0.0
+        m = np.full(data.layout.size, least)
+        m[data.layout.n_alpha :] = 0.0
         return m
 
-    def _apply(self, x: Array, instance: Instance) -> Array:
-        return np.asarray(self._padded(instance) @ x) if self.correlated() else x
+    def _apply(self, x: Array, data: ProblemData) -> Array:
+        return np.asarray(self._padded(data) @ x) if self.correlated() else x
 
-    def _padded(self, instance: Instance) -> Any:
+    def _padded(self, data: ProblemData) -> Any:
         """R⁻¹ over all unknowns, those with sigma = 0 integrated out."""
-        known = instance.sigma[: instance.layout.n_alpha] == 0
-        return _precision(self, instance.layout, known.tobytes())
+        known = data.sigma[: data.layout.n_alpha] == 0
+        return _precision(self, data.layout, known.tobytes())
 
     def _whitener(self, layout: Layout) -> Any:
         bands, between = self.factors(layout)
@@ -184,10 +184,10 @@ class PriorDeviation(Sums):
         return whitener
 
 
-def _held(instance: Instance) -> Array:
+def _held(data: ProblemData) -> Array:
     """1 where a coefficient is pinned though its sigma is above 0."""
-    n = instance.layout.n_alpha
-    return np.asarray((instance.pinned[:n] & (instance.sigma[:n] > 0)).astype(float))
+    n = data.layout.n_alpha
+    return np.asarray((data.pinned[:n] & (data.sigma[:n] > 0)).astype(float))
 
 
 def _frozen(what: str, value: Any) -> Any:
@@ -279,7 +279,7 @@ def _precision(term: PriorDeviation, layout: Layout, known: bytes) -> Any:
 
 
 @dataclass(frozen=True)
-class HuberDeviation(Sums):
+class HuberDeviation(BaseTerm):
     """sum of e x²/2 + (1 - e) h(x): like `PriorDeviation` near mu, but straight beyond t sigmas.
 
     h(x) = x²/2 for |x| <= t, t |x| - t²/2 beyond (Huber 1964, Eq. 2.4).
@@ -319,29 +319,29 @@ class HuberDeviation(Sums):
         near = half_squares(x - beyond) + self.threshold * cp.norm1(beyond)
         return self.convex * half_squares(x) + (1 - self.convex) * near
 
-    def value(self, u: Array, instance: Instance) -> float:
+    def value(self, u: Array, data: ProblemData) -> float:
         """Return the sum over the coefficients with sigma > 0."""
-        x = np.abs(_deviation(u, instance))
+        x = np.abs(_deviation(u, data))
         t = self.threshold
         huber = np.where(x <= t, x**2 / 2, t * x - t**2 / 2)
         return float(np.sum(self.convex * x**2 / 2 + (1 - self.convex) * huber))
 
-    def gradient(self, u: Array, instance: Instance) -> Array:
+    def gradient(self, u: Array, data: ProblemData) -> Array:
         """Return (e x + (1 - e) clip(x, -t, t)) / sigma."""
-        x = _deviation(u, instance)
+        x = _deviation(u, data)
         clipped = np.clip(x, -self.threshold, self.threshold)
         pull = self.convex * x + (1 - self.convex) * clipped
-        return np.asarray(pull * instance.inverse_sigma)
+        return np.asarray(pull * data.inverse_sigma)
 
-    def curvature(self, u: Array, instance: Instance) -> Any:
+    def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return 1 / sigma² within the threshold, e / sigma² beyond: a diagonal."""
-        x = _deviation(u, instance)
-        inverse = instance.inverse_sigma.copy()
-        inverse[instance.layout.n_alpha :] = 0.0
+        x = _deviation(u, data)
+        inverse = data.inverse_sigma.copy()
+        inverse[data.layout.n_alpha :] = 0.0
         return np.where(np.abs(x) <= self.threshold, 1.0, self.convex) * inverse**2
 
-    def convexity(self, instance: Instance) -> Array:
+    def convexity(self, data: ProblemData) -> Array:
         """Return e for every coefficient."""
-        m = np.full(instance.layout.size, self.convex)
-        m[instance.layout.n_alpha :] = 0.0
+        m = np.full(data.layout.size, self.convex)
+        m[data.layout.n_alpha :] = 0.0
         return m

@@ -1,4 +1,4 @@
-"""The compiled problem: filled with an instance's numbers, solved, polished and certified."""
+"""The compiled problem: filled with a problem's data, solved, polished and certified."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration import contradiction, feasibility, solvers
 from rtcal.calibration.certificate import Certificate, certify
-from rtcal.calibration.compiled import Compiled, Whitened
+from rtcal.calibration.compiled_qp import CompiledQP, WhitenedQP
 from rtcal.calibration.context import Context
-from rtcal.calibration.instance import Flags, Instance
 from rtcal.calibration.layout import Layout
+from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.calibration.polish import polish, undetermined
-from rtcal.calibration.terms import Matching, Objective, RowConstraint
-from rtcal.calibration.twin import Multipliers, Twin
+from rtcal.calibration.problem_data import Flags, ProblemData
+from rtcal.calibration.terms import MatchConstraint, Objective, RowConstraint
 from rtcal.calibration.warm_start import from_closed_form
 from rtcal.errors import InfeasibleError, ModelError, SolverError
 from rtcal.support.types import Array
@@ -33,13 +33,13 @@ dual residual and gap in units of the prior's own (a shift of one sigma is 1).""
 
 
 @dataclass(frozen=True, eq=False)
-class RawAnswer:
+class RawSolution:
     """The solver's own answer, before polishing, so that a solver can be judged.
 
     ``unknowns`` (size,); ``seconds`` is the solver's own time.
     """
 
-    twin: Twin
+    model: NumpyModel
     unknowns: Array
     multipliers: Multipliers
     status: str
@@ -49,48 +49,48 @@ class RawAnswer:
     @property
     def alpha(self) -> Array:
         """The absorption coefficients, (n_materials, n_bands)."""
-        return self.twin.instance.layout.expand(self.unknowns)
+        return self.model.data.layout.expand(self.unknowns)
 
     @cached_property
     def certificate(self) -> Certificate:
         """The raw answer's own certificate."""
-        return certify(self.twin, self.unknowns, self.multipliers)
+        return certify(self.model, self.unknowns, self.multipliers)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """An answer over the unknowns: their values, multipliers, and -1, 0, 1 for lower, free, upper."""
 
-    twin: Twin
+    model: NumpyModel
     unknowns: Array
     multipliers: Multipliers
     active: NDArray[np.int8]
     certificate: Certificate
-    raw: RawAnswer
+    raw: RawSolution
     polished: bool
     unreachable: tuple[feasibility.Unreachable, ...]
 
     @property
     def match_multipliers(self) -> Array:
         """D of the match, (n_configurations, n_bands) in 1/m²; NaN where nothing was matched."""
-        instance = self.twin.instance
+        data = self.model.data
         start = 0
-        for term in self.twin.row_constraints:
-            n_rows = len(term.row_scale(instance))
-            if isinstance(term, Matching):
+        for term in self.model.row_constraints:
+            n_rows = len(term.row_scale(data))
+            if isinstance(term, MatchConstraint):
                 found = self.multipliers.rows[start : start + n_rows]
-                return np.where(instance.matched, found.reshape(instance.matched.shape), np.nan)
+                return np.where(data.matched, found.reshape(data.matched.shape), np.nan)
             start += n_rows
-        return np.full(instance.matched.shape, np.nan)
+        return np.full(data.matched.shape, np.nan)
 
 
-class Core:
+class ConvexProgram:
     """An objective and row constraints, compiled for one layout."""
 
     def __init__(self, layout: Layout, objective: Objective, rows: Sequence[RowConstraint]) -> None:
         self.objective = objective
         self.rows = tuple(rows)
-        self._matches = [row for row in self.rows if isinstance(row, Matching)]
+        self._matches = [row for row in self.rows if isinstance(row, MatchConstraint)]
         self._context = context = Context(layout)
         expressions = [t.expression(context, i) for i, t in enumerate(objective.terms)]
         row_constraints: list[Any] = []
@@ -114,11 +114,11 @@ class Core:
                 "term multiplies parameters, or divides by one; let it use the context's derived "
                 "parameters"
             )
-        self._compiled = Compiled(problem, context.x, tuple(row_constraints), lower, upper)
+        self._compiled = CompiledQP(problem, context.x, tuple(row_constraints), lower, upper)
 
     def solve(
         self,
-        instance: Instance,
+        data: ProblemData,
         rooms: Sequence[Room],
         equation: LinearEquation,
         *,
@@ -127,7 +127,7 @@ class Core:
         warm_start: str,
         settings: Mapping[str, Any] | None,
     ) -> Solution:
-        """Solve for the instance's numbers.
+        """Solve for the data's numbers.
 
         Raises
         ------
@@ -136,10 +136,10 @@ class Core:
         SolverError
             If the solver's answer does not pass the certificate.
         """
-        settled, at_lower, at_upper, beyond = self._settle(instance, rooms, equation, unreachable)
-        # The ends are pinned for the solver only: twin and certificate see the problem as asked.
-        asked = replace(instance, target=settled.target)
-        twin = Twin(asked, self.objective, self.rows)
+        settled, at_lower, at_upper, beyond = self._settle(data, rooms, equation, unreachable)
+        # The ends are pinned for the solver only: model and certificate see the problem as asked.
+        asked = replace(data, target=settled.target)
+        model = NumpyModel(asked, self.objective, self.rows)
         self._context.update(settled)
         start = None
         if warm_start not in ("none", "closed_form"):
@@ -153,65 +153,63 @@ class Core:
         try:
             answer = solvers.run(self._compiled, solver, settings, start)
         except SolverError as error:
-            contradiction.explain(twin)
+            contradiction.explain(model)
             raise error
         u = settled.centre + settled.scale * answer.x
-        raw = RawAnswer(
-            twin=twin,
+        raw = RawSolution(
+            model=model,
             unknowns=u,
-            multipliers=self._multipliers(settled, twin, u, answer),
+            multipliers=self._multipliers(settled, model, u, answer),
             status=answer.status,
             iterations=answer.iterations,
             seconds=answer.seconds,
         )
         unknowns, multipliers, certificate, active, polished = _polished(
-            twin, raw, at_lower, at_upper
+            model, raw, at_lower, at_upper
         )
-        if not _passes(twin, unknowns, certificate):
-            contradiction.explain(twin)
+        if not _passes(model, unknowns, certificate):
+            contradiction.explain(model)
             raise SolverError(
                 f'solver "{solver}" says {answer.status}, but its answer does not pass: primal '
                 f"residual {np.max(certificate.primal_residual):.1e}, dual residual "
                 f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}"
             )
         return Solution(
-            twin, unknowns, multipliers, active, certificate, raw, polished, tuple(beyond)
+            model, unknowns, multipliers, active, certificate, raw, polished, tuple(beyond)
         )
 
-    def whitened(self, instance: Instance) -> Whitened:
-        """Return the QP of the instance's numbers as they are, whether it has an answer or not."""
-        self._context.update(instance)
+    def whitened(self, data: ProblemData) -> WhitenedQP:
+        """Return the QP of the data's numbers as they are, whether it has an answer or not."""
+        self._context.update(data)
         matrices = self._compiled.matrices()
-        return Whitened(
-            matrices, instance.centre, instance.scale, self._compiled.column, instance.layout
-        )
+        return WhitenedQP(matrices, data.centre, data.scale, self._compiled.column, data.layout)
 
     def _settle(
         self,
-        instance: Instance,
+        data: ProblemData,
         rooms: Sequence[Room],
         equation: LinearEquation,
         unreachable: str,
-    ) -> tuple[Instance, Flags, Flags, tuple[feasibility.Unreachable, ...]]:
-        matches = [row.wanted(instance) for row in self._matches]
+    ) -> tuple[ProblemData, Flags, Flags, tuple[feasibility.Unreachable, ...]]:
+        matches = [row.target_limits(data) for row in self._matches]
         if not matches:
-            lost = np.isfinite(instance.time) & ~np.isfinite(instance.target)
+            lost = np.isfinite(data.time) & ~np.isfinite(data.target)
             if lost.any():
                 row = int(np.flatnonzero(lost.ravel())[0])
                 raise InfeasibleError(
-                    f"T[{instance.layout.band_label(row)}] = {instance.time.ravel()[row]:.4g} s is "
+                    f"T[{data.layout.band_label(row)}] = {data.time.ravel()[row]:.4g} s is "
                     "too short for any absorption"
                 )
-            nothing = np.zeros(instance.layout.size, dtype=bool)
-            return instance, nothing, nothing, ()
+            nothing = np.zeros(data.layout.size, dtype=bool)
+            return data, nothing, nothing, ()
         wanted = (
             np.max([low for low, _ in matches], axis=0),
             np.min([high for _, high in matches], axis=0),
         )
-        return feasibility.settle(instance, rooms, wanted, equation, unreachable)
+        return feasibility.restrict_to_reach(data, rooms, wanted, equation, unreachable)
 
     def _multipliers(
-        self, settled: Instance, twin: Twin, u: Array, answer: solvers.Answer
+        self, settled: ProblemData, model: NumpyModel, u: Array, answer: solvers.SolverOutput
     ) -> Multipliers:
         """The solver's duals in the unknowns' units.
 
@@ -227,18 +225,18 @@ class Core:
         row_values = np.concatenate(rows) if rows else np.zeros(0)
         lower, upper = answer.lower_dual, np.zeros_like(answer.lower_dual)
         upper[: len(answer.upper_dual)] = answer.upper_dual
-        ends = twin.movable & (settled.scale == 0)
+        ends = model.movable & (settled.scale == 0)
         if ends.any():
-            at_lower, at_upper = ends & (u == twin.lower), ends & (u == twin.upper)
-            starved = (np.concatenate([*scales, np.zeros(0)]) == 0) & (twin.row_norm > 0)
-            row_values = undetermined(twin, u, row_values, starved, at_lower, at_upper)
-            force = twin.stationarity(u, row_values)
+            at_lower, at_upper = ends & (u == model.lower), ends & (u == model.upper)
+            starved = (np.concatenate([*scales, np.zeros(0)]) == 0) & (model.row_norm > 0)
+            row_values = undetermined(model, u, row_values, starved, at_lower, at_upper)
+            force = model.stationarity(u, row_values)
             lower = np.where(at_lower, np.maximum(force, 0.0), lower)
             upper = np.where(at_upper, np.maximum(-force, 0.0), upper)
         return Multipliers(row_values, lower, upper)
 
 
-def _passes(twin: Twin, u: Array, certificate: Certificate) -> bool:
+def _passes(model: NumpyModel, u: Array, certificate: Certificate) -> bool:
     """Whether an answer is optimal to `_ACCEPTED`, relative to how steep the objective is there.
 
     A soft match with a tiny u_b has a gradient that is the difference of huge numbers: it is known
@@ -246,10 +244,10 @@ def _passes(twin: Twin, u: Array, certificate: Certificate) -> bool:
     """
     if certificate.worst <= _ACCEPTED:
         return True
-    steepness = 1 + float(np.max(np.abs(twin.sigma * twin.gradient(u)), initial=0.0))
-    curvature, size = abs(twin.curvature(u)), np.abs(u)
+    steepness = 1 + float(np.max(np.abs(model.sigma * model.gradient(u)), initial=0.0))
+    curvature, size = abs(model.curvature(u)), np.abs(u)
     terms = curvature @ size if sp.issparse(curvature) else curvature * size
-    rounding = 16 * np.finfo(float).eps * float(np.max(twin.sigma * terms, initial=0.0))
+    rounding = 16 * np.finfo(float).eps * float(np.max(model.sigma * terms, initial=0.0))
     return bool(
         np.max(certificate.primal_residual) <= _ACCEPTED
         and np.max(certificate.dual_residual) <= _ACCEPTED * steepness + rounding
@@ -258,15 +256,15 @@ def _passes(twin: Twin, u: Array, certificate: Certificate) -> bool:
 
 
 def _polished(
-    twin: Twin, raw: RawAnswer, at_lower: Flags, at_upper: Flags
+    model: NumpyModel, raw: RawSolution, at_lower: Flags, at_upper: Flags
 ) -> tuple[Array, Multipliers, Certificate, NDArray[np.int8], bool]:
     """The polished answer where it is better than the raw one, else the raw one."""
-    found = polish(twin, raw.unknowns, raw.multipliers, at_lower, at_upper)
+    found = polish(model, raw.unknowns, raw.multipliers, at_lower, at_upper)
     if found is not None:
-        certificate = certify(twin, found.alpha, found.multipliers)
-        if _passes(twin, found.alpha, certificate) or certificate.worst <= raw.certificate.worst:
+        certificate = certify(model, found.alpha, found.multipliers)
+        if _passes(model, found.alpha, certificate) or certificate.worst <= raw.certificate.worst:
             return found.alpha, found.multipliers, certificate, found.active, True
     near = 1e-9
-    active = (twin.movable & (raw.unknowns >= twin.upper - near)).astype(np.int8)
-    active -= (twin.movable & (raw.unknowns <= twin.lower + near)).astype(np.int8)
+    active = (model.movable & (raw.unknowns >= model.upper - near)).astype(np.int8)
+    active -= (model.movable & (raw.unknowns <= model.lower + near)).astype(np.int8)
     return raw.unknowns, raw.multipliers, raw.certificate, active, False

@@ -1,4 +1,4 @@
-"""The NumPy twin of a whole problem: what the polish and the certificate read instead of cvxpy."""
+"""The NumPy model of a whole problem: what the polish and the certificate read instead of cvxpy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal.calibration.instance import Flags, Instance
+from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.terms import Objective, RowConstraint
 from rtcal.support.types import Array
 
@@ -31,27 +31,27 @@ class Multipliers:
 
 
 @dataclass(frozen=True)
-class Twin:
+class NumpyModel:
     """Objective, rows and box over the unknowns, from the terms' own NumPy descriptions."""
 
-    instance: Instance
+    data: ProblemData
     objective: Objective
     row_constraints: tuple[RowConstraint, ...]
 
     @property
     def lower(self) -> Array:
         """The box's lower side."""
-        return self.instance.lower
+        return self.data.lower
 
     @property
     def upper(self) -> Array:
         """The box's upper side."""
-        return self.instance.upper
+        return self.data.upper
 
     @property
     def sigma(self) -> Array:
         """The unknowns' scale: the prior's standard deviations, 0 where nothing may move."""
-        return self.instance.scale
+        return self.data.scale
 
     @cached_property
     def movable(self) -> Flags:
@@ -76,7 +76,7 @@ class Twin:
     @cached_property
     def row_band(self) -> Any:
         """The band that each row is reported with, (n_rows,): that of its first coefficient."""
-        n_bands = self.instance.layout.n_bands
+        n_bands = self.data.layout.n_bands
         if not sp.issparse(self.matrix):
             return np.argmax(self.matrix != 0, axis=1) % n_bands
         first = np.minimum(self.matrix.indptr[:-1], max(self.matrix.nnz - 1, 0))
@@ -85,12 +85,12 @@ class Twin:
     @cached_property
     def convexity(self) -> Array:
         """Lower limits m of the curvature, (size,): it is at least diag(m / sigma²)."""
-        pairs = zip(self.objective.terms, self.instance.weights, strict=True)
-        return np.asarray(sum(w * t.convexity(self.instance) for t, w in pairs))
+        pairs = zip(self.objective.terms, self.data.weights, strict=True)
+        return np.asarray(sum(w * t.convexity(self.data) for t, w in pairs))
 
     def separate(self, u: Array) -> bool:
         """Whether neither a row nor the objective couples two bands."""
-        layout = self.instance.layout
+        layout = self.data.layout
         if layout.further:
             return False
         k = layout.n_bands
@@ -115,7 +115,7 @@ class Twin:
 
     @cached_property
     def _rows(self) -> list[Any]:
-        return [constraint.rows(self.instance) for constraint in self.row_constraints]
+        return [constraint.rows(self.data) for constraint in self.row_constraints]
 
     @cached_property
     def row_norm(self) -> Array:
@@ -135,22 +135,22 @@ class Twin:
     def gradient(self, u: Array) -> Array:
         """Return the objective's gradient at the unknowns."""
         total = np.zeros_like(u)
-        for term, weight in zip(self.objective.terms, self.instance.weights, strict=True):
+        for term, weight in zip(self.objective.terms, self.data.weights, strict=True):
             if weight > 0:
-                total = total + weight * term.gradient(u, self.instance)
+                total = total + weight * term.gradient(u, self.data)
         return total
 
     def value(self, u: Array) -> float:
         """Return the objective at the unknowns."""
-        pairs = zip(self.objective.terms, self.instance.weights, strict=True)
-        return float(sum(weight * term.value(u, self.instance) for term, weight in pairs))
+        pairs = zip(self.objective.terms, self.data.weights, strict=True)
+        return float(sum(weight * term.value(u, self.data) for term, weight in pairs))
 
     def curvature(self, u: Array) -> Any:
         """Return the objective's second derivative: a diagonal (size,), or a sparse matrix."""
         diagonal = np.zeros(self.sigma.size)
         matrix = None
-        for term, weight in zip(self.objective.terms, self.instance.weights, strict=True):
-            part = term.curvature(u, self.instance)
+        for term, weight in zip(self.objective.terms, self.data.weights, strict=True):
+            part = term.curvature(u, self.data)
             if sp.issparse(part):
                 matrix = weight * part if matrix is None else matrix + weight * part
             else:

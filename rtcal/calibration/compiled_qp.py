@@ -44,7 +44,7 @@ class Matrices:
 
 
 @dataclass(frozen=True)
-class Whitened:
+class WhitenedQP:
     """One calibration as a QP in the whitened unknowns, for those who want to solve it themselves.
 
     The unknowns of the calibration are ``centre + scale * x[first : first + len(centre)]``; other
@@ -63,7 +63,7 @@ class Whitened:
         return self.layout.expand(self.centre + self.scale * inner)
 
 
-class Compiled:
+class CompiledQP:
     """A cvxpy problem that is built, with its unknown and its constraints in order."""
 
     def __init__(self, problem: Any, x: Any, rows: tuple[Any, ...], lower: Any, upper: Any) -> None:

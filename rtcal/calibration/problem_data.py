@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from rtcal.calibration.layout import Integers, Layout
 from rtcal.support.types import Array
 
-__all__ = ["Flags", "Instance", "Integers"]
+__all__ = ["Flags", "Integers", "ProblemData"]
 
 Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Instance:
+class ProblemData:
     """One set of numbers for a problem of a fixed shape.
 
     The unknowns are whitened: u = centre + scale x, u being alpha, flattened row by row with the
@@ -94,8 +94,8 @@ class Instance:
         area = self.areas @ self.alpha(u)
         return np.asarray(area + self.gains @ self.further(u)) if self.gains.size else area
 
-    def pin(self, where: Flags, values: Array) -> Instance:
-        """Return the instance with the unknowns at ``where`` held at ``values``."""
+    def pin(self, where: Flags, values: Array) -> ProblemData:
+        """Return the data with the unknowns at ``where`` held at ``values``."""
         return replace(
             self,
             pinned=self.pinned | where,
