@@ -31,28 +31,28 @@ from scipy.stats import beta, norm
 
 import rtcal as rt
 from rtcal.discrepancy import (
+    AppliedEffect,
     Case,
     Configuration,
     Finding,
-    Present,
     control_rooms,
     find,
     library,
     recalibrate,
     verify,
 )
-from rtcal.discrepancy.bootstrap import LEAST, made_up, score, threshold
+from rtcal.discrepancy.bootstrap import MINIMUM_NATS, draw_null_features, score, threshold
 from rtcal.discrepancy.case import NORMAL_90
-from rtcal.discrepancy.engines import Controls, levelled
+from rtcal.discrepancy.engines import ControlRooms, recentred
 from rtcal.discrepancy.evidence import (
     NONE,
     alpha_covariance,
+    estimate_discrepancy,
     hypotheses,
-    model_error,
     observe,
     weigh,
 )
-from rtcal.discrepancy.finding import SET
+from rtcal.discrepancy.finding import CANDIDATE_NATS
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.recalibration import plain
 from rtcal.discrepancy.states import distances, state
@@ -95,9 +95,9 @@ def one(case: Case) -> Case:
     return case.only("t20", "edt", "t30", configurations=[case.configurations[0].name])
 
 
-def first_of(controls: Sequence[Controls]) -> list[Controls]:
+def first_of(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
     """The control rooms of the first configuration."""
-    return [Controls(c.engine, c.errors[:, :1]) for c in controls]
+    return [ControlRooms(c.engine, c.errors[:, :1]) for c in controls]
 
 
 def rmse(alpha: Any, truth: dict[str, Any]) -> float:
@@ -107,17 +107,17 @@ def rmse(alpha: Any, truth: dict[str, Any]) -> float:
     return float(np.sqrt((area * off**2).sum() / area.sum() / off.shape[1]))
 
 
-def kept_controls(case: Case, path: Path) -> list[Controls]:
+def kept_controls(case: Case, path: Path) -> list[ControlRooms]:
     """The case's control rooms, run once and kept."""
     if not path.exists():
         rooms = control_rooms(case)
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(path, **{c.engine: c.errors.astype(np.float32) for c in rooms})
     with np.load(path) as table:
-        return [Controls(name, table[name].astype(float)) for name in table.files]
+        return [ControlRooms(name, table[name].astype(float)) for name in table.files]
 
 
-def examined(case: Case, controls: list[Controls], truth: dict[str, Any]) -> dict[str, Any]:
+def examined(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) -> dict[str, Any]:
     """Find, add, verify; what came of it."""
     finding = find(case, controls=controls)
     size = finding.size
@@ -324,7 +324,7 @@ def floors(here: list[Any]) -> None:
     if not none or not some:
         return
     print("\nat another floor in nats: flagged; detected; of these right name, single name")
-    for floor in (LEAST, 3.0, 4.0, 5.0):
+    for floor in (MINIMUM_NATS, 3.0, 4.0, 5.0):
 
         def over(x: dict[str, Any], floor: float = floor) -> bool:
             return bool(x["score"] > max(floor, x["threshold"]))
@@ -432,9 +432,9 @@ def engines(first: int, rooms: int) -> None:
             others = [c for c in controls if c is not left]
             limit = threshold(case, observed, predicted, others)
             rng = np.random.default_rng([index, 5])
-            judged = levelled([*others, left])[-1]
-            values = made_up(case, observed, [judged.errors], rng, 20)
-            scores = score(weigh(observed, predicted, model_error(case, others), values))
+            judged = recentred([*others, left])[-1]
+            values = draw_null_features(case, observed, [judged.errors], rng, 20)
+            scores = score(weigh(observed, predicted, estimate_discrepancy(case, others), values))
             alarms.setdefault(left.engine, []).extend((scores > limit.value).tolist())
         print(f"\r{index + 1 - first}/{rooms}", end="", flush=True)
     apart = np.sqrt(np.mean(np.square(between), axis=0))
@@ -497,7 +497,7 @@ def bound(folder: str) -> None:
         name, parameters = NAMES[truth["seed"][1]], parameters_of(truth["effects"][0])
         for data, part, rooms in (("one", one(case), first_of(controls)), ("all", case, controls)):
             observed, _ = observe(part)
-            error, predicted = model_error(part, rooms), hypotheses(part, library())
+            error, predicted = estimate_discrepancy(part, rooms), hypotheses(part, library())
             base = [state(part, c) for c in part.configurations]
             changed = [effects[name].change(s, parameters) for s in base]
             d = np.array(
@@ -511,18 +511,20 @@ def bound(folder: str) -> None:
             covariance = open_[np.ix_(mask, mask)] + observed.covariance
             delta = float(np.sqrt(d @ np.linalg.solve(covariance, d)))
             power[data].append(float(norm.cdf(delta - norm.ppf(0.95))))
-            hidden = replace(part, present=(Present(name, parameters),))
-            errors = [c.errors for c in levelled(rooms)]
-            values = made_up(hidden, observed, errors, np.random.default_rng([index, 6]), 20)
+            hidden = replace(part, applied=(AppliedEffect(name, parameters),))
+            errors = [c.errors for c in recentred(rooms)]
+            values = draw_null_features(
+                hidden, observed, errors, np.random.default_rng([index, 6]), 20
+            )
             evidence = weigh(observed, predicted, error, values)
             table = evidence.by_effect()
             names = [k for k in table if k != NONE]
             over = np.array([table[k] - table[NONE] for k in names])
             for column in over.T:
-                among = column > column.max() - SET
+                among = column > column.max() - CANDIDATE_NATS
                 own[data].append(
                     (
-                        bool(column.max() > LEAST),
+                        bool(column.max() > MINIMUM_NATS),
                         names[int(column.argmax())] == name,
                         bool(among.sum() == 1),
                     )
@@ -578,7 +580,9 @@ def held(finding: Finding, truth: Any) -> list[float]:
     room = finding.case.room
     wide = NORMAL_90 * room.sigma
     ends = [(np.clip(room.alpha - wide, 0, 1), np.clip(room.alpha + wide, 0, 1))]
-    ends += [c.interval for c in (plain(finding.case), recalibrate(finding.apply(), finding.error))]
+    ends += [
+        c.interval for c in (plain(finding.case), recalibrate(finding.apply(), finding.discrepancy))
+    ]
     return [float(np.mean((low <= truth) & (truth <= high))) for low, high in ends]
 
 

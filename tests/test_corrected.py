@@ -14,7 +14,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.room import Surface
 from rtcal.command.main import cli
-from rtcal.discrepancy import Case, Present, corrected_room, recalibrate, simulator
+from rtcal.discrepancy import AppliedEffect, Case, corrected_room, recalibrate, simulator
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
@@ -23,25 +23,27 @@ from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
 
-OPENING = Present("opening", {"area": 40.0}, (20.0, 56.0))
+OPENING = AppliedEffect("opening", {"area": 40.0}, (20.0, 56.0))
 ABSORBERS = [
     OPENING,
-    Present("audience", {"standing": 0.0, "absorption_area": 30.0}, (20.0, 40.0)),
-    Present("audience", {"standing": 1.0, "absorption_area": 30.0}, (20.0, 40.0)),
-    Present("furniture", {"absorption_area": 25.0}, (20.0, 30.0)),
-    Present("porous", {"area": 30.0, "thickness": 0.05, "flow_resistivity": 12e3}, (20.0, 40.0)),
-    Present("resonator", {"area": 30.0, "resonance": 120.0, "quality": 2.0}, (20.0, 40.0)),
+    AppliedEffect("audience", {"standing": 0.0, "absorption_area": 30.0}, (20.0, 40.0)),
+    AppliedEffect("audience", {"standing": 1.0, "absorption_area": 30.0}, (20.0, 40.0)),
+    AppliedEffect("furniture", {"absorption_area": 25.0}, (20.0, 30.0)),
+    AppliedEffect(
+        "porous", {"area": 30.0, "thickness": 0.05, "flow_resistivity": 12e3}, (20.0, 40.0)
+    ),
+    AppliedEffect("resonator", {"area": 30.0, "resonance": 120.0, "quality": 2.0}, (20.0, 40.0)),
 ]
 OTHERS = [
-    Present("area", {"material": 1.0, "ratio": 1.7}),
-    Present("volume", {"ratio": 1.2}),
-    Present("air", {"temperature": 20.0, "humidity": 20.0}),
-    Present("formula", {"equation": 0.0}),
+    AppliedEffect("area", {"material": 1.0, "ratio": 1.7}),
+    AppliedEffect("volume", {"ratio": 1.2}),
+    AppliedEffect("air", {"temperature": 20.0, "humidity": 20.0}),
+    AppliedEffect("formula", {"equation": 0.0}),
 ]
 SHAPES = [
-    Present("coupled room", {"aperture": 15.0, "volume": 400.0, "alpha": 0.1}),
-    Present("non-diffuse field", {"scattering": 0.05}),
-    Present("noise floor", {"level": -40.0, "record": 2.0}),
+    AppliedEffect("coupled room", {"aperture": 15.0, "volume": 400.0, "alpha": 0.1}),
+    AppliedEffect("non-diffuse field", {"scattering": 0.05}),
+    AppliedEffect("noise floor", {"level": -40.0, "record": 2.0}),
 ]
 
 
@@ -51,33 +53,33 @@ def hidden() -> tuple[Case, np.ndarray]:
     return case, np.array(truth["alpha"])
 
 
-def named(p: Present) -> str:
-    return f"{p.effect} {p.parameters.get('standing', '')}".strip()
+def named(p: AppliedEffect) -> str:
+    return f"{p.name} {p.parameters.get('standing', '')}".strip()
 
 
 @pytest.mark.parametrize("equation", ["eyring", "sabine", "kuttruff", "millington"])
 @pytest.mark.parametrize("effect", [*ABSORBERS, *OTHERS, *SHAPES], ids=named)
 def test_the_room_has_the_corrected_model_s_time(
-    hidden: tuple[Case, np.ndarray], effect: Present, equation: str
+    hidden: tuple[Case, np.ndarray], effect: AppliedEffect, equation: str
 ) -> None:
-    case = replace(hidden[0], equation=equation, present=[effect])
+    case = replace(hidden[0], equation=equation, applied=[effect])
     room, first = corrected_room(case), hidden[0].configurations[0]
     wanted = predict([state(case, first)], distances(case, first)).reverberation_time[0]
     bare = predict([state(hidden[0], first)], distances(case, first)).reverberation_time[0]
     simulated = simulator(case).simulate(room.alpha).mean("t20")
     # The air's own speed of sound is 0.3 % off that of the stated climate.
-    off = 0.004 if effect.effect == "air" else 1e-9
+    off = 0.004 if effect.name == "air" else 1e-9
     np.testing.assert_allclose(simulated, wanted, rtol=1e-9)
     if effect not in SHAPES and equation != "millington":
-        kind = rt.Sabine() if effect.effect == "formula" else getattr(rt, equation.capitalize())()
+        kind = rt.Sabine() if effect.name == "formula" else getattr(rt, equation.capitalize())()
         np.testing.assert_allclose(kind.reverberation_time(room), wanted, rtol=off)
-    if not (effect.effect == "formula" and equation == "sabine"):
+    if not (effect.name == "formula" and equation == "sabine"):
         assert np.abs(wanted / bare - 1).max() > 0.02
     absorbs = effect in ABSORBERS
     assert room.n_materials == hidden[0].room.n_materials + absorbs
     if absorbs:
         assert room.areas.sum() == pytest.approx(hidden[0].room.areas.sum())
-        assert room.materials[-1] == effect.effect
+        assert room.materials[-1] == effect.name
     if effect is OPENING and equation != "millington":
         # 18 m² more, as far as its interval reaches: there alpha = 1.
         assert room.areas[-1] == pytest.approx(40.0 + 18.0)
@@ -87,7 +89,7 @@ def test_the_room_has_the_corrected_model_s_time(
 
 def test_an_absorber_at_its_own_size_raises_no_alarm(hidden: tuple[Case, np.ndarray]) -> None:
     """It may be larger as well as smaller: no bound is active, and p is printed."""
-    room = corrected_room(replace(hidden[0], present=[OPENING]))
+    room = corrected_room(replace(hidden[0], applied=[OPENING]))
     t = rt.Eyring().reverberation_time(room)
     for factor in (0.97, 1.03):
         result = rt.calibrate(
@@ -100,7 +102,7 @@ def test_an_absorber_at_its_own_size_raises_no_alarm(hidden: tuple[Case, np.ndar
 
 def test_alpha_and_sizes_have_intervals(hidden: tuple[Case, np.ndarray]) -> None:
     case, truth = hidden
-    found = recalibrate(replace(case, present=[OPENING]))
+    found = recalibrate(replace(case, applied=[OPENING]))
     low, high = found.interval
     assert ((low <= found.alpha) & (found.alpha <= high)).all()
     inside = np.mean((low <= truth) & (truth <= high))
@@ -127,7 +129,7 @@ def test_saved_and_loaded_it_calibrates_to_the_same_numbers(
     hidden: tuple[Case, np.ndarray], tmp_path: Path
 ) -> None:
     case = replace(
-        hidden[0], present=[OPENING, Present("air", {"temperature": 25, "humidity": 30})]
+        hidden[0], applied=[OPENING, AppliedEffect("air", {"temperature": 25, "humidity": 30})]
     )
     case.save(str(tmp_path / "case.json"))
     again = Case.from_file(str(tmp_path / "case.json"))
@@ -150,7 +152,7 @@ def test_saved_and_loaded_it_calibrates_to_the_same_numbers(
 def test_a_calibrated_room_is_not_calibrated_on_the_same_data_again(
     hidden: tuple[Case, np.ndarray],
 ) -> None:
-    case = replace(hidden[0], present=[OPENING])
+    case = replace(hidden[0], applied=[OPENING])
     room = recalibrate(case).room
     assert room.materials[-1] == "opening"
     assert room.calibration is not None
@@ -167,8 +169,8 @@ def test_the_model_is_a_simulator_that_the_loop_calibrates(
     hidden: tuple[Case, np.ndarray],
 ) -> None:
     """Also where no equation gives T: a coupled room's decay is bent."""
-    shape = Present("coupled room", {"aperture": 15.0, "volume": 400.0, "alpha": 0.1})
-    case = replace(hidden[0], present=[shape])
+    shape = AppliedEffect("coupled room", {"aperture": 15.0, "volume": 400.0, "alpha": 0.1})
+    case = replace(hidden[0], applied=[shape])
     sim, room = simulator(case), corrected_room(case)
     assert isinstance(sim, Simulator)
     wanted = sim.simulate(np.clip(1.2 * room.alpha, 0, 1))
@@ -203,11 +205,11 @@ def boxed() -> Case:
             for n, m, a in zip(geometry.names, geometry.materials, geometry.face_areas, strict=True)
         ],
     )
-    opened = Present("opening", {"area": 8.0}, (6.0, 10.0))
+    opened = AppliedEffect("opening", {"area": 8.0}, (6.0, 10.0))
     state_ = rt.discrepancy.Configuration(
         name="as built", measured=rt.Measurement.from_values([500, 1000], t20=[1.0, 1.0])
     )
-    case = Case(room=room, configurations=[state_], present=[opened])
+    case = Case(room=room, configurations=[state_], applied=[opened])
     t20 = rt.Eyring().reverberation_time(corrected_room(case))
     measured = rt.Measurement.from_values([500, 1000], t20=t20)
     return replace(case, configurations=[replace(state_, measured=measured)])
@@ -239,9 +241,9 @@ def test_a_geometric_simulator_takes_the_absorber_on_its_walls() -> None:
 def test_what_a_simulator_cannot_have_is_refused() -> None:
     case = boxed()
     for effect, message in (("coupled room", "second room"), ("noise floor", "take the noise off")):
-        (added,) = (p for p in SHAPES if p.effect == effect)
+        (added,) = (p for p in SHAPES if p.name == effect)
         with pytest.raises(DataError, match=message):
-            simulator(replace(case, present=[added]), images)
+            simulator(replace(case, applied=[added]), images)
     other = rt.Room(
         name="other",
         volume=105,
@@ -254,7 +256,7 @@ def test_what_a_simulator_cannot_have_is_refused() -> None:
     )
     with pytest.raises(DataError, match="has the materials all; the case has"):
         simulator(case, lambda room: images(other))
-    moved = replace(case, present=[Present("volume", {"ratio": 1.2})])
+    moved = replace(case, applied=[AppliedEffect("volume", {"ratio": 1.2})])
     with pytest.raises(DataError, match="states no dimensions"):
         simulator(moved, images)  # the box's sides are not known any more
     for interval, message in ((3, "two numbers"), ("x", "size_interval")):

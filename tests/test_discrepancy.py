@@ -15,9 +15,9 @@ from scipy.stats import chi2, multivariate_normal
 import rtcal as rt
 from rtcal.discrepancy import (
     Absorber,
+    AppliedEffect,
     Case,
     Configuration,
-    Present,
     Threshold,
     find,
     library,
@@ -28,14 +28,14 @@ from rtcal.discrepancy import (
 from rtcal.discrepancy.bootstrap import control_rooms
 from rtcal.discrepancy.corrected import not_in_room
 from rtcal.discrepancy.effects import Opening, Porous, Resonator, WrongArea, WrongVolume
-from rtcal.discrepancy.engines import Controls, levelled
+from rtcal.discrepancy.engines import ControlRooms, recentred
 from rtcal.discrepancy.evidence import (
-    ModelError,
+    ModelDiscrepancy,
     alpha_covariance,
+    estimate_discrepancy,
+    goodness_of_fit,
     hypotheses,
-    model_error,
     observe,
-    surprise,
     weigh,
 )
 from rtcal.discrepancy.model import State, predict, sensitivities
@@ -86,12 +86,12 @@ def case_with(t20: np.ndarray, **more: np.ndarray) -> Case:
     return Case(room=room, configurations=[Configuration(name="as built", measured=measured)])
 
 
-def controls_of(case: Case, spread: float = 0.02) -> list[Controls]:
+def controls_of(case: Case, spread: float = 0.02) -> list[ControlRooms]:
     """Control rooms without an engine: what the model errs by, drawn."""
     rng = np.random.default_rng(1)
     shape = (40, len(case.configurations), 5, case.room.n_bands)
     scale = np.array([1, 1, 0.7, 20, 20])[:, None] * spread
-    return [Controls(name, scale * rng.standard_normal(shape)) for name in ("one", "other")]
+    return [ControlRooms(name, scale * rng.standard_normal(shape)) for name in ("one", "other")]
 
 
 def test_the_state_is_the_equation() -> None:
@@ -227,7 +227,7 @@ def test_evidence_is_the_normal_density() -> None:
     case = case_with(1.1 * t20, edt=1.05 * t20, c80=np.linspace(1, 5, 7))
     observed, _ = observe(case)
     predicted = hypotheses(case, [Opening()])
-    error = model_error(case, controls_of(case))
+    error = estimate_discrepancy(case, controls_of(case))
     got = weigh(observed, predicted, error)
     mask = observed.used.ravel()
     for i in (0, 3, 9):
@@ -253,20 +253,20 @@ def test_the_bias_is_the_mean_of_those_who_can_tell_it_and_of_the_model() -> Non
     case = case_with(np.ones(7))
     rng = np.random.default_rng(2)
     tracing, sdn, rays = (
-        Controls(name, mean + 0.01 * rng.standard_normal((12, 1, 5, 7)))
+        ControlRooms(name, mean + 0.01 * rng.standard_normal((12, 1, 5, 7)))
         for name, mean in (("path tracing", 0.3), ("network", 5.0), ("rays", 0.6))
     )
     sdn.errors[0, 0, :, 0] = np.nan  # a band that could not be evaluated there
     own = [np.nanmean(c.errors, axis=0) for c in (tracing, sdn, rays)]
     bias = (own[0] + own[2]) / 3
     bias[:, 4] = own[0][:, 4] / 2  # pyroomacoustics does not tell G, nor the network anything
-    error = model_error(case, [tracing, sdn, rays])
+    error = estimate_discrepancy(case, [tracing, sdn, rays])
     np.testing.assert_allclose(error.bias, bias.ravel(), rtol=1e-12)
     # Between 0, 0.3 and 0.6 lies a variance of 0.09, of G between 0 and 0.3 one of 0.045.
     variance = np.diag(error.covariance).reshape(5, 7) / 1.2
     np.testing.assert_allclose(variance[0], 0.09, rtol=0.1)
     np.testing.assert_allclose(variance[4] - 0.5**2, 0.045, rtol=0.1)
-    first, moved, third = levelled([tracing, sdn, rays])
+    first, moved, third = recentred([tracing, sdn, rays])
     np.testing.assert_array_equal(first.errors, tracing.errors)
     np.testing.assert_allclose(np.nanmean(moved.errors, axis=0), bias, rtol=1e-12)
     np.testing.assert_allclose(moved.errors - bias, sdn.errors - own[1], rtol=1e-9, atol=1e-12)
@@ -309,7 +309,7 @@ def opened(area: float = 15.0) -> Case:
 def test_what_the_measurement_denies_is_calibrated_away() -> None:
     """T is longer than the prior's: no furniture is left, and no size divides by it."""
     case = case_with(1.3 * 6 * np.log(10) / made().rate)
-    stuffed = replace(case, present=(Present("furniture", {"absorption_area": 8.0}),))
+    stuffed = replace(case, applied=(AppliedEffect("furniture", {"absorption_area": 8.0}),))
     done = recalibrate(stuffed)
     assert done.sizes["furniture"] == pytest.approx(0, abs=1e-6)
     assert np.isfinite(done.alpha).all()
@@ -370,7 +370,7 @@ def test_added_twice_is_added_once_and_survives_a_file(tmp_path: Path) -> None:
     corrected.save(str(tmp_path / "corrected.json"))
     again = Case.from_file(str(tmp_path / "corrected.json"))
     assert again.to_dict() == corrected.to_dict()
-    error = finding.error
+    error = finding.discrepancy
     np.testing.assert_array_equal(
         recalibrate(again, error).alpha, recalibrate(corrected, error).alpha
     )
@@ -472,7 +472,7 @@ def test_a_threshold_may_be_given() -> None:
     case = opened()
     strict = find(case, effects=[Opening()], threshold=1e6, controls=controls_of(case))
     assert strict.verdict in ("none", "hint")
-    error = ModelError(np.zeros(35), np.diag(np.full(35, 0.03**2)))
+    error = ModelDiscrepancy(np.zeros(35), np.diag(np.full(35, 0.03**2)))
     known = find(case, effects=[Opening()], threshold=Threshold(2.3, np.zeros(1), error))
     assert known.verdict == "named"
     with pytest.raises(DataError, match="nan nats is not finite"):
@@ -498,8 +498,8 @@ def test_surprise_is_chi_square_s() -> None:
     case = opened()
     observed, _ = observe(case)
     predicted = hypotheses(case, [Opening()])
-    error = model_error(case, controls_of(case))
-    times, probability = surprise(observed, predicted, error, 0)
+    error = estimate_discrepancy(case, controls_of(case))
+    times, probability = goodness_of_fit(observed, predicted, error, 0)
     mask = observed.used.ravel()
     covariance = alpha_covariance(predicted, 0) + error.covariance
     covariance = covariance[np.ix_(mask, mask)] + observed.covariance
@@ -541,13 +541,13 @@ def test_a_field_of_walls_that_absorb_nothing_decays() -> None:
 def test_control_rooms_of_another_case_are_refused() -> None:
     case = opened()
     good = controls_of(case)
-    one_band = [Controls(c.engine, c.errors[..., :1]) for c in good]
+    one_band = [ControlRooms(c.engine, c.errors[..., :1]) for c in good]
     for controls, words in (
         (one_band, "they are of another case"),
         (good[:1], "at least two engines"),
         ((), "no engine"),
         ("abc", "is not a list"),
-        ([1, 2], "is not a rtcal.Controls"),
+        ([1, 2], "is not a rtcal.ControlRooms"),
     ):
         with pytest.raises(DataError, match=words):
             find(case, controls=controls)  # type: ignore[arg-type]
@@ -566,10 +566,10 @@ def test_control_rooms_of_another_case_are_refused() -> None:
 
 def test_what_a_room_cannot_hold_is_said() -> None:
     case = opened()
-    coupled = Present("coupled room", {"aperture": 8.0, "volume": 300.0, "alpha": 0.05})
-    assert not_in_room(replace(case, present=(Present("opening", {"area": 8.0}),))) == []
-    assert "coupled room" in not_in_room(replace(case, present=(coupled,)))[0]
-    sabine = replace(case, present=(Present("formula", {"equation": 0.0}),))
+    coupled = AppliedEffect("coupled room", {"aperture": 8.0, "volume": 300.0, "alpha": 0.05})
+    assert not_in_room(replace(case, applied=(AppliedEffect("opening", {"area": 8.0}),))) == []
+    assert "coupled room" in not_in_room(replace(case, applied=(coupled,)))[0]
+    sabine = replace(case, applied=(AppliedEffect("formula", {"equation": 0.0}),))
     assert "sabine" in not_in_room(sabine)[0]
 
 
@@ -667,10 +667,10 @@ def test_a_case_s_file(tmp_path: Path) -> None:
 
 def test_what_was_added_must_be_in_the_library() -> None:
     with pytest.raises(DataError, match='effect "ghost" is not in the library'):
-        Present("ghost", {"size": 1.0})
+        AppliedEffect("ghost", {"size": 1.0})
     data = opened().to_dict() | {"present": [{"effect": "ghost", "parameters": {"size": 1.0}}]}
     with pytest.raises(DataError, match='effect "ghost" is not in the library'):
         Case.from_dict(data)
-    lacking = replace(opened(), present=[Present("opening", {})])
+    lacking = replace(opened(), applied=[AppliedEffect("opening", {})])
     with pytest.raises(DataError, match='"opening": change with no parameter raises KeyError'):
         hypotheses(lacking, [])

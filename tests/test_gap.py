@@ -16,7 +16,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.discrepancy import Case, Finding, control_rooms, find, verify
-from rtcal.discrepancy.engines import Controls
+from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.finding import Size
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.states import distances, state
@@ -180,7 +180,7 @@ def test_an_ambiguous_effect_is_not_added_silently(
         f"Added {name}. Ambiguous: it is the best, but opening is only 0.8 nats behind"
     )
     assert f"{name}, as added, the most probable: 1.3 times the stated area" in text
-    assert Case.from_file(str(out)).present[0].parameters["material"] == 1.0
+    assert Case.from_file(str(out)).applied[0].parameters["material"] == 1.0
 
 
 def test_parameters_have_names_and_units(finding: Finding) -> None:
@@ -281,7 +281,9 @@ def differences(index: int) -> list[str]:
     case, stored_ = Case.from_dict(read(1, "case")[index]), stored()[index]["one"]
     one = case.only("t20", "edt", "t30", configurations=[case.configurations[0].name])
     # As the stored run has it: one configuration is judged by its part of the whole case's rooms.
-    finding = find(one, controls=[Controls(c.engine, c.errors[:, :1]) for c in control_rooms(case)])
+    finding = find(
+        one, controls=[ControlRooms(c.engine, c.errors[:, :1]) for c in control_rooms(case)]
+    )
     # The control rooms were kept in single precision.
     near = {
         "threshold": finding.threshold == pytest.approx(stored_["threshold"], rel=0.02),

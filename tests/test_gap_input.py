@@ -17,8 +17,8 @@ import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.discrepancy import (
     Absorber,
+    AppliedEffect,
     Case,
-    Present,
     corrected_room,
     find,
     library,
@@ -151,9 +151,9 @@ class Bent(Named):
 
 
 def test_no_simulator_is_said_to_have_a_decay_of_one_s_own() -> None:
-    case = replace(opened(), present=[Present("bent", {"share": 0.1}, None, Bent())])
+    case = replace(opened(), applied=[AppliedEffect("bent", {"share": 0.1}, None, Bent())])
     assert np.isfinite(recalibrate(case).alpha).all()
-    plain = simulator(replace(case, present=[])).simulate(case.room.alpha)
+    plain = simulator(replace(case, applied=[])).simulate(case.room.alpha)
     assert (simulator(case).simulate(case.room.alpha).mean("t30") > 1.02 * plain.mean("t30")).all()
 
     def make(room: rt.Room) -> object:

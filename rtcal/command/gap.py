@@ -132,7 +132,7 @@ def apply(
         tell(text, {**record, "sentence": nothing, "written": []}, quiet=quiet, as_json=as_json)
         raise click.exceptions.Exit(NOTHING_TO_ADD)
     corrected = finding.apply()
-    calibrated = recalibrate(corrected, finding.error)
+    calibrated = recalibrate(corrected, finding.discrepancy)
     contents = {Path(out): corrected.to_json().encode()}
     if room is not None:
         contents[Path(room)] = room_text(corrected_room(corrected)).encode()
@@ -145,7 +145,7 @@ def apply(
     lines += [f"  not in {room}: {line}" for line in absent]
     record |= {
         "sentence": sentence,
-        "present": [p.to_dict() for p in corrected.present],
+        "present": [p.to_dict() for p in corrected.applied],
         "calibrated": calibrated.to_dict(),
         "written": written,
         "notes": list(finding.notes),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.discrepancy.bootstrap import LEAST
+from rtcal.discrepancy.bootstrap import MINIMUM_NATS
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effect_checks import checked
 from rtcal.discrepancy.effects import Effect, library
@@ -17,7 +17,7 @@ from rtcal.discrepancy.evidence import (
     UNKNOWN,
     Evidence,
     Hypotheses,
-    ModelError,
+    ModelDiscrepancy,
     Observed,
     alpha_covariance,
     hypotheses,
@@ -46,8 +46,10 @@ def separation(
     return float(0.5 * np.einsum("ni,ij,nj->n", d, inverse, d).min())
 
 
-def _covariance(predicted: Hypotheses, error: ModelError, measured: Array, i: int) -> Array:
-    return np.asarray(alpha_covariance(predicted, i) + error.covariance + np.diag(measured))
+def _covariance(
+    predicted: Hypotheses, discrepancy: ModelDiscrepancy, measured: Array, i: int
+) -> Array:
+    return np.asarray(alpha_covariance(predicted, i) + discrepancy.covariance + np.diag(measured))
 
 
 def _variances(case: Case, observed: Observed) -> Array:
@@ -62,7 +64,7 @@ def next_measurement(
     case: Case,
     observed: Observed,
     predicted: Hypotheses,
-    error: ModelError,
+    discrepancy: ModelDiscrepancy,
     evidence: Evidence,
     candidates: Sequence[str],
 ) -> str:
@@ -83,7 +85,7 @@ def next_measurement(
         return f"confirm it: check the {best} where it can be looked up or measured by itself"
     rival = named[1]
     variances = _variances(case, observed)
-    covariance = _covariance(predicted, error, variances, first)
+    covariance = _covariance(predicted, discrepancy, variances, first)
     used = observed.used
     now = separation(predicted, covariance, used.ravel(), first, rival)
     options = []
@@ -154,7 +156,7 @@ class Plan:
             f"With {', '.join(self.parameters)}: evidence (nats) to expect for the effect in the row, "
             "at the size",
             f"whose change of T (its own column) is nearest to {100 * self.change:g} %,",
-            f"against the effect in the column; over {LEAST} (ten to one) they can be told apart;",
+            f"against the effect in the column; over {MINIMUM_NATS} (ten to one) they can be told apart;",
             f"over {_MOST:.0f} is certain, and no number is printed.",
         ]
         heads = [n.replace("-", "- ").split() for n in (NONE, *names)]
@@ -175,7 +177,7 @@ class Plan:
             )
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
         both, one_way = _blind(self.separations, pairs)
-        unseen = [a for a in names if self.separations[a, NONE] < LEAST]
+        unseen = [a for a in names if self.separations[a, NONE] < MINIMUM_NATS]
         if unseen:
             lines.append(
                 "Cannot be told from a model that lacks nothing: " + ", ".join(unseen) + "."
@@ -212,7 +214,7 @@ def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[
     """Pairs that are not told apart, and those where only the first is taken for the second."""
     both, one_way = [], []
     for a, b in pairs:
-        weak = (separations[a, b] < LEAST, separations[b, a] < LEAST)
+        weak = (separations[a, b] < MINIMUM_NATS, separations[b, a] < MINIMUM_NATS)
         if all(weak):
             both.append((a, b))
         elif any(weak):
@@ -220,15 +222,15 @@ def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[
     return both, one_way
 
 
-GENERIC = (0.04, 0.04, 0.02, 0.7, 0.7)
-"""The model's own error before any engine has run: of ln T20, ln EDT/T20, ln T30/T20, and in dB."""
+GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
+"""Standard deviation of the model's error before any engine has run, by feature."""
 
 
 def plan(
     case: Case,
     effects: Sequence[Effect] | None = None,
     change: float = 0.2,
-    error: ModelError | None = None,
+    discrepancy: ModelDiscrepancy | None = None,
 ) -> Plan:
     """Say, before measuring, which effects the case's data could tell apart.
 
@@ -241,8 +243,8 @@ def plan(
     change : float
         How much each effect is to change T20, as a share of it, where it changes T20 most: above 0,
         at most 1. Of an effect's sizes the one that comes nearest is taken.
-    error : ModelError, optional
-        Of the case's control rooms; `GENERIC` if not given.
+    discrepancy : ModelDiscrepancy, optional
+        Of the case's control rooms; `GENERIC_UNCERTAINTY` if not given.
 
     Raises
     ------
@@ -254,10 +256,10 @@ def plan(
         raise DataError(f"change = {change:g} is not above 0 and at most 1 (a share of T)")
     observed, _ = observe(case)
     predicted = hypotheses(case, library() if effects is None else checked(effects))
-    if error is None:
+    if discrepancy is None:
         shape = observed.used.shape
-        spread = np.broadcast_to(np.array(GENERIC)[None, :, None] ** 2, shape).ravel()
-        error = ModelError(np.zeros(spread.size), np.diag(spread))
+        spread = np.broadcast_to(np.array(GENERIC_UNCERTAINTY)[None, :, None] ** 2, shape).ravel()
+        discrepancy = ModelDiscrepancy(np.zeros(spread.size), np.diag(spread))
     variances = _variances(case, observed)
     base = predicted.features[0]
     names = [n for n in dict.fromkeys(predicted.names) if n != NONE]
@@ -283,7 +285,7 @@ def plan(
         moved = np.abs(np.expm1(predicted.features[rows][:, :, 0] - base[:, 0])).max((1, 2))
         nearest = int(np.argmin(np.abs(moved - change)))
         first, reached[a] = rows[nearest], float(moved[nearest])
-        covariance = _covariance(predicted, error, variances, first)
+        covariance = _covariance(predicted, discrepancy, variances, first)
         for label, mask in masks.items():
             for b in (NONE, *names):
                 if a != b:

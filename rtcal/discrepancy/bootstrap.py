@@ -1,9 +1,9 @@
 """The threshold: how much evidence a room without anything hidden gives by chance.
 
-Rooms are made up of the case's own: alpha from the prior, the model's error from the engines'
-control rooms, noise from the measurement. The error is learnt from one half of the control rooms and
-the evidence scored on the other, so that no room is judged by itself; an engine of few control rooms
-(the network) stays whole.
+A parametric bootstrap. Each draw takes alpha from the prior, the model's error from the engines'
+control rooms and noise from the measurement. The model's bias and covariance are estimated from one
+half of the control rooms, and the draws use the other half. An engine with few control rooms (the
+network) is not divided.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import numpy as np
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.engines import (
     ENGINES,
-    Controls,
+    ControlRooms,
     Report,
     draw_alpha,
-    levelled,
-    nothing,
+    no_report,
+    recentred,
 )
 from rtcal.discrepancy.evidence import (
     NONE,
     Evidence,
     Hypotheses,
-    ModelError,
+    ModelDiscrepancy,
     Observed,
-    model_error,
+    estimate_discrepancy,
     weigh,
 )
 from rtcal.discrepancy.model import FEATURES, predict
@@ -39,7 +39,7 @@ from rtcal.support.types import Array
 
 LEVEL = 0.95
 """Quantile of the made-up rooms' evidence that the threshold stands at."""
-LEAST = 2.3
+MINIMUM_NATS = 2.3
 """Nats: odds of ten to one, below which nothing is said to be there."""
 
 
@@ -52,20 +52,20 @@ class Threshold:
 
     value: float
     scores: Array
-    error: ModelError
+    discrepancy: ModelDiscrepancy
 
     @property
     def engines(self) -> tuple[str, ...]:
         """The simulators that the control rooms went through."""
-        return self.error.engines
+        return self.discrepancy.engines
 
 
 def control_rooms(
     case: Case,
     seed: int = 0,
     engines: Sequence[str] = ("path tracing", "network"),
-    report: Report = nothing,
-) -> tuple[Controls, ...]:
+    report: Report = no_report,
+) -> tuple[ControlRooms, ...]:
     """Run the case's control rooms through the engines; DataError for fewer than two."""
     names = dict.fromkeys(map(str, checks.listed("engines", engines)))
     if unknown := sorted(set(names) - set(ENGINES)):
@@ -75,10 +75,10 @@ def control_rooms(
     return tuple(ENGINES[name](case, seed, report=report) for name in names)
 
 
-def check_controls(case: Case, controls: object) -> tuple[Controls, ...]:
+def checked_controls(case: Case, controls: object) -> tuple[ControlRooms, ...]:
     """Return control rooms of at least two engines and of this case's shape; DataError otherwise."""
     every = tuple(
-        checks.instance("controls", c, Controls) for c in checks.listed("controls", controls)
+        checks.instance("controls", c, ControlRooms) for c in checks.listed("controls", controls)
     )
     if len({c.engine for c in every}) < 2:
         raise DataError(
@@ -99,7 +99,7 @@ def threshold(
     case: Case,
     observed: Observed,
     predicted: Hypotheses,
-    controls: Sequence[Controls],
+    controls: Sequence[ControlRooms],
     seed: int = 0,
     draws: int = 200,
 ) -> Threshold:
@@ -108,20 +108,20 @@ def threshold(
     scores = []
     for fold in (0, 1):
         learn = [_part(c, fold) for c in controls]
-        test = [c.errors for c in levelled([_part(c, 1 - fold) for c in controls])]
-        values = made_up(case, observed, test, rng, draws // 2)
-        scores.append(score(weigh(observed, predicted, model_error(case, learn), values)))
+        test = [c.errors for c in recentred([_part(c, 1 - fold) for c in controls])]
+        values = draw_null_features(case, observed, test, rng, draws // 2)
+        scores.append(score(weigh(observed, predicted, estimate_discrepancy(case, learn), values)))
     every = np.concatenate(scores)
-    value = max(float(np.quantile(every, LEVEL)), LEAST)
-    return Threshold(value, every, model_error(case, controls))
+    value = max(float(np.quantile(every, LEVEL)), MINIMUM_NATS)
+    return Threshold(value, every, estimate_discrepancy(case, controls))
 
 
 _FEW = 16
 
 
-def _part(controls: Controls, fold: int) -> Controls:
+def _part(controls: ControlRooms, fold: int) -> ControlRooms:
     errors = controls.errors
-    return Controls(controls.engine, errors[fold::2] if len(errors) >= _FEW else errors)
+    return ControlRooms(controls.engine, errors[fold::2] if len(errors) >= _FEW else errors)
 
 
 def score(evidence: Evidence) -> Array:
@@ -131,7 +131,7 @@ def score(evidence: Evidence) -> Array:
     return np.asarray(best - table[NONE])
 
 
-def made_up(
+def draw_null_features(
     case: Case, observed: Observed, errors: Sequence[Array], rng: np.random.Generator, n: int
 ) -> Array:
     """Return features (n, n_used) of rooms without anything hidden, with engines' errors in them."""

@@ -65,26 +65,39 @@ class Configuration:
 
 
 @dataclass(frozen=True)
-class Present:
-    """An effect that has been added to the model: name, parameters, its size's 90 % interval.
+class AppliedEffect:
+    """An effect that was added to the model.
 
-    ``own`` is the effect itself where it is not the library's; it cannot be saved. DataError if there
-    is none, and none of that name in the library.
+    Parameters
+    ----------
+    name : str
+        The effect's name.
+    parameters : mapping of str to float
+        Values of the effect's parameters.
+    size_interval : (float, float), optional
+        90 % interval of the effect's size.
+    custom : Effect, optional
+        The effect, where it is not in the library. A case that holds one cannot be saved.
+
+    Raises
+    ------
+    DataError
+        If ``custom`` is not stated and the library has no effect of this name.
     """
 
-    effect: str
+    name: str
     parameters: Mapping[str, float]
     size_interval: tuple[float, float] | None = None
-    own: Effect | None = None
+    custom: Effect | None = None
 
     def __post_init__(self) -> None:
-        if self.own is None and self.effect not in {e.name for e in library()}:
-            raise DataError(f'effect "{self.effect}" is not in the library')
+        if self.custom is None and self.name not in {e.name for e in library()}:
+            raise DataError(f'effect "{self.name}" is not in the library')
 
     @property
-    def itself(self) -> Effect:
+    def effect(self) -> Effect:
         """The effect: how it changes a room's state."""
-        return self.own or next(e for e in library() if e.name == self.effect)
+        return self.custom or next(e for e in library() if e.name == self.name)
 
     @property
     def size_sigma(self) -> float:
@@ -96,7 +109,7 @@ class Present:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         ends = None if self.size_interval is None else list(self.size_interval)
-        return {"effect": self.effect, "parameters": dict(self.parameters), "size_interval": ends}
+        return {"effect": self.name, "parameters": dict(self.parameters), "size_interval": ends}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,7 +128,7 @@ class Case:
     facing : array (n_materials, 3), optional
         Share of each material's area that faces along x, y and z; from the room's surfaces and
         their axes where they are stated, a third each where not.
-    present : sequence of Present
+    applied : sequence of AppliedEffect
         Effects that `Finding.apply` has added.
 
     Raises
@@ -128,12 +141,12 @@ class Case:
     configurations: Sequence[Configuration]
     equation: str = "eyring"
     facing: Array = None  # type: ignore[assignment]  # filled in when made
-    present: Sequence[Present] = ()
+    applied: Sequence[AppliedEffect] = ()
 
     def __post_init__(self) -> None:
         mean_equation(self.equation)
         object.__setattr__(self, "configurations", tuple(self.configurations))
-        object.__setattr__(self, "present", tuple(self.present))
+        object.__setattr__(self, "applied", tuple(self.applied))
         if not self.configurations:
             raise DataError("configurations is empty; a case has at least one measurement")
         names = [c.name for c in self.configurations]

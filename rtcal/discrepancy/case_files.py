@@ -39,7 +39,7 @@ import numpy as np
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import CalibrationRecord, Room, text_name
-from rtcal.discrepancy.case import Case, Change, Configuration, Present
+from rtcal.discrepancy.case import AppliedEffect, Case, Change, Configuration
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.files import json_numbers, read_text
@@ -78,8 +78,8 @@ def from_dict(data: Mapping[str, Any]) -> Case:
             _configuration(room, checks.mapped(f"{where}: configurations", c), uncertainty)
             for c in configurations
         ],
-        present=[
-            _present(checks.mapped(f"{where}: present", p))
+        applied=[
+            _applied(checks.mapped(f"{where}: present", p))
             for p in checks.listed(f"{where}: present", data.get("present", ()))
         ],
     )
@@ -88,7 +88,7 @@ def from_dict(data: Mapping[str, Any]) -> Case:
 def to_dict(case: Case) -> dict[str, Any]:
     """See `Case.to_dict`."""
     room = case.room
-    if own := [p.effect for p in case.present if p.own is not None]:
+    if own := [p.name for p in case.applied if p.custom is not None]:
         raise DataError(
             f'effect "{own[0]}" is not in the library: a case that holds it cannot be saved, since '
             "whoever reads it does not know the effect"
@@ -116,7 +116,7 @@ def to_dict(case: Case) -> dict[str, Any]:
         },
         "equation": case.equation,
         "configurations": [_configuration_dict(c) for c in case.configurations],
-        "present": [p.to_dict() for p in case.present],
+        "present": [p.to_dict() for p in case.applied],
     }
 
 
@@ -243,7 +243,7 @@ def _configuration(
     )
 
 
-def _present(data: Mapping[str, Any]) -> Present:
+def _applied(data: Mapping[str, Any]) -> AppliedEffect:
     where = "case: present"
     parameters = _mapping(where, data, "parameters")
     values = {str(k): checks.number(f"{where}: {k}", v) for k, v in parameters.items()}
@@ -253,7 +253,7 @@ def _present(data: Mapping[str, Any]) -> Present:
         if ends.shape != (2,):
             raise DataError(f"{where}: size_interval is not two numbers")
         ends = (float(ends[0]), float(ends[1]))
-    return Present(str(data.get("effect")), values, ends)
+    return AppliedEffect(str(data.get("effect")), values, ends)
 
 
 def _record(where: str, record: Any) -> CalibrationRecord | None:

@@ -18,9 +18,9 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.case import NORMAL_90, Case, Configuration, Present
+from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case, Configuration
 from rtcal.discrepancy.model import FEATURES, State, predict
-from rtcal.discrepancy.states import distances, state, with_present
+from rtcal.discrepancy.states import distances, state, with_applied
 from rtcal.discrepancy.wording import amount
 from rtcal.errors import DataError
 from rtcal.simulators.base import Simulator, check_alpha, run
@@ -48,7 +48,7 @@ def corrected_room(case: Case) -> Room:
 
 def not_in_room(case: Case) -> list[str]:
     """Return what a room cannot hold of the effects, in words: a decay's shape, noise, an equation."""
-    out = [f"{p.effect}: a room has surfaces and air only" for p in _settled(case)[1]]
+    out = [f"{p.name}: a room has surfaces and air only" for p in _settled(case)[1]]
     if (equation := _bare(case).equation) != case.equation:
         out.append(f"formula: a room names no equation; calibrate it with {equation}")
     return out
@@ -75,13 +75,13 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     """
     if make is None:
         return CaseModel(case)
-    for p in case.present:
-        if p.effect in _REST:
-            raise DataError(f"{p.effect}: {_REST[p.effect]}")
+    for p in case.applied:
+        if p.name in _REST:
+            raise DataError(f"{p.name}: {_REST[p.name]}")
     for p in _settled(case)[1]:
-        if p.own is not None:
+        if p.custom is not None:
             raise DataError(
-                f"{p.effect}: it bends the decay, which no material of a simulator does; without "
+                f"{p.name}: it bends the decay, which no material of a simulator does; without "
                 "make the case's own model is the simulator"
             )
     return Spread(case, make(_stated(case)))
@@ -93,7 +93,7 @@ class CaseModel:
 
     case: Case
     room: Room = field(init=False)
-    rest: tuple[Present, ...] = field(init=False)
+    rest: tuple[AppliedEffect, ...] = field(init=False)
     deterministic: bool = field(default=True, init=False)
     smooth: bool = field(default=True, init=False)
 
@@ -105,7 +105,7 @@ class CaseModel:
     @property
     def name(self) -> str:
         """What calibrated coefficients belong to."""
-        added = "".join(f" with {p.effect}" for p in self.case.present)
+        added = "".join(f" with {p.name}" for p in self.case.applied)
         return f"the model of {self.case.room.name}{added}"
 
     @property
@@ -131,7 +131,7 @@ class CaseModel:
             alpha=alpha,
             facing=np.concatenate([facing, further]),
         )
-        found = predict([with_present(bare, self.rest, first)], distances(self.case, first))
+        found = predict([with_applied(bare, self.rest, first)], distances(self.case, first))
         rows = dict(zip(FEATURES, found.features[0], strict=True))
         t20 = np.exp(rows["t20"])
         return Measurement.from_values(
@@ -163,7 +163,7 @@ class Spread:
     @property
     def name(self) -> str:
         """What calibrated coefficients belong to."""
-        return self.inner.name + "".join(f" with {p.effect}" for p in self.case.present)
+        return self.inner.name + "".join(f" with {p.name}" for p in self.case.applied)
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -199,7 +199,7 @@ def _base(case: Case) -> Configuration:
 
 
 def _air(case: Case) -> Air | None:
-    climates = [p.parameters for p in case.present if p.effect == "air"]
+    climates = [p.parameters for p in case.applied if p.name == "air"]
     if not climates:
         return case.room.air
     return Air(climates[-1]["temperature"], climates[-1]["humidity"])
@@ -220,14 +220,14 @@ def _stated(case: Case) -> Room:
     return made
 
 
-def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
+def _settled(case: Case) -> tuple[Room, tuple[AppliedEffect, ...]]:
     """The corrected room, and the effects that it cannot hold."""
     made, at, base = _stated(case), _bare(case), _base(case)
     equation = mean_equation(at.equation)
     areas, alpha, sigma = made.areas, [*made.alpha], [*made.sigma]
-    names, rest, sources = list(made.materials), list[Present](), dict(made.sources)
-    for p in case.present:
-        after = with_present(at, [p], base)
+    names, rest, sources = list(made.materials), list[AppliedEffect](), dict(made.sources)
+    for p in case.applied:
+        after = with_applied(at, [p], base)
         if after.shape is not None or after.floor_db is not None or after.direct_db:
             rest.append(p)
             continue
@@ -240,7 +240,7 @@ def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
         w = max(w, min(w * (1 + NORMAL_90 * _spread(p)), _LARGEST_SHARE))
         own = np.clip(wall + (both - wall) / w, 0, top)
         areas = np.append((1 - w) * areas, w * made.total_area)
-        names.append(p.effect if p.effect not in names else f"{p.effect} (found)")
+        names.append(p.name if p.name not in names else f"{p.name} (found)")
         alpha.append(equation.coefficient(own))
         if p.size_interval is not None:
             sources[names[-1]] = _source(p)
@@ -267,15 +267,15 @@ def _settled(case: Case) -> tuple[Room, tuple[Present, ...]]:
     ), tuple(rest)
 
 
-def _source(p: Present) -> str:
+def _source(p: AppliedEffect) -> str:
     low, high = p.size_interval or (np.nan, np.nan)
-    size = amount(p.parameters[p.itself.size], p.itself.unit)
+    size = amount(p.parameters[p.effect.size], p.effect.unit)
     return f"rtcal gap: {size}, 90 % {low:.3g} to {high:.3g}; the area leaves room for more"
 
 
-def _spread(p: Present) -> float:
+def _spread(p: AppliedEffect) -> float:
     """The relative standard deviation of an absorber's size."""
-    return p.size_sigma / max(abs(p.parameters[p.itself.size]), 1e-9)
+    return p.size_sigma / max(abs(p.parameters[p.effect.size]), 1e-9)
 
 
 def _absorption(s: State) -> Array:

@@ -51,12 +51,12 @@ Report = Callable[[str, int, int], None]
 """Called with an engine's name, how many rooms are done and of how many."""
 
 
-def nothing(engine: str, done: int, of: int) -> None:
-    """Report nothing."""
+def no_report(engine: str, done: int, of: int) -> None:
+    """Ignore the progress."""
 
 
 @dataclass(frozen=True, eq=False)
-class Controls:
+class ControlRooms:
     """What one engine's control rooms showed.
 
     ``errors`` (n_controls, n_configurations, n_features, n_bands): the engine's features less the
@@ -74,11 +74,11 @@ class Controls:
         return np.asarray(found / np.maximum(there.sum(0), 1))
 
 
-def witnesses(controls: Sequence[Controls]) -> Array:
-    """Return what the model errs by after each witness, (n_controls + 1, *one control's shape).
+def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
+    """Return each engine's estimate of the model's bias, (n_engines + 1, *one room's shape).
 
-    NaN where an engine cannot tell (`RELATIVE`). The last witness is the model itself, with 0: what
-    one simulator sees beside the model, another one sees in part only.
+    NaN where an engine cannot estimate it (`RELATIVE`). The last row is the model's own
+    estimate, 0: a second simulator confirms only part of what the first shows.
     """
     out = []
     for c in controls:
@@ -88,18 +88,18 @@ def witnesses(controls: Sequence[Controls]) -> Array:
     return np.array([*out, np.zeros_like(out[0])])
 
 
-def levelled(controls: Sequence[Controls]) -> list[Controls]:
-    """Return the controls, the means that an engine cannot tell taken from the witnesses."""
-    bias = np.nanmean(witnesses(controls), axis=0)
+def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
+    """Replace each mean that an engine cannot estimate by the mean over the others."""
+    bias = np.nanmean(bias_estimates(controls), axis=0)
     out = []
     for c in controls:
         rows, errors = _relative(c), c.errors.copy()
         errors[:, :, rows] += (bias - c.mean)[:, rows]
-        out.append(Controls(c.engine, errors))
+        out.append(ControlRooms(c.engine, errors))
     return out
 
 
-def _relative(controls: Controls) -> list[int]:
+def _relative(controls: ControlRooms) -> list[int]:
     return [FEATURES.index(f) for f in RELATIVE.get(controls.engine, ())]
 
 
@@ -163,8 +163,8 @@ def box(case: Case) -> tuple[Room, Array]:
 
 
 def path_tracing(
-    case: Case, seed: int, *, setups: int = 8, draws: int = 4, report: Report = nothing
-) -> Controls:
+    case: Case, seed: int, *, setups: int = 8, draws: int = 4, report: Report = no_report
+) -> ControlRooms:
     """Trace ``setups`` rooms once, each re-weighted for ``draws`` priors of alpha.
 
     Half of them scatter as a share of the paths, half as a sum of vectors: the literature means
@@ -200,12 +200,12 @@ def path_tracing(
         report("path tracing", number + 1, setups)
     # Every other row is of other rooms, of both meanings: the bootstrap halves them so.
     table = np.swapaxes(np.array(errors), 0, 1)
-    return Controls("path tracing", table.reshape(-1, *table.shape[2:]))
+    return ControlRooms("path tracing", table.reshape(-1, *table.shape[2:]))
 
 
 def network(
-    case: Case, seed: int, *, setups: int = 6, draws: int = 1, report: Report = nothing
-) -> Controls:
+    case: Case, seed: int, *, setups: int = 6, draws: int = 1, report: Report = no_report
+) -> ControlRooms:
     """Run scattering delay networks, which tell only how features scatter (`RELATIVE`)."""
     rng = np.random.default_rng([seed, 2])
     errors = []
@@ -228,12 +228,12 @@ def network(
                 found.append(_features(aligned, 1 / _RATE, 100.0))
             errors.append(found - _theory(case, room, share, alpha, source, receivers))
         report("network", number + 1, setups)
-    return Controls("network", np.array(errors))
+    return ControlRooms("network", np.array(errors))
 
 
 def rays(
-    case: Case, seed: int, *, setups: int = 6, draws: int = 1, report: Report = nothing
-) -> Controls:
+    case: Case, seed: int, *, setups: int = 6, draws: int = 1, report: Report = no_report
+) -> ControlRooms:
     """Trace rays with pyroomacoustics (extra ``geometry``), which do not tell G (`RELATIVE`)."""
     rng = np.random.default_rng([seed, 4])
     scattering = _scattering(["vector"] * setups, rng)
@@ -257,7 +257,7 @@ def rays(
                 found.append(_features(energy.mean((0, 1)), tracer.bin_width, 400 * np.pi))
             errors.append(found - _theory(case, room, share, alpha, source, receivers))
         report("rays", number + 1, setups)
-    return Controls("rays", np.array(errors))
+    return ControlRooms("rays", np.array(errors))
 
 
 def _scattering(meanings: Sequence[ScatteringModel], rng: np.random.Generator) -> list[float]:
@@ -339,7 +339,7 @@ def _theory(
     return np.array(out)
 
 
-ENGINES: Mapping[str, Callable[..., Controls]] = {
+ENGINES: Mapping[str, Callable[..., ControlRooms]] = {
     "path tracing": path_tracing,
     "network": network,
     "rays": rays,

@@ -4,8 +4,8 @@
     C = J Sigma J' + R + D + kappa² (½ d d' + ½ diag d²) + B
 
 with y the features, J Sigma J' what the prior on alpha lets them vary, R what the measurement does,
-bias and D the model's own error as control rooms showed it, d the effect's change, kappa its own
-misfit (after Kennedy & O'Hagan 2001) and B what its place does to the decay's shape (`BENDING`).
+bias and D the model's own discrepancy as control rooms showed it, d the effect's change, kappa its own
+misfit (after Kennedy & O'Hagan 2001) and B what its place does to the decay's shape (`SHAPE_CHANGE`).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from scipy.special import chdtrc
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import correlation
-from rtcal.discrepancy.case import Case, Configuration, Present
+from rtcal.discrepancy.case import AppliedEffect, Case, Configuration
 from rtcal.discrepancy.effect_checks import changed, tried
 from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.engines import Controls, witnesses
+from rtcal.discrepancy.engines import ControlRooms, bias_estimates
 from rtcal.discrepancy.model import FEATURES, Predicted, State, predict, sensitivities
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
@@ -30,7 +30,7 @@ from rtcal.support.types import Array
 
 KAPPA = 0.15
 """What an effect may be off, relative to the change that its formula gives."""
-BENDING = (("edt", 0.12), ("t30", 0.06))
+SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))
 """How far ln EDT/T20 and ln T30/T20 may change where the effect changes ln T20 by one: what absorbs
 stands somewhere, and the field is no longer as even as the formula takes it."""
 NONE, UNKNOWN = "none", "unknown"
@@ -54,8 +54,8 @@ class Observed:
 
 
 @dataclass(frozen=True, eq=False)
-class ModelError:
-    """The model's own error: bias and covariance over all features, raveled."""
+class ModelDiscrepancy:
+    """The model's own discrepancy: bias and covariance over all features, raveled."""
 
     bias: Array
     covariance: Array
@@ -68,7 +68,7 @@ class Hypotheses:
 
     ``names`` and ``parameters`` (n,); ``features`` and ``slopes`` (n, n_configurations, n_features,
     n_bands); ``alpha_variance`` (n, n_configurations, n_bands, n_configurations, n_bands), the prior's
-    covariance of ln T20. ``present_covariance``, over all features raveled, is what is not known of the
+    covariance of ln T20. ``applied_covariance``, over all features raveled, is what is not known of the
     effects that the model has already. The first hypothesis is "none".
     """
 
@@ -77,11 +77,11 @@ class Hypotheses:
     features: Array
     slopes: Array
     alpha_variance: Array
-    present_covariance: Array
+    applied_covariance: Array
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
 
-WORST = 0.15
+LARGEST_UNCERTAINTY = 0.15
 """Relative standard uncertainty of a decay time, beyond which it is dropped."""
 
 
@@ -94,7 +94,7 @@ def observe(case: Case) -> tuple[Observed, list[str]]:
     for c, configuration in enumerate(case.configurations):
         table[c], blocks[c] = _features(configuration)
         for b, f in enumerate(configuration.measured.centre_frequencies):
-            if blocks[c, b, 0, 0] > WORST**2:
+            if blocks[c, b, 0, 0] > LARGEST_UNCERTAINTY**2:
                 u = 100 * float(np.sqrt(blocks[c, b, 0, 0]))
                 notes.append(
                     f'"{configuration.name}": {bands.label(f)} dropped: T is known to {u:.0f} % only'
@@ -181,19 +181,19 @@ def hypotheses(
         features=np.stack([p.features for p in predicted], axis=1),
         slopes=np.stack([p.slopes for p in predicted], axis=1),
         alpha_variance=alpha_variance(case, states, predicted),
-        present_covariance=_present_covariance(case),
+        applied_covariance=_applied_covariance(case),
         effects={e.name: e for e in effects},
     )
 
 
-def _present_covariance(case: Case) -> Array:
+def _applied_covariance(case: Case) -> Array:
     """What the effects in the model leave open: sizes and misfit, over all features raveled."""
-    if not case.present:
+    if not case.applied:
         n = len(case.configurations) * len(FEATURES) * case.room.n_bands
         return np.zeros((n, n))
 
-    def features(present: Sequence[Present]) -> Array:
-        changed = replace(case, present=present)
+    def features(present: Sequence[AppliedEffect]) -> Array:
+        changed = replace(case, applied=present)
         return np.array(
             [
                 predict([state(changed, c)], distances(case, c)).features[0]
@@ -201,17 +201,17 @@ def _present_covariance(case: Case) -> Array:
             ]
         ).ravel()
 
-    base = features(case.present)
+    base = features(case.applied)
     out = np.zeros((len(base), len(base)))
-    for i, one in enumerate(case.present):
+    for i, one in enumerate(case.applied):
         if one.size_sigma > 0:
-            size = one.itself.size
+            size = one.effect.size
             moved = {**one.parameters, size: one.parameters[size] + one.size_sigma}
-            others = list(case.present)
+            others = list(case.applied)
             others[i] = replace(one, parameters=moved)
             d = features(others) - base
             out += np.outer(d, d)
-        without = features([p for p in case.present if p is not one])
+        without = features([p for p in case.applied if p is not one])
         d = (base - without).reshape(len(case.configurations), len(FEATURES), -1)
         amount = np.broadcast_to(d[:, :1], d.shape).ravel()
         feature = np.broadcast_to(np.arange(len(FEATURES))[:, None], d.shape).ravel()
@@ -226,7 +226,7 @@ def _misfit(d: Array, amount: Array, feature: NDArray[np.intp], kappa: float) ->
     change of ln T20 in the same band and configuration.
     """
     parts = [kappa * d]
-    parts += [share * amount * (feature == FEATURES.index(name)) for name, share in BENDING]
+    parts += [share * amount * (feature == FEATURES.index(name)) for name, share in SHAPE_CHANGE]
     return _half_common(np.stack(parts, axis=-2))
 
 
@@ -279,33 +279,32 @@ def _sigma(case: Case, configuration: Configuration) -> Array:
     return sigma
 
 
-COMMON: Mapping[str, float] = {"edt": 0.018, "t30": 0.006, "c80": 0.5, "g": 0.5}
+COMMON_UNCERTAINTY: Mapping[str, float] = {"edt": 0.018, "t30": 0.006, "c80": 0.5, "g": 0.5}
 """Standard uncertainty of theory in all bands and configurations alike, in ln and dB: what one
 engine's scatter does not show, since others see another field (`hidden_effects engines`)."""
 
 
-def model_error(case: Case, controls: Sequence[Controls]) -> ModelError:
-    """Return bias and covariance of the model's error from control rooms.
+def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelDiscrepancy:
+    """Return bias and covariance of the model's discrepancy from control rooms.
 
-    The bias is the mean over the witnesses, the model itself among them; the covariance is what
-    scatters within each engine and what lies between the witnesses. A sample covariance of few rooms
-    is drawn halfway to its diagonal.
+    The bias is the mean of `bias_estimates`. The covariance is the scatter within each engine plus the
+    scatter between these estimates. A sample covariance of few rooms is shrunk towards its diagonal.
     """
     n, k = len(case.configurations), case.room.n_bands
     size = n * len(FEATURES) * k
-    said = witnesses(controls)
-    bias = np.nanmean(said, axis=0)
-    degrees = np.maximum(np.isfinite(said).sum(axis=0) - 1, 1)
-    between = (np.nan_to_num(said - bias) / np.sqrt(degrees)).reshape(len(said), size)
+    estimates = bias_estimates(controls)
+    bias = np.nanmean(estimates, axis=0)
+    degrees = np.maximum(np.isfinite(estimates).sum(axis=0) - 1, 1)
+    between = (np.nan_to_num(estimates - bias) / np.sqrt(degrees)).reshape(len(estimates), size)
     covariance = between.T @ between
     for c in controls:
         centred = np.nan_to_num(c.errors - c.mean).reshape(-1, size)
         covariance += centred.T @ centred / max(len(centred) - 1, 1) / len(controls)
-    common = np.diag([COMMON.get(name, 0.0) ** 2 for name in FEATURES])
+    common = np.diag([COMMON_UNCERTAINTY.get(name, 0.0) ** 2 for name in FEATURES])
     ones = np.ones((n, n)), np.ones((k, k))
     covariance += np.einsum("ab,fg,kl->afkbgl", ones[0], common, ones[1]).reshape(size, size)
     shrunk = 0.6 * covariance + 0.4 * np.diag(np.diag(covariance))
-    return ModelError(bias.ravel(), shrunk * 1.2, tuple(c.engine for c in controls))
+    return ModelDiscrepancy(bias.ravel(), shrunk * 1.2, tuple(c.engine for c in controls))
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,17 +329,17 @@ class Evidence:
 def weigh(
     observed: Observed,
     predicted: Hypotheses,
-    error: ModelError,
+    discrepancy: ModelDiscrepancy,
     values: Array | None = None,
     kappa: float = KAPPA,
 ) -> Evidence:
     """Return the evidence for the observed features, or for other ``values`` (n_draws, n) of them."""
     y = np.atleast_2d(observed.values if values is None else values)
-    likelihood = log_likelihood(observed, predicted, error, y, kappa)
+    likelihood = log_likelihood(observed, predicted, discrepancy, y, kappa)
     mask = observed.used.ravel()
-    residual = y - predicted.features[0].ravel()[mask] - error.bias[mask]
+    residual = y - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
     covariance = alpha_covariance(predicted, 0)[np.ix_(mask, mask)]
-    covariance += _without_alpha(observed, predicted, error)
+    covariance += _without_alpha(observed, predicted, discrepancy)
     unknown = _unknown(residual, covariance, observed.used)
     if values is None:
         return Evidence(likelihood[:, 0], unknown[0], predicted.names)
@@ -350,12 +349,12 @@ def weigh(
 def log_likelihood(
     observed: Observed,
     predicted: Hypotheses,
-    error: ModelError,
+    discrepancy: ModelDiscrepancy,
     values: Array,
     kappa: float = KAPPA,
 ) -> Array:
     """Return log N(y; y_k + bias, C) of ``values`` (n_draws, n), (n_hypotheses, n_draws), in nats."""
-    rest = _without_alpha(observed, predicted, error)
+    rest = _without_alpha(observed, predicted, discrepancy)
     c, f, b = np.nonzero(observed.used)
     centres = predicted.features[:, c, f, b]
     slopes = predicted.slopes[:, c, f, b]
@@ -372,13 +371,13 @@ def log_likelihood(
         covariance = jacobian @ variances[part] @ jacobian.swapaxes(-1, -2)
         covariance += rest
         covariance += _misfit(d[part], amount[part], f, kappa)
-        residual = values - (centres[part] + error.bias[observed.used.ravel()])[:, None]
+        residual = values - (centres[part] + discrepancy.bias[observed.used.ravel()])[:, None]
         out[part] = _log_normal(residual, covariance)
     return out
 
 
-def surprise(
-    observed: Observed, predicted: Hypotheses, error: ModelError, i: int
+def goodness_of_fit(
+    observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy, i: int
 ) -> tuple[float, float]:
     """Return how far the measurement is from hypothesis ``i``, and how probable as much or more is.
 
@@ -390,16 +389,18 @@ def surprise(
     d = (predicted.features[i] - predicted.features[0])[c, f, b]
     amount = (predicted.features[i] - predicted.features[0])[c, 0, b]
     covariance = alpha_covariance(predicted, i)[np.ix_(mask, mask)]
-    covariance += _without_alpha(observed, predicted, error) + _misfit(d, amount, f, KAPPA)
-    residual = observed.values - predicted.features[i].ravel()[mask] - error.bias[mask]
+    covariance += _without_alpha(observed, predicted, discrepancy) + _misfit(d, amount, f, KAPPA)
+    residual = observed.values - predicted.features[i].ravel()[mask] - discrepancy.bias[mask]
     square = float(residual @ np.linalg.solve(covariance, residual))
     return float(np.sqrt(square / len(residual))), float(chdtrc(len(residual), square))
 
 
-def _without_alpha(observed: Observed, predicted: Hypotheses, error: ModelError) -> Array:
+def _without_alpha(
+    observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
+) -> Array:
     """R + D and what is not known of the effects in the model, of the features that are there."""
     mask = observed.used.ravel()
-    both = error.covariance + predicted.present_covariance
+    both = discrepancy.covariance + predicted.applied_covariance
     return np.asarray(observed.covariance + both[np.ix_(mask, mask)])
 
 
@@ -450,12 +451,14 @@ def _unknown(residual: Array, covariance: Array, used: Array) -> Array:
     return np.asarray(np.logaddexp.reduce(parts) - np.log(len(parts)))
 
 
-def standardised(observed: Observed, predicted: Hypotheses, error: ModelError) -> Array:
+def standardized_residuals(
+    observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
+) -> Array:
     """Return measured less modelled over its standard deviation, as `Observed.features`."""
     mask = observed.used.ravel()
-    c = alpha_covariance(predicted, 0) + error.covariance
+    c = alpha_covariance(predicted, 0) + discrepancy.covariance
     spread = np.sqrt(np.diag(c)[mask] + np.diag(observed.covariance))
     out = np.full(mask.size, np.nan)
-    residual = observed.values - predicted.features[0].ravel()[mask] - error.bias[mask]
+    residual = observed.values - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
     out[mask] = residual / spread
     return out.reshape(observed.used.shape)

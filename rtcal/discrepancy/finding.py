@@ -13,24 +13,24 @@ from scipy.special import logsumexp
 from rtcal.acoustics import bands
 from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
 from rtcal.discrepancy.advice import next_measurement
-from rtcal.discrepancy.bootstrap import Threshold, check_controls, control_rooms
+from rtcal.discrepancy.bootstrap import Threshold, checked_controls, control_rooms
 from rtcal.discrepancy.bootstrap import threshold as bootstrapped
-from rtcal.discrepancy.case import Case, Present
+from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.effect_checks import checked
 from rtcal.discrepancy.effects import Effect, Parameters, library
-from rtcal.discrepancy.engines import Controls, Report, nothing
+from rtcal.discrepancy.engines import ControlRooms, Report, no_report
 from rtcal.discrepancy.evidence import (
     NONE,
     UNKNOWN,
     Evidence,
     Hypotheses,
-    ModelError,
+    ModelDiscrepancy,
     Observed,
+    goodness_of_fit,
     hypotheses,
     log_likelihood,
     observe,
-    standardised,
-    surprise,
+    standardized_residuals,
     weigh,
 )
 from rtcal.discrepancy.wording import (
@@ -46,7 +46,7 @@ from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.types import Array
 
-SET = 1.1
+CANDIDATE_NATS = 1.1
 """Nats within which an effect is a candidate beside the best: odds of three to one. Ten to one (2.3)
 holds the truth more often, in sets half as large again: docs/discrepancy.md."""
 _NOWHERE = 8.0
@@ -77,13 +77,13 @@ class Finding:
     effect : str or None
         The best supported effect, unless the verdict is "none".
     candidates : tuple of str
-        Effects within `SET` nats of the best, the best first.
+        Effects within `CANDIDATE_NATS` nats of the best, the best first.
     evidence : mapping of str to float
         Nats over "none", by effect, and for "unknown".
     score, threshold : float
         The best effect's evidence and what it must exceed, in nats.
     engines : tuple of str
-        The simulators whose control rooms the threshold and the model's error were learnt from.
+        The simulators whose control rooms the threshold and the model's discrepancy were learnt from.
     parameters : mapping of str to float
         The best effect's.
     size : Size or None
@@ -113,7 +113,7 @@ class Finding:
     advice: str
     residuals: Array
     notes: tuple[str, ...]
-    error: ModelError = field(repr=False)
+    discrepancy: ModelDiscrepancy = field(repr=False)
     effects: Mapping[str, Effect] = field(repr=False)
 
     def apply(self, case: Case | None = None) -> Case:
@@ -125,13 +125,13 @@ class Finding:
         case = self.case if case is None else case
         if self.verdict in ("none", "hint") or self.effect in (None, UNKNOWN):
             raise DataError(f'the verdict is "{self.verdict}"; there is no named effect to add')
-        if any(p.effect == self.effect for p in case.present):
+        if any(p.name == self.effect for p in case.applied):
             return case
         ends = None if self.size is None else (self.size.low, self.size.high)
         effect = self.effects[str(self.effect)]
         own = None if effect in library() else effect
-        added = Present(str(self.effect), dict(self.parameters), ends, own)
-        return replace(case, present=(*case.present, added))
+        added = AppliedEffect(str(self.effect), dict(self.parameters), ends, own)
+        return replace(case, applied=(*case.applied, added))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -176,8 +176,8 @@ def find(
     seed: int = 0,
     *,
     engines: Sequence[str] = ("path tracing", "network"),
-    controls: Sequence[Controls] | None = None,
-    report: Report = nothing,
+    controls: Sequence[ControlRooms] | None = None,
+    report: Report = no_report,
 ) -> Finding:
     """Find what the case's model misses.
 
@@ -187,13 +187,13 @@ def find(
     effects : sequence of Effect, optional
         Those to try; the whole library if not given.
     threshold : Threshold or float, optional
-        One of an earlier bootstrap of the same case; or nats, and the model's error is then the one
-        of ``controls``. Bootstrapped if not given.
+        Of an earlier bootstrap of the same case, or a number of nats; the model's discrepancy is then
+        estimated from ``controls``. Bootstrapped if not given.
     seed : int
         Of the control rooms and of the bootstrap.
     engines : sequence of str
         At least two simulators that the control rooms go through.
-    controls : sequence of Controls, optional
+    controls : sequence of ControlRooms, optional
         Control rooms that were run before.
 
     Returns
@@ -216,7 +216,7 @@ def find(
         if controls is None:
             controls = control_rooms(case, seed, engines, report)
         else:
-            controls = check_controls(case, controls)
+            controls = checked_controls(case, controls)
         learnt = bootstrapped(case, observed, predicted, controls, seed)
         limit = learnt.value if threshold is None else checks.number("threshold", threshold)
         if not 0 <= limit < np.inf:
@@ -225,24 +225,24 @@ def find(
             notes.append("the threshold was given, not bootstrapped")
     else:
         learnt, limit = threshold, threshold.value
-    return judge(case, observed, predicted, learnt.error, limit, notes)
+    return judge(case, observed, predicted, learnt.discrepancy, limit, notes)
 
 
 def judge(
     case: Case,
     observed: Observed,
     predicted: Hypotheses,
-    error: ModelError,
+    discrepancy: ModelDiscrepancy,
     limit: float,
     notes: Sequence[str] = (),
 ) -> Finding:
     """Weigh the hypotheses and say what follows; `find` calls it."""
-    evidence = weigh(observed, predicted, error)
+    evidence = weigh(observed, predicted, discrepancy)
     table = {k: float(v) for k, v in evidence.by_effect().items()}
     over = {k: v - table[NONE] for k, v in table.items() if k != NONE}
     order = sorted(over, key=lambda k: -over[k])
     best, score = order[0], over[order[0]]
-    candidates = tuple(k for k in order if over[k] > score - SET)
+    candidates = tuple(k for k in order if over[k] > score - CANDIDATE_NATS)
     if score <= limit:
         verdict = "hint" if score > max(0.5 * limit, 0.5) else "none"
     elif best == UNKNOWN:
@@ -255,8 +255,8 @@ def judge(
     size = None
     doubts: list[str] = []
     if verdict != "none" and best != UNKNOWN:
-        parameters, size = _size(case, observed, predicted, error, evidence, best)
-        doubts = _doubts(case, observed, predicted, error, best, parameters)
+        parameters, size = _size(case, observed, predicted, discrepancy, evidence, best)
+        doubts = _doubts(case, observed, predicted, discrepancy, best, parameters)
     return Finding(
         case=case,
         verdict=verdict,
@@ -265,14 +265,14 @@ def judge(
         evidence={k: over[k] for k in order},
         score=score,
         threshold=limit,
-        engines=error.engines,
+        engines=discrepancy.engines,
         parameters=parameters,
         size=size,
         runner_up=order[1] if len(order) > 1 else NONE,
-        advice=next_measurement(case, observed, predicted, error, evidence, candidates),
-        residuals=standardised(observed, predicted, error),
+        advice=next_measurement(case, observed, predicted, discrepancy, evidence, candidates),
+        residuals=standardized_residuals(observed, predicted, discrepancy),
         notes=(*doubts, *notes, *_notes(case)),
-        error=error,
+        discrepancy=discrepancy,
         effects=predicted.effects,
     )
 
@@ -281,7 +281,7 @@ def _size(
     case: Case,
     observed: Observed,
     predicted: Hypotheses,
-    error: ModelError,
+    discrepancy: ModelDiscrepancy,
     evidence: Evidence,
     name: str,
 ) -> tuple[Parameters, Size | None]:
@@ -297,7 +297,7 @@ def _size(
 
     def weighed(thetas: Sequence[Parameters]) -> Array:
         tried = hypotheses(case, [effect], [thetas])
-        return log_likelihood(observed, tried, error, observed.values[None])[1:, 0]
+        return log_likelihood(observed, tried, discrepancy, observed.values[None])[1:, 0]
 
     best = _searched(grid, grid[int(np.argmax(likelihood))], effect.discrete, weighed)
     if not np.isfinite(effect.neutral):
@@ -342,7 +342,7 @@ def _doubts(
     case: Case,
     observed: Observed,
     predicted: Hypotheses,
-    error: ModelError,
+    discrepancy: ModelDiscrepancy,
     name: str,
     parameters: Parameters,
 ) -> list[str]:
@@ -356,7 +356,7 @@ def _doubts(
             "coefficients and units before any effect is believed"
         )
     here = hypotheses(case, [effect], [[parameters]])
-    times, probability = surprise(observed, here, error, 1)
+    times, probability = goodness_of_fit(observed, here, discrepancy, 1)
     if probability < _SURPRISING:
         out.append(
             f"{name} is the best of the effects and does not explain the measurement: with it in the "

@@ -26,9 +26,9 @@ from rtcal.calibration.presets import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
-from rtcal.discrepancy.case import NORMAL_90, Case, Configuration, Present
+from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case, Configuration
 from rtcal.discrepancy.corrected import corrected_room
-from rtcal.discrepancy.evidence import KAPPA, ModelError, observe
+from rtcal.discrepancy.evidence import KAPPA, ModelDiscrepancy, observe
 from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import amount, in_words, material_of, titled
@@ -115,12 +115,12 @@ class Recalibrated:
         return [
             p.to_dict()
             | {
-                "size": self.sizes.get(p.effect),
-                "unit": p.itself.unit,
+                "size": self.sizes.get(p.name),
+                "unit": p.effect.unit,
                 "material": material_of(p.parameters, self.case.room),
-                "calibrated": p.effect in self.joint.effects,
+                "calibrated": p.name in self.joint.effects,
             }
-            for p in self.case.present
+            for p in self.case.applied
         ]
 
     def to_dict(self) -> dict[str, Any]:
@@ -178,18 +178,18 @@ def plain(case: Case) -> Recalibrated:
 
     Bands that no alpha reaches go to the nearest end.
     """
-    bare = replace(case, present=())
+    bare = replace(case, applied=())
     one = replace(bare, configurations=bare.configurations[:1])
     return _calibrated(one, bare, None, exact=True)
 
 
-def recalibrate(case: Case, error: ModelError | None = None) -> Recalibrated:
+def recalibrate(case: Case, discrepancy: ModelDiscrepancy | None = None) -> Recalibrated:
     """Calibrate the case with its effects, to T20 of every configuration.
 
     Parameters
     ----------
     case : Case
-    error : ModelError, optional
+    discrepancy : ModelDiscrepancy, optional
         The model's own, from control rooms; it widens what T is known to, and its bias is taken off.
 
     Raises
@@ -197,29 +197,29 @@ def recalibrate(case: Case, error: ModelError | None = None) -> Recalibrated:
     DataError
         If the room was calibrated on one of the case's T already.
     """
-    return _calibrated(case, case, error, exact=False)
+    return _calibrated(case, case, discrepancy, exact=False)
 
 
 def _calibrated(
-    fitted: Case, whole: Case, error: ModelError | None, *, exact: bool
+    fitted: Case, whole: Case, discrepancy: ModelDiscrepancy | None, *, exact: bool
 ) -> Recalibrated:
     whole.require_fresh()
     room = fitted.room
     n, k = len(fitted.configurations), room.n_bands
     observed, _ = observe(fitted)
     shape = (len(whole.configurations), len(FEATURES), k)
-    bias = np.zeros(shape) if error is None else error.bias.reshape(shape)
-    own = np.zeros(shape) if error is None else np.diag(error.covariance).reshape(shape)
+    bias = np.zeros(shape) if discrepancy is None else discrepancy.bias.reshape(shape)
+    own = np.zeros(shape) if discrepancy is None else np.diag(discrepancy.covariance).reshape(shape)
     variance = np.full(observed.used.shape, np.nan)
     variance[observed.used] = np.diag(observed.covariance)
     t = np.exp(observed.features[:, _T20] - bias[:n, _T20])
     u = np.sqrt(variance[:, _T20] + own[:n, _T20] + _misfit(fitted) ** 2)
-    present = list(fitted.present)
+    present = list(fitted.applied)
     alpha, changed = np.array(room.alpha), dict[tuple[str, str], Array]()
     solved: JointResult
     is_linear = isinstance(mean_equation(fitted.equation), LinearEquation)
     for _ in range(1 if is_linear and not present else _ROUNDS):
-        case = replace(fitted, present=present)
+        case = replace(fitted, applied=present)
         states = [_state(case, c, alpha, changed) for c in fitted.configurations]
         rooms = [_room(room, c, s) for c, s in zip(fitted.configurations, states, strict=True)]
         equation = _equation(fitted, states[0])
@@ -250,27 +250,25 @@ def _calibrated(
         slope = np.clip(slope, _LEAST_SLOPE, 2.0)
         target = np.exp(here[:, 0] + np.clip((np.log(t) - here[:, 1]) / slope, -1.5, 1.5))
         terms = [
-            AddedAbsorption(p.effect, list(g), sigma=_spread(p), mean=_size(p)) for p, g in gains
+            AddedAbsorption(p.name, list(g), sigma=_spread(p), mean=_size(p)) for p, g in gains
         ]
         solved = _solve(rooms, equation, target, u / slope, terms, exact=exact)
         alpha, changed = _values(fitted, solved)
-        present = [
-            _resized(p, solved.effects) if p.effect in solved.effects else p for p in present
-        ]
-    done = replace(whole, present=present if fitted.present else whole.present)
+        present = [_resized(p, solved.effects) if p.name in solved.effects else p for p in present]
+    done = replace(whole, applied=present if fitted.applied else whole.applied)
     features = np.array(
         [
             predict([_state(done, c, alpha, changed)], distances(whole, c)).features[0]
             for c in whole.configurations
         ]
     )
-    sizes = {p.effect: _size(p) for p in present if np.isfinite(p.itself.neutral)}
+    sizes = {p.name: _size(p) for p in present if np.isfinite(p.effect.neutral)}
     return Recalibrated(done, alpha, changed, sizes, features, solved)
 
 
 def _misfit(case: Case) -> Array:
     """How far ln T of the effects in the model may be off, (n_configurations, n_bands)."""
-    bare = replace(case, present=())
+    bare = replace(case, applied=())
     return np.array(
         [
             KAPPA
@@ -322,28 +320,28 @@ def _equation(case: Case, s: State) -> LinearEquation:
     return replace(mean_equation(s.equation).linear(), speed_of_sound=case.room.speed_of_sound)
 
 
-def _size(p: Present) -> float:
-    return float(p.parameters[p.itself.size])
+def _size(p: AppliedEffect) -> float:
+    return float(p.parameters[p.effect.size])
 
 
-def _spread(p: Present) -> float:
+def _spread(p: AppliedEffect) -> float:
     """As wide as the size itself: the data decide it, not what they were found by."""
     return max(_size(p), _SMALLEST)
 
 
-def _resized(p: Present, sizes: Mapping[str, float]) -> Present:
-    return replace(p, parameters={**p.parameters, p.itself.size: sizes[p.effect]})
+def _resized(p: AppliedEffect, sizes: Mapping[str, float]) -> AppliedEffect:
+    return replace(p, parameters={**p.parameters, p.effect.size: sizes[p.name]})
 
 
-def _gains(case: Case, states: list[State]) -> list[tuple[Present, Array]]:
+def _gains(case: Case, states: list[State]) -> list[tuple[AppliedEffect, Array]]:
     """What a unit of each additive effect adds to S'alpha, (n_configurations, n_bands), in m²."""
     found = []
-    for i, p in enumerate(case.present):
-        effect = p.itself
+    for i, p in enumerate(case.applied):
+        effect = p.effect
         if not effect.removable or (states[0].shape is not None and effect.name == "coupled room"):
             continue
-        others = [q for j, q in enumerate(case.present) if j != i]
-        bare = replace(case, present=others)
+        others = [q for j, q in enumerate(case.applied) if j != i]
+        bare = replace(case, applied=others)
         gain = []
         for c, s in zip(case.configurations, states, strict=True):
             if c.suspect_removed:
@@ -352,9 +350,9 @@ def _gains(case: Case, states: list[State]) -> list[tuple[Present, Array]]:
             without = state(bare, replace(c, changes={}), s.alpha)
             # A size that the QP has driven to 0 still has a slope.
             size = max(_size(p), _SMALLEST)
-            whole = [*case.present]
-            whole[i] = _resized(p, {p.effect: size})
-            there = state(replace(case, present=whole), replace(c, changes={}), s.alpha)
+            whole = [*case.applied]
+            whole[i] = _resized(p, {p.name: size})
+            there = state(replace(case, applied=whole), replace(c, changes={}), s.alpha)
             change = there.surface_absorption - without.surface_absorption
             change += there.objects - without.objects
             gain.append(np.asarray(change / _slope(without) / size))

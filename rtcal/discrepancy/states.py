@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtcal.discrepancy.case import Case, Configuration, Present
+from rtcal.discrepancy.case import AppliedEffect, Case, Configuration
 from rtcal.discrepancy.effect_checks import changed
 from rtcal.discrepancy.model import State
 from rtcal.support.types import Array
@@ -32,14 +32,16 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
         speed_of_sound=room.speed_of_sound,
         equation=case.equation,
     )
-    return with_present(made, case.present, configuration)
+    return with_applied(made, case.applied, configuration)
 
 
-def with_present(made: State, present: Sequence[Present], configuration: Configuration) -> State:
+def with_applied(
+    made: State, applied: Sequence[AppliedEffect], configuration: Configuration
+) -> State:
     """Return the state with the effects that have been added to the model."""
-    for one in present:
-        if not (configuration.suspect_removed and one.itself.removable):
-            (made,) = changed(one.itself, made, [one.parameters])
+    for added in applied:
+        if not (configuration.suspect_removed and added.effect.removable):
+            (made,) = changed(added.effect, made, [added.parameters])
     return made
 
 

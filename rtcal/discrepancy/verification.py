@@ -23,7 +23,7 @@ from rtcal.discrepancy.evidence import (
     Observed,
     hypotheses,
     observe,
-    standardised,
+    standardized_residuals,
     weigh,
 )
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
@@ -173,9 +173,9 @@ def verify(finding: Finding, case: Case | None = None) -> Verification:
     Raises DataError where there is no named effect (see `Finding.apply`).
     """
     case = finding.case if case is None else case
-    before, after = plain(case), recalibrate(finding.apply(case), finding.error)
+    before, after = plain(case), recalibrate(finding.apply(case), finding.discrepancy)
     observed, _ = observe(case)
-    bias = finding.error.bias.reshape(observed.features.shape)
+    bias = finding.discrepancy.bias.reshape(observed.features.shape)
     gaps, proof = [], []
     for c, configuration in enumerate(case.configurations):
         for f, name in enumerate(FEATURE_NAMES):
@@ -209,14 +209,14 @@ def residual_map(verification: Verification) -> Array:
     case = finding.apply()
     observed, _ = observe(case)
     predicted = replace(hypotheses(case, []), features=verification.corrected.features[None])
-    return standardised(observed, predicted, finding.error)
+    return standardized_residuals(observed, predicted, finding.discrepancy)
 
 
 def reverberation_times(verification: Verification) -> list[dict[str, Array]]:
     """Return T in s, (n_bands,), by configuration: measured, prior, plain, corrected."""
     finding = verification.finding
     case = finding.case
-    bias = finding.error.bias.reshape(finding.residuals.shape)
+    bias = finding.discrepancy.bias.reshape(finding.residuals.shape)
     return [
         {
             "measured": c.measured.decay_time().mean,
@@ -256,7 +256,7 @@ def _log_odds(observed: Observed, predicted: Any, finding: Finding, bands: Array
     used = np.logical_and(observed.used, bands)
     kept = used[observed.used]
     part = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
-    table = weigh(part, predicted, finding.error).log_likelihood
+    table = weigh(part, predicted, finding.discrepancy).log_likelihood
     names: Sequence[str] = predicted.names
     rows = [i for i, n in enumerate(names) if n != NONE]
     return float(logsumexp(table[rows]) - np.log(len(rows)) - table[0])
