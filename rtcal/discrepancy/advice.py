@@ -156,7 +156,8 @@ class Plan:
             f"With {', '.join(self.parameters)}: evidence (nats) to expect for the effect in the row, "
             "at the size",
             f"whose change of T (its own column) is nearest to {100 * self.change:g} %,",
-            f"against the effect in the column; over {MINIMUM_NATS} (ten to one) they can be told apart;",
+            f"against the effect in the column; over {MINIMUM_NATS} (ten to one) they can be "
+            "told apart;",
             f"over {_MOST:.0f} is certain, and no number is printed.",
         ]
         heads = [n.replace("-", "- ").split() for n in (NONE, *names)]
