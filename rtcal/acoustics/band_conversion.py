@@ -25,7 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.measurement import DECAY_TIMES, Measurement
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import DECAY_TIMES
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
@@ -122,7 +123,7 @@ def parameter(
     frequencies, wanted : sequence
         Centre frequencies in Hz, thirds or octaves.
     name : str
-        A key of `rtcal.acoustics.measurement.UNITS`.
+        A key of `rtcal.acoustics.parameters.UNITS`.
 
     Raises
     ------

@@ -8,49 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import bands
-from rtcal.acoustics.room import text_name
+from rtcal.acoustics import bands, measurement_files
+from rtcal.acoustics.materials import text_name
+from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS
 from rtcal.errors import DataError
 from rtcal.support import checks, html
+from rtcal.support.decode import Entries
+from rtcal.support.files import json_numbers, write_text
 from rtcal.support.types import Array
-
-UNITS: dict[str, str] = {
-    "t20": "s",
-    "t30": "s",
-    "edt": "s",
-    "c50": "dB",
-    "c80": "dB",
-    "d50": "",
-    "ts": "s",
-    "g": "dB",
-}
-"""Unit of each parameter (ISO 3382-1); D50 is a fraction."""
-
-DECAY_TIMES = ("t20", "t30", "edt")
-T_LIMITS = (0.01, 120.0)
-"""s; T20 and T30 that are handed in lie within. A lined box of a litre has 0.01 s or more; the longest
-T known is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic Wonderland, 2014)."""
-SUMMARY = "*"
-"""Name of the source and of the receiver in a row that sums several pairs up."""
 
 # ISO 3382-2:2008, Eqs. 4 and 5: sigma(T) = a T sqrt((1 + b/n) / (N B T)), B = 0.71 f in octaves and
 # 0.23 f in thirds. The standard was not at hand; the numbers are those of RWTH Aachen's ITA-Toolbox,
 # ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
 _ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
+_OPTIONAL = ("pairs", "uncertainty", "standard_deviation", "n_sources", "n_receivers")
 _DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
-
-
-def plausible_time(place: str, seconds: float, parameter: str = "t20") -> None:
-    """Raise DataError for a T handed in that no room has: it is most likely in another unit.
-
-    EDT may be as short as it likes: the direct sound makes it so.
-    """
-    low, high = T_LIMITS
-    if seconds > high or (seconds < low and parameter != "edt"):
-        raise DataError(
-            f"{place} = {seconds:g} s is not from {low:g} to {high:g} s, as in any room: "
-            "is it in seconds?"
-        )
 
 
 def _mean_text(mean: float, uncertainty: float) -> str:
@@ -313,15 +285,55 @@ class Measurement:
             mean=mean, uncertainty=uncertainty, parameter=tuple(str(p) for p in parameter)
         )
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the measurement as plain values, None where one is missing: what `from_dict` reads."""
+        return {
+            "centre_frequencies": json_numbers(self.centre_frequencies),
+            "pairs": [list(pair) for pair in self.pairs],
+            **{
+                name: {p: json_numbers(values) for p, values in getattr(self, name).items()}
+                for name in ("values", "uncertainty", "standard_deviation")
+            },
+            "n_sources": self.n_sources,
+            "n_receivers": self.n_receivers,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Measurement:
+        """Return the measurement of plain values, as `to_dict` gives them.
+
+        Raises DataError for an unknown key, for what is no number, and as `Measurement` does.
+        """
+        entries = Entries("", data, ("centre_frequencies", "values"), _OPTIONAL)
+        frequencies = entries.array("centre_frequencies", (None,))
+        shape = (None, len(frequencies))
+
+        def arrays(name: str, shape: tuple[int | None, ...]) -> dict[str, Array]:
+            if name not in entries:
+                return {}
+            parameters = entries.mapping(name)
+            table = Entries(f"{name}.", parameters, (), UNITS)
+            return {p: table.array(p, shape, missing=True) for p in parameters}
+
+        return cls(
+            centre_frequencies=frequencies,
+            pairs=[tuple(p) for p in entries.listed("pairs", [(SUMMARY, SUMMARY)])],
+            values=arrays("values", shape),
+            uncertainty=arrays("uncertainty", shape),
+            standard_deviation=arrays("standard_deviation", shape[1:]),
+            n_sources=data.get("n_sources"),
+            n_receivers=data.get("n_receivers"),
+        )
+
     @classmethod
     def from_file(cls, path: str) -> Measurement:
         """Read a measurement from CSV; see `rtcal.acoustics.measurement_files` for the format."""
-        from rtcal.acoustics import measurement_files
-
-        return measurement_files.read_measurement(path)
+        data = measurement_files.read(path)
+        try:
+            return cls.from_dict(data)
+        except DataError as error:
+            raise DataError(f"{path}: {error}") from error
 
     def save(self, path: str) -> None:
-        """Write the measurement to CSV, whole or not at all."""
-        from rtcal.acoustics import measurement_files
-
-        measurement_files.write_measurement(self, path)
+        """Write the measurement to CSV, whole or not at all; reading it gives the same numbers."""
+        write_text(path, measurement_files.text(self.to_dict()))

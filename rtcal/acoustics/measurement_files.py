@@ -1,13 +1,13 @@
-"""A measurement in CSV, the native format.
+"""A measurement in CSV, the native format. The codec of `rtcal.acoustics.measurement.Measurement`.
 
-One row for each value; an empty value is missing; lines that begin with # are notes::
+One row per value. An empty value is missing. Lines that begin with # are notes::
 
     source,receiver,parameter,band,value
     S1,R1,T20,500,1.92
 
 Parameters: T20, T30, EDT, Ts in s; C50, C80, G in dB; D50 as a fraction; the band in Hz. Optional
-columns: ``uncertainty`` (standard uncertainty of the value), and for rows that sum several pairs up
-(source and receiver ``*``) ``standard_deviation`` over the pairs, ``sources`` and ``receivers``.
+columns: ``uncertainty`` (standard uncertainty of the value). A row over several pairs has source and
+receiver ``*``, and may have ``standard_deviation`` over the pairs, ``sources`` and ``receivers``.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.measurement import DECAY_TIMES, SUMMARY, UNITS, Measurement, plausible_time
+from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS, plausible_time
 from rtcal.errors import DataError
-from rtcal.support.files import read_text, write_text
+from rtcal.support.files import json_numbers, read_text
 from rtcal.support.types import Array
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
@@ -34,11 +34,11 @@ _OPTIONAL_COLUMNS = ("uncertainty", "standard_deviation", "sources", "receivers"
 
 MAX_BYTES = 2**21
 MAX_CELLS = 2**20
-"""Pairs times bands times parameters that a file may have: it may leave most of them empty."""
+"""Pairs times bands times parameters that a file may have. It may leave most of them empty."""
 
 
-def read_measurement(path: str | os.PathLike[str]) -> Measurement:
-    """Read a measurement from CSV. DataError names file, line, value and rule."""
+def read(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return a CSV file as `Measurement.to_dict` would; DataError names file, line, value and rule."""
     # Not splitlines: it would also split at separators that may stand in a name.
     lines = read_text(path, MAX_BYTES).split("\n")
     numbered = [
@@ -48,18 +48,7 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement:
     ]
     if not numbered:
         raise DataError(f"{path}: no rows; the first must name the columns {', '.join(_COLUMNS)}")
-    header = [c.strip().lower() for c in _cells(numbered[0][1], f"{path}, line {numbered[0][0]}")]
-    if repeated := next((c for c, times in Counter(header).items() if times > 1), None):
-        raise DataError(f'{path}, line {numbered[0][0]}: column "{repeated}" is given twice')
-    for column in _COLUMNS:
-        if column not in header:
-            raise DataError(f'{path}, line {numbered[0][0]}: column "{column}" is missing')
-    for column in header:
-        if column not in _COLUMNS + _OPTIONAL_COLUMNS:
-            known = ", ".join(_COLUMNS + _OPTIONAL_COLUMNS)
-            raise DataError(
-                f'{path}, line {numbered[0][0]}: column "{column}" means nothing; known: {known}'
-            )
+    header = _header(numbered[0][1], f"{path}, line {numbered[0][0]}")
     rows: dict[tuple[str, str, str, float], dict[str, float]] = {}
     for number, line in numbered[1:]:
         place = f"{path}, line {number}"
@@ -67,7 +56,7 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement:
         if len(cells) != len(header):
             raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
         cell = dict(zip(header, (c.strip() for c in cells), strict=True))
-        key, numbers = _measurement_row(cell, place)
+        key, numbers = _row(cell, place)
         if key in rows:
             raise DataError(
                 f"{place}: {key[2].upper()} of {key[0]}, {key[1]} at "
@@ -82,6 +71,20 @@ def read_measurement(path: str | os.PathLike[str]) -> Measurement:
         raise DataError(f"{path}: {error}") from error
 
 
+def _header(line: str, place: str) -> list[str]:
+    header = [cell.strip().lower() for cell in _cells(line, place)]
+    if repeated := next((c for c, times in Counter(header).items() if times > 1), None):
+        raise DataError(f'{place}: column "{repeated}" is given twice')
+    for column in _COLUMNS:
+        if column not in header:
+            raise DataError(f'{place}: column "{column}" is missing')
+    for column in header:
+        if column not in _COLUMNS + _OPTIONAL_COLUMNS:
+            allowed = ", ".join(_COLUMNS + _OPTIONAL_COLUMNS)
+            raise DataError(f'{place}: column "{column}" is not one of {allowed}')
+    return header
+
+
 def _cells(line: str, place: str) -> list[str]:
     try:
         return next(csv.reader([line], strict=True))
@@ -89,13 +92,13 @@ def _cells(line: str, place: str) -> list[str]:
         raise DataError(f"{place}: not a line of comma-separated values: {error}") from error
 
 
-def _measurement_row(
+def _row(
     cell: Mapping[str, str], place: str
 ) -> tuple[tuple[str, str, str, float], dict[str, float]]:
     parameter = cell["parameter"].lower()
     if parameter not in UNITS:
-        known = ", ".join(UNITS)
-        raise DataError(f'{place}: parameter "{cell["parameter"]}" is unknown; known: {known}')
+        allowed = ", ".join(UNITS)
+        raise DataError(f'{place}: parameter "{cell["parameter"]}" is unknown; known: {allowed}')
     band = _cell(cell, "band", place)
     if not band > 0:
         raise DataError(f'{place}: band = "{cell["band"]}" is not a frequency above 0 Hz')
@@ -122,7 +125,7 @@ def _cell(cell: Mapping[str, str], column: str, place: str) -> float:
     return float(text)
 
 
-def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) -> Measurement:
+def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) -> dict[str, Any]:
     frequencies = {f: k for k, f in enumerate(sorted({key[3] for key in rows}))}
     pairs = {pair: i for i, pair in enumerate(dict.fromkeys(key[:2] for key in rows))}
     parameters = list(dict.fromkeys(key[2] for key in rows))
@@ -148,69 +151,63 @@ def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) 
         if np.isfinite(numbers.get("standard_deviation", np.nan)):
             spread = deviation.setdefault(parameter, np.full(shape[1], np.nan))
             spread[where[1]] = numbers["standard_deviation"]
-        for name, seen in counts.items():
+        for name, stated in counts.items():
             if np.isfinite(numbers.get(name, np.nan)):
-                seen.add(numbers[name])
-    for name, seen in counts.items():
-        if len(seen) > 1:
+                stated.add(numbers[name])
+    for name, stated in counts.items():
+        if len(stated) > 1:
             raise DataError(f"column {name} has several values; all rows must be over the same")
-    return Measurement(
-        centre_frequencies=np.array(list(frequencies)),
-        pairs=tuple(pairs),
-        values=values,
-        uncertainty=uncertainty,
-        standard_deviation=deviation,
-        n_sources=_whole(counts["sources"], "sources"),
-        n_receivers=_whole(counts["receivers"], "receivers"),
-    )
+    return {
+        "centre_frequencies": list(frequencies),
+        "pairs": [list(pair) for pair in pairs],
+        "values": {p: json_numbers(v) for p, v in values.items()},
+        "uncertainty": {p: json_numbers(v) for p, v in uncertainty.items()},
+        "standard_deviation": {p: json_numbers(v) for p, v in deviation.items()},
+        "n_sources": _count(counts["sources"], "sources"),
+        "n_receivers": _count(counts["receivers"], "receivers"),
+    }
 
 
-def _whole(seen: set[float], name: str) -> int | None:
-    if not seen:
+def _count(stated: set[float], name: str) -> int | None:
+    if not stated:
         return None
-    count = next(iter(seen))
+    (count,) = stated
     if count != int(count) or count < 1:
         raise DataError(f"column {name} = {count:g} is not a whole number above 0")
     return int(count)
 
 
-def write_measurement(measurement: Measurement, path: str | os.PathLike[str]) -> None:
-    """Write a measurement to CSV, whole or not at all; reading it back gives the same numbers."""
-    write_text(path, measurement_text(measurement))
-
-
-def measurement_text(measurement: Measurement) -> str:
-    """Return a measurement as the text of its CSV file."""
-    extra = {
-        "uncertainty": bool(measurement.uncertainty),
-        "standard_deviation": bool(measurement.standard_deviation),
-        "sources": measurement.n_sources is not None,
-        "receivers": measurement.n_receivers is not None,
+def text(data: Mapping[str, Any]) -> str:
+    """Return `Measurement.to_dict`'s dict as the text of its CSV file."""
+    used = {
+        "uncertainty": bool(data["uncertainty"]),
+        "standard_deviation": bool(data["standard_deviation"]),
+        "sources": data["n_sources"] is not None,
+        "receivers": data["n_receivers"] is not None,
     }
-    columns = list(_COLUMNS) + [c for c in _OPTIONAL_COLUMNS if extra[c]]
+    columns = [*_COLUMNS, *(c for c in _OPTIONAL_COLUMNS if used[c])]
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
-    for parameter, values in measurement.values.items():
-        for i, (source, receiver) in enumerate(measurement.pairs):
-            for k, band in enumerate(measurement.centre_frequencies):
+    for parameter, values in data["values"].items():
+        for i, (source, receiver) in enumerate(data["pairs"]):
+            for k, band in enumerate(data["centre_frequencies"]):
                 cells: dict[str, Any] = {
                     "source": source,
                     "receiver": receiver,
                     "parameter": parameter.upper(),
-                    "band": f"{float(band)!r}",
-                    "value": _text(values[i, k]),
+                    "band": repr(band),
+                    "value": _number(values[i][k]),
+                    "sources": data["n_sources"],
+                    "receivers": data["n_receivers"],
                 }
-                if parameter in measurement.uncertainty:
-                    cells["uncertainty"] = _text(measurement.uncertainty[parameter][i, k])
-                if parameter in measurement.standard_deviation:
-                    spread = measurement.standard_deviation[parameter][k]
-                    cells["standard_deviation"] = _text(spread)
-                cells["sources"] = measurement.n_sources
-                cells["receivers"] = measurement.n_receivers
+                if parameter in data["uncertainty"]:
+                    cells["uncertainty"] = _number(data["uncertainty"][parameter][i][k])
+                if parameter in data["standard_deviation"]:
+                    cells["standard_deviation"] = _number(data["standard_deviation"][parameter][k])
                 writer.writerow([cells.get(c, "") for c in columns])
     return stream.getvalue()
 
 
-def _text(value: float) -> str:
-    return repr(float(value)) if np.isfinite(value) else ""
+def _number(value: float | None) -> str:
+    return "" if value is None else repr(value)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rtcal.acoustics import measurement_files
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.measurement_files import measurement_text
 from rtcal.acoustics.room_files import room_text
 from rtcal.calibration.certificate import Certificate
 from rtcal.support.files import json_numbers
@@ -87,7 +87,10 @@ def record(result: CalibrationResult) -> dict[str, Any]:
             "raw_certificate": _certificate(result.raw.certificate),
             "raw_alpha": json_numbers(result.raw.alpha),
         },
-        "inputs": {"room": room_text(room), "measured": measurement_text(_means(result))},
+        "inputs": {
+            "room": room_text(room),
+            "measured": measurement_files.text(_means(result).to_dict()),
+        },
     }
 
 

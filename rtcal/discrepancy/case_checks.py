@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.measurement import DECAY_TIMES, plausible_time
+from rtcal.acoustics.parameters import DECAY_TIMES, plausible_time
 from rtcal.acoustics.room import AXES, Room, text_name
 from rtcal.errors import DataError
 from rtcal.support import checks

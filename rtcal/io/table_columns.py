@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.measurement import UNITS
+from rtcal.acoustics.parameters import UNITS
 from rtcal.errors import DataError
 from rtcal.io.text import shown
 

@@ -23,7 +23,8 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import text_name
-from rtcal.acoustics.measurement import DECAY_TIMES, UNITS, Measurement, plausible_time
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import DECAY_TIMES, UNITS, plausible_time
 from rtcal.errors import DataError
 from rtcal.io.table_columns import (
     Column,

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.measurement import UNITS, Measurement
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import UNITS
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.loop import files

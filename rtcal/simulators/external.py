@@ -10,7 +10,8 @@ import numpy as np
 
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.materials import text_name
-from rtcal.acoustics.measurement import Measurement, plausible_time
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import plausible_time
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, SimulatorError, of_bands
 from rtcal.simulators.base import RoomSimulator, check_alpha

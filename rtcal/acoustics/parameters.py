@@ -1,0 +1,37 @@
+"""The room-acoustic parameters of ISO 3382-1: names, units and what any room keeps to."""
+
+from __future__ import annotations
+
+from rtcal.errors import DataError
+
+UNITS: dict[str, str] = {
+    "t20": "s",
+    "t30": "s",
+    "edt": "s",
+    "c50": "dB",
+    "c80": "dB",
+    "d50": "",
+    "ts": "s",
+    "g": "dB",
+}
+"""Unit of each parameter (ISO 3382-1); D50 is a fraction."""
+
+DECAY_TIMES = ("t20", "t30", "edt")
+T_LIMITS = (0.01, 120.0)
+"""Least and longest T20 and T30 in s that are accepted. A lined box of a litre has 0.01 s or more. The
+longest known T is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic Wonderland, 2014)."""
+SUMMARY = "*"
+"""Name of the source and of the receiver in a row that holds means over several pairs."""
+
+
+def plausible_time(place: str, seconds: float, parameter: str = "t20") -> None:
+    """Raise DataError for a T that no room has: it is most likely in another unit.
+
+    EDT has no lower limit: the direct sound may make it as short as it likes.
+    """
+    low, high = T_LIMITS
+    if seconds > high or (seconds < low and parameter != "edt"):
+        raise DataError(
+            f"{place} = {seconds:g} s is not from {low:g} to {high:g} s, as in any room: "
+            "is it in seconds?"
+        )
