@@ -18,7 +18,22 @@ def test_a_box_is_read() -> None:
     box = obj.parse(fuzz.OBJ[0])
     assert box.volume == pytest.approx(2, rel=1e-12)
     assert box.areas == pytest.approx({"wood": 2.0, "brick": 8.0}, rel=1e-12)
-    assert obj.parse(fuzz.OBJ[0], unit=0.001).volume == pytest.approx(2e-9, rel=1e-9)
+    assert obj.parse(fuzz.OBJ[0], unit=0.1).volume == pytest.approx(2e-3, rel=1e-9)
+
+
+def test_a_mesh_in_another_unit_is_refused() -> None:
+    """A room of 5 m x 4 m x 3 m in mm, read as m, had 6e10 m³ and was taken for a room."""
+    in_mm = Polyhedron.shoebox((5000, 4000, 3000), "plaster")
+    vertices = "".join("v " + " ".join(f"{x:g}" for x in v) + "\n" for v in in_mm.vertices)
+    faces = "".join("f " + " ".join(str(i + 1) for i in f) + "\n" for f in in_mm.faces)
+    content = (vertices + "usemtl plaster\n" + faces).encode()
+    with pytest.raises(DataError, match=r"V = 6e\+10 m³ .* 60 m³ in mm \(unit = 0.001\)"):
+        obj.parse(content)
+    assert obj.parse(content, unit=0.001).volume == pytest.approx(60, rel=1e-12)
+    with pytest.raises(
+        DataError, match=r"V = 2e-09 m³ is not from 0.001 .* 2 m³ in m \(unit = 1\)"
+    ):
+        obj.parse(fuzz.OBJ[0], unit=0.001)
 
 
 def test_a_room_of_a_mesh_and_a_list() -> None:
@@ -67,11 +82,13 @@ def test_bands_down_with_decimal_commas() -> None:
     assert m.values["ts"][0, 0] == pytest.approx(0.08, rel=1e-12)
     assert np.isnan(m.values["ts"][0, 1])
     assert str(table).splitlines() == [
-        "columns separated by ';', decimal comma",
+        "text in UTF-8, columns separated by ';', decimal comma",
         '"Frequenz [Hz]": band',
         '"T20 (s)": T20',
         '"D50 [%]": D50, times 0.01',
         '"Ts [ms]": TS, times 0.001',
+        "no positions: taken as one source and one receiver; state how many sources and receivers "
+        "if the values are means",
     ]
 
 

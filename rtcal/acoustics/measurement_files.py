@@ -66,7 +66,7 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
     if not rows:
         raise DataError(f"{path}: no row with a value below the header")
     try:
-        return _assembled(rows)
+        return of_single_values(rows)
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
 
@@ -125,7 +125,13 @@ def _cell(cell: Mapping[str, str], column: str, place: str) -> float:
     return float(text)
 
 
-def _assembled(rows: Mapping[tuple[str, str, str, float], Mapping[str, float]]) -> dict[str, Any]:
+def of_single_values(
+    rows: Mapping[tuple[str, str, str, float], Mapping[str, float]],
+) -> dict[str, Any]:
+    """Return a measurement as plain values, from single ones by source, receiver, parameter and band.
+
+    Each row has its ``value`` and, where stated, the optional columns of the file; NaN is missing.
+    """
     frequencies = {f: k for k, f in enumerate(sorted({key[3] for key in rows}))}
     pairs = {pair: i for i, pair in enumerate(dict.fromkeys(key[:2] for key in rows))}
     parameters = list(dict.fromkeys(key[2] for key in rows))

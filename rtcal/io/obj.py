@@ -27,6 +27,9 @@ from rtcal.support.files import read_bytes, write_text
 MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
 
+VOLUME_LIMITS = (1e-3, 2e7)
+"""m³. A scale model of a litre; the largest building by volume, Boeing's in Everett, has 1.33e7 m³."""
+
 _IGNORED = {
     "vt",
     "vn",
@@ -117,9 +120,27 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
     if not faces:
         raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
     try:
-        return Polyhedron(vertices=vertices, faces=faces, materials=materials, names=names)  # type: ignore[arg-type]
+        room = Polyhedron(vertices=vertices, faces=faces, materials=materials, names=names)  # type: ignore[arg-type]
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
+    _check_volume(room.volume, unit, path)
+    return room
+
+
+def _check_volume(volume: float, unit: float, path: str) -> None:
+    """Raise DataError for a volume that no room has, with what it is in other units."""
+    low, high = VOLUME_LIMITS
+    if low <= volume <= high:
+        return
+    others = [
+        f"{volume * (scale / unit) ** 3:.3g} m³ in {name} (unit = {scale:g})"
+        for name, scale in (("mm", 0.001), ("cm", 0.01), ("m", 1.0))
+        if scale != unit and low <= volume * (scale / unit) ** 3 <= high
+    ]
+    raise DataError(
+        f"{path}: V = {volume:.3g} m³ is not from {low:g} to {high:g} m³, as in any room"
+        + (f"; it is {' or '.join(others)}" if others else "")
+    )
 
 
 def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:

@@ -7,7 +7,7 @@ English and German spellings. "RT60" does not say which decay time it is; that m
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,9 +15,14 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.parameters import UNITS
 from rtcal.errors import DataError
 from rtcal.io.text import shown
+from rtcal.support.types import Array
 
-_LEAST_BAND = 10.0
+LEAST_BAND = 10.0
 """Hz. A smaller number in a header is a value: the header line is missing."""
+
+BAND_TOLERANCE = 0.03
+"""A stated frequency may miss the exact centre of its band by this share; neighbouring thirds are 26 %
+apart. BRAS's published tables write 155 Hz for the third of 158.5 Hz, which is called 160 Hz."""
 
 _PARAMETER_SPELLINGS = {
     "t20": "t20",
@@ -37,11 +42,18 @@ _PARAMETER_SPELLINGS = {
     "clarityc80": "c80",
     "d50": "d50",
     "definition": "d50",
+    "definitiond50": "d50",
+    "deutlichkeitd50": "d50",
+    "d": "d50",
     "deutlichkeit": "d50",
     "ts": "ts",
     "centretime": "ts",
     "centertime": "ts",
     "schwerpunktzeit": "ts",
+    "reverberationtimet20": "t20",
+    "reverberationtimet30": "t30",
+    "nachhallzeitt20": "t20",
+    "nachhallzeitt30": "t30",
     "g": "g",
     "strength": "g",
     "soundstrength": "g",
@@ -62,6 +74,8 @@ _COLUMN_SPELLINGS = {
     "mikrofon": "receiver",
     "receiverposition": "receiver",
     "measurement": "receiver",
+    "messposition": "receiver",
+    "empfaenger": "receiver",
     "parameter": "parameter",
     "quantity": "parameter",
     "metric": "parameter",
@@ -71,19 +85,48 @@ _COLUMN_SPELLINGS = {
     "f": "band",
     "frequenz": "band",
     "octaveband": "band",
+    "octave": "band",
+    "oktave": "band",
+    "terz": "band",
+    "oktavband": "band",
+    "terzband": "band",
+    "thirdoctaveband": "band",
+    "bandhz": "band",
+    "frequencyhz": "band",
+    "octavebandcentrefrequency": "band",
+    "mittenfrequenz": "band",
     "centrefrequency": "band",
     "centerfrequency": "band",
     "value": "value",
     "wert": "value",
     "mean": "value",
+    "mittelwert": "value",
+    "stat": "statistic",
+    "statistic": "statistic",
+    "statistik": "statistic",
+    "uncertainty": "uncertainty",
+    "unsicherheit": "uncertainty",
+    "standarddeviation": "standard_deviation",
+    "stdev": "standard_deviation",
+    "std": "standard_deviation",
+    "sd": "standard_deviation",
+    "standardabweichung": "standard_deviation",
+    "sources": "sources",
+    "receivers": "receivers",
     "unit": "unit",
     "einheit": "unit",
 }
 _SCALES: dict[str, dict[str, float]] = {
     "s": {"s": 1, "sec": 1, "ms": 1e-3},
     "dB": {"db": 1},
-    "": {"%": 0.01, "percent": 0.01, "-": 1},
+    "": {"%": 0.01, "percent": 0.01, "-": 1, "1": 1},
 }
+UNIT_WORDS = {"hz", "khz", "s", "sec", "ms", "db", "%", "percent", "-", "1"}
+
+_BRACKETS = re.compile(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+)(%|percent|k?hz|m?s|sec|db)", re.I)
+_BOTH = re.compile(r"(\S.*?)[\s_@:,]+(?:at\s+)?(\d[\d.,]*\s*k?(?:hz)?)", re.I)
+_FREQUENCY = re.compile(r"(\d{1,6}(?:[.,]\d{1,3})?)\s*(k?)(?:Hz)?", re.I | re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -93,33 +136,58 @@ class Column:
     Parameters
     ----------
     kind : str
-        "source", "receiver", "parameter", "band", "value" or "unit"; "of" for values of the
-        ``parameter``, the ``band`` or both.
+        "of" for values of the ``parameter``, the ``band`` or both; else the kind of a row's entry:
+        "source", "receiver", "parameter", "band", "value", "unit", "statistic", "uncertainty",
+        "standard_deviation", "sources", "receivers"; "" for a column that is left out.
+    header : str
     parameter : str
         Empty where each row names it.
     band : float
         Hz; NaN where each row names it.
-    scale : float
-        Value in the parameter's unit = cell * scale.
+    unit : str
+        Empty if the header has none.
     """
 
     kind: str
+    header: str = ""
     parameter: str = ""
     band: float = np.nan
-    scale: float = 1.0
+    unit: str = ""
 
-    def description(self, header: str, stated: str | None) -> str:
+    @property
+    def has_band(self) -> bool:
+        """Whether the header names a band."""
+        return bool(np.isfinite(self.band))
+
+    def completed(self, below: Column) -> Column | None:
+        """Return the column of two merged headers, one with the parameter, one with the band.
+
+        None if the two do not complete each other.
+        """
+        if self.kind != "of" or below.kind != "of":
+            return None
+        if self.has_band == below.has_band or bool(self.parameter) == bool(below.parameter):
+            return None
+        return replace(
+            self,
+            header=f"{self.header}, {below.header}",
+            parameter=self.parameter or below.parameter,
+            band=self.band if self.has_band else below.band,
+            unit=self.unit if self.parameter else below.unit,
+        )
+
+    def description(self, stated: str | None) -> str:
         """Return how the column is read; ``stated`` is the parameter that the user states."""
-        if self.kind != "of":
-            content = self.kind
-        else:
+        content = self.kind.replace("_", " ") or "left out"
+        if self.kind == "of":
             name = self.parameter or stated
             content = name.upper() if name else "the row's parameter"
-            if np.isfinite(self.band):
+            if self.has_band:
                 content += f" at {bands.label(self.band)}"
-            if self.scale != 1:
-                content += f", times {self.scale:g}"
-        return f'"{header}": {content}'
+            scale = scale_of(self.parameter, self.unit, "") if self.parameter else 1
+            if scale != 1:
+                content += f", times {scale:g}"
+        return f'"{self.header}": {content}'
 
 
 def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
@@ -138,45 +206,74 @@ def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
 
 
 def frequency_of(text: str) -> float | None:
-    """Return a frequency in Hz, with or without its unit, as the nominal band; None if it is none."""
-    match = re.fullmatch(r"(\d{1,6}(?:[.,]\d{1,3})?)\s*(k?)(?:Hz)?", text.strip(), re.I | re.ASCII)
+    """Return a frequency in Hz, with or without its unit; None if the text is none."""
+    match = _FREQUENCY.fullmatch(text.strip())
     if not match:
         return None
     value = float(match.group(1).replace(",", ".")) * (1000 if match.group(2) else 1)
-    return bands.nominal(value) if value > 0 else None
+    return value if value > 0 else None
 
 
 def nominal_band(frequency: float, place: str) -> float:
-    """Return a nominal band as it is; DataError for any other frequency, which may be a slip."""
-    if frequency not in (12.5, 16.0, *bands.THIRD_OCTAVES):
+    """Return the nominal band within 3 % of a frequency; DataError for any other frequency.
+
+    Examples
+    --------
+    >>> nominal_band(155, "line 1")
+    160.0
+    """
+    steps = np.arange(-19, 14)  # thirds from 12.5 Hz to 20 kHz
+    exact: Array = 1000 * 10 ** (steps / 10)  # IEC 61260-1, Eq. 2
+    nominal = [12.5, 16.0, *bands.THIRD_OCTAVES]
+    nearest = int(np.argmin(np.abs(np.log(exact / frequency))))
+    if frequency not in nominal and abs(frequency / exact[nearest] - 1) > BAND_TOLERANCE:
         raise DataError(f"{place}: {frequency:g} Hz is no octave or third-octave (IEC 61260-1)")
-    return frequency
+    return float(nominal[nearest])
 
 
-def column_of(cell: str, place: str, decay_time: str | None) -> Column:
-    """Return what the column of a header holds; DataError if the header does not say it."""
-    match = re.fullmatch(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]?\s*([^\])]*?)\s*[\])]?", cell)
-    name, unit = (match.group(1).strip(), match.group(2)) if match else (cell, "")
-    frequency = frequency_of(name if not unit or unit.lower() in ("hz", "khz") else cell)
+def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
+    """Return what the column of a header holds, None if the header is unknown.
+
+    Raises
+    ------
+    DataError
+        If the header is known but not enough: an unknown unit, "RT60", a frequency that is no band.
+    """
+    name, unit = _name_and_unit(header)
+    frequency = frequency_of(name if unit.lower() in ("", "hz", "khz") else header)
     if frequency is not None:
         frequency *= 1000 if unit.lower() == "khz" else 1
-        if frequency < _LEAST_BAND:
+        if frequency < LEAST_BAND:
             raise DataError(
-                f'{place}: column "{shown(cell)}" is no band; is the line with the names of the '
+                f'{place}: column "{shown(header)}" is no band; is the line with the names of the '
                 "columns missing?"
             )
-        return Column("of", band=nominal_band(frequency, place))
+        return Column("of", header, band=nominal_band(frequency, place))
     key = re.sub(r"[\s_]+", "", name.lower())
     if key in _COLUMN_SPELLINGS:
-        if unit and not (_COLUMN_SPELLINGS[key] == "band" and unit.lower() == "hz"):
-            raise DataError(f'{place}: column "{shown(cell)}": the unit is not known')
-        return Column(_COLUMN_SPELLINGS[key])
+        kind = _COLUMN_SPELLINGS[key]
+        units = {"band": ("", "hz", "khz"), "value": UNIT_WORDS | {""}}
+        if unit.lower() not in units.get(kind, ("",)):
+            raise DataError(f'{place}: column "{shown(header)}": the unit is not known')
+        return Column(kind, header, unit=unit)
     parameter = parameter_of(name, place, decay_time)
-    if parameter is None:
-        raise DataError(
-            f'{place}: column "{shown(cell)}" is no parameter, band, source or receiver'
-        )
-    return Column("of", parameter, scale=scale_of(parameter, unit, place))
+    if parameter is not None:
+        scale_of(parameter, unit, place)
+        return Column("of", header, parameter, unit=unit)
+    both = _BOTH.fullmatch(name)
+    if both:
+        parameter, frequency = parameter_of(both[1], place, decay_time), frequency_of(both[2])
+        if parameter is not None and frequency is not None:
+            scale_of(parameter, unit if unit.lower() not in ("hz", "khz") else "", place)
+            frequency *= 1000 if unit.lower() == "khz" else 1
+            return Column("of", header, parameter, nominal_band(frequency, place))
+    return None
+
+
+def _name_and_unit(header: str) -> tuple[str, str]:
+    """Return the parts of "T20 [s]", "T20 (s)", "T20 / s", "T20 in s" or "T20 s"."""
+    match = _BRACKETS.fullmatch(header) or _SUFFIX.fullmatch(header)
+    return (match[1].strip(), match[2]) if match else (header, "")
 
 
 def scale_of(parameter: str, unit: str, place: str) -> float:

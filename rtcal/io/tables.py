@@ -13,35 +13,61 @@ an error says what must be stated.
 
 from __future__ import annotations
 
-import csv
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-
-import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import DECAY_TIMES, UNITS, plausible_time
+from rtcal.acoustics.measurement_files import of_single_values
+from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS, plausible_time
 from rtcal.errors import DataError
-from rtcal.io.table_columns import (
-    Column,
-    column_of,
-    frequency_of,
-    nominal_band,
-    parameter_of,
-    scale_of,
-)
+from rtcal.io.table_columns import frequency_of, nominal_band, parameter_of, scale_of
+from rtcal.io.table_layout import Layout, Row, layout_of
 from rtcal.io.text import MAX_TEXT, decode, number, shown
+from rtcal.support import checks
 from rtcal.support.files import read_bytes
-from rtcal.support.types import Array
 
-MAX_COLUMNS, MAX_PAIRS = 200, 5000
+MAX_PAIRS = 5000
 
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d{1,3})?", re.ASCII)
-_MISSING = {"", "-", "--", "n/a", "na", "nan", "---"}
+_NUMBER = re.compile(
+    r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
+)
+_WITH_UNIT = re.compile(r"([^%a-z]*\d[\d.,]*(?:e[+-]?\d+)?)\s*(%|m?s|db)", re.I)
+_MISSING = {
+    "",
+    "-",
+    "--",
+    "---",
+    "\u2212",
+    "\u2013",
+    "\u2014",
+    "*",
+    "nan",
+    "na",
+    "n/a",
+    "n.a.",
+    "k.a.",
+    "k. a.",
+    "#n/a",
+    "#nv",
+    "#div/0!",
+    "#wert!",
+    "#value!",
+}
+_STATISTICS = {
+    **dict.fromkeys(("mean", "average", "avg", "avg.", "mittel", "mittelwert", "mw"), "value"),
+    **dict.fromkeys(
+        ("sd", "std", "std.", "stdev", "stdabw", "standard deviation", "standardabweichung"),
+        "standard_deviation",
+    ),
+    **dict.fromkeys(("min", "max", "median", "minimum", "maximum"), ""),
+}
+
+Key = tuple[str, str, str, float]
+"""Source, receiver, parameter and band in Hz of a value."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +82,14 @@ class Table:
 
 
 def read(
-    path: str | os.PathLike[str], *, decay_time: str | None = None, parameter: str | None = None
+    path: str | os.PathLike[str],
+    *,
+    decay_time: str | None = None,
+    parameter: str | None = None,
+    where: Mapping[str, str] | None = None,
+    ignore: Collection[str] = (),
+    n_sources: int | None = None,
+    n_receivers: int | None = None,
 ) -> Table:
     """Return a table's measurement.
 
@@ -67,6 +100,12 @@ def read(
         What a column "RT60" or "T60" holds.
     parameter : str, optional
         What the values are where the table does not say it.
+    where : mapping of str to str, optional
+        Selects rows by the entry of a column: ``{"room": "CR2"}``.
+    ignore : collection of str, optional
+        Columns that are left out.
+    n_sources, n_receivers : int, optional
+        State that the values are means over this many sources and receivers.
 
     Raises
     ------
@@ -74,7 +113,14 @@ def read(
         Naming file, line and rule.
     """
     return parse(
-        read_bytes(path, MAX_TEXT), os.fspath(path), decay_time=decay_time, parameter=parameter
+        read_bytes(path, MAX_TEXT),
+        os.fspath(path),
+        decay_time=decay_time,
+        parameter=parameter,
+        where=where,
+        ignore=ignore,
+        n_sources=n_sources,
+        n_receivers=n_receivers,
     )
 
 
@@ -89,6 +135,10 @@ def parse(
     *,
     decay_time: str | None = None,
     parameter: str | None = None,
+    where: Mapping[str, str] | None = None,
+    ignore: Collection[str] = (),
+    n_sources: int | None = None,
+    n_receivers: int | None = None,
 ) -> Table:
     """Return the measurement of a table's content; see `read`."""
     for name, choice, choices in (
@@ -97,134 +147,240 @@ def parse(
     ):
         if choice is not None and choice not in choices:
             raise DataError(f'{name} = "{choice}" is none of {", ".join(choices)}')
-    rows, delimiter = _rows(content, path)
-    (line, header), body = rows[0], rows[1:]
-    if len(header) > MAX_COLUMNS:
-        raise DataError(f"{path}, line {line}: {len(header)} columns; at most {MAX_COLUMNS}")
-    columns = [column_of(c, f"{path}, line {line}", decay_time) for c in header]
-    kinds = [c.kind for c in columns]
-    for kind in set(kinds) - {"of"}:
-        if kinds.count(kind) > 1:
-            raise DataError(f"{path}, line {line}: two columns are the {kind}")
-    comma = _decimal_comma(body, columns, path)
-    values: dict[tuple[str, str, str, float], float] = {}
-    for at, cells in body:
-        place = f"{path}, line {at}"
-        if len(cells) != len(header):
-            raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
-        for key, value in _row(cells, columns, place, comma, decay_time, parameter):
-            if key in values:
-                raise DataError(
-                    f"{place}: {key[2].upper()} of {key[0]}, {key[1]} at {bands.label(key[3])} is "
-                    "given twice"
-                )
-            values[key] = value
-    if not values:
-        raise DataError(f"{path}, line {line}: no row with a value below the header")
-    report = [
-        f"columns separated by {delimiter!r}, decimal {'comma' if comma else 'point'}",
-        *(c.description(h, parameter) for c, h in zip(columns, header, strict=True)),
-    ]
-    try:
-        return Table(_assembled(values), tuple(report))
-    except DataError as error:
-        raise DataError(f"{path}, from line {line} on: {error}") from error
-
-
-def _rows(content: bytes, path: str) -> tuple[list[tuple[int, list[str]]], str]:
-    text = decode(content, path).characters
-    numbered = [
-        (at, line)
-        for at, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1)
-        if line.strip(" \t;,\r") and not line.lstrip().startswith("#")
-    ]
-    if len(numbered) < 2:
-        raise DataError(f"{path}, line 1: a header and at least one row are needed")
-    first = numbered[0][1]
-    delimiter = next((d for d in (";", "\t") if d in first), ",")
-    rows = []
-    for at, line in numbered:
-        try:
-            cells = next(csv.reader([line], delimiter=delimiter, strict=True))
-        except (csv.Error, StopIteration) as error:
-            raise DataError(f"{path}, line {at}: not a row of cells: {error}") from error
-        rows.append((at, [c.strip() for c in cells]))
-    while all(r[1] and not r[1][-1] for r in rows):  # a delimiter at the end of every line
-        rows = [(at, cells[:-1]) for at, cells in rows]
-    return rows, delimiter
-
-
-def _decimal_comma(body: list[tuple[int, list[str]]], columns: list[Column], path: str) -> bool:
-    commas = points = 0
-    for at, cells in body:
-        for cell, column in zip(cells, columns, strict=False):
-            if column.kind in ("of", "value") and _NUMBER.fullmatch(cell):
-                commas += "," in cell
-                points += "." in cell
-        if commas and points:
-            raise DataError(f"{path}, line {at}: decimal commas and decimal points in one table")
-    return commas > 0
-
-
-def _row(
-    cells: list[str],
-    columns: list[Column],
-    place: str,
-    comma: bool,
-    decay_time: str | None,
-    stated: str | None,
-) -> list[tuple[tuple[str, str, str, float], float]]:
-    cell_of = {c.kind: cell for c, cell in zip(columns, cells, strict=True) if c.kind != "of"}
-    source, receiver = cell_of.get("source") or "S1", cell_of.get("receiver") or "R1"
-    text_name(f"{place}: a position", source + receiver)
-    row_parameter, row_band = stated, None
-    if "parameter" in cell_of:
-        row_parameter = parameter_of(cell_of["parameter"], place, decay_time)
-        if row_parameter is None:
-            raise DataError(f'{place}: parameter "{shown(cell_of["parameter"])}" is unknown')
-    if "band" in cell_of:
-        row_band = frequency_of(cell_of["band"])
-        if row_band is None:
-            raise DataError(f'{place}: band "{shown(cell_of["band"])}" is no frequency in Hz')
-        row_band = nominal_band(row_band, place)
-    keyed = []
-    for column, cell in zip(columns, cells, strict=True):
-        if column.kind not in ("of", "value") or cell.lower() in _MISSING:
-            continue
-        parameter = column.parameter or row_parameter
-        band = column.band if np.isfinite(column.band) else row_band
-        if parameter is None:
-            raise DataError(
-                f'{place}: the table does not say what "{shown(cell)}" is; state parameter'
-            )
-        if band is None:
-            raise DataError(f'{place}: no band for the value "{shown(cell)}"')
-        scale = column.scale
-        if not column.parameter:
-            scale = scale_of(parameter, cell_of.get("unit", ""), place)
-        value = scale * number(cell.replace(",", ".") if comma else cell, place)
-        if parameter in DECAY_TIMES and not value > 0:
-            raise DataError(f"{place}: {parameter.upper()} = {value:g} s is not above 0")
-        if parameter in DECAY_TIMES:
-            plausible_time(f"{place}: {parameter.upper()}", value, parameter)
-        if parameter == "d50" and not 0 <= value <= 1:
-            raise DataError(f"{place}: D50 = {value:g} is not in [0, 1]; percent need their unit")
-        keyed.append(((source, receiver, parameter, float(band)), value))
-    return keyed
-
-
-def _assembled(values: Mapping[tuple[str, str, str, float], float]) -> Measurement:
-    pairs = {pair: i for i, pair in enumerate(dict.fromkeys(key[:2] for key in values))}
-    frequencies = {f: k for k, f in enumerate(sorted({key[3] for key in values}))}
-    if len(pairs) > MAX_PAIRS or len(frequencies) > MAX_COLUMNS:
-        raise DataError(
-            f"{len(pairs)} positions, {len(frequencies)} bands; at most {MAX_PAIRS}, {MAX_COLUMNS}"
-        )
-    tables: dict[str, Array] = {}
-    for (source, receiver, parameter, band), value in values.items():
-        if parameter not in tables:
-            tables[parameter] = np.full((len(pairs), len(frequencies)), np.nan)
-        tables[parameter][pairs[source, receiver], frequencies[band]] = value
-    return Measurement(
-        centre_frequencies=np.array(list(frequencies)), pairs=tuple(pairs), values=tables
+    stated: dict[str, float] = {}
+    for name, count in (("sources", n_sources), ("receivers", n_receivers)):
+        if count is not None:
+            stated[name] = checks.whole(f"n_{name}", count, 1)
+    where = where or {}
+    layout = layout_of(
+        decode(content, path), path, decay_time=decay_time, extra_columns={*where, *ignore}
     )
+    return _Reader(path, layout, decay_time, parameter, stated).table(where)
+
+
+class _Reader:
+    """Reads the rows of a table.
+
+    A row has a value for each column of values, and may have a value's uncertainty, the statistic
+    that its values are, or how many positions they are means over.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        layout: Layout,
+        decay_time: str | None,
+        parameter: str | None,
+        counts: Mapping[str, float],
+    ) -> None:
+        self.path, self.layout, self.counts = path, layout, counts
+        self.decay_time, self.parameter = decay_time, parameter
+        self.header_place = f"{path}, line {layout.header_line}"
+        self.notes = list(layout.notes)
+        kinds = [c.kind for c in layout.columns]
+        self.has_positions = "source" in kinds or "receiver" in kinds
+        if counts and self.has_positions:
+            raise DataError(
+                f"{self.header_place}: numbers of sources and receivers are stated for means, but "
+                "the table has single positions"
+            )
+        is_summary = bool(counts) or {"sources", "receivers", "standard_deviation"} & {*kinds}
+        self.pair = (SUMMARY, SUMMARY) if is_summary and not self.has_positions else ("S1", "R1")
+        if {"uncertainty", "standard_deviation"} & {*kinds} and (
+            kinds.count("of") + kinds.count("value") > 1
+        ):
+            raise DataError(
+                f"{self.header_place}: a column of uncertainties needs one value per row; there "
+                "are several"
+            )
+        self.comma = self._decimal_comma()
+
+    def table(self, where: Mapping[str, str]) -> Table:
+        """Return the measurement of the rows that ``where`` selects."""
+        single: dict[Key, dict[str, float]] = {}
+        of_several: dict[Key, dict[str, float]] = {}
+        for line, cells in self._selected(where):
+            place = f"{self.path}, line {line}"
+            entries = {
+                column.kind: cell
+                for column, cell in zip(self.layout.columns, cells, strict=True)
+                if column.kind not in ("of", "")
+            }
+            statistic = self._statistic(entries, place)
+            values = single if statistic is None else of_several
+            for key, numbers in self._values(cells, entries, statistic, place):
+                held = values.setdefault(key, dict(self.counts))
+                if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
+                    raise DataError(
+                        f"{place}: {key[2].upper()} of {key[0]}, {key[1]} at "
+                        f"{bands.label(key[3])} is given twice"
+                    )
+                held.update(numbers)
+        if single and of_several:
+            self.notes.append("rows of means and deviations beside single positions are left out")
+        values = single or of_several
+        if not values:
+            raise DataError(f"{self.header_place}: no row with a value below the header")
+        return Table(self._measurement(values), self._report(values))
+
+    def _selected(self, where: Mapping[str, str]) -> list[Row]:
+        headers = [c.header for c in self.layout.columns]
+        for name in where:
+            if headers.count(name) != 1:
+                raise DataError(f'{self.header_place}: column "{shown(name)}" is not there once')
+        rows = [
+            (line, cells)
+            for line, cells in self.layout.rows
+            if all(cells[headers.index(name)] == entry for name, entry in where.items())
+        ]
+        if not rows and where:
+            selection = ", ".join(f"{name} = {entry}" for name, entry in where.items())
+            raise DataError(f'{self.header_place}: no row has "{shown(selection)}"')
+        return rows
+
+    def _statistic(self, entries: Mapping[str, str], place: str) -> str | None:
+        """Return what the values of a row of means or deviations are; None for single values."""
+        if "statistic" in entries:
+            word = entries["statistic"].lower()
+            if word not in _STATISTICS:
+                raise DataError(
+                    f'{place}: statistic "{shown(word)}" is none of {", ".join(_STATISTICS)}'
+                )
+            return _STATISTICS[word]
+        return _STATISTICS.get(entries.get("receiver", "").lower())
+
+    def _values(
+        self, cells: list[str], entries: Mapping[str, str], statistic: str | None, place: str
+    ) -> Iterator[tuple[Key, dict[str, float]]]:
+        """Yield the key and the numbers of each value of a row."""
+        if statistic == "":
+            return
+        pair = (entries.get("source") or self.pair[0], entries.get("receiver") or self.pair[1])
+        if statistic is not None:
+            pair = (SUMMARY, SUMMARY)
+        text_name(f"{place}: a position", "".join(pair))
+        row_parameter, row_band = (
+            self._row_parameter(entries, place),
+            self._row_band(entries, place),
+        )
+        for column, cell in zip(self.layout.columns, cells, strict=True):
+            if column.kind not in ("of", "value") or cell.lower() in _MISSING:
+                continue
+            parameter = column.parameter or row_parameter
+            band = column.band if column.has_band else row_band
+            if parameter is None:
+                raise DataError(
+                    f'{place}: the table does not say what "{shown(cell)}" is; state parameter'
+                )
+            if band is None:
+                raise DataError(f'{place}: no band for the value "{shown(cell)}"')
+            unit = column.unit if column.parameter else entries.get("unit", "") or column.unit
+            kind = statistic or "value"
+            numbers = {kind: self._number(cell, parameter, unit, place)}
+            if kind == "value":
+                _check_value(parameter, numbers["value"], place)
+            for name in ("uncertainty", "standard_deviation"):
+                if entries.get(name, "").lower() not in _MISSING:
+                    numbers[name] = self._number(entries[name], parameter, unit, place)
+            for name in ("sources", "receivers"):
+                if entries.get(name, "").lower() not in _MISSING:
+                    numbers[name] = number(entries[name], place)
+            if min(numbers.get(n, 0.0) for n in ("uncertainty", "standard_deviation")) < 0:
+                raise DataError(f"{place}: an uncertainty or standard deviation is below 0")
+            yield (*pair, parameter, band), numbers
+
+    def _row_parameter(self, entries: Mapping[str, str], place: str) -> str | None:
+        if "parameter" not in entries:
+            return self.parameter
+        parameter = parameter_of(entries["parameter"], place, self.decay_time)
+        if parameter is None:
+            raise DataError(f'{place}: parameter "{shown(entries["parameter"])}" is unknown')
+        return parameter
+
+    def _row_band(self, entries: Mapping[str, str], place: str) -> float | None:
+        if "band" not in entries:
+            return None
+        frequency = frequency_of(entries["band"])
+        if frequency is None:
+            raise DataError(f'{place}: band "{shown(entries["band"])}" is no frequency in Hz')
+        column = next(c for c in self.layout.columns if c.kind == "band")
+        frequency *= 1000 if column.unit.lower() == "khz" else 1
+        band = nominal_band(frequency, place)
+        self._note_band(frequency, band)
+        return band
+
+    def _note_band(self, frequency: float, band: float) -> None:
+        note = f"{bands.label(frequency)} is read as {bands.label(band)}"
+        if abs(frequency / band - 1) > 0.015 and note not in self.notes:
+            self.notes.append(note)
+
+    def _number(self, cell: str, parameter: str, unit: str, place: str) -> float:
+        """Return a cell's number in the unit of its parameter."""
+        match = _WITH_UNIT.fullmatch(cell)
+        if match:
+            cell, unit = match[1].strip(), match[2]
+        scale = scale_of(parameter, unit, place)
+        return scale * number(cell.replace(",", ".") if self.comma else cell, place)
+
+    def _decimal_comma(self) -> bool:
+        """Return whether decimals have a comma; DataError if they have commas and points."""
+        commas = points = 0
+        for line, cells in self.layout.rows:
+            for column, cell in zip(self.layout.columns, cells, strict=True):
+                if column.kind in ("of", "value"):
+                    match = _WITH_UNIT.fullmatch(cell)
+                    digits = match[1].strip() if match else cell
+                    if _NUMBER.fullmatch(digits):
+                        commas += "," in digits
+                        points += "." in digits
+            if commas and points:
+                raise DataError(
+                    f"{self.path}, line {line}: decimal commas and decimal points in one table"
+                )
+        return commas > 0
+
+    def _report(self, values: Mapping[Key, object]) -> tuple[str, ...]:
+        mark = "comma" if self.comma else "point"
+        report = [f"{self.notes[0]}, decimal {mark}", *self.notes[1:]]
+        for column in self.layout.columns:
+            report.append(column.description(self.parameter))
+        pairs = {key[:2] for key in values}
+        if pairs == {("S1", "R1")} and not self.has_positions:
+            report.append(
+                "no positions: taken as one source and one receiver; state how many sources and "
+                "receivers if the values are means"
+            )
+        return tuple(report)
+
+    def _measurement(self, values: Mapping[Key, dict[str, float]]) -> Measurement:
+        pairs = {key[:2] for key in values}
+        if len(pairs) > MAX_PAIRS:
+            raise DataError(f"{self.path}: {len(pairs)} positions; at most {MAX_PAIRS}")
+        for key, numbers in values.items():
+            place = f"{self.path}, from line {self.layout.header_line} on"
+            if "value" not in numbers:
+                raise DataError(
+                    f"{place}: {key[2].upper()} at {bands.label(key[3])} has a standard deviation "
+                    "and no mean"
+                )
+            if "standard_deviation" in numbers and not {"sources", "receivers"} <= {*numbers}:
+                raise DataError(
+                    f"{place}: a standard deviation over positions needs the numbers of sources "
+                    "and receivers; state both"
+                )
+        try:
+            return Measurement.from_dict(of_single_values(values))
+        except DataError as error:
+            raise DataError(
+                f"{self.path}, from line {self.layout.header_line} on: {error}"
+            ) from error
+
+
+def _check_value(parameter: str, value: float, place: str) -> None:
+    """Raise DataError for a value that no room has."""
+    if parameter in DECAY_TIMES and not value > 0:
+        raise DataError(f"{place}: {parameter.upper()} = {value:g} s is not above 0")
+    if parameter in DECAY_TIMES:
+        plausible_time(f"{place}: {parameter.upper()}", value, parameter)
+    if parameter == "d50" and not 0 <= value <= 1:
+        raise DataError(f"{place}: D50 = {value:g} is not in [0, 1]; percent need their unit")
