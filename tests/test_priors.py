@@ -248,7 +248,7 @@ def test_a_room_file_states_its_prior(tmp_path) -> None:
     [
         ('above_one = "clip"', "", r'alpha\["panel", 1000 Hz\] = 1.1 is not in \[0, 1\]'),
         ('above_one = "clip"', 'above_one = "cut"', 'above_one = "cut" is not "refuse" or "clip"'),
-        ('"moderate"', '"middling"', 'sigma = "middling" is not one of low, moderate, high'),
+        ('"moderate"', '"middling"', "sigma = 'middling' is not one of low, moderate, high"),
         ("iso_12999_2 = true", "iso_12999_2 = 1", "iso_12999_2 = 1 is not true or false"),
         ("in_situ_factor = 2.0", "in_situ_factor = 0.5", "in-situ factor = 0.5"),
         ("band_correlation = 0.7", "band_correlation = 1.0", "band_correlation = 1 is not from 0"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -97,10 +98,7 @@ def text_name(place: str, value: object) -> str:
 
 def number(name: str, value: object, unit: str) -> float:
     """Return a finite number above 0, or raise DataError naming it."""
-    try:
-        found = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError) as error:
-        raise DataError(f"{name} = {str(value)[:40]!r} is not a number") from error
+    found = checks.number(name, value)
     if not (np.isfinite(found) and found > 0):
         raise DataError(f"{name} = {found:g}{unit} is not finite and above 0")
     return found
@@ -112,12 +110,61 @@ def array_of(name: str, value: object) -> Array:
 
 
 def rows_of(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) -> Array:
-    """Return one row a material, (n_materials, n_bands), or raise DataError naming the material."""
+    """Return one row per material, (n_materials, n_bands), or raise DataError naming the material."""
     for material, row in rows:
         if np.ndim(row) != 1:
-            raise DataError(f'{name}["{material}"] is not a list of one number a band')
+            raise DataError(f'{name}["{material}"] is not a list of one number per band')
         if len(row) != n_bands:
             raise DataError(
                 f'{name}["{material}"] has {len(row)} values; the room has {n_bands} bands'
             )
     return array_of(name, [list(row) for _, row in rows])
+
+
+def stacked(
+    surfaces: Sequence[Surface], materials: Sequence[Material], centre_frequencies: Array
+) -> dict[str, Any]:
+    """Return what surfaces and materials say of a room, as the arguments of `Room`.
+
+    A material's area is the sum over its surfaces; a material without a surface is left out.
+    Raises DataError for a surface of a material that is not among them.
+    """
+    by_name = {m.name: m for m in materials}
+    if len(by_name) < len(materials):
+        twice = next(m.name for m in materials if by_name[m.name] is not m)
+        raise DataError(f'material "{twice}" is given twice')
+    for surface in surfaces:
+        if surface.material not in by_name:
+            raise DataError(
+                f'surface["{surface.name}"].material = "{surface.material}" is not among the '
+                f"materials: {', '.join(by_name)}"
+            )
+    covered = {s.material for s in surfaces}
+    used = [m for m in by_name.values() if m.name in covered]
+    n_bands = len(centre_frequencies)
+    scattered = [(m.name, m.scattering) for m in used if m.scattering is not None]
+    if scattered and len(scattered) < len(used):
+        lacking = next(m.name for m in used if m.scattering is None)
+        raise DataError(
+            f'scattering["{lacking}"] is missing; state it for every material or for none'
+        )
+    floors = []
+    for m in used:
+        floor = array_of("alpha_min", m.alpha_min)
+        if floor.shape not in ((), (n_bands,)):
+            raise DataError(
+                f'alpha_min["{m.name}"] has shape {floor.shape}; it is one number, or {n_bands}'
+            )
+        floors.append(np.broadcast_to(floor, (n_bands,)))
+    return {
+        "materials": [m.name for m in used],
+        "areas": array_of(
+            "areas", [np.sum([s.area for s in surfaces if s.material == m.name]) for m in used]
+        ),
+        "alpha": rows_of("alpha", [(m.name, m.alpha) for m in used], n_bands),
+        "sigma": rows_of("sigma", [(m.name, m.sigma) for m in used], n_bands),
+        "alpha_min": np.array(floors) if any(f.any() for f in floors) else None,
+        "scattering": rows_of("scattering", scattered, n_bands) if scattered else None,
+        "surfaces": tuple(surfaces),
+        "sources": {m.name: m.source for m in used if m.source},
+    }

@@ -334,6 +334,10 @@ class Measurement:
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
 
+    def to_text(self) -> str:
+        """Return the measurement as the text of its CSV file; reading it gives the same numbers."""
+        return measurement_files.text(self.to_dict())
+
     def save(self, path: str) -> None:
-        """Write the measurement to CSV, whole or not at all; reading it gives the same numbers."""
-        write_text(path, measurement_files.text(self.to_dict()))
+        """Write the measurement to CSV, whole or not at all."""
+        write_text(path, self.to_text())

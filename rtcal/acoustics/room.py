@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import bands, room_files
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import (
     AXES,
@@ -18,11 +19,12 @@ from rtcal.acoustics.materials import (
     array_of,
     frozen,
     number,
-    rows_of,
+    stacked,
     text_name,
 )
 from rtcal.errors import DataError
 from rtcal.support import checks, html
+from rtcal.support.files import json_numbers, read_text, write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
@@ -157,7 +159,6 @@ class Room:
                 raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
             put("dimensions", sides)
         self._check_surfaces()
-
         self._check_correlation()
 
     def _check_surfaces(self) -> None:
@@ -351,75 +352,77 @@ class Room:
         coefficient. Materials without a surface are left out. Raises DataError as `Room` does, and
         for a surface of a material that is not given.
         """
-        surfaces, materials = tuple(surfaces), tuple(materials)
-        known = {m.name: m for m in materials}
-        if len(known) < len(materials):
-            twice = next(m.name for m in materials if known[m.name] is not m)
-            raise DataError(f'material "{twice}" is given twice')
-        for surface in surfaces:
-            if surface.material not in known:
-                raise DataError(
-                    f'surface["{surface.name}"].material = "{surface.material}" is not among the '
-                    f"materials: {', '.join(known)}"
-                )
-        covered = {s.material for s in surfaces}
-        used = [m for m in known.values() if m.name in covered]
-        centre_frequencies = bands.as_bands(centre_frequencies)
-        k = len(centre_frequencies)
-        scattering = [m.scattering for m in used]
-        if any(s is not None for s in scattering):
-            missing = next((m.name for m in used if m.scattering is None), None)
-            if missing is not None:
-                raise DataError(
-                    f'scattering["{missing}"] is missing; state it for every material or for none'
-                )
-        floors = []
-        for m in used:
-            floor = array_of("alpha_min", m.alpha_min)
-            if floor.shape not in ((), (k,)):
-                raise DataError(
-                    f'alpha_min["{m.name}"] has shape {floor.shape}; it is one number, or {k}'
-                )
-            floors.append(np.broadcast_to(floor, (k,)))
+        frequencies = bands.as_bands(centre_frequencies)
         return cls(
             name=name,
             volume=volume,
-            materials=[m.name for m in used],
-            areas=array_of(
-                "areas", [np.sum([s.area for s in surfaces if s.material == m.name]) for m in used]
-            ),
-            alpha=rows_of("alpha", [(m.name, m.alpha) for m in used], k),
-            sigma=rows_of("sigma", [(m.name, m.sigma) for m in used], k),
-            centre_frequencies=np.asarray(centre_frequencies, dtype=float),
+            centre_frequencies=frequencies,
             air=air,
-            alpha_min=np.array(floors) if any(f.any() for f in floors) else None,
-            scattering=(
-                rows_of(
-                    "scattering",
-                    [(m.name, () if m.scattering is None else m.scattering) for m in used],
-                    k,
-                )
-                if any(s is not None for s in scattering)
-                else None
-            ),
-            surfaces=surfaces,
             dimensions=dimensions,
-            sources={m.name: m.source for m in used if m.source},
             band_correlation=band_correlation,
             material_correlation=material_correlation or {},
             calibration=calibration,
             above_one=above_one,
+            **stacked(tuple(surfaces), tuple(materials), frequencies),
         )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the room as plain values for JSON, without what is not stated: see `from_dict`."""
+        stated: dict[str, Any] = {
+            name: json_numbers(values)
+            for name in ("alpha_min", "scattering", "dimensions")
+            if (values := getattr(self, name)) is not None
+        }
+        if self.surfaces:
+            stated["surfaces"] = [vars(surface).copy() for surface in self.surfaces]
+        if self.sources:
+            stated["sources"] = dict(self.sources)
+        if self.material_correlation:
+            stated["material_correlation"] = [
+                {"materials": list(pair), "value": float(value)}
+                for pair, value in self.material_correlation.items()
+            ]
+        if self.calibration is not None:
+            stated["calibration"] = vars(self.calibration).copy()
+        if self.clipped:
+            stated["clipped"] = list(self.clipped)
+        return {
+            "name": self.name,
+            "volume": self.volume,
+            "materials": list(self.materials),
+            **{name: json_numbers(getattr(self, name)) for name in ("areas", "alpha", "sigma")},
+            "band_correlation": float(self.band_correlation),
+            "centre_frequencies": json_numbers(self.centre_frequencies),
+            "air": None if self.air is None else vars(self.air).copy(),
+            **stated,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], place: str = "room") -> Room:
+        """Return the room of plain values, as `to_dict` gives them.
+
+        Raises DataError, which begins with ``place``, for an unknown key, for a value of the wrong
+        kind, and as `Room` does.
+        """
+        return cls(**room_files.attributes(data, place))
 
     @classmethod
     def from_file(cls, path: str) -> Room:
         """Read a room from TOML; see `rtcal.acoustics.room_files` for the format."""
-        from rtcal.acoustics import room_files
+        return cls.from_text(read_text(path, room_files.MAX_BYTES), os.fspath(path))
 
-        return room_files.read_room(path)
+    @classmethod
+    def from_text(cls, text: str, place: str) -> Room:
+        """Return the room of a TOML text; messages begin with ``place``."""
+        try:
+            return cls(**room_files.attributes(room_files.parse(text)))
+        except DataError as error:
+            raise DataError(f"{place}: {error}") from error
+
+    def to_text(self) -> str:
+        """Return the room as the text of its TOML file; reading it gives the same numbers."""
+        return room_files.text(self.to_dict())
 
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""
-        from rtcal.acoustics import room_files
-
-        room_files.write_room(self, path)
+        write_text(path, self.to_text())

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtcal.acoustics import measurement_files
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room_files import room_text
 from rtcal.calibration.certificate import Certificate
 from rtcal.support.files import json_numbers
 from rtcal.support.version import __version__
@@ -88,8 +86,8 @@ def record(result: CalibrationResult) -> dict[str, Any]:
             "raw_alpha": json_numbers(result.raw.alpha),
         },
         "inputs": {
-            "room": room_text(room),
-            "measured": measurement_files.text(_means(result).to_dict()),
+            "room": room.to_text(),
+            "measured": _means(result).to_text(),
         },
     }
 

@@ -112,7 +112,6 @@ def apply(
 
     Example: rtcal gap apply case.toml --out corrected.json --room corrected.toml
     """
-    from rtcal.acoustics.room_files import room_text
     from rtcal.discrepancy import corrected_room, recalibrate
     from rtcal.discrepancy.corrected import not_in_room
     from rtcal.discrepancy.recalibration import table
@@ -135,7 +134,7 @@ def apply(
     calibrated = recalibrate(corrected, finding.discrepancy)
     contents = {Path(out): corrected.to_json().encode()}
     if room is not None:
-        contents[Path(room)] = room_text(corrected_room(corrected)).encode()
+        contents[Path(room)] = corrected_room(corrected).to_text().encode()
     write_all(contents)
     sentence = added(finding)
     lines = [sentence, *table(corrected.room, {"corrected": calibrated})]

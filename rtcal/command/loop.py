@@ -194,7 +194,6 @@ def _end(going: Loop, out: str) -> str:
 
 def _write(going: Loop, state: str, out: str) -> None:
     """Both files or none: a state without its room would take in what was not simulated."""
-    from rtcal.acoustics.room_files import room_text
     from rtcal.support.files import write_all
 
     room = going.room.replace(alpha=going.next_alpha, calibration=None)
@@ -202,4 +201,4 @@ def _write(going: Loop, state: str, out: str) -> None:
     note = f"# To simulate: run {n + 1} {of}.\n"
     if n and going.finished:
         note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
-    write_all({out: (note + room_text(room)).encode(), state: going.to_json().encode()})
+    write_all({out: (note + room.to_text()).encode(), state: going.to_json().encode()})

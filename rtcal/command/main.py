@@ -150,12 +150,11 @@ def calibrate(
 
 def _write(result: CalibrationResult, folder: Path) -> list[Path]:
     """Write room, JSON and figure, all or none; without matplotlib no figure, and that is said."""
-    from rtcal.acoustics.room_files import room_text
     from rtcal.report import figures
     from rtcal.support.files import write_all
 
     room, numbers, drawing = (folder / name for name in WRITTEN)
-    contents = {room: room_text(result.room).encode(), numbers: result.to_json().encode()}
+    contents = {room: result.room.to_text().encode(), numbers: result.to_json().encode()}
     try:
         figure = figures.rendered(figures.reverberation_time(result), "png")
         contents[drawing] = figure

@@ -15,7 +15,6 @@ import numpy as np
 
 from rtcal.acoustics.equations import LinearEquation, linear_equation
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.room_files import parse_room
 from rtcal.calibration.presets import preset
 from rtcal.errors import DataError
 from rtcal.loop.rules import RULES
@@ -71,7 +70,7 @@ def attributes(
     breaks a rule.
     """
     state = Entries("", data, _KEYS, ("result",))
-    room = parse_room(state.text("room"), "room")
+    room = Room.from_text(state.text("room"), "room")
     method = state.text("method")
     preset(method, room)
     wanted = state.array("wanted", (room.n_bands,), _T_LIMITS, missing=True)

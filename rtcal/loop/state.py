@@ -20,7 +20,6 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import JND, TrustMark, gap_jnd
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.room_files import room_text
 from rtcal.calibration.measured import data_history, refuse_repeated_data, times_in_room
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
@@ -310,7 +309,7 @@ class Loop:
         """Return the loop as plain values for JSON: what `from_dict` reads."""
         equation = self.equation or Eyring()
         return {
-            "room": room_text(self.room),
+            "room": self.room.to_text(),
             "measured": self.measured,
             "wanted": json_numbers(self.wanted),
             "rule": self.rule,
