@@ -253,20 +253,22 @@ def verdict(rows: Sequence[Row]) -> str:
             f"at {EPS[setting]:.0e} Clarabel fails on {c.failed} (worst error {c.worst}) and "
             f"OSQP on {o.failed} ({o.worst})"
         )
-    return f"""**Keep the default, Clarabel at 1e-10 with rtcal's polish and certificate: of {own.feasible} feasible problems it
-failed on {own.failed} and called {own.wrong} wrong answers solved (an error above 1e-4; {own.off} above 1e-6), its worst error in alpha is
-{own.worst} against exact arithmetic, it detected {own.detected} infeasible ones, and without the polish it fails on {raw.failed}
-(worst error {raw.worst}) where OSQP fails on {other_raw.failed}.** For many rooms at once and one band at a time, use
-`rtcal.exact` (worst error {exact.worst}).
+    return f"""**Keep the default: Clarabel at 1e-10 with rtcal's polish and certificate.** Of {own.feasible} feasible problems it failed on
+{own.failed}. It called {own.wrong} wrong answers solved (an error above 1e-4; {own.off} above 1e-6). Its worst error in alpha is {own.worst} against exact
+arithmetic. It detected {own.detected} infeasible problems. Without the polish it fails on {raw.failed} (worst error {raw.worst}), where OSQP
+fails on {other_raw.failed}. For many rooms at once and one band at a time, use `rtcal.exact` (worst error {exact.worst}).
 
-What the table does not say is that Clarabel beats OSQP *after* the polish: there OSQP failed on {other.failed} and called {other.wrong} wrong
-answers solved, too, and its worst error is {other.worst}. The {other_raw.failed} are targets near an end or with almost all coefficients at a
-bound; OSQP stops at its 20,000 iterations, and the polish mends every one. The default leans on the polish for digits,
-not for the answer. Time does not decide either: OSQP's is {_ratio(rows, "hard", 23)} of Clarabel's on one band of 23 materials, {_ratio(rows, "random", 184)} on 23 x 8,
-{_ratio(rows, "random", 320)} on 40 x 8 and {_ratio(rows, "sizes", largest)} at {largest} unknowns; who calibrates large rooms well inside their reach may prefer `solver="osqp"`.
+The table does not say that Clarabel beats OSQP *after* the polish. There OSQP failed on {other.failed}, called {other.wrong} wrong answers
+solved, and its worst error is {other.worst}. The {other_raw.failed} are targets near an end, or with almost all coefficients at a bound. OSQP stops
+at its 20,000 iterations, and the polish mends every one. So the default needs the polish for digits, not for the answer.
 
-The settings matter only before the polish. Polished, {"; ".join(levels)}. Not polished,
-Clarabel at its own default of 1e-8 is off by {plain.worst}, at 1e-10 by {raw.worst}; tighter still it fails (1e-9 with no relative gap: {tight.failed})."""
+Time does not decide either. OSQP's time over Clarabel's is {_ratio(rows, "hard", 23)} on one band of 23 materials, {_ratio(rows, "random", 184)} on 23 x 8,
+{_ratio(rows, "random", 320)} on 40 x 8 and {_ratio(rows, "sizes", largest)} at {largest} unknowns. Who calibrates large rooms well inside their reach may prefer
+`solver="osqp"`.
+
+The settings matter only before the polish. Polished, {"; ".join(levels)}. Not
+polished, Clarabel at its own default of 1e-8 is off by {plain.worst}, at 1e-10 by {raw.worst}. Tighter still it fails (1e-9 with no
+relative gap: {tight.failed})."""
 
 
 def text(folder: Path, size: str) -> str:
@@ -282,34 +284,39 @@ def text(folder: Path, size: str) -> str:
 
 {verdict(rows)}
 
-Everything here comes from `python -m benchmarks.solvers run --full` and is written by
-`python -m benchmarks.solvers render`; `run --short` is a smaller one. A run that was stopped goes
-on where it was. The table is `benchmarks/solvers/results/{size}.csv.gz`, {len(rows)} solves.
+`python -m benchmarks.solvers run --full` makes the numbers and `python -m benchmarks.solvers render` writes this page.
+`run --short` is a smaller run. A run that was stopped goes on where it was. The table is `benchmarks/solvers/results/{size}.csv.gz`, {len(rows)} solves.
 
 Run of {also["date"]} on {also["processor"]}, {also["cores"]} cores, {also["system"]}. {versions}.
 
 ## Problems
 
-{len({r.problem for r in rows})} problems: {counts}. *Real* is the shipped CR2 room and, where their data lie beside the
-checkout, CR2 and CR3 of BRAS in 24 third-octaves, each mle and lse; *paper* is Figs. 1 and 3 and Table 1 of Bellows & Katz
-(2025), and Table 3's lecture hall by a stand-in with its 23 surfaces, 334 m³ and ratio of areas; *random* is 6, 23 and 40
-materials in 8 bands; *hard* and *infeasible* are one band with areas over 1000:1 and sigma over 100:1, targets at, near and
-beyond both ends, sigma = 0, one bound active and all but one; *composed* is a tolerance, a soft match, correlated bands and
-two configurations; *sizes* goes up to {max(r.unknowns for r in rows)} unknowns. They are a qpbenchmark `TestSet`
-(`benchmarks.solvers.cases.Rooms`), in the whitened unknowns x = (alpha - mu) / sigma.
+{len({r.problem for r in rows})} problems: {counts}.
+
+- *Real* is the shipped CR2 room, and CR2 and CR3 of BRAS in 24 third-octaves where their data lie beside the checkout. Each is
+  solved as mle and lse.
+- *Paper* is Figs. 1 and 3 and Table 1 of Bellows & Katz (2025). A stand-in with 23 surfaces, 334 m³ and the same ratio of areas
+  replaces Table 3's lecture hall.
+- *Random* is 6, 23 and 40 materials in 8 bands.
+- *Hard* and *infeasible* are one band with areas over 1000:1 and sigma over 100:1. Targets lie at, near and beyond both ends.
+  Some have sigma = 0, one bound active, or all but one.
+- *Composed* is a tolerance, a soft match, correlated bands and two configurations.
+- *Sizes* goes up to {max(r.unknowns for r in rows)} unknowns.
+
+They are a qpbenchmark `TestSet` (`benchmarks.solvers.cases.Rooms`), in the whitened unknowns x = (alpha - mu) / sigma.
 {left_out}
-The exact answer owes nothing to rtcal's solvers, polish or certificate (`benchmarks/solvers/truth.py`). A separable problem is
-solved in rational arithmetic. Of a composed one PIQP names the active set, the optimality conditions on that set are solved
-with residuals in rational arithmetic, and feasibility, signs and stationarity are checked in it: what passes is the optimum
-whoever named the set (residuals below 1e-20). Rounded to floats, every answer is known to {within:.0e}.
+The exact answer shares nothing with rtcal's solvers, polish or certificate (`benchmarks/solvers/truth.py`). A separable problem
+is solved in rational arithmetic. For a composed problem PIQP names the active set. The optimality conditions on that set are
+solved with residuals in rational arithmetic, and feasibility, signs and stationarity are checked in it. What passes is the
+optimum, whoever named the set (residuals below 1e-20). Rounded to floats, every answer is known to {within:.0e}.
 
 ## Accuracy and failures
 
-Errors are max |alpha - exact|. Residuals and gap are computed here from x and the duals by qpsolvers' `Solution`; those of
-rtcal's routes are its certificate's, in units of the prior. "Wrong" is called solved, yet off by more than 1e-4,
-not finite, or without an answer to find. "Within tolerance" counts solved ones within qpbenchmark's tolerance of that
-setting: 1, 1e-3, 1e-6 or 1e-9. "–": the route gives no duals. A solver asked for 1e-3 may well be off by more than 1e-4: that
-is what the row tells. The default of an rtcal route is rtcal's own; in its other rows the solver's tolerances are replaced.
+Errors are max |alpha - exact|. qpsolvers' `Solution` computes residuals and gap from x and the duals. Those of rtcal's routes are
+its certificate's, in units of the prior. "Wrong" is called solved, yet off by more than 1e-4, not finite, or without an answer
+to find. "Within tolerance" counts solved problems within qpbenchmark's tolerance of that setting: 1, 1e-3, 1e-6 or 1e-9. "–"
+means that the route gives no duals. A solver asked for 1e-3 may well be off by more than 1e-4: the row tells that. The default
+of an rtcal route is rtcal's own. In its other rows the solver's tolerances are replaced.
 
 ![Errors of the answers called solved](figures/solver_errors.png)
 
