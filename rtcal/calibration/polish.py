@@ -9,7 +9,6 @@ rounding (for a piecewise quadratic objective the same loop is Newton's method).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,6 +16,8 @@ from numpy.typing import NDArray
 
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.calibration.problem_data import Flags
+from rtcal.errors import SolverError
+from rtcal.support import kkt
 from rtcal.support.types import Array
 
 _ROUNDS = 60
@@ -142,52 +143,21 @@ def _solve(
     miss = (limit[used] - np.asarray(model.matrix @ alpha)[used]) / norm[used]
     force = model.gradient(alpha)[free] * scale
     curvature = model.curvature(alpha)
-    if sp.issparse(curvature):
-        step, pull = _coupled(curvature[free][:, free] * scale, scale, matrix, force, miss)
+    hessian = curvature[free]
+    if sp.issparse(hessian):
+        hessian = sp.diags_array(scale) @ hessian[:, free] @ sp.diags_array(scale)
     else:
-        step, pull = _separable(curvature[free] * scale**2, matrix, force, miss)
+        hessian = hessian * scale**2
+    try:
+        step, pull = kkt.solve(hessian, matrix, -force, miss)
+    except SolverError:
+        return None
     if not (np.isfinite(step).all() and np.isfinite(pull).all()):
         return None
     trial = alpha.copy()
     trial[free] += scale * step
     rows[used] = pull / norm[used]
     return trial, rows, norm > 0
-
-
-def _separable(diagonal: Array, matrix: Any, force: Array, miss: Array) -> tuple[Array, Array]:
-    """Diagonal curvature: eliminate the step, solve for the multipliers."""
-    weighted = matrix / diagonal
-    schur = weighted @ matrix.T
-    schur = schur.toarray() if sp.issparse(schur) else schur
-    right = -(miss + weighted @ force)
-    if np.count_nonzero(schur) == np.count_nonzero(np.diag(schur)):
-        pull = right / np.diag(schur)
-    else:
-        # Several rows may be dependent: the least-norm multipliers.
-        pull = np.linalg.lstsq(schur, right, rcond=1e-12)[0]
-    return -(force + matrix.T @ pull) / diagonal, pull
-
-
-def _coupled(
-    curvature: Any, scale: Array, matrix: Any, force: Array, miss: Array
-) -> tuple[Array, Array]:
-    """Any curvature: the sparse KKT system, regularised and refined."""
-    from scipy.sparse.linalg import splu
-
-    n, m = matrix.shape[1], matrix.shape[0]
-    curvature = sp.csr_array(sp.diags_array(scale) @ curvature)
-    matrix = sp.csr_array(matrix)
-    exact = sp.csc_array(sp.block_array([[curvature, matrix.T], [matrix, None]]))
-    shift = 1e-11 * np.concatenate([np.ones(n), -np.ones(m)])
-    right = np.concatenate([-force, miss])
-    try:
-        factor = splu(sp.csc_array(exact + sp.diags_array(shift)))
-    except RuntimeError:  # exactly singular
-        return np.full(n, np.nan), np.full(m, np.nan)
-    solution = factor.solve(right)
-    for _ in range(4):
-        solution = solution + factor.solve(right - exact @ solution)
-    return solution[:n], solution[n:]
 
 
 def _released(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.errors import DataError
+from rtcal.support import kkt
 from rtcal.support.types import Array
 
 
@@ -59,12 +60,12 @@ class Optimality:
         rows = sp.csr_array(sp.diags_array(1 / norm) @ rows)
         force = -self.gradient_by_time[self.free] * scale[:, np.newaxis]
         limit = self.limit_by_time[self.active] / norm[:, np.newaxis]
-        if sp.issparse(self.curvature):
-            curvature = self.curvature[self.free][:, self.free]
-            curvature = sp.diags_array(scale) @ curvature @ sp.diags_array(scale)
-            step = _solve_coupled(sp.csr_array(curvature), rows, force, limit)
+        hessian = self.curvature[self.free]
+        if sp.issparse(hessian):
+            hessian = sp.diags_array(scale) @ hessian[:, self.free] @ sp.diags_array(scale)
         else:
-            step = _solve_diagonal(self.curvature[self.free] * scale**2, rows, force, limit)
+            hessian = hessian * scale**2
+        step, _ = kkt.solve(hessian, rows, force, limit)
         out = np.zeros((len(self.scale), force.shape[1]))
         out[self.free] = scale[:, np.newaxis] * step
         return out
@@ -134,28 +135,3 @@ def linear_estimate_sigma(gain: Array, sigma: Array, cross: Array, innovation: A
         sigma**2 - 2 * np.sum(gain * cross, axis=1) + np.sum((gain @ innovation) * gain, axis=1)
     )
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _solve_diagonal(diagonal: Array, rows: Any, force: Array, limit: Array) -> Array:
-    """Solve the conditions for a diagonal curvature by eliminating the unknowns."""
-    diagonal = diagonal[:, np.newaxis]
-    schur = ((rows / diagonal.ravel()) @ rows.T).toarray()
-    # Dependent rows have many multipliers with one answer: take the least.
-    multipliers = np.linalg.lstsq(schur, rows @ (force / diagonal) - limit, rcond=1e-12)[0]
-    return np.asarray((force - rows.T @ multipliers) / diagonal)
-
-
-def _solve_coupled(curvature: Any, rows: Any, force: Array, limit: Array) -> Array:
-    """Solve the conditions for any curvature: factor them with a small shift and refine."""
-    import scipy.sparse as sp
-    from scipy.sparse.linalg import splu
-
-    n = curvature.shape[0]
-    system = sp.csc_array(sp.block_array([[curvature, rows.T], [rows, None]]))
-    shift = 1e-12 * np.concatenate([np.ones(n), -np.ones(rows.shape[0])])
-    factor = splu(sp.csc_array(system + sp.diags_array(shift)))
-    right = np.concatenate([force, limit])
-    solution = factor.solve(right)
-    for _ in range(3):
-        solution = solution + factor.solve(right - system @ solution)
-    return np.asarray(solution[:n])

@@ -1,0 +1,87 @@
+"""The KKT system of a quadratic step within linear equalities.
+
+    H x + A'y = f,  A x = c,
+
+with H positive definite, given as its diagonal or as a sparse matrix.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from rtcal.errors import SolverError
+from rtcal.support.types import Array
+
+_SHIFT = 1e-11
+"""Regularisation of the factored matrix; the refinement below removes its effect."""
+_REFINEMENTS = 4
+_DEPENDENT = 1e-12
+"""Singular values below this share of the largest count as 0: those rows are dependent."""
+
+
+def solve(hessian: Any, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:
+    """Return the step x and the multipliers y.
+
+    Dependent rows have many multipliers; those of least norm are returned.
+
+    Parameters
+    ----------
+    hessian : array (n,) or sparse array (n, n)
+        H, or its diagonal.
+    matrix : array or sparse array (n_rows, n)
+        A, its rows of unit length.
+    force : array (n,) or (n, n_columns)
+        f; one column per system.
+    limit : array (n_rows,) or (n_rows, n_columns)
+        c.
+
+    Raises
+    ------
+    SolverError
+        If the system is singular.
+
+    Examples
+    --------
+    Minimise x1² / 2 + x2² / 2 subject to x1 + x2 = 2:
+
+    >>> step, multipliers = solve(np.ones(2), np.ones((1, 2)), np.zeros(2), np.array([2.0]))
+    >>> print(step, multipliers)
+    [1. 1.] [-1.]
+    """
+    if sp.issparse(hessian):
+        return _factored(hessian, matrix, force, limit)
+    return _eliminated(hessian, matrix, force, limit)
+
+
+def _eliminated(diagonal: Array, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:
+    """Eliminate x: A H⁻¹ A' y = A H⁻¹ f - c."""
+    weighted = matrix / diagonal
+    schur = weighted @ matrix.T
+    schur = schur.toarray() if sp.issparse(schur) else schur
+    right = weighted @ force - limit
+    if np.count_nonzero(schur) == np.count_nonzero(np.diag(schur)):
+        multipliers = (right.T / np.diag(schur)).T
+    else:
+        multipliers = np.linalg.lstsq(schur, right, rcond=_DEPENDENT)[0]
+    return ((force - matrix.T @ multipliers).T / diagonal).T, multipliers
+
+
+def _factored(hessian: Any, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:
+    """Factor the whole system, regularised, and refine the solution."""
+    from scipy.sparse.linalg import splu
+
+    n, matrix = hessian.shape[0], sp.csr_array(matrix)
+    system = sp.csc_array(sp.block_array([[hessian, matrix.T], [matrix, None]]))
+    shift = _SHIFT * np.concatenate([np.ones(n), -np.ones(matrix.shape[0])])
+    try:
+        factor = splu(sp.csc_array(system + sp.diags_array(shift)))
+    except RuntimeError as error:
+        raise SolverError("the optimality conditions are singular") from error
+    right = np.concatenate([force, limit])
+    solution = factor.solve(right)
+    for _ in range(_REFINEMENTS):
+        solution = solution + factor.solve(right - system @ solution)
+    return solution[:n], solution[n:]
