@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,6 +20,7 @@ from rtcal.calibration.compiled_qp import CompiledQP, WhitenedQP
 from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
+from rtcal.calibration.options import SolveOptions
 from rtcal.calibration.polish import polish, undetermined
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.terms import MatchConstraint, Objective, RowConstraint
@@ -121,11 +122,7 @@ class ConvexProgram:
         data: ProblemData,
         rooms: Sequence[Room],
         equation: LinearEquation,
-        *,
-        solver: str,
-        unreachable: str,
-        warm_start: str,
-        settings: Mapping[str, Any] | None,
+        options: SolveOptions,
     ) -> Solution:
         """Solve for the data's numbers.
 
@@ -136,22 +133,22 @@ class ConvexProgram:
         SolverError
             If the solver's answer does not pass the certificate.
         """
-        settled, at_lower, at_upper, beyond = self._settle(data, rooms, equation, unreachable)
+        settled, at_lower, at_upper, beyond = self._settle(
+            data, rooms, equation, options.unreachable
+        )
         # The ends are pinned for the solver only: model and certificate see the problem as asked.
         asked = replace(data, target=settled.target)
         model = NumpyModel(asked, self.objective, self.rows)
         self._context.update(settled)
         start = None
-        if warm_start not in ("none", "closed_form"):
-            raise ModelError(f'warm_start = {warm_start!r} is not "none" or "closed_form"')
-        if warm_start == "closed_form":
+        if options.warm_start == "closed_form":
             if not (len(self.rows) == 1 and len(self.objective.terms) == 1):
                 raise ModelError(
                     "the closed form starts only a prior deviation with an exact match"
                 )
             start = from_closed_form(settled)
         try:
-            answer = solvers.run(self._compiled, solver, settings, start)
+            answer = solvers.run(self._compiled, options, start)
         except SolverError as error:
             contradiction.explain(model)
             raise error
@@ -170,7 +167,7 @@ class ConvexProgram:
         if not _passes(model, unknowns, certificate):
             contradiction.explain(model)
             raise SolverError(
-                f'solver "{solver}" says {answer.status}, but its answer does not pass: primal '
+                f'solver "{options.solver}" says {answer.status}, but its answer does not pass: primal '
                 f"residual {np.max(certificate.primal_residual):.1e}, dual residual "
                 f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}"
             )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, overload
+from collections.abc import Callable, Sequence
+from typing import Any, Unpack, overload
 
 from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.problem import Calibration, Times, Unreached
+from rtcal.calibration.options import SolveKeywords
+from rtcal.calibration.problem import Calibration, Times
 from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.calibration.terms import (
     BandSmoothness,
@@ -72,10 +73,7 @@ def calibrate(
     measured: Times,
     method: str = "mle",
     equation: Equation | None = None,
-    solver: str = "clarabel",
-    unreachable: Unreached = "raise",
-    warm_start: Literal["none", "closed_form"] = "none",
-    settings: Mapping[str, Any] | None = None,
+    **options: Unpack[SolveKeywords],
 ) -> CalibrationResult: ...
 
 
@@ -85,10 +83,7 @@ def calibrate(
     measured: Sequence[Times],
     method: str = "mle",
     equation: Equation | None = None,
-    solver: str = "clarabel",
-    unreachable: Unreached = "raise",
-    warm_start: Literal["none", "closed_form"] = "none",
-    settings: Mapping[str, Any] | None = None,
+    **options: Unpack[SolveKeywords],
 ) -> JointResult: ...
 
 
@@ -97,10 +92,7 @@ def calibrate(
     measured: Any,
     method: str = "mle",
     equation: Equation | None = None,
-    solver: str = "clarabel",
-    unreachable: Unreached = "raise",
-    warm_start: Literal["none", "closed_form"] = "none",
-    settings: Mapping[str, Any] | None = None,
+    **options: Unpack[SolveKeywords],
 ) -> CalibrationResult | JointResult:
     """Calibrate a room's absorption coefficients to its measured reverberation time.
 
@@ -117,15 +109,12 @@ def calibrate(
     method : {"mle", "lse", "soft", "smooth", "robust", "joint"}
     equation : Equation, optional
         `rtcal.Eyring` with the room's air if not given.
-    solver : str
-        ``"clarabel"``, ``"osqp"``, another solver of cvxpy's, or ``"qpsolvers:NAME"``.
-    unreachable : {"raise", "nearest"}
-        Where no coefficients within the bounds give T: raise, or take the nearest that do and
-        list the band in the result.
-    warm_start : {"none", "closed_form"}
-        Start OSQP from the paper's closed form. Clarabel has no warm start.
-    settings : mapping, optional
-        The solver's own settings.
+    **options
+        ``solver``: ``"clarabel"`` (the default), ``"osqp"``, another solver of cvxpy's, or
+        ``"qpsolvers:NAME"``. ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take
+        the nearest T within reach and list the band in the result. ``warm_start``: ``"none"`` (the
+        default), or ``"closed_form"`` to start OSQP from the paper's closed form. ``settings``: a
+        mapping of the solver's own settings.
 
     Returns
     -------
@@ -155,19 +144,5 @@ def calibrate(
         raise DataError(f"room = {room!r} is not a rtcal.Room (Room.from_file reads one)")
     calibration = preset(method, room if isinstance(room, Room) else room.union)
     if isinstance(room, Configurations):
-        return calibration.build(room, equation).solve(
-            measured,
-            solver=solver,
-            unreachable=unreachable,
-            warm_start=warm_start,
-            settings=settings,
-            method=method,
-        )
-    return calibration.build(room, equation).solve(
-        measured,
-        solver=solver,
-        unreachable=unreachable,
-        warm_start=warm_start,
-        settings=settings,
-        method=method,
-    )
+        return calibration.build(room, equation).solve(measured, method=method, **options)
+    return calibration.build(room, equation).solve(measured, method=method, **options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Unpack, overload
 
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
@@ -15,6 +15,7 @@ from rtcal.calibration.compiled_qp import WhitenedQP
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import ConvexProgram
 from rtcal.calibration.measured import MeasuredTimes, refuse_repeated_data, times_in_room
+from rtcal.calibration.options import SolveKeywords, SolveOptions
 from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.calibration.terms import (
     BoundConstraint,
@@ -30,7 +31,6 @@ from rtcal.errors import DataError, MissingAirWarning, ModelError
 from rtcal.support.types import Array
 
 Constraint = RowConstraint | BoundConstraint | SharedMaterials
-Unreached = Literal["raise", "nearest"]
 Times = Measurement | Sequence[float] | Array
 
 
@@ -169,11 +169,8 @@ class CalibrationProblem:
         room: Room | None = None,
         weights: Mapping[ObjectiveTerm, float] | None = None,
         *,
-        solver: str = "clarabel",
-        unreachable: Unreached = "raise",
-        warm_start: Literal["none", "closed_form"] = "none",
-        settings: Mapping[str, Any] | None = None,
         method: str = "composed",
+        **options: Unpack[SolveKeywords],
     ) -> CalibrationResult:
         """Solve for one measurement, without compiling again.
 
@@ -185,17 +182,11 @@ class CalibrationProblem:
             Other numbers for the same materials and bands; the room built with if not given.
         weights : mapping of objective term to weight, optional
             In place of those built with.
-        solver : str
-            A solver of cvxpy's, or ``"qpsolvers:NAME"``.
-        unreachable : {"raise", "nearest"}
-            What to do where no coefficients within the bounds give T: raise, or take the nearest
-            end and say so.
-        warm_start : {"none", "closed_form"}
-            Start OSQP from the paper's closed form, primal and dual. Clarabel has no warm start.
-        settings : mapping, optional
-            The solver's own settings.
         method : str
             The name that the result carries.
+        **options
+            ``solver``, ``unreachable``, ``warm_start`` and ``settings``; see
+            `rtcal.calibration.options.SolveOptions`.
 
         Raises
         ------
@@ -212,11 +203,8 @@ class CalibrationProblem:
             [measured],
             Configurations([room]),
             weights,
-            solver=solver,
-            unreachable=unreachable,
-            warm_start=warm_start,
-            settings=settings,
             method=method,
+            **options,
         ).results[0]
 
     def whitened(self, measured: Times, room: Room | None = None) -> WhitenedQP:
@@ -241,19 +229,15 @@ class JointProblem:
         configurations: Configurations | None = None,
         weights: Mapping[ObjectiveTerm, float] | None = None,
         *,
-        solver: str = "clarabel",
-        unreachable: Unreached = "raise",
-        warm_start: Literal["none", "closed_form"] = "none",
-        settings: Mapping[str, Any] | None = None,
         method: str = "composed",
+        **options: Unpack[SolveKeywords],
     ) -> JointResult:
         """Solve for one measurement a configuration, without compiling again.
 
         Parameters and errors as in `CalibrationProblem.solve`; ``measured`` and ``configurations``
         have one entry a configuration.
         """
-        if unreachable not in ("raise", "nearest"):
-            raise DataError(f'unreachable = "{unreachable}" is not "raise" or "nearest"')
+        chosen = SolveOptions(**options)
         given = self.configurations
         if configurations is not None:
             given = require_same_shape(self.configurations, configurations)
@@ -265,17 +249,14 @@ class JointProblem:
             assembler.problem_data(given, times, weights),
             given.rooms,
             assembler.equation,
-            solver=solver,
-            unreachable=unreachable,
-            warm_start=warm_start,
-            settings=settings,
+            chosen,
         )
         return JointResult(
             configurations=given,
             solution=solution,
             equation=assembler.equation,
             method=method,
-            solver=solver,
+            solver=chosen.solver,
             measured_times=tuple(times),
             assemble=lambda new: assembler.problem_data(given, new, weights),
         )

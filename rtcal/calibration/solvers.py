@@ -20,6 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rtcal.calibration.compiled_qp import CompiledQP
+from rtcal.calibration.options import SolveOptions
 from rtcal.errors import MissingDependencyError, ModelError, SolverError
 from rtcal.support.types import Array
 
@@ -90,42 +91,29 @@ def _dual(constraint: Any) -> Array:
 
 
 def run(
-    compiled: CompiledQP,
-    solver: str,
-    settings: Mapping[str, Any] | None = None,
-    start: tuple[Array, list[Array]] | None = None,
+    compiled: CompiledQP, options: SolveOptions, start: tuple[Array, list[Array]] | None = None
 ) -> SolverOutput:
     """Solve the compiled problem with the numbers that its parameters now hold.
 
     Parameters
     ----------
     compiled : CompiledQP
-    solver : str
-        A cvxpy solver in any case, or ``"qpsolvers:NAME"``.
-    settings : mapping, optional
-        The solver's own settings, over those of `SETTINGS`.
+    options : SolveOptions
+        Its solver in any case; its settings override those of `SETTINGS`.
     start : (x, row duals), optional
-        Primal and dual warm start; only OSQP can use one.
+        Primal and dual warm start of OSQP.
 
     Raises
     ------
     ModelError
-        If the solver's name is unknown or it takes no warm start.
+        If the solver refuses a setting, or the warm start does not fit.
     MissingDependencyError
         If the solver is not installed.
     SolverError
         If it returns no values.
     """
-    if not isinstance(solver, str):
-        raise ModelError(f'solver = {solver!r} is not a name such as "clarabel"')
-    if not isinstance(settings, (Mapping, type(None))):
-        raise ModelError(f"settings = {settings!r} is not a mapping of name to value")
-    if other := [key for key in settings or {} if not isinstance(key, str)]:
-        raise ModelError(f"settings has {other[0]!r}, which is no setting's name")
-    name = solver.lower()
-    chosen = {**SETTINGS.get(name.upper(), {}), **(settings or {})}
-    if start is not None and name != "osqp":
-        raise ModelError(f'solver "{solver}" takes no warm start; only "osqp" does')
+    name = options.solver.lower()
+    chosen = {**SETTINGS.get(name.upper(), {}), **(options.settings or {})}
     if name == "clarabel":
         return _clarabel(compiled, chosen)
     if name == "osqp":
