@@ -208,9 +208,9 @@ def test_many_bands_are_printed_in_blocks_that_fit_a_page() -> None:
     )
     t = np.linspace(0.5, 0.6, n)
     page = str(rt.calibrate(room, t)).splitlines()
-    tables = page[: next(i for i, text in enumerate(page) if text.startswith("Plausibility"))]
-    assert max(len(text) for text in tables) <= 100
-    measured = [text.split()[4:] for text in tables if text.startswith("measured T / s")]
-    assert [len(block) for block in measured] == [8, 8, 2]
+    assert max(len(text) for text in page) <= 80
+    measured = [text.split()[4:] for text in page if text.startswith("measured T / s")]
+    assert len(measured) > 1
     assert [float(v) for block in measured for v in block] == [round(float(v), 3) for v in t]
-    assert sum(text.split()[:2] == ["100", "Hz"] for text in tables) == 2  # bands and materials
+    headers = sum(text.split()[:2] == ["100", "Hz"] for text in page)
+    assert headers == 2  # bands and materials

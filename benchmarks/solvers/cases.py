@@ -365,7 +365,7 @@ class Rooms(qpbenchmark.TestSet):
 
 
 def _times(built: CalibrationProblem, measured: rt.Measurement, room: rt.Room) -> Array:
-    return np.array(built.solve(measured).joint.data[0].reverberation_time)
+    return np.array(built.solve(measured).joint.measured_times[0].reverberation_time)
 
 
 def bras_thirds(name: str, folder: Path) -> tuple[rt.Room, Array]:

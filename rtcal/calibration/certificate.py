@@ -18,7 +18,7 @@ from rtcal.support.types import Array
 _EPS = np.finfo(float).eps
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Certificate:
     """Residuals of the optimality conditions, each (n_bands,).
 
@@ -45,6 +45,12 @@ class Certificate:
         """The largest of the three residuals over all bands."""
         return float(
             max(np.max(r) for r in (self.primal_residual, self.dual_residual, self.duality_gap))
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"<Certificate: worst residual {self.worst:.1e}, alpha within "
+            f"{np.max(self.alpha_error_bound):.1e} of the optimum>"
         )
 
 

@@ -24,7 +24,7 @@ from rtcal.support.types import Array
 _OSQP_SOLVED = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Matrices:
     """The matrices of one QP; its first ``n_equal`` rows are equalities.
 
@@ -37,13 +37,20 @@ class Matrices:
     b: Array
     n_equal: int
 
+    def __repr__(self) -> str:
+        rows, size = self.A.shape
+        return (
+            f"<Matrices: {size} variables, {self.n_equal} equalities, "
+            f"{rows - self.n_equal} inequalities>"
+        )
+
     @property
     def P(self) -> Any:
         """P in full, sparse by columns."""
         return sp.csc_matrix(self.P_upper + sp.triu(self.P_upper, 1).T)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class WhitenedQP:
     """One calibration as a QP in the whitened unknowns, for those who want to solve it themselves.
 
@@ -56,6 +63,9 @@ class WhitenedQP:
     scale: Array
     first: int
     layout: Layout
+
+    def __repr__(self) -> str:
+        return f"<WhitenedQP: {self.layout!r}>"
 
     def alpha(self, x: Array) -> Array:
         """Return the absorption coefficients of a point x, (n_materials, n_bands)."""

@@ -33,7 +33,7 @@ _ACCEPTED = 1e-9
 dual residual and gap in units of the prior's own (a shift of one sigma is 1)."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RawSolution:
     """The solver's own answer, before polishing, so that a solver can be judged.
 
@@ -57,8 +57,14 @@ class RawSolution:
         """The raw answer's own certificate."""
         return certify(self.model, self.unknowns, self.multipliers)
 
+    def __repr__(self) -> str:
+        return (
+            f"<RawSolution: {len(self.unknowns)} unknowns, status {self.status}, "
+            f"{self.iterations} iterations>"
+        )
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution:
     """An answer over the unknowns: their values, multipliers, and -1, 0, 1 for lower, free, upper."""
 
@@ -83,6 +89,12 @@ class Solution:
                 return np.where(data.matched, found.reshape(data.matched.shape), np.nan)
             start += n_rows
         return np.full(data.matched.shape, np.nan)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Solution: {len(self.unknowns)} unknowns, {np.count_nonzero(self.active)} at a bound, "
+            f"{self.certificate!r}>"
+        )
 
 
 class ConvexProgram:

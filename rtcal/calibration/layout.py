@@ -15,7 +15,7 @@ from rtcal.support.types import Array
 Integers = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Layout:
     """The unknowns: one flat vector, alpha row by row with the bands last, then further ones.
 
@@ -37,6 +37,12 @@ class Layout:
     centre_frequencies: tuple[float, ...]
     n_configurations: int = 1
     further: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return (
+            f"<Layout: {self.n_rows} rows of coefficients, {self.n_bands} bands, "
+            f"{len(self.further)} further unknowns, {self.n_configurations} configurations>"
+        )
 
     @property
     def n_rows(self) -> int:

@@ -16,7 +16,7 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MeasuredTimes:
     """Measured T in the room's bands.
 
@@ -32,6 +32,10 @@ class MeasuredTimes:
     ignored: tuple[float, ...]
     fingerprint: str
     caution: str
+
+    def __repr__(self) -> str:
+        given = np.count_nonzero(np.isfinite(self.reverberation_time))
+        return f"<MeasuredTimes: {given} of {len(self.parameter)} bands, data {self.fingerprint}>"
 
 
 def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:

@@ -30,7 +30,7 @@ class Multipliers:
     upper: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class NumpyModel:
     """Objective, rows and box over the unknowns, from the terms' own NumPy descriptions."""
 
@@ -156,6 +156,11 @@ class NumpyModel:
             else:
                 diagonal = diagonal + weight * part
         return diagonal if matrix is None else sp.csr_array(matrix + sp.diags_array(diagonal))
+
+    def __repr__(self) -> str:
+        terms = " + ".join(type(term).__name__ for term in self.objective.terms)
+        rows = ", ".join(type(row).__name__ for row in self.row_constraints) or "no rows"
+        return f"<NumpyModel: {terms} subject to {rows}, {self.sigma.size} unknowns>"
 
     def stationarity(self, u: Array, rows: Array) -> Array:
         """Return gradient + rows' multipliers at the unknowns: what the box must balance."""

@@ -163,6 +163,9 @@ class CalibrationProblem:
         self.equation = equation
         self._joint = JointProblem(calibration, Configurations([room]), equation)
 
+    def __repr__(self) -> str:
+        return f"<CalibrationProblem with {self.equation.name}'s equation for {self.room!r}>"
+
     def solve(
         self,
         measured: Times,
@@ -222,6 +225,9 @@ class JointProblem:
         self.configurations = configurations
         self.equation = equation
         self._assembler, self._program = _compiled(calibration, configurations, equation)
+
+    def __repr__(self) -> str:
+        return f"<JointProblem with {self.equation.name}'s equation for {self.configurations!r}>"
 
     def solve(
         self,

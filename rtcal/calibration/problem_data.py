@@ -17,7 +17,7 @@ __all__ = ["Flags", "Integers", "ProblemData"]
 Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class ProblemData:
     """One set of numbers for a problem of a fixed shape.
 
@@ -80,6 +80,9 @@ class ProblemData:
         inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
         inverse.setflags(write=False)
         return inverse
+
+    def __repr__(self) -> str:
+        return f"<ProblemData: {self.layout!r}>"
 
     def alpha(self, u: Array) -> Array:
         """Return the absorption coefficients among the unknowns, (n_rows, n_bands)."""

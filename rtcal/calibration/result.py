@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,25 +19,28 @@ from rtcal.acoustics.quality import (
     trust_marks,
 )
 from rtcal.acoustics.room import CalibrationRecord, Room
+from rtcal.calibration import record
 from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.convex_program import RawSolution, Solution
+from rtcal.calibration.convex_program import RawSolution
 from rtcal.calibration.feasibility import Unreachable
+from rtcal.calibration.joint_solution import JointSolution
 from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.problem_data import ProblemData
-from rtcal.calibration.terms import MatchConstraint, SoftMatch
-from rtcal.calibration.uncertainty import density, estimate_sigma, innovation, optimality
+from rtcal.calibration.table import html_table, text_table
+from rtcal.calibration.uncertainty import innovation
 from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.distributions import exact_posterior
 from rtcal.posterior.sensitivities import Optimality
+from rtcal.support.files import json_numbers
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 
 _MOST_FOR_INTERVALS = 40  # materials; the exact marginals' cost rises with the square
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CalibrationResult:
     """A calibrated room and everything that is known of the calibration.
 
@@ -270,111 +272,85 @@ class CalibrationResult:
         return self.joint.optimality()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers, lists and text; None where a value is missing."""
-        from rtcal.calibration.record import record
+        """Return everything as plain numbers, lists and text; None where a value is missing.
 
-        return record(self)
+        ``inputs`` holds the room and the mean T as the texts of their files: with them the
+        calibration can be done again from the record alone.
+        """
+        room, model = self.prior, self.joint.solution.model
+        return {
+            "rtcal": record.KIND,
+            "versions": record.versions(),
+            "room": room.name,
+            "method": self.method,
+            "equation": self.equation.name,
+            "equation_parameters": record.equation_parameters(self.equation),
+            "objective": [repr(term) for term in model.objective.terms],
+            "constraints": [repr(row) for row in model.row_constraints],
+            "matches_measured_time": self.joint.asks_for_measured_time,
+            "volume": room.volume,
+            "air": None if room.air is None else vars(room.air),
+            "centre_frequencies": json_numbers(room.centre_frequencies),
+            "measured": record.measurement(self.measured_data),
+            "reverberation_time_before": json_numbers(self.reverberation_time_before),
+            "reverberation_time_after": json_numbers(self.reverberation_time_after),
+            "gap_before_jnd": json_numbers(self.gap_before),
+            "gap_after_jnd": json_numbers(self.gap_after),
+            "target": json_numbers(self.target),
+            "target_uncertainty": json_numbers(self.target_uncertainty),
+            "materials": record.materials(
+                room,
+                self.room,
+                self.shift_in_sigmas,
+                self.interval,
+                self.active,
+                self.certificate.alpha_error_bound,
+            ),
+            "material_correlation": [
+                {"materials": list(pair), "value": value}
+                for pair, value in room.material_correlation.items()
+            ],
+            "band_correlation": room.band_correlation,
+            "plausibility": {
+                "z": json_numbers(self.plausibility.z),
+                "q": self.plausibility.q,
+                "degrees_of_freedom": self.plausibility.degrees_of_freedom,
+                "p_value": self.plausibility.p_value,
+            },
+            "effects": self.effects,
+            "added_absorption": json_numbers(self.added_absorption),
+            "air_share": json_numbers(self.air_share),
+            "trust_marks": [vars(mark) for mark in self.trust_marks],
+            "multipliers": json_numbers(self.multipliers),
+            "unreachable": [str(band) for band in self.unreachable],
+            "certificate": record.residuals(self.certificate),
+            "solver": record.solver(self.solver, self.raw, self.polished),
+            "inputs": record.inputs(room, self.measured_data),
+        }
 
     def to_json(self) -> str:
         """Return `to_dict` as JSON text."""
         return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
+    def __repr__(self) -> str:
+        gaps = [np.nanmax(np.abs(gap)) for gap in (self.gap_before, self.gap_after)]
+        return (
+            f'<CalibrationResult of "{shortened(self.prior.name)}": method {self.method}, '
+            f"{self.equation.name}'s equation, largest gap {gaps[0]:.1f} JND before, "
+            f"{gaps[1]:.1f} JND after>"
+        )
+
     def __str__(self) -> str:
-        from rtcal.calibration.table import table
+        return text_table(self.to_dict())
 
-        return table(self)
+    def _repr_html_(self) -> str:
+        """Return a table of the bands and the coefficients, shaded by gap and by shift."""
+        return html_table(self.to_dict())
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointResult:
-    """One answer for several configurations of a room: shared alpha, one T a configuration.
-
-    Attributes
-    ----------
-    configurations : Configurations
-    solution : Solution
-        The answer over the unknowns, its multipliers and its certificate.
-    equation, method, solver
-        As asked for.
-    measured_times : tuple of MeasuredTimes
-        One a configuration.
-    assemble : function
-        The numbers of the same problem for other measurements.
-    """
-
-    configurations: Configurations
-    solution: Solution
-    equation: LinearEquation
-    method: str
-    solver: str
-    measured_times: tuple[MeasuredTimes, ...]
-    assemble: Callable[[Sequence[MeasuredTimes]], ProblemData]
-
-    @property
-    def materials(self) -> tuple[str, ...]:
-        """Every material of any configuration."""
-        return self.configurations.materials
-
-    @cached_property
-    def alpha(self) -> Array:
-        """The calibrated coefficients, (n_materials, n_bands)."""
-        return self.solution.model.data.layout.expand(self.solution.unknowns)
-
-    @cached_property
-    def active(self) -> NDArray[np.int8]:
-        """-1 at the lower bound, 1 at the upper, 0 free, (n_materials, n_bands)."""
-        layout = self.solution.model.data.layout
-        return layout.expand(self.solution.active.astype(float)).astype(np.int8)
-
-    @property
-    def certificate(self) -> Certificate:
-        """How far the answer is from the optimum."""
-        return self.solution.certificate
-
-    @property
-    def asks_for_measured_time(self) -> bool:
-        """Whether a constraint or a term of weight above 0 ties alpha to the measured T."""
-        model = self.solution.model
-        terms = zip(model.objective.terms, model.data.weights, strict=True)
-        return any(isinstance(r, MatchConstraint) for r in model.row_constraints) or any(
-            isinstance(t, SoftMatch) and w > 0 for t, w in terms
-        )
-
-    @cached_property
-    def effects(self) -> dict[str, float]:
-        """The sizes of the further unknowns, by name."""
-        data = self.solution.model.data
-        sizes = data.further(self.solution.unknowns)
-        return dict(zip(data.layout.further, sizes.tolist(), strict=True))
-
-    def density(self) -> IndependentBands | CoupledBands:
-        """Return the density of the unknowns, for `rtcal.posterior.posterior`.
-
-        Raises ModelError if the method has none (`lse`, `robust`).
-        """
-        return density(self.solution)
-
-    def optimality(self) -> Optimality:
-        """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
-        return optimality(self.solution, self.measured_times, self.assemble, bounds=True)
-
-    @cached_property
-    def _estimate_sigma(self) -> Array:
-        return estimate_sigma(
-            self.solution, self.configurations, self.equation, self.measured_times, self.assemble
-        )
-
-    @property
-    def posterior_sigma(self) -> Array:
-        """Standard deviation of the calibrated coefficients, (n_materials, n_bands)."""
-        return self.solution.model.data.layout.expand(self._estimate_sigma)
-
-    @property
-    def effects_sigma(self) -> dict[str, float]:
-        """Standard deviation of the sizes of the further unknowns, by name."""
-        data = self.solution.model.data
-        sizes = data.further(self._estimate_sigma)
-        return dict(zip(data.layout.further, sizes.tolist(), strict=True))
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointResult(JointSolution):
+    """One calibration of several configurations of a room: shared alpha, one T per configuration."""
 
     @cached_property
     def results(self) -> tuple[CalibrationResult, ...]:
@@ -387,3 +363,10 @@ class JointResult:
     def __str__(self) -> str:
         parts = zip(self.configurations.names, self.results, strict=True)
         return "\n\n".join(f"configuration: {name}\n{result}" for name, result in parts)
+
+    def __repr__(self) -> str:
+        rooms = self.configurations.rooms
+        return (
+            f'<JointResult of "{shortened(rooms[0].name)}": {len(rooms)} '
+            f"configuration{'s' * (len(rooms) > 1)}, method {self.method}>"
+        )

@@ -1,136 +1,213 @@
-"""A calibration as printed text."""
+"""A saved calibration (`CalibrationResult.to_dict`) as printed text and as a notebook's table."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import explained, letters
+from rtcal.acoustics.quality import TrustMark, explained, letters
+from rtcal.support import html, text
 from rtcal.support.types import Array
 
-if TYPE_CHECKING:
-    from rtcal.calibration.result import CalibrationResult
+_SIGNIFICANT = 0.05
+"""The p-value below which the measurement is said to contradict the prior: the usual level."""
+_STRONG_SHIFT = 3.0
+"""The shift in sigmas, and the gap in JND, that a notebook's table shades most strongly."""
 
-Row = tuple[str, list[str]]
-
-_WIDTH = 9
-_COLUMNS = 8  # bands side by side: a page of about 100 characters
-_P_LIMIT = 0.05
+_BOUNDS = {"lower": "*", "upper": "*", "": " "}
 
 
-def table(result: CalibrationResult) -> str:
-    """Return the tables that ``print(result)`` shows: bands, materials, plausibility."""
-    room = result.prior
-    parameters = sorted({p.upper() for p in result.measured_data.parameter if p})
-    air = "no air stated"
-    if room.air is not None:
-        air = f"air {room.air.temperature:g} °C, {room.air.humidity:g} %"
-    matched = "matched" if result.joint.asks_for_measured_time else "NOT matched"
-    header = ("", [bands.label(f) for f in room.centre_frequencies])
-    alphas = _material_rows(result)
-    width = max(24, *(len(label) for label, _ in alphas))
-    if room.n_bands > _COLUMNS:
-        alphas.insert(0, header)
+def text_table(record: Mapping[str, Any]) -> str:
+    """Return the text that ``print(result)`` shows: bands, materials, plausibility, certificate.
+
+    Parameters
+    ----------
+    record : mapping
+        As `CalibrationResult.to_dict` returns it.
+    """
+    header = ("", _band_labels(record))
     return "\n".join(
         [
-            f"{room.name}: {room.volume:g} m³, {room.total_area:g} m², {air}",
-            f"method {result.method}, {result.equation.name}'s equation, "
-            f"{' and '.join(parameters)} {matched}, solver {result.solver}",
+            *(line for sentence in _header(record) for line in text.wrapped(sentence)),
             "",
-            *_blocks([header, *_band_rows(result, mixed=len(parameters) > 1)], width),
+            *text.table(_band_rows(record), header=header),
+            "",
             "alpha after (shift in sigmas of the prior; * at a bound)",
-            *_blocks(alphas, width),
-            *_believe(result),
+            *text.table(_material_rows(record), header=header),
+            "",
+            *(
+                line
+                for sentence, indent in _notes(record)
+                for line in text.wrapped(sentence, indent)
+            ),
         ]
     )
 
 
-def _blocks(rows: list[Row], width: int) -> list[str]:
-    """The rows as lines, so many bands side by side, and an empty line after each block."""
-    out = []
-    for start in range(0, len(rows[0][1]), _COLUMNS):
-        for label, cells in rows:
-            shown = cells[start : start + _COLUMNS]
-            out.append(label.ljust(width) + "".join(c.rjust(_WIDTH) for c in shown))
-        out.append("")
-    return out
+def html_table(record: Mapping[str, Any]) -> str:
+    """Return the HTML table of a notebook: gaps and coefficients, shaded by gap and by shift."""
+    rows: list[list[str | html.Cell]] = []
+    for label, cells in _band_rows(record):
+        shades = np.zeros(len(cells))
+        if label.startswith("gap"):
+            key = "gap_before_jnd" if "before" in label else "gap_after_jnd"
+            shades = np.nan_to_num(_numbers(record[key])) / _STRONG_SHIFT
+        rows.append([label, *map(html.Cell, cells, shades)])
+    for material in record["materials"]:
+        shifts = _numbers(material["shift_in_sigmas"])
+        cells = [
+            f"{alpha:.3f}{_BOUNDS[bound].strip()} ({shift:+.1f})"
+            for alpha, bound, shift in zip(
+                material["alpha_after"],
+                material["at_bound"],
+                _without_rounding(shifts),
+                strict=True,
+            )
+        ]
+        label = f"{material['name']}, {material['area']:g} m²"
+        rows.append([label, *map(html.Cell, cells, shifts / _STRONG_SHIFT)])
+    title, settings = _header(record)
+    return html.table(
+        f"{title}; {settings}. alpha after (shift in sigmas of the prior; * at a bound)",
+        ["", *_band_labels(record)],
+        rows,
+        [sentence for sentence, _ in _notes(record)],
+    )
 
 
-def _band_rows(result: CalibrationResult, mixed: bool) -> list[Row]:
-    """One row for each thing told of the bands; with ``mixed``, which parameter was matched."""
+def _band_labels(record: Mapping[str, Any]) -> list[str]:
+    return [bands.label(f) for f in record["centre_frequencies"]]
 
-    def numbers(label: str, values: Array, form: str) -> Row:
-        return label, [format(v, form) if np.isfinite(v) else "-" for v in values]
 
-    marks = [letters(result.trust_marks, f) or "." for f in result.prior.centre_frequencies]
-    matched = [p.upper() or "-" for p in result.measured_data.parameter]
+def _header(record: Mapping[str, Any]) -> tuple[str, str]:
+    """The room, and how it was calibrated."""
+    air = "no air stated"
+    if record["air"] is not None:
+        air = f"air {record['air']['temperature']:g} °C, {record['air']['humidity']:g} %"
+    area = sum(material["area"] for material in record["materials"])
+    matched = "matched" if record["matches_measured_time"] else "NOT matched"
+    return (
+        f"{record['room']}: {record['volume']:g} m³, {area:g} m², {air}",
+        f"method {record['method']}, {record['equation']}'s equation, "
+        f"{' and '.join(_parameters(record))} {matched}, solver {record['solver']['name']}",
+    )
+
+
+def _parameters(record: Mapping[str, Any]) -> list[str]:
+    return sorted({p.upper() for p in record["measured"]["parameter"] if p})
+
+
+def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
+    """One row per quantity of the bands; the matched parameter has one if there are several."""
+    marks = _trust_marks(record)
+    parameters = [p.upper() or "-" for p in record["measured"]["parameter"]]
+    quantities = [
+        ("measured T / s", record["measured"]["reverberation_time"], ".3f"),
+        ("  its uncertainty / s", record["measured"]["uncertainty"], ".3f"),
+        ("T before / s", record["reverberation_time_before"], ".3f"),
+        ("T after / s", record["reverberation_time_after"], ".3f"),
+        ("gap before / JND", record["gap_before_jnd"], "+.1f"),
+        ("gap after / JND", record["gap_after_jnd"], "+.1f"),
+        ("z", record["plausibility"]["z"], "+.1f"),
+        ("air's share / %", 100 * _numbers(record["air_share"]), ".0f"),
+    ]
+    trust = [letters(marks, f) or "." for f in record["centre_frequencies"]]
     return [
-        *([("matched", matched)] if mixed else []),
-        numbers("measured T / s", result.measured, ".3f"),
-        numbers("  its uncertainty / s", result.measured_uncertainty, ".3f"),
-        numbers("T before / s", result.reverberation_time_before, ".3f"),
-        numbers("T after / s", result.reverberation_time_after, ".3f"),
-        numbers("gap before / JND", result.gap_before, "+.1f"),
-        numbers("gap after / JND", _cleaned(result.gap_after), "+.1f"),
-        numbers("z", result.plausibility.z, "+.1f"),
-        numbers("air's share / %", 100 * result.air_share, ".0f"),
-        ("do not trust, see below", marks),
+        *([("matched", parameters)] if len(_parameters(record)) > 1 else []),
+        *((label, _cells(_numbers(values), form)) for label, values, form in quantities),
+        ("do not trust, see below", trust),
     ]
 
 
-def _material_rows(result: CalibrationResult) -> list[Row]:
-    """Three rows a material: alpha, its shift in sigmas, its shift."""
-    room, rows = result.prior, []
-    for i, material in enumerate(room.materials):
-        marks = ["*" if bound else " " for bound in result.active[i]]
-        alphas = [f"{a:.3f}{m}" for a, m in zip(result.alpha[i], marks, strict=True)]
+def _material_rows(record: Mapping[str, Any]) -> list[text.Row]:
+    """Three rows per material: alpha, its shift in sigmas, its shift."""
+    rows: list[text.Row] = []
+    for material in record["materials"]:
+        after = _numbers(material["alpha_after"])
+        marks = [_BOUNDS[bound] for bound in material["at_bound"]]
+        shift = _without_rounding(after - _numbers(material["alpha_before"]))
+        sigmas = _without_rounding(_numbers(material["shift_in_sigmas"]))
         rows += [
-            (f"{material}, {room.areas[i]:g} m²", alphas),
-            ("", [f"({s:+.1f}) " for s in _cleaned(result.shift_in_sigmas[i])]),
-            ("  shift of alpha", [f"{s:+.3f} " for s in _cleaned(result.shift[i])]),
+            (
+                f"{material['name']}, {material['area']:g} m²",
+                [f"{alpha:.3f}{mark}" for alpha, mark in zip(after, marks, strict=True)],
+            ),
+            ("", [f"({s:+.1f}) " for s in sigmas]),
+            ("  shift of alpha", [f"{s:+.3f} " for s in shift]),
         ]
     return rows
 
 
-def _cleaned(values: Array) -> Array:
-    """Rounding residue printed as plain 0."""
+def _numbers(values: Sequence[float | None] | Array) -> Array:
+    """The values as an array, NaN where one is missing."""
+    return np.array([np.nan if v is None else v for v in values], dtype=float)
+
+
+def _cells(values: Array, form: str) -> list[str]:
+    return [format(v, form) if np.isfinite(v) else "-" for v in _without_rounding(values)]
+
+
+def _without_rounding(values: Array) -> Array:
+    """The values with rounding residues as plain 0: no "-0.0" is printed."""
     return np.where(np.abs(values) < 1e-9, 0.0, values)
 
 
-def _believe(result: CalibrationResult) -> list[str]:
-    """The sentences below the tables: whether to believe it, and what could not be met."""
-    plausibility = result.plausibility
-    degrees = plausibility.degrees_of_freedom
-    text = f"Plausibility: Q = {plausibility.q:.1f} with {degrees} degrees of freedom"
-    if plausibility.p_value is None:
-        out = [text + "; no p-value, because a bound is active."]
-    elif plausibility.p_value < _P_LIMIT:
-        out = [
-            text + f", p = {plausibility.p_value:.2g}: the measurement contradicts what was stated "
-            "of the materials. It fits all the same; do not take the fit for proof."
-        ]
-    else:
-        out = [text + f", p = {plausibility.p_value:.2g}: in keeping with what was stated."]
-    if not result.joint.asks_for_measured_time:
-        out.append(
-            "Nothing in this calibration asks for the measured T: the coefficients follow the other "
-            "terms alone. Add terms.ExactMatch(), MatchWithin() or SoftMatch()."
+def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
+    return [TrustMark(**mark) for mark in record["trust_marks"]]
+
+
+def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The sentences below the tables with their indents."""
+    measured = record["measured"]
+    notes = [(_plausibility(record["plausibility"]), "")]
+    if not record["matches_measured_time"]:
+        notes.append(
+            (
+                "Nothing in this calibration asks for the measured T: the coefficients follow the "
+                "other terms alone. Add terms.ExactMatch(), MatchWithin() or SoftMatch().",
+                "",
+            )
         )
-    out += [f"  {u} (nearest end taken)" for u in result.unreachable]
-    if result.measured_data.caution:
-        out.append(f"  {result.measured_data.caution}")
-    if result.measured_data.ignored:
-        ignored = ", ".join(bands.label(f) for f in result.measured_data.ignored)
-        out.append(f"  measured, but no band of the room: {ignored}")
-    if result.trust_marks:
-        out += ["Where not to believe it, and what to do:"]
-        out += [f"  {text}" for text in explained(result.trust_marks)]
-    certificate = result.certificate
-    out.append(
-        f"Certificate: primal residual {np.max(certificate.primal_residual):.1e}, dual residual "
-        f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}; "
-        f"alpha within {np.max(certificate.alpha_error_bound):.1e} of the optimum."
+    notes += [(f"{sentence} (nearest end taken)", "  ") for sentence in record["unreachable"]]
+    if measured["caution"]:
+        notes.append((measured["caution"], "  "))
+    if measured["bands_not_in_room"]:
+        ignored = ", ".join(bands.label(f) for f in measured["bands_not_in_room"])
+        notes.append((f"measured, but no band of the room: {ignored}", "  "))
+    if marks := _trust_marks(record):
+        notes.append(("Where not to believe it, and what to do:", ""))
+        for sentence in explained(marks):
+            notes.append((sentence.lstrip(), " " * (2 + len(sentence) - len(sentence.lstrip()))))
+    worst = {
+        key: np.max(_numbers(record["certificate"][key]))
+        for key in ("primal_residual", "dual_residual", "duality_gap")
+    }
+    bound = np.max([_numbers(material["error_bound"]) for material in record["materials"]])
+    notes.append(
+        (
+            f"Certificate: primal residual {worst['primal_residual']:.1e}, dual residual "
+            f"{worst['dual_residual']:.1e}, gap {worst['duality_gap']:.1e}; alpha within "
+            f"{bound:.1e} of the optimum.",
+            "",
+        )
     )
-    return out
+    return notes
+
+
+def _plausibility(plausibility: Mapping[str, Any]) -> str:
+    p_value = plausibility["p_value"]
+    start = (
+        f"Plausibility: Q = {plausibility['q']:.1f} with {plausibility['degrees_of_freedom']} "
+        "degrees of freedom"
+    )
+    if p_value is None:
+        return f"{start}; no p-value, because a bound is active."
+    if p_value < _SIGNIFICANT:
+        return (
+            f"{start}, p = {p_value:.2g}: the measurement contradicts what was stated of the "
+            "materials. It fits all the same; do not take the fit for proof."
+        )
+    return f"{start}, p = {p_value:.2g}: in keeping with what was stated."

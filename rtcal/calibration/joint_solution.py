@@ -1,0 +1,114 @@
+"""The calibrated coefficients of all configurations of a room, over one set of unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.calibration.certificate import Certificate
+from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.convex_program import Solution
+from rtcal.calibration.measured import MeasuredTimes
+from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.terms import MatchConstraint, SoftMatch
+from rtcal.calibration.uncertainty import density, estimate_sigma, optimality
+from rtcal.posterior.density import CoupledBands, IndependentBands
+from rtcal.posterior.sensitivities import Optimality
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointSolution:
+    """The calibrated coefficients of all configurations of a room, and how they were found.
+
+    Attributes
+    ----------
+    configurations : Configurations
+    solution : Solution
+        The answer over the unknowns, its multipliers and its certificate.
+    equation, method, solver
+        As asked for.
+    measured_times : tuple of MeasuredTimes
+        One a configuration.
+    assemble : function
+        The numbers of the same problem for other measurements.
+    """
+
+    configurations: Configurations
+    solution: Solution
+    equation: LinearEquation
+    method: str
+    solver: str
+    measured_times: tuple[MeasuredTimes, ...]
+    assemble: Callable[[Sequence[MeasuredTimes]], ProblemData]
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Every material of any configuration."""
+        return self.configurations.materials
+
+    @cached_property
+    def alpha(self) -> Array:
+        """The calibrated coefficients, (n_materials, n_bands)."""
+        return self.solution.model.data.layout.expand(self.solution.unknowns)
+
+    @cached_property
+    def active(self) -> NDArray[np.int8]:
+        """-1 at the lower bound, 1 at the upper, 0 free, (n_materials, n_bands)."""
+        layout = self.solution.model.data.layout
+        return layout.expand(self.solution.active.astype(float)).astype(np.int8)
+
+    @property
+    def certificate(self) -> Certificate:
+        """How far the answer is from the optimum."""
+        return self.solution.certificate
+
+    @property
+    def asks_for_measured_time(self) -> bool:
+        """Whether a constraint or a term of weight above 0 ties alpha to the measured T."""
+        model = self.solution.model
+        terms = zip(model.objective.terms, model.data.weights, strict=True)
+        return any(isinstance(r, MatchConstraint) for r in model.row_constraints) or any(
+            isinstance(t, SoftMatch) and w > 0 for t, w in terms
+        )
+
+    @cached_property
+    def effects(self) -> dict[str, float]:
+        """The sizes of the further unknowns, by name."""
+        data = self.solution.model.data
+        sizes = data.further(self.solution.unknowns)
+        return dict(zip(data.layout.further, sizes.tolist(), strict=True))
+
+    def density(self) -> IndependentBands | CoupledBands:
+        """Return the density of the unknowns, for `rtcal.posterior.posterior`.
+
+        Raises ModelError if the method has none (`lse`, `robust`).
+        """
+        return density(self.solution)
+
+    def optimality(self) -> Optimality:
+        """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
+        return optimality(self.solution, self.measured_times, self.assemble, bounds=True)
+
+    @cached_property
+    def _estimate_sigma(self) -> Array:
+        return estimate_sigma(
+            self.solution, self.configurations, self.equation, self.measured_times, self.assemble
+        )
+
+    @property
+    def posterior_sigma(self) -> Array:
+        """Standard deviation of the calibrated coefficients, (n_materials, n_bands)."""
+        return self.solution.model.data.layout.expand(self._estimate_sigma)
+
+    @property
+    def effects_sigma(self) -> dict[str, float]:
+        """Standard deviation of the sizes of the further unknowns, by name."""
+        data = self.solution.model.data
+        sizes = data.further(self._estimate_sigma)
+        return dict(zip(data.layout.further, sizes.tolist(), strict=True))
