@@ -29,6 +29,7 @@ ORDER = (
     "datasets",
     "report",
     "command",
+    "__main__",
 )
 SEPARATE = [("simulators", "calibration"), ("exact", "calibration"), ("closed_form", "problem")]
 ONE_DOOR = ("matplotlib", "pyroomacoustics", "pyrato", "pyfar", "numba", "tqdm", "jinja2")

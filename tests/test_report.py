@@ -30,7 +30,7 @@ from rtcal.simulators.equation import EquationSimulator
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (rtcal[report])")
 pytest.importorskip("jinja2", reason="jinja2 is not installed (rtcal[report])")
 
-from rtcal.report import figures, loop_figures, material_figures, page
+from rtcal.report import figures, loop_figures, material_figures, page, result_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 EVIL = "<script>alert(1)</script> & \"double\" 'single' $x_1$ --> ]]>"
@@ -555,7 +555,9 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     ):
         assert run("report", folder / "result.json", "--out", out) == 2
         assert said in capsys.readouterr().err
-    for name in console.WRITTEN:  # what calibrate keeps there stays as it is, however it is named
+    for (
+        name
+    ) in result_folder.FILES:  # what calibrate keeps there stays as it is, however it is named
         (folder / name).touch()
         before = (folder / name).read_bytes()
         for source in (folder, folder / "result.json"):

@@ -1,44 +1,130 @@
-"""What all commands share: ``--quiet``, ``--json``, and how they speak."""
+"""What all commands share: options, what they print, and how."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
+from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
+from rtcal.errors import DataError
+from rtcal.support.text import printable
+
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
+method_option = click.option(
+    "--method", default="mle", show_default=True, help="mle, lse, soft, smooth or robust."
+)
+equation_option = click.option(
+    "--equation",
+    type=click.Choice(equation_keys(LinearEquation)),
+    default="eyring",
+    show_default=True,
+    callback=lambda context, parameter, key: EQUATIONS[key](),
+    help="The reverberation equation.",
+)
 
-WRITTEN = ("room.toml", "result.json", "reverberation_time.png")
-"""What `calibrate` writes into its folder."""
+
+_STANDARD_OUTPUT = 1  # POSIX's number of the stream
+
+
+class CannotPrint(click.ClickException):
+    """The standard output is closed or full."""
+
+    exit_code = 5
 
 
 def tell(text: str, record: Mapping[str, Any], *, quiet: bool, as_json: bool) -> None:
-    """Print a text, or with ``--json`` the record of the same; nothing with ``--quiet``."""
-    if not quiet:
-        click.echo(json_text(record) if as_json else text)
+    """Print a text, or with ``--json`` the record of the same; nothing with ``--quiet``.
+
+    Commands write their files before they print: the reader may close the output (``| head``).
+    Raises CannotPrint where the output is closed or full.
+    """
+    if quiet:
+        return
+    if sys.stdout is None:
+        raise CannotPrint("cannot print: the standard output is closed")
+    with printing():
+        click.echo(_json_text(record) if as_json else printable(text))
 
 
-def json_text(record: Mapping[str, Any]) -> str:
-    """Return a record as JSON; arrays as lists, missing numbers as null."""
-    return json.dumps(_plain(record), indent=1, ensure_ascii=False, allow_nan=False)
+@contextmanager
+def printing() -> Iterator[None]:
+    """Flush the standard output at the end; CannotPrint where it is closed or full."""
+    try:
+        yield
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        if sys.stdout is sys.__stdout__:
+            # Python flushes once more when it ends; there, nobody could catch the error.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), _STANDARD_OUTPUT)
+        raise CannotPrint(f"cannot print: {error.strerror or error}") from error
+
+
+def warn(message: object) -> None:
+    """Print one line on standard error; where that is closed or full, nothing can be said."""
+    with suppress(OSError):
+        click.echo(f"rtcal: {printable(' '.join(str(message).split()))}", err=True)
+
+
+def show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    """Print a warning as one line, without its source; nothing with ``--quiet``.
+
+    Takes the place of `warnings.showwarning`.
+    """
+    context = click.get_current_context(silent=True)
+    if context is None or not context.params.get("quiet"):
+        warn(message)
+
+
+def output_folder(option: str, path: str | None) -> Path | None:
+    """Return the folder that an option names; DataError if the name is empty."""
+    if path == "":
+        raise DataError(f"{option} is empty; it is a folder")
+    return None if path is None else Path(path)
 
 
 def bar_wanted(quiet: bool) -> bool:
     """Whether to show a progress bar: someone looks at a terminal, and tqdm is there to draw it."""
-    return not quiet and sys.stderr.isatty() and find_spec("tqdm") is not None
+    return (
+        not quiet
+        and sys.stderr is not None
+        and sys.stderr.isatty()
+        and find_spec("tqdm") is not None
+    )
+
+
+def _json_text(record: Mapping[str, Any]) -> str:
+    """Return a record as JSON: arrays as lists, missing numbers as null.
+
+    ASCII alone, with escapes, where the output's encoding lacks a character or a terminal would
+    obey one.
+    """
+    plain = _plain(record)
+    text = json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+        escape = printable(text) != text
+    except UnicodeEncodeError:
+        escape = True
+    return json.dumps(plain, indent=1, allow_nan=False) if escape else text
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray):
-        if value.dtype.names:  # a table: one object a row
+        if value.dtype.names:  # a table: one object per row
             return [dict(zip(value.dtype.names, _plain(list(row)), strict=True)) for row in value]
         return _plain(value.tolist())
     if isinstance(value, list | tuple):
@@ -46,3 +132,10 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def without_air_warning() -> warnings.catch_warnings[None]:
+    """Return a context in which a room without air does not warn: the printed page says it."""
+    from rtcal.errors import MissingAirWarning
+
+    return warnings.catch_warnings(action="ignore", category=MissingAirWarning)

@@ -112,46 +112,16 @@ def apply(
 
     Example: rtcal gap apply case.toml --out corrected.json --room corrected.toml
     """
-    from rtcal.discrepancy import corrected_room, recalibrate
-    from rtcal.discrepancy.corrected import not_in_room
-    from rtcal.discrepancy.recalibration import table
-    from rtcal.discrepancy.wording import added, nothing_to_add
+    from rtcal.report.correction import correct
     from rtcal.support.files import write_all
 
     written = [out] if room is None else [out, room]
     finding = _find(_case(case, written), engines, seed, quiet)
-    record: dict[str, Any] = {
-        "verdict": finding.verdict,
-        "effect": finding.effect,
-        "candidates": list(finding.candidates),
-        "evidence": dict(finding.evidence),
-    }
-    if (nothing := nothing_to_add(finding)) is not None:
-        text = f"{nothing}\nNothing is written."
-        tell(text, {**record, "sentence": nothing, "written": []}, quiet=quiet, as_json=as_json)
+    correction = correct(finding, out, room)
+    write_all(correction.files)
+    tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
+    if not correction.files:
         raise click.exceptions.Exit(NOTHING_TO_ADD)
-    corrected = finding.apply()
-    calibrated = recalibrate(corrected, finding.discrepancy)
-    contents = {Path(out): corrected.to_json().encode()}
-    if room is not None:
-        contents[Path(room)] = corrected_room(corrected).to_text().encode()
-    write_all(contents)
-    sentence = added(finding)
-    lines = [sentence, *table(corrected.room, {"corrected": calibrated})]
-    if finding.notes:
-        lines += [f"  note: {n}" for n in finding.notes]
-    absent = [] if room is None else not_in_room(corrected)
-    lines += [f"  not in {room}: {line}" for line in absent]
-    record |= {
-        "sentence": sentence,
-        "present": [p.to_dict() for p in corrected.applied],
-        "calibrated": calibrated.to_dict(),
-        "written": written,
-        "notes": list(finding.notes),
-        "not_in_room": absent,
-    }
-    text = "\n".join([*lines, f"Written: {', '.join(written)}"])
-    tell(text, record, quiet=quiet, as_json=as_json)
 
 
 @gap.command(short_help="Compare the gaps with and without the effect.")

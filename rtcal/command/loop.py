@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rtcal.command.console import json_option, quiet_option, tell
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.command.console import (
+    equation_option,
+    json_option,
+    method_option,
+    quiet_option,
+    tell,
+)
 from rtcal.errors import DataError
 from rtcal.support.files import spare
 
@@ -25,9 +32,8 @@ def loop() -> None:
 @click.argument("measured", type=click.Path())
 @click.option("--state", type=click.Path(dir_okay=False), required=True, help="State to write.")
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
-@click.option(
-    "--method", default="mle", show_default=True, help="mle, lse, soft, smooth or robust."
-)
+@method_option
+@equation_option
 @click.option(
     "--rule",
     type=click.Choice(("secant", "safeguarded", "regression")),
@@ -46,6 +52,7 @@ def start(
     state: str,
     out: str,
     method: str,
+    equation: LinearEquation,
     rule: str,
     decimals: int | None,
     as_json: bool,
@@ -70,6 +77,7 @@ def start(
         data,
         rule=rule,  # type: ignore[arg-type]
         method=method,
+        equation=equation,
         decimals=decimals,
     )
     first = begun.calibrated(begun.wanted)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rtcal.command.console import WRITTEN, bar_wanted, json_option, quiet_option, tell
+from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
 
 _FIGURES = 5
@@ -29,14 +29,14 @@ def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
 
     Example: rtcal report calibrated --out calibrated.html
     """
-    from rtcal.report import page
+    from rtcal.report import page, result_folder
     from rtcal.support.files import spare
     from rtcal.support.progress import bar
 
     if out == "":
         raise DataError("--out is empty; it is a file")
     folder = Path(result) if Path(result).is_dir() else Path(result).parent
-    kept = [folder / name for name in WRITTEN if (folder / name).exists()]
+    kept = [folder / name for name in result_folder.FILES if (folder / name).exists()]
     target = Path(out) if out is not None else folder / "report.html"
     spare([target], [result, *kept])
     with bar(_FIGURES, "figure", bar_wanted(quiet)) as shown:

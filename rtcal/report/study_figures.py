@@ -12,7 +12,7 @@ from rtcal.report.figures import new_figure
 from rtcal.studies.study import Table
 
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1)), (0, (1, 1)))
-NAMES = {"none": "none", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
+NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 
 def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:

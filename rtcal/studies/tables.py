@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support import checks
-from rtcal.support.files import write_bytes, write_text
+from rtcal.support.files import write_bytes
 
 
 def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> None:
@@ -29,11 +29,7 @@ def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> N
         raise DataError("table is not a table of named columns, such as Study.scores returns")
     names = list(table.dtype.names)
     if ending == ".csv":
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(names)
-        writer.writerows(table.tolist())
-        write_text(path, stream.getvalue())
+        write_bytes(path, table_csv(table))
     elif ending == ".parquet":
         try:
             import pyarrow
@@ -47,3 +43,12 @@ def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> N
         write_bytes(path, content.getvalue())
     else:
         raise DataError(f'{path}: a table ends with .csv or .parquet, not "{ending}"')
+
+
+def table_csv(table: np.recarray[Any, Any]) -> bytes:
+    """Return a table as the bytes of a CSV file; numbers keep all their digits."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(table.dtype.names)
+    writer.writerows(table.tolist())
+    return stream.getvalue().encode()

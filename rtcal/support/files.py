@@ -97,6 +97,16 @@ def write_all(contents: Mapping[Any, bytes]) -> None:
             Path(temporary).unlink(missing_ok=True)
 
 
+def make_folder(path: str | os.PathLike[str]) -> None:
+    """Make a folder and those above it where they are missing; DataError if that cannot be."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, TypeError) as error:  # a path with a NUL, or no path
+        raise DataError(f"{path!r}: not a path: {error}") from error
+
+
 def json_numbers(values: ArrayLike) -> Any:
     """Return numbers as nested lists for JSON, None where there is none: JSON has no NaN."""
     array = np.asarray(values, dtype=float)

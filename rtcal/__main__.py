@@ -1,0 +1,5 @@
+"""``python -m rtcal``: the command `rtcal`."""
+
+from rtcal.command.main import main
+
+main()

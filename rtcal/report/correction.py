@@ -1,0 +1,74 @@
+"""What ``rtcal gap apply`` writes and says: the case with the effect, and its room."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rtcal.discrepancy.corrected import corrected_room, not_in_room
+from rtcal.discrepancy.finding import Finding
+from rtcal.discrepancy.recalibration import recalibrate, table
+from rtcal.discrepancy.wording import added, nothing_to_add
+
+
+@dataclass(frozen=True)
+class Correction:
+    """The text, its record, and the files to write by path; no file where there is nothing to add."""
+
+    text: str
+    record: Mapping[str, Any]
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values and arrays: what the text says."""
+        return dict(self.record)
+
+
+def correct(finding: Finding, case_path: str, room_path: str | None = None) -> Correction:
+    """Add the named effect, or the best candidate, to a finding's case, and calibrate it.
+
+    Parameters
+    ----------
+    finding : Finding
+    case_path : str
+        Of the case with the effect (JSON).
+    room_path : str, optional
+        Of the room with the effect (TOML).
+    """
+    record: dict[str, Any] = {
+        "verdict": finding.verdict,
+        "effect": finding.effect,
+        "candidates": list(finding.candidates),
+        "evidence": dict(finding.evidence),
+    }
+    if (nothing := nothing_to_add(finding)) is not None:
+        record |= {"sentence": nothing, "written": []}
+        return Correction(f"{nothing}\nNothing is written.", record)
+    corrected = finding.apply()
+    calibrated = recalibrate(corrected, finding.discrepancy)
+    files = {case_path: corrected.to_json().encode()}
+    absent: list[str] = []
+    if room_path is not None:
+        files[room_path] = corrected_room(corrected).to_text().encode()
+        absent = not_in_room(corrected)
+    sentence = added(finding)
+    lines = [
+        sentence,
+        *table(corrected.room, {"corrected": calibrated}),
+        *(f"  note: {note}" for note in finding.notes),
+        *(f"  not in {room_path}: {line}" for line in absent),
+        f"Written: {', '.join(files)}",
+    ]
+    record |= {
+        "sentence": sentence,
+        "present": [p.to_dict() for p in corrected.applied],
+        "calibrated": calibrated.to_dict(),
+        "written": list(files),
+        "notes": list(finding.notes),
+        "not_in_room": absent,
+    }
+    return Correction("\n".join(lines), record, files)

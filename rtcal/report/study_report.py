@@ -1,0 +1,210 @@
+"""The stochastic study as printed text, tables and figures, beside the paper's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtcal.report import study_figures
+from rtcal.report.figures import new_figure, rendered
+from rtcal.report.study_figures import NAMES
+from rtcal.studies import paper
+from rtcal.studies.rooms import HALL_SEEDS, LECTURE_HALL, SHOEBOX, random_hall
+from rtcal.studies.sampling import redrawn_share
+from rtcal.studies.study import Study, Table, analytic_scores, run
+from rtcal.studies.tables import table_csv
+
+AREAS = {"shoebox": list(SHOEBOX), "lecture-hall": list(LECTURE_HALL.values())}
+"""m², of the rooms whose trials are drawn."""
+
+_HEADINGS = {
+    "shoebox": "Shoebox, N = 6, V = 105 m³; calibration scores in %; paper: Table 2",
+    "lecture-hall": "Lecture hall, N = 23, V = 334 m³; calibration scores in %; paper: Table 3\n"
+    "(a stand-in with the paper's N, V and ratio of areas, not the paper's hall)",
+}
+_PAPER_SCORES = {"shoebox": paper.TABLE_2, "lecture-hall": paper.TABLE_3}
+
+
+@dataclass(frozen=True)
+class StudyReport:
+    """What a study prints, its tables as plain records, and its files by name."""
+
+    lines: list[str] = field(default_factory=list)
+    records: list[dict[str, Any]] = field(default_factory=list)
+    files: dict[str, bytes] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+
+def report(
+    rooms: Sequence[str],
+    sigma_r: Sequence[float],
+    realisations: int,
+    trials: int,
+    seed: int,
+    *,
+    workers: int | None = None,
+    folder: Path | None = None,
+    progress: bool = False,
+    with_files: bool = False,
+) -> StudyReport:
+    """Run the study of each room at each sigma_r.
+
+    Parameters
+    ----------
+    rooms : sequence of str
+        "shoebox", "lecture-hall" (keys of `AREAS`) or "halls", five halls at random, analytic.
+    sigma_r : sequence of float
+        Parameters of the Rayleigh distribution of sigma.
+    realisations, trials, seed, workers, progress
+        As `rtcal.studies.run` has them; with 0 trials the analytic scores alone.
+    folder : Path, optional
+        For the finished pieces of `rtcal.studies.run`.
+    with_files : bool
+        Whether to render tables (CSV) and figures (PNG) too.
+
+    Raises
+    ------
+    DataError
+        As `rtcal.studies.run` does.
+    MissingDependencyError
+        With files but without matplotlib, before anything is computed.
+    """
+    made = StudyReport()
+    if with_files:
+        new_figure()
+    for room in dict.fromkeys(rooms):
+        if room == "halls":
+            _add_halls(made, sigma_r, realisations, seed)
+            continue
+        made.lines.append(_HEADINGS[room])
+        for level in sigma_r:
+            stem = f"{room}-{level:g}"
+            if trials == 0:
+                table = analytic_scores(AREAS[room], level, realisations, seed)
+                made.lines.append(_scores(room, level, table))
+                made.records.append({"room": room, "sigma_r": level, "scores": table})
+                if with_files:
+                    made.files[f"{stem}-analytic-scores.csv"] = table_csv(table)
+                continue
+            study = run(
+                AREAS[room],
+                level,
+                realisations,
+                trials,
+                seed,
+                workers=workers,
+                folder=None if folder is None else folder / stem,
+                progress=progress,
+            )
+            _add_study(made, room, study)
+            if with_files:
+                made.files.update(_study_files(study, stem))
+        if room == "shoebox":
+            made.lines.append(_table_1())
+    if with_files:
+        made.files.update(_prior_files())
+    return made
+
+
+def _add_study(made: StudyReport, room: str, study: Study) -> None:
+    made.lines.extend([_scores(room, study.sigma_r, study.scores()), _bound_effects(study)])
+    made.records.append(
+        {
+            "room": room,
+            "sigma_r": study.sigma_r,
+            "scores": study.scores(),
+            "bound_effects": study.bound_effects(),
+        }
+    )
+
+
+def _scores(room: str, sigma_r: float, table: Table) -> str:
+    """Return the scores of each method, unbounded beside the paper's where it has this sigma_r."""
+    lines = [
+        f"\nsigma_R = {sigma_r:g} ({100 * redrawn_share(sigma_r):.4f} % of sigma drawn again)",
+        f"{'method':<8}{'bounds':<8}{'AACE':>9}{'score':>9}{'± s.e.':>9}{'paper':>8}",
+    ]
+    for row in table:
+        method = str(row.method)
+        printed = ""
+        if sigma_r in paper.SIGMA_R and not row.bounded:
+            printed = f"{_PAPER_SCORES[room][method][paper.SIGMA_R.index(sigma_r)]:.1f}"
+        lines.append(
+            f"{NAMES[method]:<8}{'0 to 1' if row.bounded else 'none':<8}{row.aace:>9.5f}"
+            f"{100 * row.score:>9.3f}{100 * row.standard_error:>9.3f}{printed:>8}"
+        )
+    return "\n".join(lines)
+
+
+def _bound_effects(study: Study) -> str:
+    lines = ["What exact bounds change, in points (unbounded as control variate):"]
+    for row in study.bound_effects():
+        lines.append(
+            f"{NAMES[str(row.method)]:<8}{100 * row.difference:>+11.5f} ± "
+            f"{100 * row.standard_error:.5f}   active in "
+            f"{100 * row.active_share:.3f} % of trials"
+        )
+    return "\n".join(lines)
+
+
+def _add_halls(made: StudyReport, sigma_r: Sequence[float], realisations: int, seed: int) -> None:
+    made.lines.extend(
+        [
+            "Five halls at random with the paper's N, V and ratio of areas",
+            "(analytic, unbounded; %)",
+            f"{'hall':<6}{'sigma_R':>8}"
+            + "".join(f"{NAMES[m]:>16}" for m in ("scaling", "lse", "mle")),
+        ]
+    )
+    for hall in HALL_SEEDS:
+        for level in sigma_r:
+            table = analytic_scores(random_hall(hall), level, realisations, seed)
+            made.records.append({"room": f"hall {hall}", "sigma_r": level, "scores": table})
+            cells = "".join(
+                f"{100 * row.score:>9.2f} ± {100 * row.standard_error:.2f}" for row in table[1:]
+            )
+            made.lines.append(f"{hall:<6}{level:>8g}{cells}")
+
+
+def _table_1() -> str:
+    low, high = paper.table_1_range(np.array(SHOEBOX))
+    lines = ["\nTable 1, EMSE x 1e4: printed, and the 98 % range that its rounded mu, sigma allow"]
+    for i, (method, value) in enumerate(paper.TABLE_1_EMSE.items()):
+        lines.append(
+            f"{NAMES[method]:<8}{1e4 * value:>6.1f}   {1e4 * low[i]:.1f} to {1e4 * high[i]:.1f}"
+        )
+    return "\n".join(lines)
+
+
+def _study_files(study: Study, stem: str) -> dict[str, bytes]:
+    tables = {
+        "scores": study.scores(),
+        "controlled-scores": study.controlled_scores(),
+        "bound-effects": study.bound_effects(),
+        "spread": study.spread(),
+    }
+    title = f"{stem}: {study.realisations:,} realisations of {study.trials:,} trials"
+    figure = study_figures.spread(study.spread(), study.scores().aace.tolist(), title)
+    return {
+        **{f"{stem}-{name}.csv": table_csv(table) for name, table in tables.items()},
+        f"{stem}-spread.png": rendered(figure, "png"),
+    }
+
+
+def _prior_files() -> dict[str, bytes]:
+    figure_2 = study_figures.priors(
+        (0.2, 0.5, 0.7), (0.02, 0.05, 0.1), "Truncated normals (Fig. 2)"
+    )
+    figure_4a = study_figures.priors(
+        paper.TABLE_1_MU, paper.TABLE_1_SIGMA, "Table 1's room (Fig. 4a)"
+    )
+    return {
+        "priors.png": rendered(figure_2, "png"),
+        "table-1-priors.png": rendered(figure_4a, "png"),
+    }
