@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.equations import linear_equation
+from rtcal.acoustics.equations import EQUATIONS
 from rtcal.acoustics.quality import JND, TrustMark
 from rtcal.calibration.presets import METHODS
 from rtcal.report.saved import Saved
@@ -287,16 +287,19 @@ def _measured(seen: Saved) -> str:
 def command(seen: Saved) -> str | None:
     """Return the shell command that gives the same result from the two files of the page.
 
-    None where the shell cannot: a composed calibration, or an equation with its own parameters.
+    None where the shell cannot: a composed calibration, an equation with other parameters than its
+    usual ones, or one that is not rtcal's.
     """
     record = seen.record
-    if record["method"] not in METHODS or record["equation_parameters"]:
+    keys = {equation.name: key for key, equation in EQUATIONS.items()}
+    equation = keys.get(record["equation"])
+    if record["method"] not in METHODS or record["equation_parameters"] or equation is None:
         return None
     chosen = [
         "--method",
         record["method"],
         "--equation",
-        linear_equation(record["equation"]).key,
+        equation,
         "--solver",
         record["solver"]["name"],
     ]
