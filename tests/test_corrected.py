@@ -259,7 +259,7 @@ def test_what_a_simulator_cannot_have_is_refused() -> None:
     moved = replace(case, applied=[AppliedEffect("volume", {"ratio": 1.2})])
     with pytest.raises(DataError, match="states no dimensions"):
         simulator(moved, images)  # the box's sides are not known any more
-    for interval, message in ((3, "two numbers"), ("x", "size_interval")):
+    for interval, message in ((3, "is not a list of 2 numbers"), ("x", "size_interval")):
         data: dict[str, Any] = case.to_dict()
         data["present"][0]["size_interval"] = interval
         with pytest.raises(DataError, match=message):

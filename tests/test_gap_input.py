@@ -328,7 +328,10 @@ def written(folder: Path, case: str, room: str = ROOM, table: str = TABLE) -> Pa
         (PLANNED + "t20 = [1, 1, 1]\n", ("t20 stands beside parameters",)),
         (MEASURED + "t20 = [1, 1, 1]\n", ("t20 stands beside measured",)),
         (PLANNED + "positions = 10000000\n", ("positions = 10000000 is not at most 1000",)),
-        (MEASURED + "air = {foo = 1}\n", ('"foo" is not one of temperature, humidity, pressure',)),
+        (
+            MEASURED + "air = {foo = 1}\n",
+            ('air has the key "foo"', "not one of humidity, pressure"),
+        ),
         (MEASURED.replace('"t.csv"', '""'), ("has no measured = a measurement's file",)),
         (MEASURED.replace('"as built"', "3"), ("name has 3, which is not a text",)),
         ('equation = "a\\nb"\n' + MEASURED, ("equation = 'a\\nb' is not one of",)),

@@ -120,7 +120,7 @@ def attributes(data: Mapping[str, Any], place: str = "") -> dict[str, Any]:
         ],
     }
     for name in ("alpha", "sigma", "alpha_min", "scattering"):
-        if name in room:
+        if name in room or name in _NEEDED:
             arguments[name] = room.array(name, shape)
     if "dimensions" in room:
         arguments["dimensions"] = tuple(_dimensions(room).tolist())

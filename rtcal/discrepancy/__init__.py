@@ -9,7 +9,8 @@ docs/discrepancy.md has the method and what it can and cannot do.
 
 from rtcal.discrepancy.advice import Plan, plan
 from rtcal.discrepancy.bootstrap import Threshold, control_rooms
-from rtcal.discrepancy.case import AppliedEffect, Case, Change, Configuration
+from rtcal.discrepancy.case import AppliedEffect, Case
+from rtcal.discrepancy.configuration import Change, Configuration
 from rtcal.discrepancy.corrected import corrected_room, simulator
 from rtcal.discrepancy.effects import Absorber, Effect, library
 from rtcal.discrepancy.finding import Finding, find

@@ -4,64 +4,28 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import mean_equation
-from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import refuse_repeated_data, times_in_room
+from rtcal.discrepancy import case_files
 from rtcal.discrepancy.case_checks import check_configuration, check_room, shares
+from rtcal.discrepancy.configuration import Configuration, checked_uncertainty
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
+from rtcal.support import checks
+from rtcal.support.decode import Entries
 from rtcal.support.files import write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
 NORMAL_90 = 1.6449
 """Standard deviations on each side that hold 90 % of a normal distribution."""
-
-
-@dataclass(frozen=True)
-class Change:
-    """Coefficients of one material in one configuration: alpha and sigma, (n_bands,)."""
-
-    alpha: Array
-    sigma: Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Configuration:
-    """One measurement of the room, and what was changed for it.
-
-    Parameters
-    ----------
-    name : str
-    measured : Measurement
-        Any of T20, EDT, T30, C80, G.
-    changes : mapping of str to Change
-        Materials whose coefficients differ from the room's.
-    suspect_removed : bool
-        Whether whatever is suspected had been taken away.
-    air : Air, optional
-        Where the climate was another than the room's.
-    distances : array (n_pairs,), optional
-        m from source to receiver; half the cube root of the volume if not given.
-    planned : bool
-        Not measured yet: ``measured`` holds placeholders for what will be.
-    """
-
-    name: str
-    measured: Measurement
-    changes: Mapping[str, Change] = field(default_factory=dict)
-    suspect_removed: bool = False
-    air: Air | None = None
-    distances: Array | None = None
-    planned: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,9 +71,21 @@ class AppliedEffect:
         return (self.size_interval[1] - self.size_interval[0]) / (2 * NORMAL_90)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return plain values for JSON: what `from_dict` reads."""
         ends = None if self.size_interval is None else list(self.size_interval)
         return {"effect": self.name, "parameters": dict(self.parameters), "size_interval": ends}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], place: str = "effect") -> AppliedEffect:
+        """Return the effect of plain values; DataError, which begins with ``place``, if it is none."""
+        entry = Entries(f"{place}.", data, ("effect", "parameters"), ("size_interval",))
+        parameters = entry.mapping("parameters")
+        numbers = Entries(f"{place}.parameters.", parameters, (), parameters)
+        ends = None
+        if "size_interval" in entry:
+            low, high = entry.array("size_interval", (2,)).tolist()
+            ends = (low, high)
+        return cls(entry.text("effect"), {k: numbers.number(k) for k in parameters}, ends)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -169,22 +145,49 @@ class Case:
     def from_dict(cls, data: Mapping[str, Any]) -> Case:
         """Return the case of nested plain values, as `to_dict` gives them.
 
-        ``room``: the fields of `Room`, ``air`` as {temperature, humidity} or None; ``facing``
-        may stand in it. A configuration has its parameters beside ``name``: lists (n_pairs, n_bands)
-        or (n_bands,), None where missing.
-        """
-        from rtcal.discrepancy import case_files
+        ``room`` is `Room.to_dict`'s; ``facing`` may stand in it. A configuration has its parameters
+        beside ``name``: lists (n_pairs, n_bands) or (n_bands,), None where missing. ``uncertainty``
+        has ``time`` (relative) and ``level`` (dB), of single values that state none.
 
-        return case_files.from_dict(data)
+        Raises DataError for an unknown key, for a value of the wrong kind, and as `Case` does.
+        """
+        case = Entries("", data, ("room", "configurations"), ("equation", "uncertainty", "present"))
+        room_data = case.mapping("room")
+        facing = room_data.pop("facing", None)
+        room = Room.from_dict(room_data)
+        stated = checked_uncertainty(case.mapping("uncertainty", {}))
+        return cls(
+            room=room,
+            equation=case.text("equation", "eyring"),
+            facing=facing,
+            configurations=[
+                Configuration.from_dict(
+                    checks.mapped(f"configurations[{i}]", each), room.centre_frequencies
+                ).with_uncertainty(stated)
+                for i, each in enumerate(case.listed("configurations"))
+            ],
+            applied=[
+                AppliedEffect.from_dict(checks.mapped(f"present[{i}]", each), f"present[{i}]")
+                for i, each in enumerate(case.listed("present", []))
+            ],
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return nested plain values: what `from_dict` reads.
 
         Raises DataError where an effect was added that is not in the library.
         """
-        from rtcal.discrepancy import case_files
-
-        return case_files.to_dict(self)
+        if custom := [p.name for p in self.applied if p.custom is not None]:
+            raise DataError(
+                f'effect "{custom[0]}" is not in the library: a case that holds it cannot be saved, '
+                "since whoever reads it does not know the effect"
+            )
+        return {
+            "room": {**self.room.to_dict(), "facing": self.facing.tolist()},
+            "equation": self.equation,
+            "configurations": [c.to_dict() for c in self.configurations],
+            "present": [p.to_dict() for p in self.applied],
+        }
 
     @classmethod
     def from_file(cls, path: str) -> Case:
@@ -192,9 +195,11 @@ class Case:
 
         Raises DataError naming the file and the rule.
         """
-        from rtcal.discrepancy import case_files
-
-        return case_files.read(path)
+        data = case_files.read(path)
+        try:
+            return cls.from_dict(data)
+        except DataError as error:
+            raise DataError(f"{path}: {error}") from error
 
     def save(self, path: str) -> None:
         """Write the case as JSON, whole or not at all; DataError as `to_dict`."""
@@ -202,7 +207,7 @@ class Case:
 
     def to_json(self) -> str:
         """Return what `save` writes."""
-        return json.dumps(self.to_dict(), indent=1) + "\n"
+        return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
 
     def require_fresh(self) -> None:
         """Raise DataError where a configuration was not measured, or the room fitted to its T."""

@@ -1,20 +1,18 @@
-"""What a case must keep to: that its parts fit, and that a room can have its values at all."""
+"""The rules of a case: its parts fit each other, and a room can have its values."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.parameters import DECAY_TIMES, plausible_time
 from rtcal.acoustics.room import AXES, Room, text_name
+from rtcal.discrepancy.configuration import Configuration
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.types import Array
-
-if TYPE_CHECKING:
-    from rtcal.discrepancy.case import Configuration
 
 LEVELS = {"c80": (-30.0, 60.0), "g": (-40.0, 60.0)}
 """Least and most that any room has, in dB. C80: -30, 10 dB under that of T = 120 s (-20); 60, the range
@@ -99,7 +97,7 @@ def check_configuration(room: Room, c: Configuration) -> None:
     if c.distances is not None:
         n = len(c.measured.pairs)
         if c.distances.shape != (n,) or not (c.distances > 0).all():
-            raise DataError(f"{where}: distances is not {n} values above 0, one a pair")
+            raise DataError(f"{where}: distances is not {n} values above 0, one per pair")
         _check_distances(where, room, c.distances)
     for name, value in c.measured.values.items():
         if name in (*DECAY_TIMES, *LEVELS):

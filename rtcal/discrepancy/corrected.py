@@ -18,7 +18,8 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case, Configuration
+from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
+from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.discrepancy.states import distances, state, with_applied
 from rtcal.discrepancy.wording import amount

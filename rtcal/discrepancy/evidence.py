@@ -19,7 +19,8 @@ from scipy.special import chdtrc
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import correlation
-from rtcal.discrepancy.case import AppliedEffect, Case, Configuration
+from rtcal.discrepancy.case import AppliedEffect, Case
+from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.effect_checks import changed, tried
 from rtcal.discrepancy.effects import Effect, Parameters
 from rtcal.discrepancy.engines import ControlRooms, bias_estimates

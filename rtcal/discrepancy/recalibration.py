@@ -26,7 +26,8 @@ from rtcal.calibration.presets import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
-from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case, Configuration
+from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
+from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.corrected import corrected_room
 from rtcal.discrepancy.evidence import KAPPA, ModelDiscrepancy, observe
 from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict

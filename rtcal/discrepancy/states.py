@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtcal.discrepancy.case import AppliedEffect, Case, Configuration
+from rtcal.discrepancy.case import AppliedEffect, Case
+from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.effect_checks import changed
 from rtcal.discrepancy.model import State
 from rtcal.support.types import Array

@@ -248,6 +248,8 @@ def _array(
         if value is None and missing:
             return np.array(np.nan)
         return np.array(_within(place, value, limits))
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
     if not isinstance(value, list | tuple):
         kind = "numbers" if len(shape) == 1 else "lists"
         number = "" if shape[0] is None else f"{shape[0]} "
