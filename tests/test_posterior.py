@@ -12,6 +12,7 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.posterior import posterior, sensitivity
 from rtcal.posterior.marginals import marginals
 from tests.conftest import random_room, true_times
+from tests.quadrature import errors, random_band
 
 EYRING = rt.Eyring()
 PRIOR = terms.PriorDeviation()
@@ -59,6 +60,103 @@ def test_marginals_of_two_against_quadrature(target: float, uncertainty: float) 
     if not uncertainty:  # the sum is fixed: whatever one gains the other loses
         pair = found.covariance[0, 1] / np.sqrt(np.prod(np.diag(found.covariance)))
         assert pair == pytest.approx(-1, abs=0.02)
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_random_bands_against_quadrature(seed: int) -> None:
+    """The first of the bands of benchmarks/posterior_accuracy.py."""
+    rng = np.random.default_rng(seed)
+    band = random_band(rng)
+    _, sigma, width, correlation = errors(band, rng)
+    assert sigma < 0.0005
+    assert width < 0.001
+    assert correlation < 0.001
+
+
+def single_band(areas: list[float], alpha: float, sigma: list[float]) -> rt.Room:
+    n = len(areas)
+    return rt.Room(
+        name="r",
+        volume=1000,
+        materials=[f"m{i}" for i in range(n)],
+        areas=areas,
+        alpha=np.full((n, 1), alpha),
+        sigma=np.reshape(sigma, (n, 1)),
+        centre_frequencies=[1000],
+    )
+
+
+@pytest.mark.parametrize("small", [0.01, 0.005, 0.002, 0.001, 1e-5])
+def test_a_posterior_much_narrower_than_its_prior(small: float) -> None:
+    """Far from the bounds it is normal; the first coefficient is what the five others leave."""
+    areas = [300.0, 20.0, 10.0, 5.0, 40.0, 8.0]
+    room = single_band(areas, 0.3, [0.05] + [small] * 5)
+    result = rt.calibrate(room, EYRING.time(room, room.absorption_area * 1.0001))
+    found = posterior(result)
+    variance, s = room.sigma[:, 0] ** 2, room.areas
+    covariance = np.diag(variance) - np.outer(variance * s, variance * s) / (s**2 @ variance)
+    # diag - outer cancels for the first: its variance is what the others have.
+    others = (s[1:] ** 2 @ variance[1:]) / s[0] ** 2
+    covariance[0, 0] = others * variance[0] / (variance[0] + others)
+    sigma = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(found.sigma[:, 0], sigma, rtol=1e-4)
+    low, high = found.interval(0.9)
+    np.testing.assert_allclose((high - low)[:, 0], 3.28971 * sigma, rtol=5e-4)
+    correlation = covariance / np.outer(sigma, sigma)
+    np.testing.assert_allclose(found.correlation[0], correlation, atol=1e-4)
+    assert np.abs(found.correlation).max() <= 1
+
+
+def test_two_coefficients_with_one_sum_have_correlation_minus_one() -> None:
+    room = single_band([2.0, 200.0], 0.5, [0.01, 0.2])
+    found = posterior(rt.calibrate(room, EYRING.time(room, room.absorption_area)))
+    np.testing.assert_allclose(found.correlation[0], [[1, -1], [-1, 1]], atol=1e-9)
+    np.testing.assert_allclose(found.sigma[:, 0], [0.01, 0.0001], rtol=1e-4)
+
+
+@pytest.mark.parametrize("sigma", [[0.05, 0.0, 0.0], [0.0, 0.0, 0.0]])
+def test_a_coefficient_that_the_match_determines_has_a_point_interval(sigma: list[float]) -> None:
+    room = single_band([30.0, 20.0, 10.0], 0.3, sigma)
+    target = room.absorption_area + (1.5 if any(sigma) else 0.0)
+    result = rt.calibrate(room, EYRING.time(room, target))
+    found = posterior(result)
+    for end in (*found.interval(0.9), *result.interval, found.mean):
+        np.testing.assert_allclose(end, result.alpha, rtol=1e-12)
+    np.testing.assert_array_equal(found.sigma, 0)
+    np.testing.assert_array_equal(found.correlation[0], np.eye(3))
+    saved = [m["interval_after"] for m in result.to_dict()["materials"]]
+    np.testing.assert_allclose(saved, result.alpha[:, np.newaxis].repeat(2, 1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("target", [1.0, 100.0])
+def test_an_unreachable_target_leaves_one_answer(target: float) -> None:
+    room = single_band([30.0, 20.0, 10.0], 0.3, [0.05] * 3)
+    room = room.replace(alpha_min=np.full((3, 1), 0.1))
+    time = rt.Sabine().time(room, np.array([target]))
+    result = rt.calibrate(room, time, equation=rt.Sabine(), unreachable="nearest")
+    np.testing.assert_array_equal(result.alpha, 0.1 if target == 1 else 1.0)
+    found = posterior(result)
+    np.testing.assert_array_equal(found.interval(0.9)[0], result.alpha)
+    np.testing.assert_array_equal(found.interval(0.9)[1], result.alpha)
+    np.testing.assert_array_equal(found.sigma, 0)
+    assert np.isfinite(found.identifiability).all()
+
+
+def test_intervals_of_many_materials_are_those_of_the_posterior() -> None:
+    """More than the 40 materials that were once the most; one material and one band are held."""
+    rng = np.random.default_rng(5)
+    room = random_room(rng, 45, 2)
+    sigma = room.sigma.copy()
+    sigma[3] = 0
+    room = room.replace(sigma=sigma)
+    t = true_times(rng, room, EYRING)
+    t[1] = np.nan
+    result = rt.calibrate(room, t)
+    low, high = posterior(result).interval(0.9)
+    np.testing.assert_array_equal(result.interval[0], low)
+    np.testing.assert_array_equal(result.interval[1], high)
+    np.testing.assert_array_equal(low[3], room.alpha[3])
+    assert (low[0] < high[0]).all()
 
 
 def test_posterior_is_gaussian_far_from_the_box() -> None:

@@ -30,14 +30,12 @@ from rtcal.calibration.table import html_table, text_table
 from rtcal.calibration.uncertainty import innovation
 from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
-from rtcal.posterior.distributions import exact_posterior
+from rtcal.posterior.distributions import exact_interval
 from rtcal.posterior.sensitivities import Optimality
 from rtcal.support.files import json_numbers
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
-
-_MOST_FOR_INTERVALS = 40  # materials; the exact marginals' cost rises with the square
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -245,19 +243,16 @@ class CalibrationResult:
     def interval(self) -> tuple[Array, Array] | None:
         """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
 
-        Exact, from `rtcal.posterior`. None where that would take long (sampling, for correlations,
-        order or several configurations; or over 40 materials), or where the method has no
-        posterior (`lse`, `robust`).
+        Exact, from `rtcal.posterior`. None where that would need samples (correlations, order,
+        several configurations), or where the method has no posterior (`lse`, `robust`).
         """
-        if len(self.joint.materials) > _MOST_FOR_INTERVALS:
-            return None
         try:
             density = self.joint.density()
         except ModelError:  # the method has no posterior
             return None
         if not isinstance(density, IndependentBands):
             return None
-        low, high = exact_posterior(density).interval(0.9)
+        low, high = exact_interval(density, 0.9)
         return low[self._rows], high[self._rows]
 
     def density(self) -> IndependentBands | CoupledBands:

@@ -168,7 +168,6 @@ def _independent_bands(solution: Solution) -> IndependentBands:
         noise = np.nan_to_num(data.target_uncertainty[0]) / np.sqrt(max(weight, 1e-300))
         residual = areas @ alpha - np.nan_to_num(target)
         multiplier = np.divide(residual, noise**2, out=np.zeros_like(residual), where=noise > 0)
-    at_bound = (solution.active.reshape(alpha.shape) != 0) | (sigma == 0)
     return IndependentBands(
         rows=data.layout.rows,
         mu=data.alpha(data.mu),
@@ -180,7 +179,6 @@ def _independent_bands(solution: Solution) -> IndependentBands:
         target=target,
         noise=noise,
         multiplier=multiplier,
-        at_end=(noise == 0) & at_bound.all(axis=0),
     )
 
 

@@ -27,8 +27,6 @@ class IndependentBands:
         is exact.
     multiplier : array (n_bands,)
         D in 1/m²: free coefficients are mu - D S sigma².
-    at_end : array (n_bands,) of bool
-        Whether b stands at an end of its reach, so that it has a single answer.
     """
 
     rows: tuple[int, ...]
@@ -41,7 +39,6 @@ class IndependentBands:
     target: Array
     noise: Array
     multiplier: Array
-    at_end: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
