@@ -9,16 +9,19 @@ cause says why.  ``MissingDependencyError``: install an extra.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 
 class RtcalError(Exception):
     """Base of every error that rtcal raises on purpose.
 
     ``bands`` are the columns of alpha that have no T, where others have one; see `of_bands`.
+    ``loop`` is the `rtcal.loop.Loop` with its steps so far, if the error ended
+    `rtcal.calibrate_simulator`.
     """
 
     bands: tuple[int, ...] = ()
+    loop: Any = None
 
 
 class DataError(RtcalError, ValueError):

@@ -22,7 +22,7 @@ from rtcal.command import console
 from rtcal.command.gap import NOTHING_TO_ADD
 from rtcal.command.main import EXIT_CODES, cli, main
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.loop.calibrate import Loop, LoopResult
+from rtcal.loop import Loop, LoopResult
 from rtcal.report import saved as saving
 from rtcal.report import words
 from rtcal.simulators.equation import EquationSimulator

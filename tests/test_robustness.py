@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal import loop as closed_loop
 from rtcal import studies
 from rtcal.acoustics.decay import clarity, decay_time
 from rtcal.calibration.configurations import Configurations
 from rtcal.command import main as cli
 from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
-from rtcal.loop import calibrate as closed_loop
 from rtcal.posterior import posterior, sensitivity
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.external import External

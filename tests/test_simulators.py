@@ -55,6 +55,11 @@ def test_rows_and_columns_are_the_rooms(name):
     assert simulator.smooth == (name != "RayTracing")
 
 
+@pytest.mark.parametrize("name", SIMULATORS)
+def test_a_simulator_shows_as_one_line(name):
+    assert repr(build(name)) == f'<{name} of "box": 1 material, 1 band, 1000 Hz>'
+
+
 def arrays_in(value, seen):
     """Every array that a simulator holds, in tuples, mappings and data classes."""
     if id(value) in seen or isinstance(value, rt.Room):

@@ -80,13 +80,6 @@ class CalibrationRecord:
     version: str = ""
 
 
-def frozen(array: Array) -> Array:
-    """Return a copy that cannot be written to."""
-    array = array.copy()
-    array.setflags(write=False)
-    return array
-
-
 def text_name(place: str, value: object) -> str:
     """Names are printed and written to files: text without control characters."""
     if not isinstance(value, str):

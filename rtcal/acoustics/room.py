@@ -17,7 +17,6 @@ from rtcal.acoustics.materials import (
     Material,
     Surface,
     array_of,
-    frozen,
     number,
     stacked,
     text_name,
@@ -26,7 +25,7 @@ from rtcal.errors import DataError
 from rtcal.support import checks, html
 from rtcal.support.files import json_numbers, read_text, write_text
 from rtcal.support.text import shortened
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
 
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
 
@@ -135,7 +134,7 @@ class Room:
                 raise DataError(f"{name} = {getattr(self, name)!r} is not a rtcal {kind.__name__}")
         if not all(isinstance(surface, Surface) for surface in self.surfaces):
             raise DataError("surfaces has something that is no rtcal.Surface")
-        put("centre_frequencies", frozen(bands.as_bands(self.centre_frequencies)))
+        put("centre_frequencies", read_only(bands.as_bands(self.centre_frequencies)))
         put("volume", number("volume", self.volume, " m³"))
         n, k = self.n_materials, self.n_bands
         if n == 0:
@@ -216,7 +215,7 @@ class Room:
         for material, area in zip(self.materials, areas, strict=True):
             if not (np.isfinite(area) and area > 0):
                 raise DataError(f'areas["{material}"] = {area:g} m² is not a finite area above 0')
-        return frozen(areas)
+        return read_only(areas)
 
     def _checked(self, name: str, value: object, shape: tuple[int, int]) -> Array:
         array = array_of(name, value)
@@ -238,7 +237,7 @@ class Room:
                 f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} is below its own "
                 f"alpha_min = {array[i, k]:g}"
             )
-        return frozen(array)
+        return read_only(array)
 
     def __repr__(self) -> str:
         return f"<{self._description}>"

@@ -1,8 +1,16 @@
 """The closed loop: calibrate a simulator by moving the target of an equation's calibration."""
 
-from rtcal.loop.calibrate import calibrate_simulator
-from rtcal.loop.result import LoopResult
-from rtcal.loop.rules import Rule
-from rtcal.loop.state import STATUSES, Loop, Step, start
+from typing import TYPE_CHECKING
 
-__all__ = ["STATUSES", "Loop", "LoopResult", "Rule", "Step", "calibrate_simulator", "start"]
+from rtcal.support import lazy
+
+if TYPE_CHECKING:
+    from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
+    from rtcal.loop.result import LoopResult as LoopResult
+    from rtcal.loop.rules import Rule as Rule
+    from rtcal.loop.state import Loop as Loop
+    from rtcal.loop.state import start as start
+    from rtcal.loop.status import STATUSES as STATUSES
+    from rtcal.loop.steps import Step as Step
+else:
+    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -1,13 +1,13 @@
 """Calibrate a simulator: calibrate an equation, and move its target until the simulator agrees.
 
-`calibrate_simulator` runs the loop of `rtcal.loop.state` with a simulator that can be called; one that
-is run by hand takes part through `start`, `Loop.next_alpha` and `Loop.record`, or ``rtcal loop``.
+`calibrate_simulator` runs the loop of `rtcal.loop.state` with a simulator that Python can call. For a
+program that is run by hand, use `start`, `Loop.next_alpha` and `Loop.record`, or ``rtcal loop``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,10 +15,9 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, RtcalError, SimulatorError
-from rtcal.loop.result import LoopResult as LoopResult
+from rtcal.loop.result import LoopResult
 from rtcal.loop.rules import Rule
-from rtcal.loop.state import Loop as Loop
-from rtcal.loop.state import start as start
+from rtcal.loop.state import Loop, start
 from rtcal.simulators.base import Simulator, run
 from rtcal.support import checks
 from rtcal.support.types import Array
@@ -44,39 +43,39 @@ def calibrate_simulator(
     ----------
     simulator : Simulator
     room : Room
-        Its alpha and sigma are the prior. In large hard rooms let sigma be proportional to alpha:
-        equal sigmas drive large hard walls to alpha = 0.
+        Its alpha and sigma are the prior. In large rooms with hard walls, sigma should be
+        proportional to alpha: equal sigmas drive large hard walls to alpha = 0.
     measured : Measurement
     rule : {"secant", "safeguarded", "regression"}, optional
-        `rtcal.loop.rules`; "safeguarded" for a smooth simulator, "regression" for one whose T
-        jumps with alpha, if not given.
+        See `rtcal.loop.rules`. By default "safeguarded" for a smooth simulator, else "regression".
     method, equation
         Of the equation's calibration; see `rtcal.calibrate`.
     decimals : int, optional
         Decimals of alpha that the program reads.
     tolerance : float
-        JND; a band is done when its gap is within it less the simulator's noise, and confirmed
-        when fresh random numbers keep within it and their noise.
+        In JND. A band is done if its gap is within the tolerance less the simulator's noise. It is
+        confirmed if its gap with another seed is within the tolerance plus the noise.
     max_simulations : int
-        One more may be spent where a band has no T20.
+        Limit of all calls of the simulator, at least 2 for a simulator with random numbers. One
+        call is kept for the coefficients returned: for the confirmation with another seed, or for
+        bands whose best steps differ.
     seed : int
-        All steps share it, so that they differ by alpha alone; the confirmation uses the next.
+        Seed of all steps, so that they differ by alpha only. The confirmation uses ``seed + 1``.
     after_step : callable, optional
-        Called with the loop after every simulation, for example to `Loop.save` it: what was
-        simulated is then kept if the simulator fails later.
+        Called with the loop after every step, for example to `Loop.save` it.
 
     Returns
     -------
     LoopResult
-        Its ``status`` says of every band whether it converged and was confirmed.
+        Its ``status`` says for each band whether it converged and was confirmed.
 
     Raises
     ------
     SimulatorError, TooShortError
-        From the simulator. A band that has no T20 at some coefficients, since too little is
-        reflected or the equation does not hold, ends as unreachable instead.
+        From the simulator. The error's ``loop`` is the `Loop` with all steps so far. A band that
+        has a T20 for some coefficients only does not raise, but ends as unreachable.
     DataError
-        If simulator and room differ in materials or bands.
+        If simulator and room differ in materials or bands, or an argument breaks its rule.
 
     References
     ----------
@@ -85,50 +84,116 @@ def calibrate_simulator(
     Examples
     --------
     >>> import rtcal as rt
-    >>> from rtcal.simulators.equation import EquationSimulator
     >>> room, measured = rt.datasets.bras_cr2()
-    >>> result = calibrate_simulator(EquationSimulator(rt.Kuttruff(), room), room, measured)
-    >>> set(result.status), result.simulations <= 3
-    ({'converged'}, True)
+    >>> program = rt.simulators.External(
+    ...     room=room, name="reverb 3000",
+    ...     run=lambda alpha, seed: 1.2 * rt.Eyring().time(room, room.areas @ alpha))
+    >>> rt.calibrate_simulator(program, room, measured)
+    <LoopResult of "reverb 3000": 2 simulations, 6 of 6 bands converged>
     """
-    if not isinstance(simulator, Simulator):
-        raise DataError(
-            f"simulator = {simulator!r} is no Simulator: it lacks simulate() or its rows"
-        )
-    checks.instance("room", room, Room)
+    _check_simulator(simulator, room)
     if after_step is not None and not callable(after_step):
         raise DataError(f"after_step = {after_step!r} cannot be called")
     checks.whole("seed", seed, 0)
-    checks.whole("max_simulations", max_simulations, 1)
-    if tuple(simulator.materials) != tuple(room.materials) or not np.array_equal(
-        simulator.centre_frequencies, room.centre_frequencies
-    ):
-        raise DataError(f'{simulator.name} has other materials or bands than room "{room.name}"')
-    if rule is None:
-        rule = "safeguarded" if simulator.smooth else "regression"
+    checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
     loop = start(
         room,
         measured,
-        rule=rule,
+        rule=rule or ("safeguarded" if simulator.smooth else "regression"),
         method=method,
         equation=equation,
         decimals=decimals,
         tolerance=tolerance,
     )
-    found: list[Measurement] = []
-    calls = 0
-    while not loop.finished and calls < max_simulations:
-        alpha = loop.next_alpha
-        answer, without = _answer(simulator, loop, alpha, seed)
-        calls += 1 + bool(without)
-        found.append(answer)
-        loop = loop.record(alpha, answer, without)
-        if after_step is not None:
-            after_step(loop)
-    alpha = np.stack([loop.steps[b].alpha[:, k] for k, b in enumerate(loop.best)], axis=1)
-    # Bands that did not converge may have been nearest at different steps: never simulated together.
-    together = np.array_equal(alpha, loop.steps[-1].alpha)
-    after = found[-1] if together else run(simulator, alpha, seed=seed)
+    calls = _Calls(simulator, max(max_simulations - 1, 1))
+    try:
+        while not loop.finished and calls.left:
+            step = _simulate_step(calls, loop, seed)
+            if step is None:
+                break
+            loop = loop.record(*step)
+            if after_step is not None:
+                after_step(loop)
+        calls.limit = max_simulations
+        return _result(calls, loop, seed)
+    except RtcalError as error:
+        error.loop = loop
+        raise
+
+
+def _check_simulator(simulator: Simulator, room: Room) -> None:
+    """Raise DataError unless the simulator is one, with the room's materials and bands."""
+    checks.instance("room", room, Room)
+    if isinstance(simulator, type) or not isinstance(simulator, Simulator):
+        raise DataError(
+            f"simulator = {simulator!r} is no Simulator: it lacks simulate() or an attribute of "
+            "rtcal.simulators.Simulator"
+        )
+    if tuple(simulator.materials) != tuple(room.materials) or not np.array_equal(
+        simulator.centre_frequencies, room.centre_frequencies
+    ):
+        raise DataError(f'{simulator.name} has other materials or bands than room "{room.name}"')
+
+
+@dataclass
+class _Calls:
+    """The calls of a simulator, with their coefficients and measurements, and their limit."""
+
+    simulator: Simulator
+    limit: int
+    number: int = 0
+    answers: list[tuple[Array, int, Measurement]] = field(default_factory=list)
+
+    @property
+    def left(self) -> int:
+        return self.limit - self.number
+
+    def simulate(self, alpha: Array, seed: int) -> Measurement:
+        self.number += 1
+        measurement = run(self.simulator, alpha, seed=seed)
+        self.answers.append((alpha, seed, measurement))
+        return measurement
+
+
+def _simulate_step(
+    calls: _Calls, loop: Loop, seed: int
+) -> tuple[Array, Measurement, tuple[int, ...]] | None:
+    """Simulate the next coefficients: return them, the measurement, and the bands without a T20.
+
+    If some bands have no T20, they are simulated again with coefficients that gave one, before the
+    first step with the prior; None if no call is left for that. An error in every band is raised,
+    and so is NaN in the first step.
+    """
+    alpha = loop.next_alpha
+    try:
+        return alpha, calls.simulate(alpha, seed), ()
+    except RtcalError as error:
+        nan_at_first = isinstance(error, SimulatorError) and not loop.steps
+        if not error.bands or nan_at_first or 1 < len(alpha[0]) == len(error.bands):
+            raise
+        if not calls.left and not loop.steps:
+            raise
+        without_t20 = error.bands
+    if not calls.left:
+        return None
+    with_t20 = alpha.copy()
+    for k in without_t20:
+        steps = [step for step in loop.steps if np.isfinite(step.simulated[k])]
+        with_t20[:, k] = steps[-1].alpha[:, k] if steps else loop.prior_alpha()[:, k]
+    return alpha, calls.simulate(with_t20, seed), without_t20
+
+
+def _result(calls: _Calls, loop: Loop, seed: int) -> LoopResult:
+    """Return the result: the coefficients of each band's best step, simulated together.
+
+    If bands differ in their best step, their coefficients were never simulated together.
+    """
+    simulator, alpha = calls.simulator, loop.best_alpha
+    confirmation = None
+    if not simulator.deterministic and "converged" in loop.status:
+        confirmation = calls.simulate(alpha, seed + 1)
+    simulated = [m for a, s, m in calls.answers if s == seed and np.array_equal(a, alpha)]
+    after = simulated[-1] if simulated else confirmation or calls.simulate(alpha, seed)
     calibrated = loop.outcome.room
     record = calibrated.calibration and replace(
         calibrated.calibration,
@@ -139,29 +204,8 @@ def calibrate_simulator(
         room=calibrated.replace(alpha=alpha, calibration=record),
         simulator=simulator.name,
         loop=loop,
-        simulations=calls,
-        before=found[0],
+        simulations=calls.number,
+        before=calls.answers[0][2],
         after=after,
-        confirmation=None if simulator.deterministic else run(simulator, alpha, seed=seed + 1),
+        confirmation=confirmation,
     )
-
-
-def _answer(
-    simulator: Simulator, loop: Loop, alpha: Array, seed: int
-) -> tuple[Measurement, tuple[int, ...]]:
-    """Simulate; where bands have no T20 at ``alpha``, simulate them as before, and name them.
-
-    Before the first step that is the prior. NaN there is an error, and so is no T20 in any band.
-    """
-    try:
-        return run(simulator, alpha, seed=seed), ()
-    except RtcalError as error:
-        nan_at_first = isinstance(error, SimulatorError) and not loop.steps
-        if not error.bands or nan_at_first or 1 < len(alpha[0]) == len(error.bands):
-            raise
-        without = error.bands
-    again = alpha.copy()
-    for k in without:
-        known = [s for s in loop.steps if np.isfinite(s.simulated[k])]
-        again[:, k] = known[-1].alpha[:, k] if known else loop.rounded(loop.room.alpha[:, k])
-    return run(simulator, again, seed=seed), without

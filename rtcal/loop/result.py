@@ -1,41 +1,48 @@
-"""What the closed loop returns: the calibrated room, and what the simulator makes of it."""
+"""The result of the closed loop: the calibrated room, and the simulated measurements."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.parameters import UNITS
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.loop import files
 from rtcal.loop.state import Loop
+from rtcal.support import html, text
 from rtcal.support.files import json_numbers, write_text
 from rtcal.support.types import Array
 
+_STRONGEST_SHADE = 5.0  # JND
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LoopResult:
     """A calibrated simulator.
 
     Attributes
     ----------
     room : Room
-        With the coefficients to give to the simulator, and the record of which simulator.
+        With the coefficients for the simulator, and a record of the calibration.
     simulator : str
-        The coefficients belong to it and to no other.
+        Name of the simulator. The coefficients belong to no other.
     loop : Loop
-        Every step, and the `status` and `gap` of every band.
+        All steps, and the `status` and `gap` of each band.
     simulations : int
-        Calls of the simulator until the loop ended, those that gave no T20 included.
-    before, after : Measurement
-        Simulated with the equation's calibration alone, and with the coefficients returned; of
-        these, T20 was fitted, EDT, C50, C80 and the rest were not.
+        Number of all calls of the simulator.
+    before : Measurement
+        Simulated with the coefficients of the equation's calibration, without the loop.
+    after : Measurement
+        Simulated with the coefficients returned. T20 was fitted, other parameters were not.
     confirmation : Measurement or None
-        The same coefficients with a fresh seed; None for a deterministic simulator.
+        Simulated with the coefficients returned and another seed. None for a deterministic
+        simulator, and if no band converged.
     """
 
     room: Room
@@ -53,26 +60,38 @@ class LoopResult:
 
     @property
     def final(self) -> Measurement:
-        """What the coefficients give, with fresh random numbers where there are any."""
+        """Simulated with the coefficients returned, and with another seed if it was confirmed."""
         return self.confirmation or self.after
 
     @property
     def status(self) -> tuple[str, ...]:
-        """What is said of each band, one of `STATUSES`; see `Loop.confirmed`."""
+        """Status of each band: one of `rtcal.loop.status.STATUSES`."""
         return self.loop.confirmed(self.final)
 
     @property
     def gap(self) -> Array:
-        """Gap of T20 in JND of `final`, (n_bands,)."""
+        """Gap of T20 of `final` in JND, (n_bands,), NaN without a measured T."""
         return gap_jnd(self.final.mean("t20"), self.loop.wanted)
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Why not to believe the coefficients of a band; see `Loop.trust_marks`."""
+        """Reasons to doubt the coefficients of a band; see `Loop.trust_marks`."""
         return self.loop.trust_marks
 
+    def __repr__(self) -> str:
+        return f"<{self._description}>"
+
+    @property
+    def _description(self) -> str:
+        measured = int(np.isfinite(self.loop.wanted).sum())
+        converged = self.status.count("converged")
+        return (
+            f'LoopResult of "{text.shortened(self.simulator)}": {self.simulations} '
+            f"simulation{'s' * (self.simulations != 1)}, {converged} of {measured} bands converged"
+        )
+
     def ends(self) -> dict[str, Any]:
-        """Return what the simulator had before and after: means by parameter and band, JSON-able."""
+        """Return the parameters before and after, means by parameter and band, as plain values."""
         return {
             "simulator": self.simulator,
             "confirmed": self.confirmation is not None,
@@ -84,54 +103,64 @@ class LoopResult:
         }
 
     def to_json(self) -> str:
-        """Return the loop and what the simulator had before and after, as JSON text.
+        """Return the loop and the parameters before and after as JSON text.
 
-        `Loop.load` reads the loop in it, ``rtcal report`` all of it.
+        `Loop.load` reads the loop, ``rtcal report`` the whole text.
         """
         return files.text({**self.loop.to_dict(), "result": self.ends()})
 
     def save(self, path: str) -> None:
-        """Write `to_json` to a file, whole or not at all."""
+        """Write the text of `to_json` to a file; a failure leaves no part of it."""
         write_text(path, self.to_json())
 
     def __str__(self) -> str:
-        def shown(values: Array, form: str) -> list[str]:
-            return [format(v, form) if np.isfinite(v) else "-" for v in values]
+        header, rows = self._table()
+        lines = [f"Coefficients for {self.simulator} only; {self.simulations} simulations"]
+        lines += text.table([(row[0], row[1:]) for row in rows], header=(header[0], header[1:]))
+        for note in self._notes():
+            lines += text.wrapped(note, hanging="       " if note.startswith(" ") else "    ")
+        return "\n".join(lines)
 
-        others = [p for p in ("edt", "c50", "c80") if p in self.before.values]
-        heads = [f"{p.upper()} / {UNITS[p]}" for p in others]
-        z, status = self.loop.outcome.plausibility.z, self.status
-        columns = [
-            ("Hz", 7, shown(self.room.centre_frequencies, "g")),
-            ("T20 wanted / s", 16, shown(self.loop.wanted, ".3f")),
-            ("found / s", 11, shown(self.final.mean("t20"), ".3f")),
-            ("gap / JND", 11, shown(self.gap, "+.2f")),
-            ("z", 6, shown(z, "+.1f")),
-            *(
-                (
-                    head,
-                    14,
-                    [
-                        f"{a} to {b}"
-                        for a, b in zip(
-                            shown(self.before.mean(p), ".2f"),
-                            shown(self.final.mean(p), ".2f"),
-                            strict=True,
-                        )
-                    ],
+    def _repr_html_(self) -> str:
+        """Return the table with shaded gaps: orange for a T that is too long, blue for too short."""
+        header, rows = self._table()
+        column = header.index("gap / JND")
+        shaded: list[list[str | html.Cell]] = [[*row] for row in rows]
+        for row, gap in zip(shaded, np.nan_to_num(self.gap), strict=True):
+            row[column] = html.Cell(str(row[column]), float(np.clip(gap / _STRONGEST_SHADE, -1, 1)))
+        return html.table(self._description, header, shaded, self._notes())
+
+    def _table(self) -> tuple[list[str], list[list[str]]]:
+        """Return the header and one row per band."""
+        columns: dict[str, Sequence[str]] = {
+            "": [label(f) for f in self.room.centre_frequencies],
+            "T20 wanted / s": _numbers(self.loop.wanted, ".3f"),
+            "simulated / s": _numbers(self.final.mean("t20"), ".3f"),
+            "gap / JND": _numbers(self.gap, "+.2f"),
+            "z": _numbers(self.loop.outcome.plausibility.z, "+.1f"),
+            "status": self.status,
+        }
+        for parameter in ("edt", "c50", "c80"):
+            if parameter in self.before.values:
+                first, last = (
+                    _numbers(measurement.mean(parameter), ".2f")
+                    for measurement in (self.before, self.final)
                 )
-                for head, p in zip(heads, others, strict=True)
-            ),
-        ]
-        lines = [
-            f"Coefficients for {self.simulator} only; {self.simulations} simulations",
-            "".join(head.rjust(width) for head, width, _ in columns),
-        ]
-        for k, said in enumerate(status):
-            lines.append("".join(c[k].rjust(width) for _, width, c in columns) + f"  {said}")
-        if "not confirmed" in status:
-            lines.append(
-                "Not confirmed: fresh random numbers are further off than tolerance and noise, or "
-                "the noise alone is more than the tolerance. Simulate with less noise (more paths)."
+                columns[f"{parameter.upper()} / {UNITS[parameter]}"] = [
+                    f"{a} to {b}" for a, b in zip(first, last, strict=True)
+                ]
+        return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
+
+    def _notes(self) -> list[str]:
+        notes = explained(self.trust_marks)
+        if "not confirmed" in self.status:
+            notes.insert(
+                0,
+                "Not confirmed: with another seed the gap exceeds tolerance plus noise, or the noise "
+                "exceeds the tolerance. Simulate with less noise (more paths).",
             )
-        return "\n".join([*lines, *explained(self.trust_marks)])
+        return notes
+
+
+def _numbers(values: Array, form: str) -> list[str]:
+    return [format(v, form) if np.isfinite(v) else "-" for v in values]

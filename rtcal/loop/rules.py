@@ -1,7 +1,8 @@
-"""Where to aim next: rules that move a target rate until the simulator's rate is the measured one.
+"""Rules for the next target of a band: they move it until the simulator has the measured T.
 
-R = 1/T in 1/s. A rule is given, for one band, the targets aimed at so far, the rates that the
-simulator had for them, the wanted rate, and the range of targets that the equation can give.
+All but `next_target` work with decay rates R = 1/T in 1/s. A rule takes, for one band, the targets so
+far, the rates that the simulator had for them, the measured rate, and the lowest and highest target
+that the equation can give. It returns the next target.
 """
 
 from __future__ import annotations
@@ -14,15 +15,26 @@ import numpy as np
 from rtcal.support.types import Array
 
 Rule = Literal["secant", "safeguarded", "regression"]
-_SLOPES = (0.3, 3.0)  # of log rate over log target: beyond, two points lie too close to tell
-_PRIOR_SPREAD = 0.3  # of the regression's slope about 1
-_LONGEST_STEP = np.log(2.0)
+
+# d log(rate) / d log(target): 1 if the simulator is proportional to the equation, about 0.5 in halls
+# with concentrated absorption (docs/closed_loop.md). Outside these limits two points are too close
+# together to give a slope.
+_SLOPES = (0.3, 3.0)
+# Standard deviations in the regression. 0.3 around a slope of 1 is chosen to hold both values above
+# within two. 3 % is the noise of T20 with about 1000 paths, from 1 % with 8000 (docs/path_tracing.md).
+_SLOPE_SD = 0.3
+_RATE_SD = 0.03
+_LARGEST_STEP = np.log(2.0)
 
 
 def secant(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
-    """Return the next target of Bellows & Katz 2025, Eqs. 38 to 40, as they stand.
+    """Return the next target by the secant through the last two points.
 
-    May leave the range that the equation can give, and turn negative.
+    It may leave the range of the equation, and may be negative.
+
+    References
+    ----------
+    Bellows & Katz 2025, Eqs. 38 to 40.
     """
     if len(targets) == 1:
         return float(2 * wanted - rates[-1])
@@ -33,9 +45,11 @@ def secant(targets: Array, rates: Array, wanted: float, low: float, high: float)
 
 
 def safeguarded(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
-    """Return the next target of a log-log secant: first slope 1, slope clamped, kept in its bracket.
+    """Return the next target by a secant in logarithms, kept within its bracket.
 
-    A step that leaves the bracket of what was too low and too high is halved into it.
+    The first slope is 1, later slopes are clipped. The bracket lies between the highest target
+    whose rate was too low and the lowest whose rate was too high. A step that leaves the bracket
+    goes to its middle, or to the end of the range of the equation.
     """
     u, v, w = np.log(targets), np.log(rates), np.log(wanted)
     slope = 1.0
@@ -51,16 +65,17 @@ def safeguarded(targets: Array, rates: Array, wanted: float, low: float, high: f
 
 
 def regression(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
-    """Return the next target of a ridge regression of log rate on log target over all points.
+    """Return the next target by a ridge regression of log rate on log target over all points.
 
-    The slope's prior is normal(1, 0.3²), the rates' noise 3 %; a step is a factor 2 at most.
+    The prior of the slope is normal with mean 1 and standard deviation 0.3; the rates have a
+    standard deviation of 3 %. A step changes the target by a factor of 2 at most.
     """
     u, v = np.log(targets), np.log(rates)
     du, dv = u - u.mean(), v - v.mean()
-    prior, data = 1 / _PRIOR_SPREAD**2, 1 / 0.03**2
+    prior, data = 1 / _SLOPE_SD**2, 1 / _RATE_SD**2
     slope = (prior + data * float(du @ dv)) / (prior + data * float(du @ du))
     step = u.mean() + (np.log(wanted) - v.mean()) / float(np.clip(slope, *_SLOPES))
-    return float(np.exp(np.clip(step, u[-1] - _LONGEST_STEP, u[-1] + _LONGEST_STEP)))
+    return float(np.exp(np.clip(step, u[-1] - _LARGEST_STEP, u[-1] + _LARGEST_STEP)))
 
 
 RULES: dict[str, Callable[[Array, Array, float, float, float], float]] = {
@@ -68,3 +83,25 @@ RULES: dict[str, Callable[[Array, Array, float, float, float], float]] = {
     "safeguarded": safeguarded,
     "regression": regression,
 }
+
+
+def next_target(
+    rule: str, targets: Array, times: Array, wanted: float, shortest: float, longest: float
+) -> float:
+    """Return the next target T in s of a band, within the range of the equation.
+
+    Parameters
+    ----------
+    rule : str
+        A key of `RULES`.
+    targets, times : array (n_steps,)
+        Targets so far, and the simulated T for them, in s.
+    wanted : float
+        Measured T in s.
+    shortest, longest : float
+        Range of T in s that the equation can give.
+    """
+    rate = RULES[rule](1 / targets, 1 / times, 1 / wanted, 1 / longest, 1 / shortest)
+    if rate <= 0:  # the secant rule has no valid target: keep the last one
+        rate = 1 / float(targets[-1])
+    return float(np.clip(1 / rate, shortest, longest))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
 _SAID = {
     "converged": "came within the goal",
-    "unreachable": "cannot be reached: the equation has no coefficients left that bring it nearer",
+    "unreachable": "cannot be reached: no coefficients within the equation's range bring it nearer",
     "not converging": "did not come within the goal so far",
     "no measured T": "had no measured T; the coefficients are the stated ones",
     "not confirmed": "came within the goal, but not with fresh random numbers, or the simulator's "
@@ -152,7 +152,7 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
 def materials_table(loop: Loop) -> list[dict[str, Any]]:
     """Return name, area and coefficients, stated and in each band's nearest run."""
     room = loop.room
-    after = np.stack([loop.steps[b].alpha[:, k] for k, b in enumerate(loop.best)], axis=1)
+    after = loop.best_alpha
     return [
         {
             "name": room.materials[i],

@@ -21,7 +21,8 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, RtcalError, SimulatorError, of_bands
 from rtcal.support import checks
-from rtcal.support.types import Array
+from rtcal.support.text import shortened
+from rtcal.support.types import Array, read_only
 
 
 @runtime_checkable
@@ -79,6 +80,12 @@ class RoomSimulator:
 
     room: Room
 
+    def __repr__(self) -> str:
+        return (
+            f'<{type(self).__name__} of "{shortened(self.room.name)}": {len(self.materials)} '
+            f"material{'s' * (len(self.materials) != 1)}, {bands.span(self.centre_frequencies)}>"
+        )
+
     @property
     def materials(self) -> tuple[str, ...]:
         """Materials of the rows of alpha."""
@@ -90,8 +97,8 @@ class RoomSimulator:
         return self.room.centre_frequencies
 
 
-def check_alpha(simulator: Simulator, alpha: Array) -> Array:
-    """Return a read-only copy of alpha.
+def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
+    """Return a read-only copy of alpha for a simulator or a room.
 
     A simulator that changes it in place would else change the coefficients of its caller.
 
@@ -100,17 +107,16 @@ def check_alpha(simulator: Simulator, alpha: Array) -> Array:
     DataError
         If alpha is not (n_materials, n_bands), or a coefficient is not in [0, 1].
     """
-    alpha = checks.array("alpha", alpha).copy()
-    shape = (len(simulator.materials), len(simulator.centre_frequencies))
+    alpha = read_only(checks.array("alpha", alpha))
+    shape = (len(of.materials), len(of.centre_frequencies))
     if alpha.shape != shape:
         raise DataError(
-            f"alpha has shape {alpha.shape}; {simulator.name} asks for (n_materials, n_bands) = {shape}"
+            f"alpha has shape {alpha.shape}; {of.name} asks for (n_materials, n_bands) = {shape}"
         )
     if (outside := ~((alpha >= 0) & (alpha <= 1))).any():
         i, k = (int(v) for v in np.argwhere(outside)[0])
-        place = f'alpha["{simulator.materials[i]}", {bands.label(simulator.centre_frequencies[k])}]'
+        place = f'alpha["{of.materials[i]}", {bands.label(of.centre_frequencies[k])}]'
         raise DataError(f"{place} = {alpha[i, k]:g} is not in [0, 1]")
-    alpha.setflags(write=False)
     return alpha
 
 

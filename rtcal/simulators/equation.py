@@ -16,7 +16,7 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class EquationSimulator(RoomSimulator):
     """Returns the T of a reverberation equation, also of one without a linear target.
 

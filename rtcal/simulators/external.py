@@ -19,7 +19,7 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class External(RoomSimulator):
     """Calls a function that simulates, for example by running another program.
 

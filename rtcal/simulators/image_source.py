@@ -63,7 +63,7 @@ class Images:
             values.setflags(write=False)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ImageSource(ShoeboxSimulator):
     """The image sources of a shoebox, whose energies are added in time bins.
 

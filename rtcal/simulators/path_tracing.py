@@ -15,7 +15,7 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PathTracing(Tracer):
     """Traces paths in a room with plane walls, and weighs the same paths for every alpha.
 

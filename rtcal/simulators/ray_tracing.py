@@ -39,7 +39,7 @@ _BANDS = 7
 _FINE = 8 / _RATE  # s; the engine's bins start at the emission, rtcal's at the direct sound
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RayTracing(Tracer):
     """Traces rays with pyroomacoustics, anew for every alpha.
 

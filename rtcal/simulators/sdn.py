@@ -55,7 +55,7 @@ class Network:
             values.setflags(write=False)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ScatteringDelayNetwork(ShoeboxSimulator):
     """A scattering delay network (SDN) of a shoebox, all bands at once.
 

@@ -51,7 +51,7 @@ class Shoebox:
                 raise DataError("a source and a receiver are at the same place")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ShoeboxSimulator(RoomSimulator, ABC):
     """A deterministic simulator of shoeboxes, whose T is a smooth function of alpha.
 

@@ -18,7 +18,7 @@ from rtcal.errors import DataError
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
 
 LONGEST = 60.0
 """s; a tracer follows no decay for longer. A decay that then holds no T20 is a `TooShortError`."""
@@ -31,7 +31,7 @@ OFF_VOLUME = 0.1
 and T is proportional to the volume. The volume of a case and of its dimensions agree as closely."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Tracer(RoomSimulator, ABC):
     """A simulator that follows rays or paths through a `Polyhedron`, in independent batches.
 
@@ -157,9 +157,7 @@ def scattering_coefficients(room: Room, scattering: Any) -> Array:
     if (outside := ~((values >= 0) & (values <= 1))).any():
         i, k = (int(v) for v in np.argwhere(outside)[0])
         raise DataError(f"{room.place('scattering', i, k)} = {values[i, k]:g} is not in [0, 1]")
-    values = values.copy()
-    values.setflags(write=False)
-    return values
+    return read_only(values)
 
 
 def jackknife(estimate: Callable[[Array], Array], batches: Array) -> Array:

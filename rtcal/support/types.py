@@ -1,10 +1,25 @@
-"""The one array type of the package."""
+"""The array type of the package, and arrays that cannot be changed."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
+
+def read_only(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """Return a read-only copy: code that gets it cannot change the values of its caller.
+
+    Examples
+    --------
+    >>> read_only(np.ones(2)).flags.writeable
+    False
+    """
+    values = values.copy()
+    values.setflags(write=False)
+    return values
