@@ -41,20 +41,15 @@ from rtcal.discrepancy import (
     recalibrate,
     verify,
 )
-from rtcal.discrepancy.bootstrap import MINIMUM_NATS, draw_null_features, score, threshold
+from rtcal.discrepancy.bootstrap import MINIMUM_NATS, bootstrap_threshold, draw_null_features, score
 from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.engines import ControlRooms, recentred
-from rtcal.discrepancy.evidence import (
-    NONE,
-    alpha_covariance,
-    estimate_discrepancy,
-    hypotheses,
-    observe,
-    weigh,
-)
-from rtcal.discrepancy.finding import CANDIDATE_NATS
+from rtcal.discrepancy.evidence import alpha_covariance, estimate_discrepancy, evaluate
+from rtcal.discrepancy.features import observe
+from rtcal.discrepancy.hypotheses import NONE, predict_hypotheses
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.recalibration import plain
+from rtcal.discrepancy.search import CANDIDATE_NATS
 from rtcal.discrepancy.states import distances, state
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
@@ -427,14 +422,16 @@ def engines(first: int, rooms: int) -> None:
         tracing, _, traced = controls
         between.append(np.nanmean(tracing.errors - traced.errors.mean(0), axis=(0, 1, 3)))
         observed, _ = observe(case)
-        predicted = hypotheses(case, library())
+        predicted = predict_hypotheses(case, library())
         for left in controls:
             others = [c for c in controls if c is not left]
-            limit = threshold(case, observed, predicted, others)
+            limit = bootstrap_threshold(case, observed, predicted, others)
             rng = np.random.default_rng([index, 5])
             judged = recentred([*others, left])[-1]
             values = draw_null_features(case, observed, [judged.errors], rng, 20)
-            scores = score(weigh(observed, predicted, estimate_discrepancy(case, others), values))
+            scores = score(
+                evaluate(observed, predicted, estimate_discrepancy(case, others), values)
+            )
             alarms.setdefault(left.engine, []).extend((scores > limit.value).tolist())
         print(f"\r{index + 1 - first}/{rooms}", end="", flush=True)
     apart = np.sqrt(np.mean(np.square(between), axis=0))
@@ -467,10 +464,10 @@ def speed(first: int, rooms: int) -> None:
             ("all data", case, controls),
         ):
             observed, _ = observe(data)
-            predicted = hypotheses(data, library())
+            predicted = predict_hypotheses(data, library())
             limit = timed(
                 f"threshold, {label}",
-                lambda d=data, o=observed, p=predicted, c=rooms_of: threshold(d, o, p, c),
+                lambda d=data, o=observed, p=predicted, c=rooms_of: bootstrap_threshold(d, o, p, c),
             )
             timed(f"find, {label}", lambda d=data, t=limit: find(d, threshold=t))
     for label, taken in times.items():
@@ -497,7 +494,10 @@ def bound(folder: str) -> None:
         name, parameters = NAMES[truth["seed"][1]], parameters_of(truth["effects"][0])
         for data, part, rooms in (("one", one(case), first_of(controls)), ("all", case, controls)):
             observed, _ = observe(part)
-            error, predicted = estimate_discrepancy(part, rooms), hypotheses(part, library())
+            error, predicted = (
+                estimate_discrepancy(part, rooms),
+                predict_hypotheses(part, library()),
+            )
             base = [state(part, c) for c in part.configurations]
             changed = [effects[name].change(s, parameters) for s in base]
             d = np.array(
@@ -516,7 +516,7 @@ def bound(folder: str) -> None:
             values = draw_null_features(
                 hidden, observed, errors, np.random.default_rng([index, 6]), 20
             )
-            evidence = weigh(observed, predicted, error, values)
+            evidence = evaluate(observed, predicted, error, values)
             table = evidence.by_effect()
             names = [k for k in table if k != NONE]
             over = np.array([table[k] - table[NONE] for k in names])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from rtcal.discrepancy import (
     AppliedEffect,
     Case,
     Configuration,
+    Effect,
     Threshold,
     find,
     library,
@@ -27,21 +29,24 @@ from rtcal.discrepancy import (
 )
 from rtcal.discrepancy.bootstrap import control_rooms
 from rtcal.discrepancy.corrected import not_in_room
-from rtcal.discrepancy.effects import Opening, Porous, Resonator, WrongArea, WrongVolume
+from rtcal.discrepancy.effects.coupled_room import CoupledDecay
+from rtcal.discrepancy.effects.non_diffuse import DirectionalDecay
+from rtcal.discrepancy.effects.opening import Opening
+from rtcal.discrepancy.effects.porous import Porous
+from rtcal.discrepancy.effects.resonator import Resonator
+from rtcal.discrepancy.effects.stated import WrongArea, WrongVolume
 from rtcal.discrepancy.engines import ControlRooms, recentred
 from rtcal.discrepancy.evidence import (
     ModelDiscrepancy,
     alpha_covariance,
     estimate_discrepancy,
+    evaluate,
     goodness_of_fit,
-    hypotheses,
-    observe,
-    weigh,
 )
+from rtcal.discrepancy.features import observe
+from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.model import State, predict, sensitivities
-from rtcal.discrepancy.shapes import Coupled, NonDiffuse
 from rtcal.discrepancy.states import state
-from rtcal.discrepancy.wording import wrong
 from rtcal.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)
@@ -139,7 +144,7 @@ def decay_times(t: np.ndarray, left: np.ndarray) -> list[float]:
 
 def test_coupled_rooms_follow_their_energy_balance() -> None:
     one = made()
-    decay = Coupled(10.0, 500.0, 0.05)(one)
+    decay = CoupledDecay(10.0, 500.0, 0.05)(one)
     c, s1 = 343.2, one.covered(10.0, np.ones(7)).rate
     band = 2
     a2 = -np.log1p(-0.05) * 6 * 500 ** (2 / 3) + 4 * 1e-3 * 500 + 10
@@ -158,7 +163,7 @@ def test_coupled_rooms_follow_their_energy_balance() -> None:
 
 
 def test_a_dead_second_room_is_an_opening() -> None:
-    dead = predict([made(shape=Coupled(10.0, 1e6, 0.9))], np.array([6.0])).features[0]
+    dead = predict([made(shape=CoupledDecay(10.0, 1e6, 0.9))], np.array([6.0])).features[0]
     hole = predict([made().covered(10.0, np.ones(7))], np.array([6.0])).features[0]
     np.testing.assert_allclose(dead, hole, atol=2e-3)
     assert (np.abs(hole[0] - predict([made()], np.array([6.0])).features[0, 0]) > 0.1).all()
@@ -166,9 +171,9 @@ def test_a_dead_second_room_is_an_opening() -> None:
 
 def test_a_field_that_scatters_is_diffuse_and_one_that_does_not_decays_by_direction() -> None:
     even = predict([made()], np.array([6.0])).features[0]
-    much = predict([made(shape=NonDiffuse(50.0))], np.array([6.0])).features[0]
+    much = predict([made(shape=DirectionalDecay(50.0))], np.array([6.0])).features[0]
     np.testing.assert_allclose(much[:3], even[:3], atol=0.02)
-    little = predict([made(shape=NonDiffuse(0.02))], np.array([6.0])).features[0]
+    little = predict([made(shape=DirectionalDecay(0.02))], np.array([6.0])).features[0]
     assert (little[0] > even[0] + 0.1).all()  # the directions that see little absorption last
     assert (little[1] < -0.05).all()  # ... and the early decay is that of the others
     assert (little[2] > 0.01).all()
@@ -226,9 +231,9 @@ def test_evidence_is_the_normal_density() -> None:
     t20 = 6 * np.log(10) / made().rate
     case = case_with(1.1 * t20, edt=1.05 * t20, c80=np.linspace(1, 5, 7))
     observed, _ = observe(case)
-    predicted = hypotheses(case, [Opening()])
+    predicted = predict_hypotheses(case, [Opening()])
     error = estimate_discrepancy(case, controls_of(case))
-    got = weigh(observed, predicted, error)
+    got = evaluate(observed, predicted, error)
     mask = observed.used.ravel()
     for i in (0, 3, 9):
         d = (predicted.features[i] - predicted.features[0]).ravel()[mask]
@@ -243,7 +248,7 @@ def test_evidence_is_the_normal_density() -> None:
         mean = predicted.features[i].ravel()[mask] + error.bias[mask]
         expected = multivariate_normal(mean, covariance).logpdf(observed.values)
         assert got.log_likelihood[i] == pytest.approx(expected, rel=1e-9)
-    several = weigh(observed, predicted, error, np.stack([observed.values] * 3))
+    several = evaluate(observed, predicted, error, np.stack([observed.values] * 3))
     np.testing.assert_allclose(several.log_likelihood[:, 2], got.log_likelihood, rtol=1e-9)
     by_effect = got.by_effect()["opening"]
     assert by_effect == pytest.approx(np.log(np.mean(np.exp(got.log_likelihood[1:]))))
@@ -276,7 +281,7 @@ def test_the_bias_is_the_mean_of_those_who_can_tell_it_and_of_the_model() -> Non
 
 def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
     case = case_with(np.ones(7))
-    predicted = hypotheses(case, [])
+    predicted = predict_hypotheses(case, [])
     rng = np.random.default_rng(3)
     lag = np.abs(np.subtract.outer(np.arange(7), np.arange(7)))
     z = rng.standard_normal((4000, 4, 7)) @ np.linalg.cholesky(0.7**lag).T
@@ -287,10 +292,10 @@ def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
             for one in z
         ]
     )
-    free = hypotheses(replace(case, room=case.room.replace(air=rt.Air(20, 50))), [])
+    free = predict_hypotheses(replace(case, room=case.room.replace(air=rt.Air(20, 50))), [])
     assert free.alpha_variance.shape == predicted.alpha_variance.shape
     dry = replace(case, room=case.room.replace(air=None))
-    variance = hypotheses(dry, []).alpha_variance[0, 0, :, 0, :]
+    variance = predict_hypotheses(dry, []).alpha_variance[0, 0, :, 0, :]
     # 4,000 draws: a variance is known to 2.2 %.
     np.testing.assert_allclose(np.cov(drawn.T) / small**2, variance, rtol=0.12)
 
@@ -497,7 +502,7 @@ def test_what_no_effect_explains_is_said_so() -> None:
 def test_surprise_is_chi_square_s() -> None:
     case = opened()
     observed, _ = observe(case)
-    predicted = hypotheses(case, [Opening()])
+    predicted = predict_hypotheses(case, [Opening()])
     error = estimate_discrepancy(case, controls_of(case))
     times, probability = goodness_of_fit(observed, predicted, error, 0)
     mask = observed.used.ravel()
@@ -527,13 +532,13 @@ def test_what_is_stated_is_wrong_and_what_is_not_is_missing() -> None:
         (("air",), "Not as stated"),
         (("opening", "volume"), "Missing from the model, or not as stated"),
     ):
-        assert wrong(replace(finding, candidates=names)) == words
+        assert replace(finding, candidates=names).kind == words
     dry = replace(case, room=case.room.replace(air=None))
-    assert wrong(replace(finding, case=dry, candidates=("air",))) == "Missing from the model"
+    assert replace(finding, case=dry, candidates=("air",)).kind == "Missing from the model"
 
 
 def test_a_field_of_walls_that_absorb_nothing_decays() -> None:
-    decay = NonDiffuse(0.1)(made(alpha=np.zeros_like(ALPHA)))
+    decay = DirectionalDecay(0.1)(made(alpha=np.zeros_like(ALPHA)))
     assert np.isfinite(decay.weights).all()
     assert (decay.rates > 0).all()
 
@@ -679,4 +684,48 @@ def test_what_was_added_must_be_in_the_library() -> None:
         Case.from_dict(data)
     lacking = replace(opened(), applied=[AppliedEffect("opening", {})])
     with pytest.raises(DataError, match='"opening": change with no parameter raises KeyError'):
-        hypotheses(lacking, [])
+        predict_hypotheses(lacking, [])
+
+
+def test_nothing_outside_an_effect_asks_for_its_name() -> None:
+    folder = Path(rt.discrepancy.__file__).parent
+    names = {effect.name for effect in library()}
+    words = names - {"air", "area", "volume"}  # also quantities of a room
+    for path in [*folder.glob("*.py"), *folder.parent.glob("report/gap*.py")]:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        compared = [
+            node for c in ast.walk(tree) if isinstance(c, ast.Compare) for node in ast.walk(c)
+        ]
+        for nodes, forbidden in ((ast.walk(tree), words), (compared, names)):
+            texts = {node.value for node in nodes if isinstance(node, ast.Constant)}
+            assert not texts & forbidden, path
+
+
+def test_a_finding_and_what_follows_show_as_one_line_and_as_a_table() -> None:
+    case = opened()
+    finding = find(case, controls=controls_of(case))
+    result = verify(finding)
+    made = (finding, result, result.corrected, result.plain, plan(case))
+    for thing in made:
+        assert "\n" not in repr(thing)
+        assert len(repr(thing)) < 200
+    assert "ambiguous: opening, " in repr(finding)
+    assert "opening" in repr(result.corrected)
+    for thing in (finding, result):
+        text = thing._repr_html_()
+        assert text.count("<table") == 1
+        assert "opening" in text
+        assert text.count("<tr") > 2
+    assert "candidate" in finding._repr_html_()
+
+
+@pytest.mark.parametrize("effect", library(), ids=lambda e: e.name)
+def test_an_effect_says_what_it_is(effect: Effect) -> None:
+    case = case_with(np.ones(7))
+    parameters = effect.grid(state(case, case.configurations[0]))[0]
+    assert effect.title(parameters, case.room).startswith(effect.name)
+    described = effect.describe(parameters)
+    if effect.name != "area":  # its material is in its title
+        for name in set(parameters) - set(effect.discrete):
+            assert name.replace("_", " ") in described
+    assert effect.size.replace("_", " ") not in effect.describe(parameters, without=effect.size)

@@ -19,6 +19,7 @@ from rtcal.discrepancy import (
     Absorber,
     AppliedEffect,
     Case,
+    Effect,
     corrected_room,
     find,
     library,
@@ -27,7 +28,7 @@ from rtcal.discrepancy import (
     simulator,
     verify,
 )
-from rtcal.discrepancy.effects import Named, Opening
+from rtcal.discrepancy.effects.opening import Opening
 from rtcal.discrepancy.model import Decay, State
 from rtcal.discrepancy.states import state
 from rtcal.errors import DataError, RtcalError
@@ -127,7 +128,7 @@ def test_one_s_own_of_a_library_s_name_is_not_taken_for_the_library_s(tmp_path: 
     assert (tmp_path / "b.json").exists()
 
 
-class Bent(Named):
+class Bent(Effect):
     """Two slopes: an effect of one's own on the decay."""
 
     name: ClassVar[str] = "bent"
@@ -165,7 +166,7 @@ def test_no_simulator_is_said_to_have_a_decay_of_one_s_own() -> None:
 # What is no effect, and effects that break a rule.
 
 
-def absorber(called: str, spectrum: object) -> Absorber:
+def absorber(called: str | None, spectrum: object) -> Absorber:
     made: Absorber = type("Own", (Absorber,), {"name": called, "spectrum": spectrum})()
     return made
 
@@ -196,7 +197,7 @@ def test_a_spectrum_that_breaks_a_rule_is_named(spectrum: object, words: tuple[s
     refused(lambda: plan(case, effects=effects), 'effect "piano"', *words)
 
 
-def on_state(**parts: Any) -> Named:
+def on_state(**parts: Any) -> Effect:
     members = {
         "name": "mine",
         "size": "x",
@@ -204,11 +205,11 @@ def on_state(**parts: Any) -> Named:
         "grid": lambda s, state: [{"x": 1.0}],
         "change": lambda s, state, p: state,
     }
-    made: Named = type("Mine", (Named,), members | parts)()
+    made: Effect = type("Mine", (Effect,), members | parts)()
     return made
 
 
-def changing(**fields: Any) -> Named:
+def changing(**fields: Any) -> Effect:
     return on_state(change=lambda s, state, p: replace(state, **fields))
 
 
@@ -221,7 +222,7 @@ def changing(**fields: Any) -> Named:
         ([], ("effects is empty",)),
         (3, ("effects = 3 is not a list",)),
         ([Opening(), Organ], ("effects[1] = Organ is a class", "Organ()")),
-        ([Absorber()], ("effects[0]", "name = None is not a text")),
+        ([absorber(None, None)], ("effects[0]", "name = None is not a text")),
         ([*library(), Opening()], ('effects has "opening" twice',)),
         ([on_state(name="none")], ('name = "none" is a verdict',)),
         ([on_state(name="a\nb")], ("name = 'a\\nb' is not a text of one line",)),

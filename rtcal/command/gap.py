@@ -135,10 +135,9 @@ def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet:
     Example: rtcal gap verify case.toml
     """
     from rtcal.discrepancy import verify as verified
-    from rtcal.discrepancy.wording import nothing_to_add
 
     finding = _find(_case(case), engines, seed, quiet)
-    if (nothing := nothing_to_add(finding)) is not None:
+    if (nothing := finding.reason_for_none) is not None:
         record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
         tell(nothing, record, quiet=quiet, as_json=as_json)
         return

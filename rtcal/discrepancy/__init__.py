@@ -13,8 +13,9 @@ from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.configuration import Change, Configuration
 from rtcal.discrepancy.corrected import corrected_room, simulator
 from rtcal.discrepancy.effects import Absorber, Effect, library
-from rtcal.discrepancy.finding import Finding, find
+from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.recalibration import Recalibrated, recalibrate
+from rtcal.discrepancy.search import find
 from rtcal.discrepancy.verification import Verification, verify
 
 __all__ = [

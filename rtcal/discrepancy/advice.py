@@ -1,4 +1,4 @@
-"""What to measure next, and what could be told apart at all: distances between predictions."""
+"""The next measurement, and which effects the data can distinguish: distances between predictions."""
 
 from __future__ import annotations
 
@@ -10,19 +10,11 @@ import numpy as np
 
 from rtcal.discrepancy.bootstrap import MINIMUM_NATS
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.effect_checks import checked
 from rtcal.discrepancy.effects import Effect, library
-from rtcal.discrepancy.evidence import (
-    NONE,
-    UNKNOWN,
-    Evidence,
-    Hypotheses,
-    ModelDiscrepancy,
-    Observed,
-    alpha_covariance,
-    hypotheses,
-    observe,
-)
+from rtcal.discrepancy.effects.checks import checked_effects
+from rtcal.discrepancy.evidence import UNKNOWN, Evidence, ModelDiscrepancy, alpha_covariance
+from rtcal.discrepancy.features import Observed, observe
+from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
 from rtcal.discrepancy.model import FEATURES
 from rtcal.errors import DataError
 from rtcal.support import checks
@@ -68,7 +60,7 @@ def next_measurement(
     evidence: Evidence,
     candidates: Sequence[str],
 ) -> str:
-    """Say what would settle which of the candidates it is."""
+    """Return the measurement that would decide between the candidates."""
     named = [c for c in candidates if c != UNKNOWN]
     if not named:
         return (
@@ -120,7 +112,7 @@ def next_measurement(
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """Which effects a case's data could tell apart.
 
@@ -149,8 +141,19 @@ class Plan:
             "with_more": {label: rows(table) for label, table in self.more.items()},
         }
 
+    def __repr__(self) -> str:
+        """Return one line: the parameters, and how many pairs of effects they can distinguish."""
+        names = list(self.reached)
+        pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+        both, one_way = _blind(self.separations, pairs)
+        distinct = len(pairs) - len(both) - len(one_way)
+        return (
+            f"<Plan with {', '.join(self.parameters)}: {distinct} of {len(pairs)} pairs of effects "
+            "can be distinguished>"
+        )
+
     def __str__(self) -> str:
-        """Return what a user reads."""
+        """Return the table of expected evidence, and the pairs that cannot be distinguished."""
         names = list(dict.fromkeys(a for a, _ in self.separations))
         lines = [
             f"With {', '.join(self.parameters)}: evidence (nats) to expect for the effect in the row, "
@@ -256,7 +259,7 @@ def plan(
     if not 0 < change <= 1:
         raise DataError(f"change = {change:g} is not above 0 and at most 1 (a share of T)")
     observed, _ = observe(case)
-    predicted = hypotheses(case, library() if effects is None else checked(effects))
+    predicted = predict_hypotheses(case, library() if effects is None else checked_effects(effects))
     if discrepancy is None:
         shape = observed.used.shape
         spread = np.broadcast_to(np.array(GENERIC_UNCERTAINTY)[None, :, None] ** 2, shape).ravel()

@@ -1,4 +1,4 @@
-"""The threshold: how much evidence a room without anything hidden gives by chance.
+"""The threshold: how much evidence a room that lacks nothing gives by chance.
 
 A parametric bootstrap. Each draw takes alpha from the prior, the model's error from the engines'
 control rooms and noise from the measurement. The model's bias and covariance are estimated from one
@@ -23,31 +23,30 @@ from rtcal.discrepancy.engines import (
     recentred,
 )
 from rtcal.discrepancy.evidence import (
-    NONE,
     Evidence,
-    Hypotheses,
     ModelDiscrepancy,
-    Observed,
     estimate_discrepancy,
-    weigh,
+    evaluate,
 )
+from rtcal.discrepancy.features import Observed
+from rtcal.discrepancy.hypotheses import NONE, Hypotheses
 from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.types import Array
 
-LEVEL = 0.95
-"""Quantile of the made-up rooms' evidence that the threshold stands at."""
+QUANTILE = 0.95
+"""Quantile of the null rooms' scores that is the threshold: 5 % false alarms."""
 MINIMUM_NATS = 2.3
-"""Nats: odds of ten to one, below which nothing is said to be there."""
+"""Smallest threshold in nats: odds of ten to one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Threshold:
-    """The evidence in nats that a finding must exceed, and what it was learnt from.
+    """The evidence in nats that a finding must exceed, and what it was estimated from.
 
-    ``scores`` (n_draws,) are the made-up rooms'; ``error`` the model's own.
+    ``scores`` (n_draws,) are those of the null rooms; ``discrepancy`` is that of all control rooms.
     """
 
     value: float
@@ -95,7 +94,7 @@ def checked_controls(case: Case, controls: object) -> tuple[ControlRooms, ...]:
     return every
 
 
-def threshold(
+def bootstrap_threshold(
     case: Case,
     observed: Observed,
     predicted: Hypotheses,
@@ -107,16 +106,19 @@ def threshold(
     rng = np.random.default_rng([seed, 3])
     scores = []
     for fold in (0, 1):
-        learn = [_part(c, fold) for c in controls]
+        training = [_part(c, fold) for c in controls]
         test = [c.errors for c in recentred([_part(c, 1 - fold) for c in controls])]
         values = draw_null_features(case, observed, test, rng, draws // 2)
-        scores.append(score(weigh(observed, predicted, estimate_discrepancy(case, learn), values)))
-    every = np.concatenate(scores)
-    value = max(float(np.quantile(every, LEVEL)), MINIMUM_NATS)
-    return Threshold(value, every, estimate_discrepancy(case, controls))
+        scores.append(
+            score(evaluate(observed, predicted, estimate_discrepancy(case, training), values))
+        )
+    table = np.concatenate(scores)
+    value = max(float(np.quantile(table, QUANTILE)), MINIMUM_NATS)
+    return Threshold(value, table, estimate_discrepancy(case, controls))
 
 
 _FEW = 16
+"""Control rooms below which an engine's are not divided."""
 
 
 def _part(controls: ControlRooms, fold: int) -> ControlRooms:
@@ -134,7 +136,7 @@ def score(evidence: Evidence) -> Array:
 def draw_null_features(
     case: Case, observed: Observed, errors: Sequence[Array], rng: np.random.Generator, n: int
 ) -> Array:
-    """Return features (n, n_used) of rooms without anything hidden, with engines' errors in them."""
+    """Draw features (n, n_used) of rooms that lack nothing, with the engines' errors in them."""
     alphas = draw_alpha(case, rng, n)
     rows = [
         predict([state(case, c, a[i]) for a in alphas], distances(case, c)).features

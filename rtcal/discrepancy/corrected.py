@@ -29,10 +29,6 @@ from rtcal.support.types import Array
 
 _LARGEST_SHARE = 0.5
 """Of the walls, that an absorber takes so that more of it may be found."""
-_REST = {
-    "coupled room": "the simulator has no second room; draw it in its geometry",
-    "noise floor": "a simulator's decay has no noise; take the noise off the measurement",
-}
 
 
 def corrected_room(case: Case) -> Room:
@@ -76,15 +72,9 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     """
     if make is None:
         return CaseModel(case)
-    for p in case.applied:
-        if p.name in _REST:
-            raise DataError(f"{p.name}: {_REST[p.name]}")
     for p in _settled(case)[1]:
-        if p.custom is not None:
-            raise DataError(
-                f"{p.name}: it bends the decay, which no material of a simulator does; without "
-                "make the case's own model is the simulator"
-            )
+        if p.effect.not_in_simulator is not None:
+            raise DataError(f"{p.name}: {p.effect.not_in_simulator}")
     return Spread(case, make(_stated(case)))
 
 
@@ -200,10 +190,10 @@ def _base(case: Case) -> Configuration:
 
 
 def _air(case: Case) -> Air | None:
-    climates = [p.parameters for p in case.applied if p.name == "air"]
-    if not climates:
-        return case.room.air
-    return Air(climates[-1]["temperature"], climates[-1]["humidity"])
+    air = case.room.air
+    for p in case.applied:
+        air = p.effect.air(air, p.parameters)
+    return air
 
 
 def _bare(case: Case) -> State:

@@ -1,56 +1,23 @@
-"""Find what a model misses: screen, locate, name."""
+"""The result of a search: verdict, evidence and the effect that explains the data best."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
-from rtcal.discrepancy.advice import next_measurement
-from rtcal.discrepancy.bootstrap import Threshold, checked_controls, control_rooms
-from rtcal.discrepancy.bootstrap import threshold as bootstrapped
 from rtcal.discrepancy.case import AppliedEffect, Case
-from rtcal.discrepancy.effect_checks import checked
-from rtcal.discrepancy.effects import Effect, Parameters, library
-from rtcal.discrepancy.engines import ControlRooms, Report, no_report
-from rtcal.discrepancy.evidence import (
-    NONE,
-    UNKNOWN,
-    Evidence,
-    Hypotheses,
-    ModelDiscrepancy,
-    Observed,
-    goodness_of_fit,
-    hypotheses,
-    log_likelihood,
-    observe,
-    standardized_residuals,
-    weigh,
-)
-from rtcal.discrepancy.wording import (
-    NATS,
-    amount,
-    best,
-    in_words,
-    material_of,
-    runner_up,
-    wrong,
-)
+from rtcal.discrepancy.effects import Effect, library
+from rtcal.discrepancy.evidence import UNKNOWN, ModelDiscrepancy
+from rtcal.discrepancy.wording import NATS, amount, listed
 from rtcal.errors import DataError
-from rtcal.support import checks
+from rtcal.support import html
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
-CANDIDATE_NATS = 1.1
-"""Nats within which an effect is a candidate beside the best: odds of three to one. Ten to one (2.3)
-holds the truth more often, in sets half as large again: docs/discrepancy.md."""
-_NOWHERE = 8.0
-"""Nats under the best, where no size need be tried."""
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
 
 
@@ -64,39 +31,44 @@ class Size:
     unit: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Finding:
-    """What a case's data say of its model.
+    """What the data of a case say about its model.
 
     Attributes
     ----------
+    case : Case
     verdict : {"none", "hint", "named", "ambiguous", "unknown"}
-        ``named``: one effect explains the data; ``ambiguous``: those in ``candidates`` cannot be
-        told apart with these data; ``unknown``: something is there that no effect of the library
-        explains; ``hint``: less than the threshold, more than half of it.
+        ``named``: one effect explains the data. ``ambiguous``: the data cannot distinguish those in
+        ``candidates``. ``unknown``: the model lacks something that no effect of the library explains.
+        ``hint``: the evidence is below the threshold, and above half of it.
     effect : str or None
         The best supported effect, unless the verdict is "none".
     candidates : tuple of str
-        Effects within `CANDIDATE_NATS` nats of the best, the best first.
+        Effects within `rtcal.discrepancy.search.CANDIDATE_NATS` of the best, the best first.
     evidence : mapping of str to float
-        Nats over "none", by effect, and for "unknown".
+        Log evidence over "none" in nats, by effect and for "unknown".
     score, threshold : float
-        The best effect's evidence and what it must exceed, in nats.
+        The best effect's evidence and the threshold that it must exceed, in nats.
     engines : tuple of str
-        The simulators whose control rooms the threshold and the model's discrepancy were learnt from.
+        The simulators of the control rooms, from which threshold and discrepancy were estimated.
     parameters : mapping of str to float
-        The best effect's.
+        The best effect's parameters.
     size : Size or None
-        How much there is of it, where it has a size.
+        The best effect's size, where it has one.
     runner_up : str
         The second best.
     advice : str
-        The next measurement that would settle it.
+        The next measurement that would decide.
     residuals : array (n_configurations, n_features, n_bands)
         Measured less modelled over its standard deviation: amount (ln T20), shape (EDT/T20,
         T30/T20), level (C80, G). NaN where nothing was measured.
     notes : tuple of str
-        What was dropped, and what not to believe.
+        Data that were dropped, and reasons to doubt the result.
+    discrepancy : ModelDiscrepancy
+        Bias and covariance of the model's error.
+    effects : mapping of str to Effect
+        The effects that were tried, by name.
     """
 
     case: Case
@@ -113,29 +85,82 @@ class Finding:
     advice: str
     residuals: Array
     notes: tuple[str, ...]
-    discrepancy: ModelDiscrepancy = field(repr=False)
-    effects: Mapping[str, Effect] = field(repr=False)
+    discrepancy: ModelDiscrepancy
+    effects: Mapping[str, Effect]
 
     def apply(self, case: Case | None = None) -> Case:
-        """Return the case with the named effect in its model; what has it already is returned as it is.
+        """Return the case with the named effect in its model.
 
-        Raises DataError for a verdict without a named effect to add ("none", "hint", "unknown"). An
-        ambiguous one adds the best candidate.
+        An ambiguous finding adds its best candidate. A case that has the effect already is returned
+        as it is.
+
+        Raises
+        ------
+        DataError
+            If the verdict names no effect ("none", "hint", "unknown").
         """
         case = self.case if case is None else case
         if self.verdict in ("none", "hint") or self.effect in (None, UNKNOWN):
             raise DataError(f'the verdict is "{self.verdict}"; there is no named effect to add')
-        if any(p.name == self.effect for p in case.applied):
+        if any(a.name == self.effect for a in case.applied):
             return case
         ends = None if self.size is None else (self.size.low, self.size.high)
         effect = self.effects[str(self.effect)]
-        own = None if effect in library() else effect
-        added = AppliedEffect(str(self.effect), dict(self.parameters), ends, own)
+        custom = None if effect in library() else effect
+        added = AppliedEffect(str(self.effect), dict(self.parameters), ends, custom)
         return replace(case, applied=(*case.applied, added))
+
+    @property
+    def title(self) -> str:
+        """The best effect as a sentence names it."""
+        effect = self.effects.get(str(self.effect))
+        if effect is None:
+            return str(self.effect)
+        return effect.title(self.parameters, self.case.room)
+
+    @property
+    def rivals(self) -> list[str]:
+        """The candidates other than the best."""
+        return [name for name in self.candidates if name != self.effect]
+
+    @property
+    def support(self) -> str:
+        """Verdict, the best effect's evidence and the next best effects, in words."""
+        best = f"{self.verdict}: {self.title} {self.score:+.1f} nats"
+        if self.rivals:
+            others = ", ".join(f"{r} {self.evidence[r]:+.1f}" for r in self.rivals)
+            return f"{best}; {others}, not told apart"
+        return f"{best}; next {self.second_best}"
+
+    @property
+    def second_best(self) -> str:
+        """The runner-up with its evidence."""
+        return f"{self.runner_up} {self.evidence.get(self.runner_up, 0.0):+.1f}"
+
+    @property
+    def reason_for_none(self) -> str | None:
+        """Why there is no effect to add, in words; None where there is one."""
+        return {
+            "none": "Nothing to add: prior, measurement and model agree (verdict none).",
+            "hint": f"Nothing to add: a hint of {self.effect} only, {self.score:.1f} nats of the "
+            f"{self.threshold:.1f} that it must exceed (verdict hint).",
+            "unknown": "Nothing to add: something is missing that no effect of the library explains "
+            "(verdict unknown).",
+        }.get(self.verdict)
+
+    @property
+    def added(self) -> str:
+        """What `apply` adds, and what explains the data nearly as well, in words."""
+        if not self.rivals:
+            return f"Added {self.title} ({self.support})."
+        behind = [
+            f"{r} is only {self.score - self.evidence[r]:.1f} nats behind" for r in self.rivals
+        ]
+        return f"Added {self.title}. Ambiguous: it is the best, but {listed(behind)} ({NATS})."
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        size = self.size
+        size, effect = self.size, self.effects.get(str(self.effect))
         return {
             "verdict": self.verdict,
             "effect": self.effect,
@@ -145,7 +170,7 @@ class Finding:
             "threshold": self.threshold,
             "engines": list(self.engines),
             "parameters": dict(self.parameters),
-            "material": material_of(self.parameters, self.case.room),
+            "material": effect and effect.material(self.parameters, self.case.room),
             "size": None
             if size is None
             else {"mean": size.mean, "low": size.low, "high": size.high, "unit": size.unit},
@@ -164,322 +189,85 @@ class Finding:
             ],
         }
 
+    def __repr__(self) -> str:
+        """Return one line: verdict, candidates, evidence and threshold."""
+        names = shortened(", ".join(self.candidates)) or "no effect"
+        return (
+            f"<Finding {self.verdict}: {names}; {self.score:+.1f} nats, threshold "
+            f"{self.threshold:.1f}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return the evidence as a table, candidates and threshold in words."""
+        rows = [
+            [name, f"{nats:+.1f}", "candidate" if name in self.candidates else ""]
+            for name, nats in self.evidence.items()
+        ]
+        return html.table(
+            f"{self._headline}; threshold {self.threshold:.1f} nats",
+            ["effect", "evidence / nats", ""],
+            rows,
+            [*filter(None, [self._size_in_words]), f"Next: {self.advice}", *self.notes],
+        )
+
     def __str__(self) -> str:
-        """Return what a user reads."""
-        return "\n".join(_lines(self))
-
-
-def find(
-    case: Case,
-    effects: Sequence[Effect] | None = None,
-    threshold: Threshold | float | None = None,
-    seed: int = 0,
-    *,
-    engines: Sequence[str] = ("path tracing", "network"),
-    controls: Sequence[ControlRooms] | None = None,
-    report: Report = no_report,
-) -> Finding:
-    """Find what the case's model misses.
-
-    Parameters
-    ----------
-    case : Case
-    effects : sequence of Effect, optional
-        Those to try; the whole library if not given.
-    threshold : Threshold or float, optional
-        Of an earlier bootstrap of the same case, or a number of nats; the model's discrepancy is then
-        estimated from ``controls``. Bootstrapped if not given.
-    seed : int
-        Of the control rooms and of the bootstrap.
-    engines : sequence of str
-        At least two simulators that the control rooms go through.
-    controls : sequence of ControlRooms, optional
-        Control rooms that were run before.
-
-    Returns
-    -------
-    Finding
-
-    Raises
-    ------
-    DataError
-        If fewer than two engines are given, or control rooms of another case; if the room was
-        calibrated on one of the case's T already; for an effect that breaks a rule, which the message
-        names.
-    """
-    checks.instance("case", case, Case).require_fresh()
-    checks.whole("seed", seed, 0)
-    effects = library() if effects is None else checked(effects)
-    observed, notes = observe(case)
-    predicted = hypotheses(case, effects)
-    if not isinstance(threshold, Threshold):
-        if controls is None:
-            controls = control_rooms(case, seed, engines, report)
-        else:
-            controls = checked_controls(case, controls)
-        learnt = bootstrapped(case, observed, predicted, controls, seed)
-        limit = learnt.value if threshold is None else checks.number("threshold", threshold)
-        if not 0 <= limit < np.inf:
-            raise DataError(f"threshold = {limit:g} nats is not finite and 0 or more")
-        if threshold is not None:
-            notes.append("the threshold was given, not bootstrapped")
-    else:
-        learnt, limit = threshold, threshold.value
-    return judge(case, observed, predicted, learnt.discrepancy, limit, notes)
-
-
-def judge(
-    case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
-    discrepancy: ModelDiscrepancy,
-    limit: float,
-    notes: Sequence[str] = (),
-) -> Finding:
-    """Weigh the hypotheses and say what follows; `find` calls it."""
-    evidence = weigh(observed, predicted, discrepancy)
-    table = {k: float(v) for k, v in evidence.by_effect().items()}
-    over = {k: v - table[NONE] for k, v in table.items() if k != NONE}
-    order = sorted(over, key=lambda k: -over[k])
-    best, score = order[0], over[order[0]]
-    candidates = tuple(k for k in order if over[k] > score - CANDIDATE_NATS)
-    if score <= limit:
-        verdict = "hint" if score > max(0.5 * limit, 0.5) else "none"
-    elif best == UNKNOWN:
-        verdict = "unknown"
-    else:
-        verdict = "named" if len(candidates) == 1 else "ambiguous"
-    if verdict == "none":
-        candidates = ()
-    parameters: Parameters = {}
-    size = None
-    doubts: list[str] = []
-    if verdict != "none" and best != UNKNOWN:
-        parameters, size = _size(case, observed, predicted, discrepancy, evidence, best)
-        doubts = _doubts(case, observed, predicted, discrepancy, best, parameters)
-    return Finding(
-        case=case,
-        verdict=verdict,
-        effect=None if verdict == "none" else best,
-        candidates=candidates,
-        evidence={k: over[k] for k in order},
-        score=score,
-        threshold=limit,
-        engines=discrepancy.engines,
-        parameters=parameters,
-        size=size,
-        runner_up=order[1] if len(order) > 1 else NONE,
-        advice=next_measurement(case, observed, predicted, discrepancy, evidence, candidates),
-        residuals=standardized_residuals(observed, predicted, discrepancy),
-        notes=(*doubts, *notes, *_notes(case)),
-        discrepancy=discrepancy,
-        effects=predicted.effects,
-    )
-
-
-def _size(
-    case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
-    discrepancy: ModelDiscrepancy,
-    evidence: Evidence,
-    name: str,
-) -> tuple[Parameters, Size | None]:
-    """The effect's most probable parameters, and its size with a 90 % interval.
-
-    The grid's best is improved by a search; then the size is tried in fine steps around the most
-    probable others.
-    """
-    effect = predicted.effects[name]
-    rows = [i for i, n in enumerate(predicted.names) if n == name]
-    likelihood = evidence.log_likelihood[rows]
-    grid = [predicted.parameters[i] for i in rows]
-
-    def weighed(thetas: Sequence[Parameters]) -> Array:
-        tried = hypotheses(case, [effect], [thetas])
-        return log_likelihood(observed, tried, discrepancy, observed.values[None])[1:, 0]
-
-    best = _searched(grid, grid[int(np.argmax(likelihood))], effect.discrete, weighed)
-    if not np.isfinite(effect.neutral):
-        return best, None
-    weights = np.exp(likelihood - logsumexp(likelihood))
-    others: dict[tuple[tuple[str, float], ...], float] = {}
-    for theta, w in zip(grid, weights, strict=True):
-        others[_others(theta, effect)] = others.get(_others(theta, effect), 0.0) + float(w)
-    most = sorted(others, key=lambda k: -others[k])[:3]
-    likely = list(dict.fromkeys([_others(best, effect), *most]))
-    sizes = np.array([theta[effect.size] for theta in grid])
-    logs = bool(sizes.min() > 0)
-    low, high = float(sizes.min()), float(sizes.max())
-    first, last = (np.log(low / 3), np.log(high * 3)) if logs else (low - 10, high + 10)
-
-    def size_of(x: Array) -> Array:
-        return np.exp(x) if logs else x
-
-    def at(x: Array, kinds: Sequence[Any]) -> Array:
-        return weighed([{**dict(k), effect.size: float(s)} for k in kinds for s in size_of(x)])
-
-    coarse = np.linspace(first, last, 25)
-    log_p = at(coarse, likely[:1])
-    there = coarse[log_p > log_p.max() - _NOWHERE]
-    step = coarse[1] - coarse[0] + 2.6 * effect.size_error
-    fine = np.linspace(there[0] - step, there[-1] + step, 37)
-    log_p = at(fine, likely)
-    by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
-    by_size = _widened(by_size, fine, effect.size_error)
-    cumulated = np.cumsum(by_size) - 0.5 * by_size
-    ends = [float(np.interp(q, cumulated, size_of(fine))) for q in (0.05, 0.95)]
-    return best, Size(float(by_size @ size_of(fine)), ends[0], ends[1], effect.unit)
-
-
-_SURPRISING = 1e-3
-"""Probability under which the best effect is said not to explain the measurement."""
-_GROSS = np.log(2.0)
-"""Of ln T, beyond which what is stated is to be looked at before anything is believed."""
-
-
-def _doubts(
-    case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
-    discrepancy: ModelDiscrepancy,
-    name: str,
-    parameters: Parameters,
-) -> list[str]:
-    """What speaks against the best effect, though no other is better."""
-    effect = predicted.effects[name]
-    out = []
-    change = float(np.nanmedian((observed.features - predicted.features[0])[:, 0]))
-    if abs(change) > _GROSS:
-        out.append(
-            f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
-            "coefficients and units before any effect is believed"
-        )
-    here = hypotheses(case, [effect], [[parameters]])
-    times, probability = goodness_of_fit(observed, here, discrepancy, 1)
-    if probability < _SURPRISING:
-        out.append(
-            f"{name} is the best of the effects and does not explain the measurement: with it in the "
-            f"model it is {times:.1f} times as far off as all uncertainties allow. Check volume, "
-            "areas, coefficients, units and bands"
-        )
-    tried = [
-        theta[effect.size]
-        for n, theta in zip(predicted.names, predicted.parameters, strict=True)
-        if n == name
-    ]
-    value, least, most = parameters[effect.size], min(tried), max(tried)
-    at_end = bool(np.isclose(value, [least, most], rtol=1e-6).any())
-    if effect.size not in effect.discrete and least < most and at_end:
-        out.append(f"{name}: {value:.3g} is the end of what is tried ({least:.3g} to {most:.3g})")
-    return out
-
-
-def _widened(p: Array, at: Array, spread: float) -> Array:
-    """The probabilities p on an even grid, convolved with a normal distribution."""
-    if spread == 0:
-        return p
-    kernel = np.exp(-0.5 * (np.subtract.outer(at, at) / spread) ** 2)
-    # What would leave the grid stays at its ends.
-    return np.asarray(kernel / kernel.sum(0) @ p)
-
-
-def _others(theta: Parameters, effect: Effect) -> tuple[tuple[str, float], ...]:
-    return tuple((k, v) for k, v in theta.items() if k != effect.size)
-
-
-def _searched(
-    grid: Sequence[Parameters],
-    start: Parameters,
-    discrete: Sequence[str],
-    weighed: Callable[[Sequence[Parameters]], Array],
-) -> Parameters:
-    """Improve the grid's best parameters within the grid's range, the discrete ones held.
-
-    Each round tries a lattice around the best, as wide as the last one's steps.
-    """
-    names = [k for k in start if k not in discrete and len({theta[k] for theta in grid}) > 1]
-    if not names:
-        return start
-    values = np.array([[theta[k] for k in names] for theta in grid])
-    logs = values.min(0) > 0
-    scaled = np.log(np.where(logs, values, 1.0)) + np.where(logs, 0.0, values)
-    low, width = scaled.min(0), np.ptp(scaled, axis=0)
-    at = (scaled[grid.index(start)] - low) / width
-    step = np.array([1 / (len(np.unique(column)) - 1) for column in values.T])
-
-    def theta_of(x: Array) -> Parameters:
-        own = low + width * x
-        own = np.where(logs, np.exp(np.where(logs, own, 0.0)), own)
-        return {**start, **dict(zip(names, own.tolist(), strict=True))}
-
-    points, rounds = {1: (9, 3), 2: (5, 5)}.get(len(names), (3, 5))
-    lattice = np.array(list(product(np.linspace(-1, 1, points), repeat=len(names))))
-    for _ in range(rounds):
-        tried = np.unique(np.clip(at + lattice * step, 0, 1), axis=0)
-        at = tried[np.argmax(weighed([theta_of(x) for x in tried]))]
-        step = step * 2 / (points - 1) if points > 3 else step / 2
-    return theta_of(at)
-
-
-def _notes(case: Case) -> list[str]:
-    """What not to believe, whatever is found."""
-    out = []
-    for c in case.configurations:
-        t = c.measured.decay_time().mean
-        middle = mid_frequency_time(t, case.room.centre_frequencies)
-        limit = float(schroeder_frequency(np.array(middle), case.room.volume))
-        low = [f for f in case.room.centre_frequencies if f < limit]
-        if low:
-            out.append(
-                f'"{c.name}": {", ".join(bands.label(f) for f in low)} under Schroeder\'s frequency '
-                f"({limit:.0f} Hz), where no field is diffuse"
-            )
-        if {"t20", "t30"} <= set(c.measured.values):
-            curved = 100 * (c.measured.mean("t30") / c.measured.mean("t20") - 1)
-            for f, v in zip(case.room.centre_frequencies, curved, strict=True):
-                if abs(v) > 10:
-                    out.append(
-                        f'"{c.name}": the decay at {bands.label(f)} is not straight: curvature '
-                        f"{v:+.0f} % (ISO 3382-2, Annex B, at most 10 %)"
-                    )
-    if case.room.air is None:
-        out.append("no air is stated: the model's air absorbs nothing")
-    return out
-
-
-def _lines(finding: Finding) -> list[str]:
-    f = finding
-    others = [c for c in f.candidates if c != f.effect]
-    what = {
-        "none": "No disagreement beyond what prior, measurement and model error allow.",
-        "hint": f"A hint of {best(f)}, under the threshold.",
-        "named": f"{wrong(f)}: {best(f)}.",
-        "ambiguous": f"{wrong(f)}: one of {', '.join([best(f), *others])}.",
-        "unknown": "Something is missing that no effect of the library explains.",
-    }[f.verdict]
-    lines = [f"{f.verdict}: {what}"]
-    if f.size is not None and f.verdict in ("named", "ambiguous"):
-        s = f.size
-        rest = in_words(f.parameters, without=f.effects[str(f.effect)].size)
+        """Return verdict, size, evidence, residuals, advice and notes."""
+        lines = [self._headline]
+        if self._size_in_words:
+            lines.append("  " + self._size_in_words)
         lines.append(
-            f"  size of {best(f)}: {amount(s.mean, s.unit)} (mean; 90 %: {s.low:.3g} to {s.high:.3g})"
-            + (f"; {rest}" if rest else "")
+            f"  evidence {self.score:+.1f} nats ({NATS}); threshold {self.threshold:.1f}, "
+            f"bootstrapped on {' and '.join(self.engines) or 'no engine'}; "
+            f"runner-up {self.second_best}"
         )
-    elif f.parameters:
-        lines.append("  " + in_words(f.parameters))
-    lines.append(
-        f"  evidence {f.score:+.1f} nats ({NATS}); threshold {f.threshold:.1f}, bootstrapped on "
-        f"{' and '.join(f.engines) or 'no engine'}; runner-up {runner_up(f)}"
-    )
-    for c, table in zip(f.case.configurations, f.residuals, strict=True):
-        lines.append(f'  residuals of "{c.name}", in standard deviations (measured - model):')
-        heads = "".join(f"{bands.label(x):>9}" for x in f.case.room.centre_frequencies)
-        lines.append(f"    {'':9}{heads}")
-        for name, row in zip(FEATURE_NAMES, table, strict=True):
-            if np.isfinite(row).any():
-                cells = "".join("        -" if np.isnan(v) else f"{v:+9.1f}" for v in row)
-                lines.append(f"    {name:9}{cells}")
-    lines.append(f"  next: {f.advice}")
-    lines += [f"  note: {n}" for n in f.notes]
-    return lines
+        for c, table in zip(self.case.configurations, self.residuals, strict=True):
+            lines.append(f'  residuals of "{c.name}", in standard deviations (measured - model):')
+            heads = "".join(f"{bands.label(x):>9}" for x in self.case.room.centre_frequencies)
+            lines.append(f"    {'':9}{heads}")
+            for name, row in zip(FEATURE_NAMES, table, strict=True):
+                if np.isfinite(row).any():
+                    cells = "".join("        -" if np.isnan(v) else f"{v:+9.1f}" for v in row)
+                    lines.append(f"    {name:9}{cells}")
+        lines.append(f"  next: {self.advice}")
+        lines += [f"  note: {n}" for n in self.notes]
+        return "\n".join(lines)
+
+    @property
+    def _headline(self) -> str:
+        """The verdict in a sentence."""
+        sentence = {
+            "none": "No disagreement beyond what prior, measurement and model error allow.",
+            "hint": f"A hint of {self.title}, under the threshold.",
+            "named": f"{self.kind}: {self.title}.",
+            "ambiguous": f"{self.kind}: one of {', '.join([self.title, *self.rivals])}.",
+            "unknown": "Something is missing that no effect of the library explains.",
+        }[self.verdict]
+        return f"{self.verdict}: {sentence}"
+
+    @property
+    def kind(self) -> str:
+        """Whether the candidates contradict what is stated, or add to it, or either."""
+        contradicting = {
+            name in self.effects and self.effects[name].contradicts(self.case.room)
+            for name in self.candidates
+        }
+        if contradicting == {True}:
+            return "Not as stated"
+        if contradicting == {False}:
+            return "Missing from the model"
+        return "Missing from the model, or not as stated"
+
+    @property
+    def _size_in_words(self) -> str:
+        """The best effect's size with its interval, and its other parameters; "" without any."""
+        if not self.parameters:
+            return ""
+        effect = self.effects[str(self.effect)]
+        if self.size is None or self.verdict not in ("named", "ambiguous"):
+            return effect.describe(self.parameters)
+        s = self.size
+        others = effect.describe(self.parameters, without=effect.size)
+        return (
+            f"size of {self.title}: {amount(s.mean, s.unit)} (mean; 90 %: {s.low:.3g} to {s.high:.3g})"
+            + (f"; {others}" if others else "")
+        )

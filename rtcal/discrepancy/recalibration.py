@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,11 +29,14 @@ from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
 from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
 from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.corrected import corrected_room
-from rtcal.discrepancy.evidence import KAPPA, ModelDiscrepancy, observe
+from rtcal.discrepancy.evidence import ModelDiscrepancy
+from rtcal.discrepancy.features import observe
+from rtcal.discrepancy.hypotheses import KAPPA
 from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
 from rtcal.discrepancy.states import distances, state
-from rtcal.discrepancy.wording import amount, in_words, material_of, titled
+from rtcal.discrepancy.wording import amount
 from rtcal.errors import MissingAirWarning
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 
@@ -44,7 +47,7 @@ _SMALLEST = 1e-3
 _T20 = FEATURES.index("t20")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recalibrated:
     """A case's coefficients and what the model then predicts.
 
@@ -68,7 +71,7 @@ class Recalibrated:
     changed: Mapping[tuple[str, str], Array]
     sizes: Mapping[str, float]
     features: Array
-    joint: JointResult = field(repr=False)
+    joint: JointResult
 
     @cached_property
     def sigma(self) -> Array:
@@ -118,11 +121,36 @@ class Recalibrated:
             | {
                 "size": self.sizes.get(p.name),
                 "unit": p.effect.unit,
-                "material": material_of(p.parameters, self.case.room),
+                "material": p.effect.material(p.parameters, self.case.room),
                 "calibrated": p.name in self.joint.effects,
             }
             for p in self.case.applied
         ]
+
+    @property
+    def effects_in_words(self) -> list[str]:
+        """A line per effect: how much of it there is, and from what."""
+        return [self._in_words(p) for p in self.case.applied]
+
+    def _in_words(self, p: AppliedEffect) -> str:
+        name = p.effect.title(p.parameters, self.case.room)
+        size, ends = self.sizes.get(p.name), p.size_interval
+        if size is None:
+            return f"{name}: {p.effect.describe(p.parameters)}"
+        calibrated = p.name in self.joint.effects
+        source = "calibrated to T20 alone" if calibrated else "as added, the most probable"
+        interval = "" if ends is None else f" (90 %, from all data: {ends[0]:.3g} to {ends[1]:.3g})"
+        return f"{name}, {source}: {amount(size, p.effect.unit)}{interval}"
+
+    def __repr__(self) -> str:
+        """Return one line: the room, and the effects with their sizes."""
+        sizes = (
+            p.name if p.name not in self.sizes else f"{p.name} {self.sizes[p.name]:.3g}"
+            for p in self.case.applied
+        )
+        effects = shortened(", ".join(sizes)) or "no effect"
+        name = shortened(self.case.room.name)
+        return f'<Recalibrated "{name}": {len(self.alpha)} materials, with {effects}>'
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -159,19 +187,8 @@ def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
         cells = (f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values())
         lines.append(f"  {material:{width - 2}}" + "".join(f"{cell:>16}" for cell in cells))
     for c in columns.values():
-        lines += ["  " + effect_said(effect, room) for effect in c.effects]
+        lines += ["  " + line for line in c.effects_in_words]
     return lines
-
-
-def effect_said(effect: Mapping[str, Any], room: Room) -> str:
-    """Return one of `Recalibrated.effects` in words: how much of it there is, and from what."""
-    size, ends = effect["size"], effect["size_interval"]
-    name = titled(effect["effect"], effect["parameters"], room)
-    if size is None:
-        return f"{name}: {in_words(effect['parameters'])}"
-    what = "calibrated to T20 alone" if effect["calibrated"] else "as added, the most probable"
-    known = "" if ends is None else f" (90 %, from all data: {ends[0]:.3g} to {ends[1]:.3g})"
-    return f"{name}, {what}: {amount(size, effect['unit'])}{known}"
 
 
 def plain(case: Case) -> Recalibrated:
@@ -335,30 +352,28 @@ def _resized(p: AppliedEffect, sizes: Mapping[str, float]) -> AppliedEffect:
 
 
 def _gains(case: Case, states: list[State]) -> list[tuple[AppliedEffect, Array]]:
-    """What a unit of each additive effect adds to S'alpha, (n_configurations, n_bands), in m²."""
-    found = []
+    """Return the effects of which the QP calibrates the size, with what a unit adds to S'alpha in m².
+
+    The second is (n_configurations, n_bands).
+    """
+    gains = []
     for i, p in enumerate(case.applied):
-        effect = p.effect
-        if not effect.removable or (states[0].shape is not None and effect.name == "coupled room"):
-            continue
         others = [q for j, q in enumerate(case.applied) if j != i]
-        bare = replace(case, applied=others)
-        gain = []
+        # A size that the QP has driven to 0 still has a slope.
+        size = max(_size(p), _SMALLEST)
+        resized = [*case.applied]
+        resized[i] = _resized(p, {p.name: size})
+        rows: list[Array | None] = []
         for c, s in zip(case.configurations, states, strict=True):
-            if c.suspect_removed:
-                gain.append(np.zeros_like(s.air))
-                continue
-            without = state(bare, replace(c, changes={}), s.alpha)
-            # A size that the QP has driven to 0 still has a slope.
-            size = max(_size(p), _SMALLEST)
-            whole = [*case.applied]
-            whole[i] = _resized(p, {p.name: size})
-            there = state(replace(case, applied=whole), replace(c, changes={}), s.alpha)
-            change = there.surface_absorption - without.surface_absorption
-            change += there.objects - without.objects
-            gain.append(np.asarray(change / _slope(without) / size))
-        found.append((p, np.array(gain)))
-    return found
+            unchanged = replace(c, changes={})
+            without = state(replace(case, applied=others), unchanged, s.alpha)
+            added = p.effect.added_absorption(
+                without, state(replace(case, applied=resized), unchanged, s.alpha)
+            )
+            rows.append(None if added is None else added / _slope(without) / size)
+        if all(row is not None for row in rows):
+            gains.append((p, np.array(rows)))
+    return gains
 
 
 def _slope(s: State) -> Array:

@@ -1,4 +1,4 @@
-"""A case's room, as a state that can be predicted, with what has been added to its model."""
+"""The state of a case's room in one configuration, with the effects that were added to its model."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import numpy as np
 
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.effect_checks import changed
+from rtcal.discrepancy.effects.checks import changed_states
 from rtcal.discrepancy.model import State
 from rtcal.support.types import Array
 
 
 def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> State:
-    """Return the case's room in one configuration, with what `Finding.apply` has put there.
+    """Return the case's room in one configuration, with the applied effects.
 
-    ``alpha`` (n_materials, n_bands) replaces the room's; a configuration's changes come after.
+    ``alpha`` (n_materials, n_bands) replaces the room's; the configuration's changes apply on top.
     """
     room = case.room
     values = np.array(room.alpha if alpha is None else alpha)
     for material, change in configuration.changes.items():
         values[room.material_index(material)] = change.alpha
     air = configuration.air or room.air
-    made = State(
+    unchanged = State(
         volume=room.volume,
         areas=room.areas,
         alpha=values,
@@ -33,17 +33,17 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
         speed_of_sound=room.speed_of_sound,
         equation=case.equation,
     )
-    return with_applied(made, case.applied, configuration)
+    return with_applied(unchanged, case.applied, configuration)
 
 
 def with_applied(
-    made: State, applied: Sequence[AppliedEffect], configuration: Configuration
+    unchanged: State, applied: Sequence[AppliedEffect], configuration: Configuration
 ) -> State:
-    """Return the state with the effects that have been added to the model."""
+    """Return the state with effects in it; removable ones are absent where the suspect was removed."""
     for added in applied:
         if not (configuration.suspect_removed and added.effect.removable):
-            (made,) = changed(added.effect, made, [added.parameters])
-    return made
+            (unchanged,) = changed_states(added.effect, unchanged, [added.parameters])
+    return unchanged
 
 
 def distances(case: Case, configuration: Configuration) -> Array:

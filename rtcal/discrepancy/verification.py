@@ -9,7 +9,6 @@ the name is right: a rival that does the same would shrink it too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,19 +17,15 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics.quality import JND
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.evidence import (
-    NONE,
-    Observed,
-    hypotheses,
-    observe,
-    standardized_residuals,
-    weigh,
-)
+from rtcal.discrepancy.evidence import evaluate, standardized_residuals
+from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
+from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
 from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, table
 from rtcal.discrepancy.states import distances, state
-from rtcal.discrepancy.wording import best, listed, rivals, standing
+from rtcal.discrepancy.wording import listed
+from rtcal.support import html
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
@@ -51,7 +46,7 @@ class Gap:
     after: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Verification:
     """What became of the gap.
 
@@ -126,8 +121,8 @@ class Verification:
     @property
     def sentence(self) -> str:
         """What became of the gap, in numbers, and how sure the effect's name is."""
-        f, name = self.finding, best(self.finding)
-        sure = f"The finding was {standing(f)}."
+        f, name = self.finding, self.finding.title
+        sure = f"The finding was {f.support}."
         if np.isnan(self.before):
             return (
                 f"Unproven: nothing was measured that tells {name} from bent coefficients. {sure}"
@@ -138,19 +133,38 @@ class Verification:
         )
         if self.verdict == "proven":
             little = self.before - self.after < _WORSE
-            others = rivals(f)
-            apart = f", but not told apart from {listed(others)}" if others else ""
+            apart = f", but not told apart from {listed(f.rivals)}" if f.rivals else ""
             return (
                 f"Supported{apart}: {gap}{', which is little' if little else ''}. That speaks for the "
-                f"model, not for the name ({standing(f)})."
+                f"model, not for the name ({f.support})."
             )
         return (
             f"{self.verdict.capitalize()}: {gap}, and each band is predicted from the others "
             f"{_better(self.predictive)}. {sure}"
         )
 
+    def __repr__(self) -> str:
+        """Return one line: verdict, effect, and the gap before and after."""
+        return (
+            f"<Verification {self.verdict}: {self.finding.title}; gap {self.before:.2f} to "
+            f"{self.after:.2f} JND, {self.predictive:+.1f} nats>"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return the mean gaps before and after as a table, the verdict in words."""
+        rows = [
+            [
+                f"{g.quantity} of {g.configuration}" + (" (fitted)" if g.fitted else ""),
+                f"{g.before:.2f}",
+                f"{g.after:.2f}",
+            ]
+            for g in self.gaps
+        ]
+        header = ["mean gap / JND", "plain", f"with {self.finding.title}"]
+        return html.table(f"Verification: {self.verdict}", header, rows, [self.sentence])
+
     def __str__(self) -> str:
-        """Return what a user reads."""
+        """Return the sentence, the gaps and the coefficients."""
         lines = [self.sentence, f"{'mean gap in JND':34}{'plain':>8}{'corrected':>11}"]
         for g in self.gaps:
             name = f"{g.quantity} of {g.configuration}" + (" (fitted)" if g.fitted else "")
@@ -208,7 +222,9 @@ def residual_map(verification: Verification) -> Array:
     finding = verification.finding
     case = finding.apply()
     observed, _ = observe(case)
-    predicted = replace(hypotheses(case, []), features=verification.corrected.features[None])
+    predicted = replace(
+        predict_hypotheses(case, []), features=verification.corrected.features[None]
+    )
     return standardized_residuals(observed, predicted, finding.discrepancy)
 
 
@@ -242,21 +258,20 @@ def _gap(feature: int, measured: Array, modelled: Array) -> Array:
 def _predictive(finding: Finding, case: Case, observed: Observed) -> float:
     """Sum over bands of log p(band | the others) with the effect, less without it, in nats."""
     effect = finding.effects[str(finding.effect)]
-    predicted = hypotheses(case, [effect])
+    predicted = predict_hypotheses(case, [effect])
     whole = _log_odds(observed, predicted, finding, np.ones(observed.used.shape[2], dtype=bool))
     total = 0.0
     for band in range(observed.used.shape[2]):
         if observed.used[:, :, band].any():
-            rest = np.arange(observed.used.shape[2]) != band
-            total += whole - _log_odds(observed, predicted, finding, rest)
+            others = np.arange(observed.used.shape[2]) != band
+            total += whole - _log_odds(observed, predicted, finding, others)
     return total
 
 
-def _log_odds(observed: Observed, predicted: Any, finding: Finding, bands: Array) -> float:
+def _log_odds(observed: Observed, predicted: Hypotheses, finding: Finding, bands: Array) -> float:
     used = np.logical_and(observed.used, bands)
     kept = used[observed.used]
     part = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
-    table = weigh(part, predicted, finding.discrepancy).log_likelihood
-    names: Sequence[str] = predicted.names
-    rows = [i for i, n in enumerate(names) if n != NONE]
+    table = evaluate(part, predicted, finding.discrepancy).log_likelihood
+    rows = [i for i, n in enumerate(predicted.names) if n != NONE]
     return float(logsumexp(table[rows]) - np.log(len(rows)) - table[0])

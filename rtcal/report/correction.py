@@ -9,7 +9,6 @@ from typing import Any
 from rtcal.discrepancy.corrected import corrected_room, not_in_room
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.recalibration import recalibrate, table
-from rtcal.discrepancy.wording import added, nothing_to_add
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ def correct(finding: Finding, case_path: str, room_path: str | None = None) -> C
         "candidates": list(finding.candidates),
         "evidence": dict(finding.evidence),
     }
-    if (nothing := nothing_to_add(finding)) is not None:
+    if (nothing := finding.reason_for_none) is not None:
         record |= {"sentence": nothing, "written": []}
         return Correction(f"{nothing}\nNothing is written.", record)
     corrected = finding.apply()
@@ -55,7 +54,7 @@ def correct(finding: Finding, case_path: str, room_path: str | None = None) -> C
     if room_path is not None:
         files[room_path] = corrected_room(corrected).to_text().encode()
         absent = not_in_room(corrected)
-    sentence = added(finding)
+    sentence = finding.added
     lines = [
         sentence,
         *table(corrected.room, {"corrected": calibrated}),

@@ -10,7 +10,6 @@ from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
 from rtcal.discrepancy.states import state
 from rtcal.discrepancy.verification import Verification, residual_map, reverberation_times
-from rtcal.discrepancy.wording import best
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.support.types import Array
 
@@ -33,7 +32,7 @@ def reverberation_time(verification: Verification) -> Any:
     for name, colour, marker, style, label in (
         ("prior", ORANGE, "s", "--", "prior"),
         ("plain", GREEN, "^", ":", "plainly calibrated"),
-        ("corrected", BLUE, "D", "-", f"with {best(finding)}, calibrated"),
+        ("corrected", BLUE, "D", "-", f"with {finding.title}, calibrated"),
     ):
         values = times[name]
         axes.plot(
@@ -56,7 +55,7 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
     """Return the residual map: feature by band and configuration; before, and after the effect."""
     maps = [("the model as stated", finding.residuals)]
     if verification is not None:
-        maps.append((f"with {best(finding)}", residual_map(verification)))
+        maps.append((f"with {finding.title}", residual_map(verification)))
     f = finding.case.room.centre_frequencies
     rows = [
         (c, k)

@@ -12,9 +12,8 @@ from typing import Any
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.recalibration import effect_said
 from rtcal.discrepancy.verification import Verification, verify
-from rtcal.discrepancy.wording import best, listed, nothing_to_add, rivals, runner_up
+from rtcal.discrepancy.wording import listed
 from rtcal.errors import DataError, MissingAirWarning
 from rtcal.report import gap_figures
 from rtcal.report.figures import rendered
@@ -119,14 +118,14 @@ def summary(
     first = finding.case.configurations[0].name
     told: dict[str, Any] = {
         "verdict": finding.verdict,
-        "effect": "" if finding.effect is None else best(finding),
+        "effect": "" if finding.effect is None else finding.title,
         "candidates": list(finding.candidates),
         "evidence": dict(finding.evidence),
         "notes": list(finding.notes),
         "plain": f'plain calibration to T20 of "{first}"',
     }
     if verification is None:
-        if (nothing := nothing_to_add(finding)) is not None:
+        if (nothing := finding.reason_for_none) is not None:
             sentences.append(nothing)
     else:
         sentences.append(verification.sentence)
@@ -134,7 +133,7 @@ def summary(
         told["corrected"] = _corrected(verification)
         told["unknowable"] = _unknowable(finding, supported)
         if supported:
-            lacking = " or ".join([best(finding), *rivals(finding)])
+            lacking = " or ".join([finding.title, *finding.rivals])
             told["plain"] += f": not to be used, the model lacks {lacking}"
     if reproduction is not None:
         told["reproduce"] = {
@@ -157,10 +156,10 @@ def _corrected(verification: Verification) -> dict[str, Any]:
         "withdrawn": "Not to be used: the finding is withdrawn.",
     }[verification.verdict]
     return {
-        "title": f"with {best(verification.finding)} in the model, calibrated to T20 of "
+        "title": f"with {verification.finding.title} in the model, calibrated to T20 of "
         + listed(names),
         "use": use,
-        "effects": [effect_said(effect, room) for effect in found.effects],
+        "effects": found.effects_in_words,
         "materials": [
             {
                 "name": m,
@@ -183,16 +182,16 @@ def _corrected(verification: Verification) -> dict[str, Any]:
 
 def _unknowable(finding: Finding, supported: bool) -> str:
     """What no calibration tells: whether the name is right."""
-    others = rivals(finding)
+    others = finding.rivals
     next_to = (
         f"{listed(others)} would explain the data about as well"
         if others
-        else f"the next best is {runner_up(finding)} nats"
+        else f"the next best is {finding.second_best} nats"
     )
     shrinks = (
         " That the gap shrinks says that the model is better, not which effect is in the room."
         if supported
         else ""
     )
-    name = f"whether it is {best(finding)}. The name may be wrong; {next_to}"
+    name = f"whether it is {finding.title}. The name may be wrong; {next_to}"
     return f"What cannot be known: {name}.{shrinks}"

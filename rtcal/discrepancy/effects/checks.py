@@ -1,4 +1,4 @@
-"""What an effect must keep to, whoever wrote it: every rule that is broken names the effect."""
+"""Rules that every effect must obey; a message names the effect and the rule that it breaks."""
 
 from __future__ import annotations
 
@@ -6,19 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from rtcal.acoustics import bands
 from rtcal.acoustics.equations import mean_equation
+from rtcal.discrepancy.effects.base import Effect, Parameters
 from rtcal.discrepancy.model import Decay, State
 from rtcal.errors import DataError, RtcalError
 from rtcal.support import checks
 from rtcal.support.types import Array
-
-if TYPE_CHECKING:
-    from rtcal.discrepancy.effects import Effect, Parameters
 
 T = TypeVar("T")
 _TEXTS = ("name", "size", "unit")
@@ -33,8 +30,8 @@ _ARRAYS = {
 _NUMBERS = {"volume": (1e-6, np.inf), "record": (1e-6, np.inf), "direct_db": (-np.inf, np.inf)}
 
 
-def checked(effects: object) -> tuple[Effect, ...]:
-    """Return effects that have all that an effect has, each a name of its own; DataError otherwise."""
+def checked_effects(effects: object) -> tuple[Effect, ...]:
+    """Return the effects; DataError unless each is complete and has a name of its own."""
     every: tuple[Any, ...] = checks.listed("effects", effects)
     if not every:
         raise DataError("effects is empty; there is at least one to try")
@@ -51,8 +48,8 @@ def _check(place: str, effect: Any) -> None:
         raise DataError(
             f"{place} = {effect.__name__} is a class; an effect is made: {effect.__name__}()"
         )
-    if not all(callable(getattr(effect, name, None)) for name in ("grid", "change")):
-        raise DataError(f"{place} = {effect!r} is no effect: it has no grid and no change")
+    if not isinstance(effect, Effect):
+        raise DataError(f"{place} = {effect!r} is no effect: not a rtcal.discrepancy.Effect")
     for name in _TEXTS:
         text = getattr(effect, name, None)
         blank = name != "unit" and not str(text).strip()
@@ -69,40 +66,40 @@ def _check(place: str, effect: Any) -> None:
     checks.listed(f"{where}: discrete", getattr(effect, "discrete", None))
 
 
-def tried(effect: Effect, state: State) -> Sequence[Parameters]:
+def checked_grid(effect: Effect, state: State) -> Sequence[Parameters]:
     """Return the effect's grid: at least one set of the same finite numbers, its size among them."""
     where = f'effect "{effect.name}": grid'
     grid = checks.listed(where, _run(where, lambda: effect.grid(state)))
     if not grid:
         raise DataError(f"{where} is empty; there is at least one set of parameters to try")
-    known = set(checks.mapped(where, grid[0]))
-    if effect.size not in known:
+    names = set(checks.mapped(where, grid[0]))
+    if effect.size not in names:
         raise DataError(f'{where} has no "{effect.size}", which is the effect\'s size')
     for theta in grid:
-        if not isinstance(theta, Mapping) or set(theta) != known:
-            raise DataError(f"{where} has {theta!r}; each of it has {', '.join(map(str, known))}")
+        if not isinstance(theta, Mapping) or set(theta) != names:
+            raise DataError(f"{where} has {theta!r}; each of it has {', '.join(map(str, names))}")
         for name, value in theta.items():
             if not isfinite(checks.number(f"{where}: {name}", value)):
                 raise DataError(f"{where}: {name} = {value:g} is not finite")
     return grid
 
 
-def changed(effect: Effect, state: State, grid: Sequence[Parameters]) -> list[State]:
-    """Return the state with the effect in it, by parameters; DataError where one is no room's state."""
+def changed_states(effect: Effect, state: State, grid: Sequence[Parameters]) -> list[State]:
+    """Return the state with the effect in it, by parameters; DataError if a state is impossible."""
     where = f'effect "{effect.name}": change'
     made = [_run(where, partial(effect.change, state, theta), theta) for theta in grid]
-    for one in made:
-        if not isinstance(one, State):
-            raise DataError(f"{where} returns {type(one).__name__}; it returns a State")
+    for after in made:
+        if not isinstance(after, State):
+            raise DataError(f"{where} returns {type(after).__name__}; it returns a State")
     for name in _FIELDS:
-        own, values = getattr(state, name), [getattr(one, name) for one in made]
-        new = [i for i, value in enumerate(values) if value is not own]
+        before, values = getattr(state, name), [getattr(after, name) for after in made]
+        new = [i for i, value in enumerate(values) if value is not before]
         if not _plainly_right(name, [values[i] for i in new], state):
             for i in new:
                 _check_field(f"{where} with {_said(grid[i])}: {name}", name, values[i], state)
-    for one in made:
-        if one.shape is not state.shape and not hasattr(one.shape, "together"):
-            _check_shape(effect.name, one)
+    for after in made:
+        if after.shape is not state.shape and not hasattr(after.shape, "together"):
+            _check_shape(effect.name, after)
     return made
 
 
@@ -110,7 +107,7 @@ _FIELDS = tuple(f.name for f in fields(State))
 
 
 def _plainly_right(name: str, values: Sequence[Any], state: State) -> bool:
-    """Whether all values of a field are arrays that keep its rule: quicker than one by one."""
+    """Return whether all values of a field are arrays that obey its rule: quicker than one by one."""
     if name not in _ARRAYS:
         return False
     shape = _shape(name, state)
@@ -136,9 +133,9 @@ def _check_field(where: str, name: str, value: Any, state: State) -> None:
             raise DataError(f"{where} is not {_rule(*_ARRAYS[name])} in every band")
     elif name in _NUMBERS or (name == "floor_db" and value is not None):
         least, most = _NUMBERS.get(name, (-np.inf, np.inf))
-        found = checks.number(where, value)
-        if not (np.isfinite(found) and least <= found <= most):
-            raise DataError(f"{where} = {found:g} is not {_rule(least, most)}")
+        number = checks.number(where, value)
+        if not (np.isfinite(number) and least <= number <= most):
+            raise DataError(f"{where} = {number:g} is not {_rule(least, most)}")
     elif name == "equation":
         mean_equation(value, where)
     elif name == "shape" and not (value is None or callable(value)):
@@ -171,32 +168,17 @@ def _check_shape(name: str, made: State) -> None:
         raise DataError(f"{where}: weights and rates are not finite, the rates above 0")
 
 
-def check_spectrum(name: str, alpha: object, frequencies: Array) -> Array:
-    """Return an absorber's alpha, (n_bands,), in [0, 1]; DataError naming effect, place and rule."""
-    where = f'effect "{name}": spectrum'
-    array = checks.array(where, alpha)
-    if array.shape != frequencies.shape:
-        raise DataError(
-            f"{where} has shape {array.shape}; it is (n_bands,) = ({len(frequencies)},)"
-        )
-    # NaN is the least and the largest of what it stands among, and holds no comparison.
-    if not (array.min() >= 0 and array.max() <= 1):
-        k = int(np.argmin((array >= 0) & (array <= 1)))
-        raise DataError(f"{where} at {bands.label(frequencies[k])} = {array[k]:g} is not in [0, 1]")
-    return array
-
-
 def _said(parameters: Parameters) -> str:
     return ", ".join(f"{k} {v:.3g}" for k, v in parameters.items())
 
 
 def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None) -> T:
-    """Call what a user wrote: whatever it raises is said in one line, naming the effect."""
+    """Call a user's code; report whatever it raises in one line that names the effect."""
     try:
         return call()
     except RtcalError:
         raise
-    except Exception as error:  # code of anyone's
+    except Exception as error:  # a user's code may raise anything
         what = " ".join(str(error).split())
-        given = "" if parameters is None else f" with {', '.join(parameters) or 'no parameter'}"
-        raise DataError(f"{where}{given} raises {type(error).__name__}: {what}") from error
+        with_what = "" if parameters is None else f" with {', '.join(parameters) or 'no parameter'}"
+        raise DataError(f"{where}{with_what} raises {type(error).__name__}: {what}") from error

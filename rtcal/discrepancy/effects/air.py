@@ -1,0 +1,61 @@
+"""Air that the model lacks, or has for another climate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Effect, Parameters, read_only
+from rtcal.discrepancy.model import State
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True)
+class OmittedAir(Effect):
+    """Air absorption that the model lacks, or has for another climate (ISO 9613-1)."""
+
+    name: ClassVar[str] = "air"
+    size: ClassVar[str] = "humidity"
+    unit: ClassVar[str] = "% at the temperature"
+    neutral: ClassVar[float] = np.nan
+    size_error: ClassVar[float] = 0.0
+    parameter_units: ClassVar[Mapping[str, str]] = {"temperature": " °C", "humidity": " %"}
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return 5 to 35 °C and 5 to 95 %."""
+        temperatures = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0)
+        humidities = (5.0, 8.0, 12.0, 18.0, 25.0, 35.0, 45.0, 60.0, 75.0, 95.0)
+        return [{"temperature": t, "humidity": h} for t, h in product(temperatures, humidities)]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with this air."""
+        climate = parameters["temperature"], parameters["humidity"]
+        return replace(state, air=_attenuation(tuple(state.frequencies), *climate))
+
+    def describe(self, parameters: Parameters, without: str = "") -> str:
+        """Return the climate, with what is known of it."""
+        return (
+            f"{super().describe(parameters, without)} (found together: only the attenuation that "
+            "they give is known well)"
+        )
+
+    def contradicts(self, room: Room) -> bool:
+        """Return whether the room states another climate."""
+        return room.air is not None
+
+    def air(self, stated: Air | None, parameters: Parameters) -> Air | None:
+        """Return the air of this climate."""
+        return Air(parameters["temperature"], parameters["humidity"])
+
+
+@lru_cache(maxsize=256)
+def _attenuation(frequencies: tuple[float, ...], temperature: float, humidity: float) -> Array:
+    """Return the air's energy attenuation in 1/m, (n_bands,)."""
+    return read_only(Air(temperature, humidity).attenuation(frequencies))

@@ -1,0 +1,195 @@
+"""What an effect is, and what several effects share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.model import Decay, State
+from rtcal.errors import DataError
+from rtcal.support import checks
+from rtcal.support.types import Array
+
+Parameters = Mapping[str, float]
+
+
+class Effect(ABC):
+    """Something that a model may lack.
+
+    An effect states its parameters (`grid`), how it changes a room's state (`change`), its words, its
+    form in a corrected room and its form in the QP. A new effect is a subclass in one file and one
+    line in `library`.
+
+    Attributes
+    ----------
+    name : str
+    size : str
+        The parameter that says how much of the effect there is.
+    unit : str
+        The size's unit.
+    neutral : float
+        The size that changes nothing. NaN where there is none: the effect then has no size interval.
+    removable : bool
+        Whether it can be taken out of the room.
+    discrete : sequence of str
+        Parameters without values between those of the grid.
+    size_error : float
+        Standard deviation of ln size that the effect's physics leaves open (of the size itself where
+        it can be negative): where an opening is, how an object scatters. Chosen on the development
+        rooms (tests/hidden_world, population 0), so that 90 % intervals hold the true size.
+    parameter_units : mapping of str to str
+        Units of the parameters, as text that follows the value.
+    parameter_values : mapping of str to sequence of str
+        Words for the values 0, 1, ... of a discrete parameter.
+    not_in_simulator : str or None
+        Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
+        only of effects that no material can represent.
+    """
+
+    name: ClassVar[str]
+    size: ClassVar[str]
+    unit: ClassVar[str]
+    neutral: ClassVar[float] = 0.0
+    removable: ClassVar[bool] = False
+    discrete: ClassVar[Sequence[str]] = ()
+    size_error: ClassVar[float] = 0.25
+    parameter_units: ClassVar[Mapping[str, str]] = {}
+    parameter_values: ClassVar[Mapping[str, Sequence[str]]] = {}
+    not_in_simulator: ClassVar[str | None] = (
+        "it bends the decay, which no material of a simulator does; without make the case's own "
+        "model is the simulator"
+    )
+
+    @abstractmethod
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return the parameters to try, all equally probable."""
+
+    @abstractmethod
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with the effect in it."""
+
+    def title(self, parameters: Parameters, room: Room) -> str:
+        """Return the effect's name in a sentence."""
+        return self.name
+
+    def material(self, parameters: Parameters, room: Room) -> str | None:
+        """Return the material that the parameters refer to, None without one."""
+        return None
+
+    def describe(self, parameters: Parameters, without: str = "") -> str:
+        """Return the parameters in words, except the one named ``without``."""
+        return ", ".join(
+            self._described(name, value) for name, value in parameters.items() if name != without
+        )
+
+    def _described(self, name: str, value: float) -> str:
+        words = self.parameter_values.get(name, ())
+        if value in range(len(words)):
+            return words[int(value)]
+        return f"{name.replace('_', ' ')} {value:.3g}{self.parameter_units.get(name, '')}"
+
+    def contradicts(self, room: Room) -> bool:
+        """Return whether the effect contradicts what the room states, instead of adding to it."""
+        return False
+
+    def air(self, stated: Air | None, parameters: Parameters) -> Air | None:
+        """Return the air of the corrected room."""
+        return stated
+
+    def added_absorption(self, without: State, with_effect: State) -> Array | None:
+        """Return the absorption area that the effect adds in m², (n_bands,).
+
+        The QP then has the effect's size as an unknown. None, the default, keeps the size fixed: the
+        effect changes the QP's target instead.
+        """
+        return None
+
+
+class AbsorbingObject(Effect):
+    """An effect that adds absorption in proportion to its size, and can be taken out of the room."""
+
+    removable: ClassVar[bool] = True
+
+    def added_absorption(self, without: State, with_effect: State) -> Array | None:
+        """Return the difference of the absorption areas in m², (n_bands,)."""
+        added = with_effect.surface_absorption - without.surface_absorption
+        return np.asarray(added + with_effect.objects - without.objects)
+
+
+class Absorber(AbsorbingObject):
+    """A surface with a spectrum of its own in place of wall; a subclass has ``name`` and `spectrum`.
+
+    Areas are tried from ``least`` to ``most`` times the room's absorption area at 500 to 2000 Hz.
+    """
+
+    size: ClassVar[str] = "area"
+    unit: ClassVar[str] = "m²"
+    parameter_units: ClassVar[Mapping[str, str]] = {"area": " m²"}
+    least: ClassVar[float] = 0.05
+    most: ClassVar[float] = 1.2
+    steps: ClassVar[int] = 10
+
+    @abstractmethod
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        """Return alpha, (n_bands,)."""
+
+    def kinds(self) -> Sequence[Parameters]:
+        """Return the grid of the parameters other than the area; a single set without any."""
+        return [{}]
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return every kind with every area."""
+        sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
+        return [{**kind, self.size: float(a)} for kind, a in product(self.kinds(), sizes)]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with the absorber in place of wall."""
+        alpha = self.spectrum(state.frequencies, parameters)
+        alpha = checked_spectrum(self.name, alpha, state.frequencies)
+        return state.covered(parameters[self.size], alpha)
+
+
+def checked_spectrum(name: str, alpha: object, frequencies: Array) -> Array:
+    """Return an absorber's alpha, (n_bands,), in [0, 1]; DataError naming effect, place and rule."""
+    where = f'effect "{name}": spectrum'
+    array = checks.array(where, alpha)
+    if array.shape != frequencies.shape:
+        raise DataError(
+            f"{where} has shape {array.shape}; it is (n_bands,) = ({len(frequencies)},)"
+        )
+    # A comparison with NaN is false, so that NaN is refused too.
+    if not (array.min() >= 0 and array.max() <= 1):
+        k = int(np.argmin((array >= 0) & (array <= 1)))
+        raise DataError(f"{where} at {bands.label(frequencies[k])} = {array[k]:g} is not in [0, 1]")
+    return array
+
+
+def middle_absorption(state: State) -> float:
+    """Return S'alpha at 500 to 2000 Hz in m², averaged over bands; over all bands if it has none."""
+    area = state.areas @ state.alpha
+    middle = (state.frequencies > 440) & (state.frequencies < 2300)
+    return float(area[middle].mean() if middle.any() else area.mean())
+
+
+def interpolate_octaves(frequencies: Array, octaves: Sequence[float]) -> Array:
+    """Interpolate values at 63 Hz to 8 kHz, linearly over the logarithm of the frequency."""
+    centres = np.log(62.5 * 2.0 ** np.arange(8))
+    return np.asarray(np.interp(np.log(frequencies), centres, octaves))
+
+
+def read_only(values: Array) -> Array:
+    """Return the array, locked: a cache hands the same one out again."""
+    values.setflags(write=False)
+    return values
+
+
+def first_decay(decays: Decay) -> Decay:
+    """Return the first of many decays."""
+    return Decay(decays.weights[0], decays.rates[0])

@@ -1,0 +1,31 @@
+"""A directional source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from rtcal.discrepancy.effects.base import Effect, Parameters
+from rtcal.discrepancy.model import State
+
+
+@dataclass(frozen=True)
+class DirectSound(Effect):
+    """A source that is not omnidirectional: its direct sound, in C80 and G alone."""
+
+    name: ClassVar[str] = "direct sound"
+    size: ClassVar[str] = "gain"
+    unit: ClassVar[str] = "dB"
+    size_error: ClassVar[float] = 1.0
+    parameter_units: ClassVar[Mapping[str, str]] = {"gain": " dB"}
+    # A simulator's source has a directivity of its own.
+    not_in_simulator: ClassVar[str | None] = None
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return -9 to +9 dB."""
+        return [{"gain": g} for g in (-9.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 9.0)]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with the direct sound so much stronger."""
+        return replace(state, direct_db=state.direct_db + parameters["gain"])

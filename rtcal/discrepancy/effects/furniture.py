@@ -1,0 +1,38 @@
+"""Objects that stand free in the room."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rtcal.discrepancy.effects.base import (
+    AbsorbingObject,
+    Parameters,
+    interpolate_octaves,
+    middle_absorption,
+)
+from rtcal.discrepancy.model import State
+
+
+@dataclass(frozen=True)
+class Furniture(AbsorbingObject):
+    """Objects: A = V_obj^(2/3) each (EN 12354-6), less where they are small beside a wavelength."""
+
+    name: ClassVar[str] = "furniture"
+    size: ClassVar[str] = "absorption_area"
+    unit: ClassVar[str] = "m² at 1 kHz"
+    parameter_units: ClassVar[Mapping[str, str]] = {"absorption_area": " m² at 1 kHz"}
+    SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return 0.05 to 1.1 times the room's absorption area."""
+        sizes = np.geomspace(0.05, 1.1, 12) * middle_absorption(state)
+        return [{"absorption_area": float(a)} for a in sizes]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with the objects."""
+        spectrum = interpolate_octaves(state.frequencies, self.SPECTRUM)
+        return state.with_objects(parameters["absorption_area"] * spectrum)

@@ -1,0 +1,37 @@
+"""Noise in the measured decays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from rtcal.discrepancy.effects.base import Effect, Parameters
+from rtcal.discrepancy.model import State
+
+
+@dataclass(frozen=True)
+class NoiseFloor(Effect):
+    """Noise in the measured decays that was not subtracted: S(t) + N (t_end - t) (ISO 3382)."""
+
+    name: ClassVar[str] = "noise floor"
+    size: ClassVar[str] = "level"
+    unit: ClassVar[str] = "dB under the start of the decay"
+    neutral: ClassVar[float] = -90.0
+    size_error: ClassVar[float] = 1.2
+    parameter_units: ClassVar[Mapping[str, str]] = {"level": " dB", "record": " times T"}
+    not_in_simulator: ClassVar[str | None] = (
+        "a simulator's decay has no noise; take the noise off the measurement"
+    )
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return -62 to -30 dB, over 1.5 and 2.5 reverberation times."""
+        levels = np.linspace(-62, -30, 17).tolist()
+        return [{"level": x, "record": r} for x, r in product(levels, (1.5, 2.5))]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with this noise in its decays."""
+        return replace(state, floor_db=parameters["level"], record=parameters["record"])

@@ -1,0 +1,57 @@
+"""A porous layer on a wall."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from rtcal.discrepancy.effects.base import Absorber, Parameters, read_only
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True)
+class Porous(Absorber):
+    """A porous layer on a rigid wall, locally reacting, diffuse incidence up to 78° (Miki 1990).
+
+    A curtain is not such a layer: it hangs free.
+    """
+
+    name: ClassVar[str] = "porous"
+    least: ClassVar[float] = 0.1
+    steps: ClassVar[int] = 7
+    parameter_units: ClassVar[Mapping[str, str]] = {
+        "area": " m²",
+        "thickness": " m",
+        "flow_resistivity": " Pa s/m²",
+    }
+
+    def kinds(self) -> Sequence[Parameters]:
+        """Return 10 to 200 mm and 4 to 40 kPa s/m²."""
+        both = product((0.01, 0.018, 0.033, 0.06, 0.11, 0.2), (4e3, 12e3, 40e3))
+        return [{"thickness": d, "flow_resistivity": r} for d, r in both]
+
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        """Return the statistical alpha."""
+        thickness, resistivity = parameters["thickness"], parameters["flow_resistivity"]
+        return _alpha(tuple(frequencies), thickness, resistivity)
+
+
+@lru_cache(maxsize=256)
+def _alpha(frequencies: tuple[float, ...], thickness: float, flow_resistivity: float) -> Array:
+    """Return the statistical alpha of a layer, in m and Pa s/m², (n_bands,) (Miki 1990)."""
+    # Averaged over the octave, as a measurement averages the narrow resonance of a thin layer.
+    inside = np.array(frequencies)[:, None] * 2.0 ** np.array([-0.33, 0.0, 0.33])
+    ratio = inside / flow_resistivity
+    k = 2 * np.pi * inside / 343.2
+    impedance = 1 + 0.0699 * ratio**-0.632 - 1j * 0.1071 * ratio**-0.632
+    number = k * (1 + 0.1093 * ratio**-0.618 - 1j * 0.1597 * ratio**-0.618)
+    z = -1j * impedance / np.tan(number * thickness)
+    angles = np.linspace(0, np.radians(78), 40)
+    normal, weight = z[..., None] * np.cos(angles), np.sin(2 * angles)
+    absorbed = 1 - np.abs((normal - 1) / (normal + 1)) ** 2
+    return read_only(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))

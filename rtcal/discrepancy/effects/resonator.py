@@ -1,0 +1,40 @@
+"""A membrane or Helmholtz absorber."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from rtcal.discrepancy.effects.base import Absorber, Parameters, read_only
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True)
+class Resonator(Absorber):
+    """A membrane or Helmholtz absorber: a0 / (1 + Q² (f/f0 - f0/f)²) (Cox & D'Antonio)."""
+
+    name: ClassVar[str] = "resonator"
+    least: ClassVar[float] = 0.1
+    steps: ClassVar[int] = 6
+    parameter_units: ClassVar[Mapping[str, str]] = {"area": " m²", "resonance": " Hz"}
+
+    def kinds(self) -> Sequence[Parameters]:
+        """Return 60 to 500 Hz and Q from 0.8 to 3.5, with a0 = 0.8."""
+        both = product(np.geomspace(60, 500, 8).tolist(), (0.8, 1.6, 3.5))
+        return [{"resonance": f0, "quality": q} for f0, q in both]
+
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        """Return alpha, averaged over each octave."""
+        return _alpha(tuple(frequencies), parameters["resonance"], parameters["quality"])
+
+
+@lru_cache(maxsize=256)
+def _alpha(frequencies: tuple[float, ...], resonance: float, quality: float) -> Array:
+    """Return a resonator's alpha with a0 = 0.8, averaged over each octave, (n_bands,)."""
+    x = np.array(frequencies)[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9) / resonance
+    return read_only((0.8 / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))

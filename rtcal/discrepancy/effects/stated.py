@@ -1,0 +1,104 @@
+"""What the room states and may state wrongly: an area, the volume, the equation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Effect, Parameters
+from rtcal.discrepancy.model import State
+
+
+class WrongStatement(Effect):
+    """An effect that contradicts what the room states."""
+
+    def contradicts(self, room: Room) -> bool:
+        """Return True."""
+        return True
+
+
+@dataclass(frozen=True)
+class WrongArea(WrongStatement):
+    """The true area of one material, as a ratio of the stated one."""
+
+    name: ClassVar[str] = "area"
+    size: ClassVar[str] = "ratio"
+    unit: ClassVar[str] = "of the stated area"
+    neutral: ClassVar[float] = 1.0
+    discrete: ClassVar[Sequence[str]] = ("material",)
+    size_error: ClassVar[float] = 0.0
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return each material with 0.4 to 2.5 times its area."""
+        ratios = [r for r in np.geomspace(0.4, 2.5, 12) if abs(r - 1) > 0.05]
+        both = product(range(len(state.areas)), ratios)
+        return [{"material": float(j), "ratio": float(r)} for j, r in both]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with that area."""
+        areas = state.areas.copy()
+        areas[int(parameters["material"])] *= parameters["ratio"]
+        return replace(state, areas=areas)
+
+    def material(self, parameters: Parameters, room: Room) -> str | None:
+        """Return the name of the material."""
+        number = int(parameters.get("material", -1))
+        return room.materials[number] if 0 <= number < room.n_materials else None
+
+    def title(self, parameters: Parameters, room: Room) -> str:
+        """Return the name with the material: ``area of "plaster"``."""
+        material = self.material(parameters, room)
+        return self.name if material is None else f'{self.name} of "{material}"'
+
+    def describe(self, parameters: Parameters, without: str = "") -> str:
+        """Return the parameters other than the material, which is in the title."""
+        shown = {k: v for k, v in parameters.items() if k != "material"}
+        return super().describe(shown, without)
+
+
+@dataclass(frozen=True)
+class WrongVolume(WrongStatement):
+    """The true volume, as a ratio of the stated one."""
+
+    name: ClassVar[str] = "volume"
+    size: ClassVar[str] = "ratio"
+    unit: ClassVar[str] = "of the stated volume"
+    neutral: ClassVar[float] = 1.0
+    size_error: ClassVar[float] = 0.04
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return 0.7 to 1.4."""
+        return [{"ratio": float(r)} for r in np.geomspace(0.7, 1.4, 14)]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with that volume."""
+        return replace(state, volume=state.volume * parameters["ratio"])
+
+
+@dataclass(frozen=True)
+class WrongFormula(WrongStatement):
+    """Another equation than the model's: Sabine's, Eyring's or Millington's."""
+
+    name: ClassVar[str] = "formula"
+    size: ClassVar[str] = "equation"
+    unit: ClassVar[str] = "0 Sabine, 1 Eyring, 2 Millington"
+    neutral: ClassVar[float] = np.nan
+    discrete: ClassVar[Sequence[str]] = ("equation",)
+    size_error: ClassVar[float] = 0.0
+    parameter_values: ClassVar[Mapping[str, Sequence[str]]] = {
+        "equation": ("Sabine's equation", "Eyring's equation", "Millington's equation")
+    }
+    EQUATIONS: ClassVar[tuple[str, ...]] = ("sabine", "eyring", "millington")
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return the equations that the model does not use."""
+        return [{"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e != state.equation]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room under that equation."""
+        return replace(state, equation=self.EQUATIONS[int(parameters["equation"])])

@@ -1,0 +1,124 @@
+"""The size of an effect: the best parameters, and the size's mean and 90 % interval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.effects import Effect, Parameters
+from rtcal.discrepancy.evidence import Evidence, ModelDiscrepancy, log_likelihood
+from rtcal.discrepancy.features import Observed
+from rtcal.discrepancy.finding import Size
+from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.support.types import Array
+
+_NEGLIGIBLE = 8.0
+"""Nats below the best size at which a size is negligible (odds of 3000 to one)."""
+
+
+def estimate_size(
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    discrepancy: ModelDiscrepancy,
+    evidence: Evidence,
+    name: str,
+) -> tuple[Parameters, Size | None]:
+    """Return the effect's most probable parameters, and its size with a 90 % interval.
+
+    A search improves the best set of the grid. The size is then evaluated in fine steps, for this
+    set and for the three most probable sets of the other parameters.
+    """
+    effect = predicted.effects[name]
+    rows = [i for i, n in enumerate(predicted.names) if n == name]
+    likelihood = evidence.log_likelihood[rows]
+    grid = [predicted.parameters[i] for i in rows]
+
+    def evaluated(thetas: Sequence[Parameters]) -> Array:
+        predicted_sizes = predict_hypotheses(case, [effect], [thetas])
+        return log_likelihood(observed, predicted_sizes, discrepancy, observed.values[None])[1:, 0]
+
+    best = _searched(grid, grid[int(np.argmax(likelihood))], effect.discrete, evaluated)
+    if not np.isfinite(effect.neutral):
+        return best, None
+    weights = np.exp(likelihood - logsumexp(likelihood))
+    by_others: dict[tuple[tuple[str, float], ...], float] = {}
+    for theta, w in zip(grid, weights, strict=True):
+        key = _others(theta, effect)
+        by_others[key] = by_others.get(key, 0.0) + float(w)
+    most = sorted(by_others, key=lambda k: -by_others[k])[:3]
+    likely = list(dict.fromkeys([_others(best, effect), *most]))
+    sizes = np.array([theta[effect.size] for theta in grid])
+    logs = bool(sizes.min() > 0)
+    low, high = float(sizes.min()), float(sizes.max())
+    first, last = (np.log(low / 3), np.log(high * 3)) if logs else (low - 10, high + 10)
+
+    def size_of(x: Array) -> Array:
+        return np.exp(x) if logs else x
+
+    def at(x: Array, kinds: Sequence[Any]) -> Array:
+        return evaluated([{**dict(k), effect.size: float(s)} for k in kinds for s in size_of(x)])
+
+    coarse = np.linspace(first, last, 25)
+    log_p = at(coarse, likely[:1])
+    likely_range = coarse[log_p > log_p.max() - _NEGLIGIBLE]
+    step = coarse[1] - coarse[0] + 2.6 * effect.size_error
+    fine = np.linspace(likely_range[0] - step, likely_range[-1] + step, 37)
+    log_p = at(fine, likely)
+    by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
+    by_size = _widened(by_size, fine, effect.size_error)
+    cumulated = np.cumsum(by_size) - 0.5 * by_size
+    ends = [float(np.interp(q, cumulated, size_of(fine))) for q in (0.05, 0.95)]
+    return best, Size(float(by_size @ size_of(fine)), ends[0], ends[1], effect.unit)
+
+
+def _widened(p: Array, at: Array, spread: float) -> Array:
+    """Return probabilities on an even grid, convolved with a normal distribution."""
+    if spread == 0:
+        return p
+    kernel = np.exp(-0.5 * (np.subtract.outer(at, at) / spread) ** 2)
+    # Probability that would leave the grid stays at its ends.
+    return np.asarray(kernel / kernel.sum(0) @ p)
+
+
+def _others(theta: Parameters, effect: Effect) -> tuple[tuple[str, float], ...]:
+    return tuple((k, v) for k, v in theta.items() if k != effect.size)
+
+
+def _searched(
+    grid: Sequence[Parameters],
+    start: Parameters,
+    discrete: Sequence[str],
+    evaluated: Callable[[Sequence[Parameters]], Array],
+) -> Parameters:
+    """Improve the grid's best parameters within the grid's range; discrete ones stay.
+
+    Each round evaluates a lattice around the best, one step of the last lattice wide.
+    """
+    names = [k for k in start if k not in discrete and len({theta[k] for theta in grid}) > 1]
+    if not names:
+        return start
+    values = np.array([[theta[k] for k in names] for theta in grid])
+    logs = values.min(0) > 0
+    scaled = np.log(np.where(logs, values, 1.0)) + np.where(logs, 0.0, values)
+    low, width = scaled.min(0), np.ptp(scaled, axis=0)
+    at = (scaled[grid.index(start)] - low) / width
+    step = np.array([1 / (len(np.unique(column)) - 1) for column in values.T])
+
+    def theta_of(x: Array) -> Parameters:
+        values = low + width * x
+        values = np.where(logs, np.exp(np.where(logs, values, 0.0)), values)
+        return {**start, **dict(zip(names, values.tolist(), strict=True))}
+
+    points, rounds = {1: (9, 3), 2: (5, 5)}.get(len(names), (3, 5))
+    lattice = np.array(list(product(np.linspace(-1, 1, points), repeat=len(names))))
+    for _ in range(rounds):
+        candidates = np.unique(np.clip(at + lattice * step, 0, 1), axis=0)
+        at = candidates[np.argmax(evaluated([theta_of(x) for x in candidates]))]
+        step = step * 2 / (points - 1) if points > 3 else step / 2
+    return theta_of(at)
