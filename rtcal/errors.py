@@ -36,6 +36,10 @@ class ModelError(RtcalError):
     """The model cannot be calibrated as it was put together."""
 
 
+class TermError(ModelError):
+    """A term's NumPy description disagrees with its cvxpy expression: mend the term."""
+
+
 class InfeasibleError(RtcalError):
     """No absorption coefficients within the bounds give the measured reverberation time."""
 

@@ -113,6 +113,9 @@ class Assembler:
             time=times,
             target=self.target(configurations.rooms, times),
             target_uncertainty=np.abs(slopes) * np.array([d.uncertainty for d in measured]),
+            largest_target=np.array(
+                [[self.equation.largest_mean * r.total_area] for r in configurations.rooms]
+            ),
             target_of=lambda t: self.target(configurations.rooms, t),
             weights=self.weights(weights),
             pinned=np.concatenate([held.ravel(), np.zeros(len(further), dtype=bool)]),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -23,6 +22,7 @@ from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.calibration.options import SolveOptions
 from rtcal.calibration.polish import polish, undetermined
 from rtcal.calibration.problem_data import Flags, ProblemData
+from rtcal.calibration.term_check import require_agreement
 from rtcal.calibration.terms import MatchConstraint, Objective, RowConstraint
 from rtcal.calibration.warm_start import from_closed_form
 from rtcal.errors import InfeasibleError, ModelError, SolverError
@@ -31,6 +31,10 @@ from rtcal.support.types import Array
 _ACCEPTED = 1e-9
 """An answer whose certificate is worse than this is not returned: relative primal residual, and
 dual residual and gap in units of the prior's own (a shift of one sigma is 1)."""
+
+
+_FAR = 1e-3
+"""In sigmas: where polishing moves an answer farther than a solver is off, the terms are checked."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,14 +109,11 @@ class ConvexProgram:
         self.rows = tuple(rows)
         self._matches = [row for row in self.rows if isinstance(row, MatchConstraint)]
         self._context = context = Context(layout)
-        expressions = [t.expression(context, i) for i, t in enumerate(objective.terms)]
-        row_constraints: list[Any] = []
-        signs: list[tuple[int, ...]] = []
-        for term in self.rows:
-            made = term.constraints(context)
-            row_constraints += [constraint for constraint, _ in made]
-            signs.append(tuple(sign for _, sign in made))
-        self._signs = tuple(signs)
+        self._expressions = [t.expression(context, i) for i, t in enumerate(objective.terms)]
+        parts = [term.constraints(context) for term in self.rows]
+        self._constraints = [[constraint for constraint, _ in of_term] for of_term in parts]
+        self._signs = [[sign for _, sign in of_term] for of_term in parts]
+        row_constraints = [constraint for of_term in self._constraints for constraint in of_term]
         size, n = layout.size, layout.n_alpha
         scale = context.parameter(size, lambda i: i.scale)
         low = context.parameter(size, lambda i: i.lower - i.centre)
@@ -120,7 +121,7 @@ class ConvexProgram:
         moved = cp.multiply(scale, context.x)
         # Only alpha has an upper side: cvxpy takes no infinite limit.
         lower, upper = moved >= low, (moved[:n] if size > n else moved) <= high
-        problem = cp.Problem(cp.Minimize(sum(expressions)), [*row_constraints, lower, upper])
+        problem = cp.Problem(cp.Minimize(sum(self._expressions)), [*row_constraints, lower, upper])
         if not problem.is_dcp(dpp=True):
             raise ModelError(
                 "the composed problem is not DPP: cvxpy would compile it anew for every solve. A "
@@ -144,6 +145,8 @@ class ConvexProgram:
             If a band cannot be reached, or the constraints contradict each other.
         SolverError
             If the solver's answer does not pass the certificate.
+        TermError
+            If that is because a term's NumPy description disagrees with its cvxpy expression.
         """
         settled, at_lower, at_upper, beyond = self._settle(
             data, rooms, equation, options.unreachable
@@ -163,6 +166,7 @@ class ConvexProgram:
             answer = solvers.run(self._compiled, options, start)
         except SolverError as error:
             contradiction.explain(model)
+            self._require_agreement(settled)
             raise error
         u = settled.centre + settled.scale * answer.x
         raw = RawSolution(
@@ -178,14 +182,23 @@ class ConvexProgram:
         )
         if not _passes(model, unknowns, certificate):
             contradiction.explain(model)
+            self._require_agreement(settled)
             raise SolverError(
                 f'solver "{options.solver}" says {answer.status}, but its answer does not pass: primal '
                 f"residual {np.max(certificate.primal_residual):.1e}, dual residual "
                 f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}"
             )
+        moved = np.abs(unknowns - raw.unknowns) > _FAR * model.sigma
+        if (moved & model.movable).any():
+            self._require_agreement(settled)
         return Solution(
             model, unknowns, multipliers, active, certificate, raw, polished, tuple(beyond)
         )
+
+    def _require_agreement(self, data: ProblemData) -> None:
+        """Raise TermError if the answer is off because of a term, not because of the solver."""
+        model = NumpyModel(data, self.objective, self.rows)
+        require_agreement(self._context, model, self._expressions, self._constraints)
 
     def whitened(self, data: ProblemData) -> WhitenedQP:
         """Return the QP of the data's numbers as they are, whether it has an answer or not."""

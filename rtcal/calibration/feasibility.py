@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +11,12 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import Flags, ProblemData
-from rtcal.errors import InfeasibleError
+from rtcal.errors import InfeasibleError, ModelError
 from rtcal.support.types import Array
+
+_MARGIN = 1e-9
+"""How far beyond the equation's largest b, relatively, the bounds are still taken to reach it: the
+primal residual that an answer may have."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,29 @@ class Unreachable:
             f"it asks the surfaces for {asked}, the bounds allow {self.lowest:.4g} to "
             f"{self.highest:.4g} m²{off}; T from {self.shortest:.4g} to {self.longest:.4g} s would do"
         )
+
+
+def where_valid(
+    quantity: Callable[[Room, Array], Array], room: Room, absorption_area: Array
+) -> Array:
+    """Return a quantity of an equation per band, NaN in bands that the equation does not cover.
+
+    Parameters
+    ----------
+    quantity : function
+        `LinearEquation.time` or `LinearEquation.air_share`.
+    room : Room
+    absorption_area : array (n_bands,)
+        S'alpha in m².
+    """
+    try:
+        return quantity(room, absorption_area)
+    except ModelError as error:
+        outside = np.isin(np.arange(room.n_bands), error.bands)
+        if not outside.any():
+            raise
+        inside = quantity(room, np.where(outside, 0.0, absorption_area))
+        return np.where(outside, np.nan, inside)
 
 
 def reach(data: ProblemData) -> tuple[Array, Array]:
@@ -120,8 +147,8 @@ def restrict_to_reach(
     asked = np.isfinite(times)
     low, high = reach(data)
     tolerance = end_tolerance(data)
-    ceiling = equation.largest_mean * data.areas.sum(axis=1)[:, np.newaxis]
-    top = np.minimum(high, ceiling)
+    top = np.minimum(high, data.largest_target)
+    _refuse_invalid(equation, rooms, asked & (low > (1 + _MARGIN) * data.largest_target), low)
     wanted_low, wanted_high = wanted
     # What a tolerance leaves open is closed here: the target nearest to what can be reached.
     target = np.where(
@@ -135,7 +162,9 @@ def restrict_to_reach(
     too_high = asked & (np.isnan(target) | (target > top + tolerance))
     found = []
     for c, k in np.argwhere(too_low | too_high):
-        longest, shortest = (equation.time(rooms[c], area)[k] for area in (low[c], top[c]))
+        longest, shortest = (
+            where_valid(equation.time, rooms[c], area)[k] for area in (low[c], top[c])
+        )
         found.append(
             Unreachable(
                 int(c),
@@ -159,6 +188,19 @@ def restrict_to_reach(
     moved = too_low | too_high | at_low | at_high
     target = np.where(moved | np.isnan(data.target), settled, data.target)
     return replace(pinned, target=target), at_lower, at_upper, tuple(found)
+
+
+def _refuse_invalid(
+    equation: LinearEquation, rooms: Sequence[Room], where: Flags, least: Array
+) -> None:
+    """Raise InfeasibleError where every coefficient within the bounds is beyond the equation."""
+    if where.any():
+        c, k = (int(v) for v in np.argwhere(where)[0])
+        raise InfeasibleError(
+            f"{bands.label(rooms[c].centre_frequencies[k])}: the bounds allow mean coefficients "
+            f"from {least[c, k] / rooms[c].total_area:.3f}, but {equation.name}'s equation holds up "
+            f"to {equation.largest_mean:.3f}"
+        )
 
 
 def _forced(data: ProblemData, at_low: Flags, at_high: Flags) -> tuple[Flags, Flags]:

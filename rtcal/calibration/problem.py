@@ -26,6 +26,7 @@ from rtcal.calibration.terms import (
     SharedMaterials,
     SoftMatch,
     as_objective,
+    lacking,
 )
 from rtcal.errors import DataError, MissingAirWarning, ModelError
 from rtcal.support.types import Array
@@ -50,7 +51,7 @@ class Calibration:
     Raises
     ------
     ModelError
-        If there is no prior, more than one, or something that is no term.
+        If there is no prior or more than one, if a term lacks a method, or if one is given twice.
     """
 
     objective: ObjectiveTerm | Objective
@@ -64,6 +65,9 @@ class Calibration:
                 f"the objective has {len(priors)} prior deviations; it needs one: without it the "
                 "answer is not unique"
             )
+        _refuse_repeated(objective.terms, "objective")
+        if sum(isinstance(t, SoftMatch) for t in objective.terms) > 1:
+            raise ModelError("the objective has two soft matches; T has one uncertainty per band")
         if objective.weights[objective.terms.index(priors[0])] == 0:
             raise ModelError(
                 "the prior deviation has weight 0; without it the answer is not unique"
@@ -76,7 +80,11 @@ class Calibration:
             raise ModelError(f"constraints = {constraints!r} is not a list of constraints")
         for constraint in constraints:
             if not isinstance(constraint, (RowConstraint, BoundConstraint, SharedMaterials)):
-                raise ModelError(f"{constraint!r} is no constraint of rtcal.terms")
+                raise ModelError(
+                    f"{constraint!r} is no constraint of rtcal.terms"
+                    f"{lacking(constraint, RowConstraint, BoundConstraint, SharedMaterials)}"
+                )
+        _refuse_repeated(tuple(constraints), "constraints")
         object.__setattr__(self, "objective", objective)
         object.__setattr__(self, "constraints", tuple(constraints))
 
@@ -117,6 +125,13 @@ class Calibration:
         if isinstance(room, Configurations):
             return JointProblem(self, room, equation or Eyring())
         return CalibrationProblem(self, room, equation or Eyring())
+
+
+def _refuse_repeated(terms: Sequence[object], place: str) -> None:
+    """Raise ModelError for a term given twice: ``weights`` could not tell the two apart."""
+    for i, term in enumerate(terms):
+        if any(term == other for other in terms[:i]):
+            raise ModelError(f"{place}: {term!r} stands there twice; give it once")
 
 
 def _compiled(

@@ -40,6 +40,8 @@ class ProblemData:
         Measured T in s, NaN where missing.
     target, target_uncertainty : array (n_configurations, n_bands)
         b and its standard uncertainty in m², NaN where missing.
+    largest_target : array (n_configurations, 1)
+        The largest b in m² that the equation can invert.
     target_of : function
         b in m² for any T in s, both (n_configurations, n_bands).
     weights : tuple of float
@@ -59,6 +61,7 @@ class ProblemData:
     time: Array
     target: Array
     target_uncertainty: Array
+    largest_target: Array
     target_of: Callable[[Array], Array]
     weights: tuple[float, ...]
     pinned: Flags

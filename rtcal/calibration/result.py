@@ -22,7 +22,7 @@ from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration import record
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
-from rtcal.calibration.feasibility import Unreachable
+from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.joint_solution import JointSolution
 from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.problem_data import ProblemData
@@ -159,13 +159,14 @@ class CalibrationResult:
 
     @cached_property
     def reverberation_time_before(self) -> Array:
-        """T of the prior in s, (n_bands,)."""
-        return self.equation.time(self.prior, self.prior.absorption_area)
+        """T of the prior in s, (n_bands,); NaN where the equation does not hold for the prior."""
+        return where_valid(self.equation.time, self.prior, self.prior.absorption_area)
 
     @cached_property
     def reverberation_time_after(self) -> Array:
-        """T of the calibrated room in s, (n_bands,)."""
-        return self.equation.time(self.prior, self.prior.areas @ self.alpha + self.added_absorption)
+        """T of the calibrated room in s, (n_bands,); NaN where the equation does not hold for it."""
+        area = self.prior.areas @ self.alpha + self.added_absorption
+        return where_valid(self.equation.time, self.prior, area)
 
     @property
     def gap_before(self) -> Array:
@@ -203,7 +204,7 @@ class CalibrationResult:
     def air_share(self) -> Array:
         """The air's share of the whole absorption of the calibrated room, (n_bands,)."""
         area = self.prior.areas @ self.alpha + self.added_absorption
-        return self.equation.air_share(self.prior, area)
+        return where_valid(self.equation.air_share, self.prior, area)
 
     @cached_property
     def trust_marks(self) -> tuple[TrustMark, ...]:

@@ -177,6 +177,14 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     if measured["bands_not_in_room"]:
         ignored = ", ".join(bands.label(f) for f in measured["bands_not_in_room"])
         notes.append((f"measured, but no band of the room: {ignored}", "  "))
+    if beyond := _bands_beyond_equation(record):
+        notes.append(
+            (
+                f"no T before at {', '.join(beyond)}: {record['equation']}'s equation does not hold "
+                "for coefficients as large as those stated",
+                "  ",
+            )
+        )
     if marks := _trust_marks(record):
         notes.append(("Where not to believe it, and what to do:", ""))
         for sentence in explained(marks):
@@ -195,6 +203,18 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         )
     )
     return notes
+
+
+def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
+    """The bands whose T before is missing, though the surfaces absorb."""
+    alpha = np.array([material["alpha_before"] for material in record["materials"]])
+    return [
+        bands.label(f)
+        for f, t, column in zip(
+            record["centre_frequencies"], record["reverberation_time_before"], alpha.T, strict=True
+        )
+        if t is None and column.any()
+    ]
 
 
 def _plausibility(plausibility: Mapping[str, Any]) -> str:

@@ -10,6 +10,7 @@ then further unknowns (`rtcal.calibration.layout.Layout`).
 """
 
 from rtcal.calibration.terms.base import (
+    BaseTerm,
     BoundConstraint,
     FurtherUnknown,
     MatchConstraint,
@@ -19,6 +20,7 @@ from rtcal.calibration.terms.base import (
     Rows,
     SharedMaterials,
     as_objective,
+    lacking,
 )
 from rtcal.calibration.terms.limits import (
     AtMost,
@@ -41,6 +43,7 @@ __all__ = [
     "AddedAbsorption",
     "AtMost",
     "BandSmoothness",
+    "BaseTerm",
     "BoundConstraint",
     "Bounds",
     "ExactMatch",
@@ -59,5 +62,6 @@ __all__ = [
     "SharedMaterials",
     "SoftMatch",
     "as_objective",
+    "lacking",
     "match_matrix",
 ]

@@ -83,7 +83,23 @@ def as_objective(term: ObjectiveTerm | Objective) -> Objective:
         return term
     if isinstance(term, ObjectiveTerm):
         return Objective((term,), (1.0,))
-    raise ModelError(f"{term!r} is not an objective term")
+    raise ModelError(f"{term!r} is not an objective term{lacking(term, ObjectiveTerm)}")
+
+
+def lacking(thing: object, *protocols: type) -> str:
+    """Return what ``thing`` lacks of the protocol that it comes nearest to, as ": it lacks ...".
+
+    Empty where it has nothing of any of them.
+    """
+    members = [
+        {n for n in (*vars(p), *vars(p).get("__annotations__", ())) if not n.startswith("_")}
+        for p in protocols
+    ]
+    present = [sum(hasattr(thing, name) for name in names) for names in members]
+    nearest = present.index(max(present))
+    if not present[nearest]:
+        return ""
+    return f": it lacks {', '.join(sorted(n for n in members[nearest] if not hasattr(thing, n)))}"
 
 
 class BaseTerm:

@@ -116,6 +116,8 @@ class MatchWithin:
         tolerance = JND["t20"] * self.jnd
         low = data.target_of(data.time * (1 + tolerance))
         high = data.target_of(data.time * (1 - tolerance))
+        # A T so short that no b gives it: the equation's largest b is the limit.
+        high = np.where(np.isfinite(data.time) & np.isnan(high), data.largest_target, high)
         return np.fmin(low, data.target), np.fmax(high, data.target)
 
     def row_scale(self, data: ProblemData) -> Array:

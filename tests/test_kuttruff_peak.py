@@ -1,0 +1,90 @@
+"""Calibrations near the mean coefficient up to which Kuttruff's equation holds."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal import terms
+from rtcal.errors import InfeasibleError
+
+KUTTRUFF = rt.Kuttruff()
+PEAK = KUTTRUFF.largest_mean
+
+
+def room(mean: list[float], sigma: float = 0.2, **more: object) -> rt.Room:
+    return rt.Room(
+        name="dead",
+        volume=100,
+        materials=["wall", "floor"],
+        areas=[90, 40],
+        alpha=np.array([mean, mean]),
+        sigma=np.full((2, len(mean)), sigma),
+        centre_frequencies=[500, 1000][: len(mean)],
+        air=rt.Air(),
+        **more,
+    )
+
+
+def at_mean(given: rt.Room, mean: float) -> np.ndarray:
+    return KUTTRUFF.time(given, np.full(given.n_bands, mean * given.total_area))
+
+
+def test_tolerance_beyond_the_peak_ends_at_the_peak() -> None:
+    """The prior lies beyond the measured T and within the tolerance: nothing has to move."""
+    given = room([0.9])
+    t = 1.02 * at_mean(given, PEAK)
+    exact = rt.calibrate(given, t, equation=KUTTRUFF)
+    assert (given.areas @ exact.alpha)[0] < 0.9 * given.total_area
+    within = rt.Calibration(terms.PriorDeviation(), [terms.MatchWithin(1.0)])
+    result = within.build(given, KUTTRUFF).solve(t)
+    np.testing.assert_allclose(result.alpha, given.alpha, rtol=0, atol=1e-12)
+
+
+def test_tolerance_does_not_pass_the_peak() -> None:
+    given = room([0.95])
+    within = rt.Calibration(terms.PriorDeviation(), [terms.MatchWithin(1.0)])
+    result = within.build(given, KUTTRUFF).solve(1.02 * at_mean(given, PEAK))
+    assert (given.areas @ result.alpha)[0] == pytest.approx(PEAK * given.total_area, rel=1e-12)
+
+
+@pytest.mark.parametrize("unreachable", ["raise", "nearest"])
+def test_prior_beyond_the_peak_has_no_time_before_and_everything_else(unreachable: str) -> None:
+    given = room([0.93, 0.3])
+    t = np.array([at_mean(given, 0.8)[0], 100.0 if unreachable == "nearest" else 0.4])
+    result = rt.calibrate(given, t, equation=KUTTRUFF, unreachable=unreachable)
+    assert np.isnan(result.reverberation_time_before[0])
+    assert np.isnan(result.gap_before[0])
+    assert np.isfinite(result.gap_before[1])
+    assert result.gap_after[0] == pytest.approx(0, abs=1e-9)
+    assert json.loads(result.to_json())["reverberation_time_before"][0] is None
+    sentence = "no T before at 500 Hz: Kuttruff's equation does not hold for coefficients as large"
+    assert sentence in " ".join(str(result).split())
+    assert repr(result)
+    assert len(result.unreachable) == (unreachable == "nearest")
+
+
+def test_band_without_time_beyond_the_peak_has_no_time_after() -> None:
+    given = room([0.93, 0.3])
+    result = rt.calibrate(given, [np.nan, 0.4], equation=KUTTRUFF)
+    assert np.isnan(result.reverberation_time_after[0])
+    assert np.isnan(result.air_share[0])
+    assert str(result)
+    assert result.to_json()
+
+
+@pytest.mark.parametrize("unreachable", ["raise", "nearest"])
+def test_bounds_that_lie_beyond_the_peak_are_named(unreachable: str) -> None:
+    given = room([0.93], alpha_min=np.full((2, 1), 0.925))
+    with pytest.raises(InfeasibleError, match=r"500 Hz: the bounds allow mean .* from 0\.925, but"):
+        rt.calibrate(given, at_mean(given, 0.5), equation=KUTTRUFF, unreachable=unreachable)
+
+
+def test_equation_that_holds_everywhere_is_asked_as_it_is() -> None:
+    """A mean coefficient of 1 is T = 0 in Eyring's equation, which is told and not hidden."""
+    given = room([1.0])
+    result = rt.calibrate(given, [0.1])
+    assert result.reverberation_time_before[0] == 0.0
