@@ -1,8 +1,11 @@
-# `make demo` and `make test` need only Python and make; each makes its own virtual environment.
+# `make demo` and `make test` need only Python and make. The demo has a virtual environment of its
+# own, with nothing but the report; all other targets share one with the developers' tools.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DEMO_VENV := .venv-demo
+DEMO_STAMP := $(DEMO_VENV)/.installed
 
 .PHONY: demo test lint docs notebooks study fuzz mutate bench clean
 
@@ -11,8 +14,15 @@ $(STAMP): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	touch $(STAMP)
 
-demo: $(STAMP)  ## calibrate a real measured room
-	$(BIN)/rtcal calibrate rtcal/datasets/bras_cr2/room.toml rtcal/datasets/bras_cr2/measured.csv --out demo
+$(DEMO_STAMP): pyproject.toml
+	$(PYTHON) -m venv $(DEMO_VENV)
+	$(DEMO_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[report]'
+	touch $(DEMO_STAMP)
+
+demo: $(DEMO_STAMP)  ## calibrate a real measured room
+	$(DEMO_VENV)/bin/rtcal calibrate rtcal/datasets/bras_cr2/room.toml \
+		rtcal/datasets/bras_cr2/measured.csv --out demo
+	$(DEMO_VENV)/bin/rtcal report demo
 
 test: $(STAMP)  ## the plain test suite
 	$(BIN)/python -m pytest -m "not study"
@@ -48,4 +58,4 @@ bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python -m benchmarks.solvers run --short
 
 clean:
-	rm -rf $(VENV) mutants site demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(DEMO_VENV) mutants site demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def test_real_room_is_matched_and_equals_the_closed_form(solver: str, method: st
 
 def test_command_prints_json() -> None:
     folder = rt.datasets.path("bras_cr2")
-    command = [sys.executable, "-m", "rtcal.command.main", "calibrate", "--json"]
+    command = [sys.executable, "-m", "rtcal", "calibrate", "--json"]
     done = subprocess.run(
         [*command, str(folder / "room.toml"), str(folder / "measured.csv")],
         capture_output=True,
@@ -57,3 +58,82 @@ def test_file_round_trip(tmp_path) -> None:
     )
     with pytest.raises(rt.errors.DataError, match="already calibrated on exactly these data"):
         rt.calibrate(again, measured)
+
+
+CALIBRATE = ["calibrate", "room.toml", "measured.csv"]
+
+
+def fails_with(error: str) -> str:
+    """Return code after which calibration raises ``error``: no input makes a solver fail at will."""
+    return f"""
+import rtcal.calibration.presets as presets
+from rtcal.errors import SolverError
+
+def calibrate(*_, **__):
+    raise {error}
+
+presets.calibrate = calibrate
+"""
+
+
+NOTHING_TO_ADD = """
+from rtcal.command import gap
+from rtcal.report import correction
+
+gap._case = gap._find = lambda *_: None
+correction.correct = lambda *_: correction.Correction("nothing to add", {})
+"""
+
+
+@pytest.mark.parametrize(
+    ("code", "setting", "arguments", "said"),
+    [
+        (0, "", CALIBRATE, ""),
+        (2, "", [], "Usage: rtcal"),
+        (2, "", ["nonsense"], "rtcal: No such command"),
+        (2, "", ["gap"], "Usage: rtcal gap"),
+        (2, "", ["calibrate", "room.toml"], "rtcal: Missing argument"),
+        (2, "", ["calibrate", "room.toml", "none.csv"], "rtcal: none.csv: No such file"),
+        (
+            3,
+            fails_with("SolverError('no values')"),
+            CALIBRATE,
+            "no values",
+        ),
+        (4, "import sys; sys.modules['jinja2'] = None", ["report", "calibrated"], "rtcal[report]"),
+        (6, NOTHING_TO_ADD, ["gap", "apply", "case.toml", "--out", "c.json"], ""),
+        (130, fails_with("KeyboardInterrupt"), CALIBRATE, ""),
+    ],
+)
+def test_each_exit_code(tmp_path, code: int, setting: str, arguments: list[str], said: str) -> None:
+    done = command(tmp_path, arguments, setting, stdout=subprocess.PIPE)
+    assert done.returncode == code, done.stderr
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no full device")
+def test_exit_code_of_a_full_output(tmp_path) -> None:
+    with open("/dev/full", "w") as full:
+        done = command(tmp_path, CALIBRATE, "", stdout=full)
+    assert (done.returncode, done.stderr) == (5, "rtcal: cannot print: No space left on device\n")
+
+
+def command(folder, arguments: list[str], setting: str, **streams) -> subprocess.CompletedProcess:
+    """Run the command in a folder with a room, a measurement and a calibration."""
+    room, measured = rt.datasets.bras_cr2()
+    room.save(folder / "room.toml")
+    measured.save(folder / "measured.csv")
+    (folder / "calibrated").mkdir()
+    (folder / "calibrated" / "result.json").write_text(
+        rt.calibrate(room, measured).to_json(), encoding="utf-8"
+    )
+    code = f"{setting}\nfrom rtcal.command.main import main\nmain({arguments!r})"
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        **streams,
+    )
