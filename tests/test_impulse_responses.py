@@ -106,6 +106,41 @@ def test_the_backward_filter_keeps_a_short_decay() -> None:
     assert forwards / t - 1 > 0.05
 
 
+@pytest.mark.parametrize("silence", [0.25, 0.5, 2.0])
+@pytest.mark.parametrize("offset", [0.0, 0.01])
+def test_digital_silence_at_the_end_is_left_out(silence: float, offset: float) -> None:
+    """Half a second of zeros had taken the decay of every band with it."""
+    rng = np.random.default_rng(8)
+    signal = response(0.8, rng)[: int(0.9 * 16000)]
+    signal = np.round(signal * 2**23) / 2**23
+    padded = np.concatenate([signal, np.zeros(int(silence * 16000))]) + offset
+    plain = ir.analyse(pyfar.Signal(signal + offset, 16000), bands=[500, 1000])
+    analysis = ir.analyse(pyfar.Signal(padded, 16000), bands=[500, 1000])
+    t20 = analysis.measurement.values["t20"]
+    assert t20 == pytest.approx(plain.measurement.values["t20"], rel=1e-3)
+    assert t20 == pytest.approx(0.8, rel=0.25)
+    assert [n for n in analysis.notes if "silence" in n] == [
+        f"S1, R1: the last {silence:.2f} s are digital silence, left out"
+    ]
+
+
+def double_slope(rng: np.random.Generator, rate: int = 16000) -> np.ndarray:
+    """Noise whose energy falls with T = 0.4 s at first, and with 1.6 s from -15 dB on."""
+    early, late = decay(0.4, rate, 8.0), decay(1.6, rate, 2.0)
+    energy = early[: len(late)] + 0.02 * late[: len(early)]
+    return np.sqrt(energy) * rng.standard_normal(len(energy))
+
+
+def test_a_double_slope_is_flagged() -> None:
+    rng = np.random.default_rng(9)
+    bent = {("S1", f"R{i}"): pyfar.Signal(double_slope(rng), 16000) for i in range(4)}
+    analysis = ir.analyse(bent, bands=[500, 1000, 2000])
+    for band in ("500 Hz", "1000 Hz", "2000 Hz"):
+        assert any(n.startswith(f"{band}: the decay is bent, curvature") for n in analysis.notes)
+    straight = {("S1", f"R{i}"): pyfar.Signal(response(0.8, rng), 16000) for i in range(4)}
+    assert not ir.analyse(straight, bands=[500, 1000, 2000]).notes
+
+
 def test_short_decays_are_noted() -> None:
     rng = np.random.default_rng(5)
     analysis = ir.analyse(pyfar.Signal(response(0.04, rng)[:4000], 16000), bands=[63, 125, 1000])
@@ -124,6 +159,25 @@ def test_files(tmp_path: Path) -> None:
     assert analysis.measurement.mean("t20") == pytest.approx(0.5, rel=0.15)
     with pytest.raises(DataError, match="source LS1, receiver MP2 is given twice"):
         ir.read([paths[1], paths[1]])
+
+
+def test_channels_are_no_receivers_unless_stated(tmp_path: Path) -> None:
+    pressure = response(0.5, np.random.default_rng(7))
+    both = np.stack([pressure, 0.3 * pressure[::-1]], axis=1) / np.abs(pressure).max()
+    mono = wav(0.9 * both.ravel(), 16000)
+    path = tmp_path / "S1_R1.wav"
+    path.write_bytes(mono[:22] + struct.pack("<HIIH", 2, 16000, 64000, 4) + mono[34:])
+    with pytest.raises(DataError, match=r"S1_R1.wav: 2 channels; state which one"):
+        ir.read(path, bands=[1000])
+    first = ir.read(path, bands=[1000], channels=1)
+    assert first.measurement.pairs == (("S1", "R1"),)
+    assert first.measurement.mean("t20") == pytest.approx(0.5, rel=0.25)
+    with pytest.raises(DataError, match="2 channels; there is no channel 3"):
+        ir.read(path, bands=[1000], channels=3)
+    with pytest.raises(DataError, match='channels = "left" is neither'):
+        ir.read(path, bands=[1000], channels="left")
+    pairs = ir.read(path, bands=[1000], channels="receivers").measurement.pairs
+    assert pairs == (("S1", "R1-1"), ("S1", "R1-2"))
 
 
 def test_bad_input(tmp_path: Path) -> None:

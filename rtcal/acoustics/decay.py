@@ -104,11 +104,35 @@ def decay_time(energy: Array, bin_width: float, parameter: str = "t20") -> Array
     >>> print(decay_time(10 ** (-6 * time / 0.8), 1e-4).round(6))
     0.8
     """
+    time = slope_time(decay_curve_db(energy), bin_width, parameter)
+    return np.where(too_short(energy, parameter), np.nan, time)
+
+
+def slope_time(level: Array, bin_width: float, parameter: str = "t20") -> Array:
+    """Return -60 dB over the slope of a decay curve within a parameter's range, in s, (...).
+
+    Parameters
+    ----------
+    level : array (..., n_bins)
+        Decay curve in dB at the start of each bin; 0 at the direct sound.
+    bin_width : float
+        s.
+    parameter : {"t20", "t30", "edt"}
+
+    Returns
+    -------
+    array (...)
+        NaN where fewer than two points lie within the range, or the curve does not fall.
+
+    Raises
+    ------
+    DataError
+        For an unknown parameter or a width not above 0.
+    """
     if parameter not in RANGES:
         raise DataError(f'"{parameter}" is no decay time; known are {", ".join(RANGES)}')
     width = _width(bin_width)
     upper, lower = RANGES[parameter]
-    level = decay_curve_db(energy)
     with np.errstate(invalid="ignore"):
         within = (level <= upper) & (level >= lower)
     k = np.arange(level.shape[-1], dtype=float)
@@ -118,7 +142,7 @@ def decay_time(energy: Array, bin_width: float, parameter: str = "t20") -> Array
     y = np.where(within, level, 0.0)
     spread = np.sum(centred_k**2, axis=-1)
     fall = -np.sum(centred_k * y, axis=-1)
-    holds = (n >= 2) & (fall > 0) & ~too_short(energy, parameter)
+    holds = (n >= 2) & (fall > 0)
     return np.where(holds, 60 * width * spread / np.where(holds, fall, 1.0), np.nan)
 
 
@@ -154,18 +178,26 @@ def centre_time(energy: Array, bin_width: float) -> Array:
     return _share(energy @ middle, total)
 
 
-def parameters(energy: Array, bin_width: float) -> dict[str, Array]:
-    """Return EDT, T20, T30, C50, C80, D50 and Ts by name, each (...), in the units of `Measurement`.
+def parameters(
+    energy: Array,
+    bin_width: float,
+    names: Sequence[str] = ("edt", "t20", "t30", "c50", "c80", "d50", "ts"),
+) -> dict[str, Array]:
+    """Return room-acoustic parameters by name, each (...), in the units of `Measurement`.
 
     NaN where the decay does not hold the parameter; see `decay_time`.
     """
-    found = {name: decay_time(energy, bin_width, name) for name in RANGES}
-    for name, limit in (("c50", 0.05), ("c80", 0.08)):
-        value = clarity(energy, bin_width, limit)
-        found[name] = np.where(np.isfinite(value), value, np.nan)
-    found["d50"] = early_energy(energy, bin_width, 0.05)
-    found["ts"] = centre_time(energy, bin_width)
-    return found
+    functions = {
+        "c50": lambda: clarity(energy, bin_width, 0.05),
+        "c80": lambda: clarity(energy, bin_width, 0.08),
+        "d50": lambda: early_energy(energy, bin_width, 0.05),
+        "ts": lambda: centre_time(energy, bin_width),
+    }
+    values = {}
+    for name in names:
+        value = decay_time(energy, bin_width, name) if name in RANGES else functions[name]()
+        values[name] = np.where(np.isfinite(value), value, np.nan)
+    return values
 
 
 def measurement(
@@ -186,8 +218,8 @@ def measurement(
     DataError
         If a decay has no T20 at all, since nothing is reflected.
     """
-    found = parameters(energy, bin_width)
-    lost = np.isnan(found["t20"])
+    values = parameters(energy, bin_width)
+    lost = np.isnan(values["t20"])
     if lost.any():
         short = too_short(energy)
         bad = lost & short if (lost & short).any() else lost
@@ -204,7 +236,7 @@ def measurement(
         raise of_bands(error, np.flatnonzero(lost.any(axis=0)))
     return Measurement(
         centre_frequencies=np.asarray(centre_frequencies, dtype=float),
-        values=found,
+        values=values,
         pairs=pairs,
         uncertainty=uncertainty or {},
     )

@@ -29,9 +29,13 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands as _bands
+from rtcal.acoustics import decay
+from rtcal.acoustics.curvature import bent_decays
+from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.wav import MAX_CHANNEL_SAMPLES, check_header
+from rtcal.support import checks
 from rtcal.support.types import Array
 
 MINIMUM_RANGE: dict[str, float] = {
@@ -49,7 +53,9 @@ LEAST_BT = 4.0
 """Bandwidth times T from which a backward filter leaves the decay alone (Jacobsen & Rindel 1987)."""
 
 PARAMETERS = ("edt", "t20", "t30", "c50", "c80", "d50", "ts")
-_LAST_LEVEL = {"edt": -10.1, "t20": -25.0, "t30": -35.0}  # dB, where pyrato's regression ends
+LEAST_SILENCE = 0.01
+"""s; digital silence at the end of a response is mentioned from here on."""
+
 _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for third-octaves
 _NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+)", re.I | re.ASCII)
 
@@ -82,14 +88,29 @@ def read(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
     bands: str | Sequence[float] = "octave",
+    channels: int | str | None = None,
     minimum_range: Mapping[str, float] | None = None,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
     """Read one or more WAV files (PCM or float, 18 s at 48 kHz at most) and analyse them.
 
     A name like ``LS1_MP3`` or ``S1-R2`` in the file's name is its source and receiver; else the
-    source is ``S1`` and the receiver the file's name; more channels are more receivers. For the
-    other arguments see `analyse`. Raises DataError with file and rule.
+    source is ``S1`` and the receiver the file's name.
+
+    Parameters
+    ----------
+    path : path or sequence of paths
+    bands, minimum_range, progress
+        See `analyse`.
+    channels : int or "receivers", optional
+        What files of several channels hold: the number of the channel to read, from 1 (that of the
+        pressure in a file of a figure-of-eight or Ambisonics microphone); or one receiver each.
+
+    Raises
+    ------
+    DataError
+        For a file that cannot be read, and for several channels where ``channels`` is not stated;
+        the message names file and rule.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
     if not paths:
@@ -105,12 +126,34 @@ def read(
         stem = Path(file).stem
         match = _NAMES.search(stem)
         source, receiver = match.groups() if match else ("S1", stem)
-        for channel in range(signal.time.shape[0]):
-            called = receiver if signal.time.shape[0] == 1 else f"{receiver}-{channel + 1}"
-            if (source, called) in signals:
-                raise DataError(f"{file}: source {source}, receiver {called} is given twice")
-            signals[source, called] = signal[channel]
+        text_name(f"{file}: a position", source + receiver)
+        for name, channel in _channels(signal, receiver, channels, os.fspath(file)):
+            if (source, name) in signals:
+                raise DataError(f"{file}: source {source}, receiver {name} is given twice")
+            signals[source, name] = channel
     return analyse(signals, bands=bands, minimum_range=minimum_range, progress=progress)
+
+
+def _channels(
+    signal: Any, receiver: str, channels: int | str | None, place: str
+) -> list[tuple[str, Any]]:
+    """Return the receivers' names and signals that a file holds."""
+    n_channels = signal.time.shape[0]
+    if channels == "receivers" and n_channels > 1:
+        return [(f"{receiver}-{i + 1}", signal[i]) for i in range(n_channels)]
+    if isinstance(channels, str) and channels != "receivers":
+        raise DataError(f'channels = "{channels}" is neither a number nor "receivers"')
+    if n_channels == 1:
+        return [(receiver, signal[0])]
+    if channels is None:
+        raise DataError(
+            f"{place}: {n_channels} channels; state which one to read (channels=1), or that each "
+            'is a receiver (channels="receivers")'
+        )
+    number = checks.whole("channels", channels, 1)
+    if number > n_channels:
+        raise DataError(f"{place}: {n_channels} channels; there is no channel {number}")
+    return [(receiver, signal[number - 1])]
 
 
 def analyse(
@@ -153,12 +196,16 @@ def analyse(
     missing: list[str] = []
     notes: list[str] = []
     for i, (pair, signal) in enumerate(signals.items()):
-        time, onset = _checked(signal, "/".join(pair))
+        time, onset, silence = _checked(signal, "/".join(pair))
+        if silence >= LEAST_SILENCE:
+            notes.append(
+                f"{pair[0]}, {pair[1]}: the last {silence:.2f} s are digital silence, left out"
+            )
         for k, centre in enumerate(centres):
             bandwidth = centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
             energy = _filtered(time, float(signal.sampling_rate), float(centre), fractions)
             lead = min(onset, int(4 / bandwidth * signal.sampling_rate))
-            found, ratios[i, k], reasons = of_energy(
+            parameters, ratios[i, k], reasons = of_energy(
                 energy[onset:],
                 signal.sampling_rate,
                 minimum_range=needed,
@@ -168,18 +215,23 @@ def analyse(
             )
             place = f"{pair[0]}, {pair[1]}, {_bands.label(centre)}"
             missing += [f"{place}: {reason}" for reason in reasons]
-            for parameter, value in found.items():
+            for parameter, value in parameters.items():
                 values[parameter][i, k] = value
-            t = found.get("t20", found.get("t30", found.get("edt", np.inf)))
+            t = next((parameters[p] for p in ("t20", "t30", "edt") if p in parameters), np.inf)
             if bandwidth * t < LEAST_BT:
                 notes.append(
-                    f"{place}: B T = {bandwidth * t:.1f} is below {LEAST_BT:g}: the band filter's "
-                    "own decay is a part of what is measured"
+                    f"{place}: B T = {bandwidth * t:.1f} is below {LEAST_BT:g}: the measured decay "
+                    "contains that of the band filter"
                 )
         if progress is not None:
             progress()
+    measurement = Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values)
+    notes += [
+        f"{_bands.label(band.frequency)}: {band.text}; one T does not describe it"
+        for band in bent_decays(measurement)
+    ]
     return Analysis(
-        measurement=Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values),
+        measurement=measurement,
         impulse_to_noise_ratio=ratios,
         missing=tuple(missing),
         notes=tuple(notes),
@@ -200,82 +252,84 @@ def of_energy(
     ``energy``, (n_samples,), begins with the direct sound; ``early`` is what the filter has moved
     before it (over ``early_samples``), which counts as early sound in C50, C80, D50 and Ts.
     """
-    pyfar, pyrato = _libraries()
     needed = _ranges(minimum_range)
     total = float(np.sum(energy))
     if not (np.isfinite(total) and total > 0 and len(energy) >= sampling_rate / 20):
         return {}, -np.inf, ("no decay: the response is silent or shorter than 50 ms",)
     energy = np.asarray(energy, dtype=float) / energy.max()
     early = early * float(np.sum(energy)) / total
-    smoothing = centre_frequency or "broadband"
+    curve, noise = _curve_and_noise(energy, sampling_rate, centre_frequency)
+    if len(curve) < 10 or not noise >= 0:
+        return {}, -np.inf, ("no decay stands out of the noise",)
+    level = 10 * np.log10(curve / curve[0])
+    times = {
+        p: float(decay.slope_time(level, 1 / sampling_rate, p))
+        for p, (_, last) in decay.RANGES.items()
+        if level[-1] <= last
+    }
+    times = {p: t for p, t in times.items() if np.isfinite(t)}
+    if "edt" not in times:
+        reason = f"no decay of 10 dB stands out of the noise ({-level[-1]:.0f} dB do)"
+        return {}, -np.inf, (reason,)
+    density = curve[0] * 6 * np.log(10) / (times["edt"] * sampling_rate)
+    inr = float(10 * np.log10(density / noise)) if noise > 0 else np.inf
+    curve[0] += max(early - noise * early_samples, 0.0)
+    parameters = {**_energy_ratios(curve, sampling_rate), **times}
+    reasons = [
+        f"{p.upper()} needs {needed[p]:g} dB between sound and noise (ISO 3382); there are "
+        f"{inr:.1f} dB"
+        for p in PARAMETERS
+        if inr < needed[p]
+    ] + [
+        f"{p.upper()}: the decay curve ends at {level[-1]:.1f} dB"
+        for p in PARAMETERS
+        if inr >= needed[p] and p not in parameters
+    ]
+    return {p: v for p, v in parameters.items() if inr >= needed[p]}, inr, tuple(reasons)
+
+
+def _curve_and_noise(
+    energy: Array, sampling_rate: float, centre_frequency: float | None
+) -> tuple[Array, float]:
+    """Return the decay curve without noise, and the noise's energy per sample.
+
+    The curve has at least one value, positive throughout. It is empty where no decay stands out of
+    the noise.
+    """
+    pyfar, pyrato = _libraries()
+    options = {
+        "smoothing_parameter": centre_frequency or "broadband",
+        "is_energy": True,
+        "time_shift": False,
+    }
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # a failure shows in what is returned, and is told there
+        warnings.simplefilter("ignore")  # a failure shows in the curve, and the caller reports it
         signal = pyfar.Signal(energy, sampling_rate)
-        options = {"smoothing_parameter": smoothing, "is_energy": True, "time_shift": False}
         try:
             _, _, noise = pyrato.edc.intersection_time_lundeby(
                 signal, failure_policy="error", **options
             )
-            level = float(np.ravel(noise)[0])
-            curve = pyrato.edc.energy_decay_curve_chu_lundeby(signal, normalize=False, **options)
+            found = pyrato.edc.energy_decay_curve_chu_lundeby(signal, normalize=False, **options)
         except (ArithmeticError, ValueError, IndexError, TypeError):
-            return {}, -np.inf, ("no decay stands out of the noise",)
-        decay = np.ravel(curve.time)
-        decay = decay[: int(np.argmax(~(decay > 0))) if not (decay > 0).all() else len(decay)]
-        if len(decay) < 10 or not level >= 0:
-            return {}, -np.inf, ("no decay stands out of the noise",)
-        curve = _curve(pyfar, decay / decay[0], sampling_rate)
-        reached = 10 * np.log10(decay[-1] / decay[0])
-        times = {
-            p: float(
-                np.ravel(pyrato.parameters.reverberation_time_linear_regression(curve, p.upper()))[
-                    0
-                ]
-            )
-            for p, last in _LAST_LEVEL.items()
-            if reached <= last
-        }
-        times = {p: t for p, t in times.items() if np.isfinite(t) and t > 0}
-        if "edt" not in times:
-            return (
-                {},
-                -np.inf,
-                (f"no decay of 10 dB stands out of the noise ({-reached:.0f} dB do)",),
-            )
-        density = decay[0] * 6 * np.log(10) / (times["edt"] * sampling_rate)
-        inr = float(10 * np.log10(density / level)) if level > 0 else np.inf
-        lead = max(early - level * early_samples, 0.0)
-        whole = np.concatenate([[decay[0] + lead], decay[1:]])
-        found = {**times, **_energy_ratios(pyfar, pyrato, whole / whole[0], sampling_rate)}
-    reasons = [
-        f"{p.upper()} needs {needed[p]:g} dB between sound and noise (ISO 3382); there are {inr:.1f} dB"
-        for p in PARAMETERS
-        if inr < needed[p]
-    ] + [
-        f"{p.upper()}: the decay curve ends at {reached:.1f} dB"
-        for p in PARAMETERS
-        if inr >= needed[p] and p not in found
-    ]
-    return {p: v for p, v in found.items() if inr >= needed[p]}, inr, tuple(reasons)
+            return np.empty(0), np.nan
+    curve = np.ravel(found.time)
+    ends = np.flatnonzero(~(curve > 0))
+    return curve[: ends[0]] if ends.size else curve.copy(), float(np.ravel(noise)[0])
 
 
-def _energy_ratios(pyfar: Any, pyrato: Any, decay: Array, rate: float) -> dict[str, float]:
-    # Above the limit nothing is left of a short decay: the ratio is not known then, not infinite.
-    curve = _curve(pyfar, decay, rate)
-    found = {}
-    for name, function, limit in (
-        ("c50", pyrato.parameters.clarity, 50),
-        ("c80", pyrato.parameters.clarity, 80),
-        ("d50", pyrato.parameters.definition, 50),
-    ):
-        if len(decay) / rate > limit / 1000:
-            found[name] = float(np.ravel(function(curve, limit))[0])
-    found["ts"] = float(np.ravel(pyrato.parameters.center_time(curve))[0])
-    return {name: value for name, value in found.items() if np.isfinite(value)}
+def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
+    """Return C50, C80, D50 and Ts of a decay curve that falls from all the energy to its end.
 
-
-def _curve(pyfar: Any, decay: Array, rate: float) -> Any:
-    return pyfar.TimeData(decay, np.arange(len(decay)) / rate)
+    A ratio whose limit comes after the curve's end is not known.
+    """
+    energy = np.maximum(-np.diff(curve, append=0.0), 0.0)
+    values = decay.parameters(energy, 1 / rate, ("c50", "c80", "d50", "ts"))
+    limits = {"c50": 0.05, "c80": 0.08, "d50": 0.05, "ts": 0.0}
+    return {
+        name: float(value)
+        for name, value in values.items()
+        if len(curve) / rate > limits[name] and np.isfinite(value)
+    }
 
 
 def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
@@ -290,8 +344,12 @@ def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
     return np.asarray(np.ravel(filtered.time)[::-1] ** 2)
 
 
-def _checked(signal: Any, place: str) -> tuple[Array, int]:
-    """Samples scaled to a peak of 1, and the sample of the direct sound (20 dB below the peak)."""
+def _checked(signal: Any, place: str) -> tuple[Array, int, float]:
+    """Return the samples scaled to a peak of 1, the sample of the onset, and the silence in s.
+
+    Digital silence at the end, a run of equal samples, is left out: it is no noise, and the search
+    for the noise would end in it. The onset is 20 dB below the peak (ISO 3382-1:2009, 5.3.2).
+    """
     time = np.asarray(signal.time, dtype=float)
     if time.ndim != 2 or time.shape[0] != 1:
         raise DataError(f"impulse response {place}: shape {time.shape}; one channel is needed")
@@ -303,8 +361,13 @@ def _checked(signal: Any, place: str) -> tuple[Array, int]:
     peak = float(np.max(np.abs(time))) if len(time) else 0.0
     if not np.isfinite(time).all() or not 0 < peak < 1e150:
         raise DataError(f"impulse response {place}: silent, or a sample is not finite")
+    changes = np.flatnonzero(time != time[-1])
+    n_silent = len(time) - 1 - int(changes[-1]) if changes.size else 0
+    if n_silent > 1:
+        time = time[: len(time) - n_silent]
     time = time / peak
-    return time, int(np.argmax(np.abs(time) >= 0.1))  # ISO 3382-1, 5.3.2: the onset
+    onset = int(np.argmax(np.abs(time) >= 0.1))
+    return time, onset, n_silent / float(signal.sampling_rate)
 
 
 def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:

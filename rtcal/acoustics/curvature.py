@@ -1,0 +1,79 @@
+"""Bent decays: where one decay time does not describe the decay of a band."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import Measurement
+from rtcal.support.types import Array
+
+CURVATURE_LIMIT = 10.0
+"""Percent; a curvature above it is far from a straight decay (ISO 3382-2:2008, B.3)."""
+
+EARLY_LIMIT = 20.0
+"""Percent, four JND: how far EDT may be from T20 in the mean over positions."""
+
+# Standard deviation of a ratio times sqrt(B T), over 4,000 exponential decays of Gaussian noise
+# (B T = 44 to 355): 0.70 to 0.77 for T30/T20, 2.2 to 2.3 for EDT/T20. Two of them are allowed.
+_SCATTER = {"t30": 0.75, "edt": 2.25}
+_ALLOWED = 2.0
+
+
+@dataclass(frozen=True)
+class BentDecay:
+    """A band whose decay is not straight: its centre in Hz, and what shows it."""
+
+    frequency: float
+    text: str
+
+
+def curvature(t20: Array, t30: Array) -> Array:
+    """Return C = 100 (T30 / T20 - 1) in percent, same shape (ISO 3382-2:2008, Annex B).
+
+    A straight decay has 0 to 5 %; above 10 % it is far from straight.
+
+    Examples
+    --------
+    >>> print(curvature(np.array([0.73]), np.array([1.01])).round(1))
+    [38.4]
+    """
+    return np.asarray(100 * (np.asarray(t30, dtype=float) / np.asarray(t20, dtype=float) - 1))
+
+
+def bent_decays(measured: Measurement) -> tuple[BentDecay, ...]:
+    """Return the bands whose mean decay over the positions is bent.
+
+    A band is bent if T30/T20 or EDT/T20 leaves 1 by more than its limit and twice the scatter of
+    the ratio in straight decays. Only positions that have both parameters count.
+
+    Examples
+    --------
+    >>> bent = Measurement.from_values([1000], edt=[0.42], t20=[0.73], t30=[1.01])
+    >>> [b.frequency for b in bent_decays(bent)]
+    [1000.0]
+    """
+    texts: dict[float, list[str]] = {}
+    for parameter, limit, name in (
+        ("t30", CURVATURE_LIMIT, "curvature T30/T20 - 1"),
+        ("edt", EARLY_LIMIT, "EDT/T20 - 1"),
+    ):
+        if "t20" not in measured.values or parameter not in measured.values:
+            continue
+        t20, other = measured.values["t20"], measured.values[parameter]
+        both = np.isfinite(t20) & np.isfinite(other)
+        n_positions = np.sum(both, axis=0)
+        if measured.is_summary:
+            n_positions = n_positions * (measured.n_sources or 1) * (measured.n_receivers or 1)
+        width = bands.bandwidth_factor(measured.centre_frequencies) * measured.centre_frequencies
+        for k in np.flatnonzero(n_positions).tolist():
+            t, ratio = t20[both[:, k], k].mean(), other[both[:, k], k].mean()
+            percent = float(curvature(t, ratio))
+            scatter = 100 * _SCATTER[parameter] / np.sqrt(width[k] * t * n_positions[k])
+            if abs(percent) > limit + _ALLOWED * scatter:
+                texts.setdefault(float(measured.centre_frequencies[k]), []).append(
+                    f"{name} = {percent:+.0f} %"
+                )
+    return tuple(BentDecay(f, f"the decay is bent, {', '.join(texts[f])}") for f in sorted(texts))

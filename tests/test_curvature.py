@@ -1,0 +1,71 @@
+"""Bent decays: flagged where they are, and not where the decay is straight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.acoustics import decay
+from rtcal.acoustics.curvature import bent_decays, curvature
+
+
+def test_curvature_is_that_of_iso_3382_2() -> None:
+    assert curvature(np.array([2.0]), np.array([2.1])) == pytest.approx([5.0])
+
+
+def test_the_double_slope_of_the_issue_is_bent() -> None:
+    measured = rt.Measurement.from_values(
+        [500, 1000], edt=[0.72, 0.42], t20=[0.73, 0.73], t30=[0.74, 1.01]
+    )
+    (bent,) = bent_decays(measured)
+    assert bent.frequency == 1000
+    assert bent.text == "the decay is bent, curvature T30/T20 - 1 = +38 %, EDT/T20 - 1 = -42 %"
+
+
+def test_only_positions_with_both_parameters_count() -> None:
+    measured = rt.Measurement(
+        centre_frequencies=np.array([1000.0]),
+        pairs=[("S1", "R1"), ("S1", "R2")],
+        values={"t20": np.array([[1.0], [np.nan]]), "t30": np.array([[1.0], [3.0]])},
+    )
+    assert bent_decays(measured) == ()
+
+
+def test_straight_decays_are_seldom_flagged() -> None:
+    """Two standard deviations of a ratio beyond its limit: less than 2 % of straight decays."""
+    rng = np.random.default_rng(3)
+    time, width, n_rooms = 1.0, 88, 1500  # the octave of 125 Hz, one position
+    t = np.arange(int(1.6 * width)) / width
+    energy = rng.exponential(1, (n_rooms, len(t))) * 10 ** (-6 * t / time)
+    times = decay.parameters(energy, 1 / width, ("edt", "t20", "t30"))
+    n_bent = sum(
+        bool(
+            bent_decays(
+                rt.Measurement.from_values([125], **{p: [v[i]] for p, v in times.items()})
+            )
+        )
+        for i in range(n_rooms)
+    )
+    assert n_bent / n_rooms < 0.02
+
+
+def test_a_bent_decay_is_a_reservation_of_the_calibration() -> None:
+    room = rt.Room(
+        name="box",
+        volume=200,
+        materials=["wall"],
+        areas=[220],
+        alpha=[[0.2, 0.2]],
+        sigma=[[0.1, 0.1]],
+        centre_frequencies=[500, 1000],
+        air=rt.Air(),
+    )
+    straight = {"edt": [0.7, 0.7], "t20": [0.73, 0.73], "t30": [0.73, 0.74]}
+    bent = {**straight, "t30": [0.73, 1.01], "edt": [0.7, 0.42]}
+    marks = rt.calibrate(room, rt.Measurement.from_values([500, 1000], **bent)).trust_marks
+    (mark,) = [m for m in marks if m.kind == "bent"]
+    assert (mark.frequency, mark.letter) == (1000, "c")
+    assert "curvature T30/T20 - 1 = +38 %" in mark.text
+    result = rt.calibrate(room, rt.Measurement.from_values([500, 1000], **straight))
+    assert not [m for m in result.trust_marks if m.kind == "bent"]
