@@ -75,5 +75,9 @@ class RtcalWarning(UserWarning):
     """Base of every warning that rtcal gives."""
 
 
+class OtherBandsWarning(RtcalWarning):
+    """A measurement is in other bands than its room: it is converted, or some are left out."""
+
+
 class MissingAirWarning(RtcalWarning):
     """A room states no air, so its surfaces are made to absorb what the air does."""

@@ -41,9 +41,7 @@ def test_straight_decays_are_seldom_flagged() -> None:
     times = decay.parameters(energy, 1 / width, ("edt", "t20", "t30"))
     n_bent = sum(
         bool(
-            bent_decays(
-                rt.Measurement.from_values([125], **{p: [v[i]] for p, v in times.items()})
-            )
+            bent_decays(rt.Measurement.from_values([125], **{p: [v[i]] for p, v in times.items()}))
         )
         for i in range(n_rooms)
     )

@@ -31,7 +31,7 @@ from rtcal.discrepancy import (
 from rtcal.discrepancy.effects.opening import Opening
 from rtcal.discrepancy.model import Decay, State
 from rtcal.discrepancy.states import state
-from rtcal.errors import DataError, RtcalError
+from rtcal.errors import DataError, OtherBandsWarning, RtcalError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
 
 
@@ -368,22 +368,35 @@ def test_what_no_room_has_is_refused(
 
 
 def test_bands_that_were_not_measured_are_left_empty(tmp_path: Path) -> None:
-    """What the refusal says to do, done: empty values, or the room in the measured bands."""
+    """A band without a row is a band without a value; a room in fewer bands does as well."""
     kept = [line for line in TABLE.splitlines() if ",1000," not in line]
     few = "\n".join(kept) + "\n"
     path = written(tmp_path, MEASURED, table=few)
-    refused(
-        lambda: Case.from_file(str(path)),
-        "leave the values of bands",
-        "empty in the CSV",
-        "or state the room in the measured bands",
-    )
+    t20 = Case.from_file(str(path)).configurations[0].measured.mean("t20")
+    np.testing.assert_array_equal(np.isfinite(t20), [True, True, False])
     path = written(tmp_path, MEASURED, table=few + "S,R1,T20,1000,\n")
     t20 = Case.from_file(str(path)).configurations[0].measured.mean("t20")
     np.testing.assert_array_equal(np.isfinite(t20), [True, True, False])
     room = ROOM.replace(", 1000]", "]").replace("2, 0.2]", "2]").replace("1, 0.1]", "1]")
     room = room.replace("2, 0.02]", "2]")
     assert Case.from_file(str(written(tmp_path, MEASURED, room, few))).room.n_bands == 2
+
+
+def test_a_case_takes_the_bands_that_calibrate_takes(tmp_path: Path) -> None:
+    """Measured thirds, a band too many: the same rule and the same T in both, and both say it."""
+    rows = ["source,receiver,parameter,band,value"]
+    thirds = {200: 1.2, 250: 1.5, 315: 1.4, 400: 1.3, 500: 1.1, 630: 1.2, 5000: 0.7}
+    rows += [f"S,R1,T20,{f},{t}" for f, t in thirds.items()]
+    path = written(tmp_path, MEASURED, table="\n".join(rows) + "\n")
+    with pytest.warns(OtherBandsWarning, match=r"from third-octaves to octaves.*5000 Hz"):
+        case = Case.from_file(str(path))
+    measured = rt.Measurement.from_file(str(tmp_path / "t.csv"))
+    result = rt.calibrate(case.room, measured)
+    t20 = case.configurations[0].measured.mean("t20")
+    np.testing.assert_allclose(t20, result.measured, rtol=1e-14)
+    np.testing.assert_allclose(1 / t20[0], np.mean([1 / 1.2, 1 / 1.5, 1 / 1.4]), rtol=1e-14)
+    assert np.isnan(t20[2])
+    assert result.measured_data.ignored == (5000.0,)
 
 
 @pytest.mark.parametrize("name", ["", "  "])

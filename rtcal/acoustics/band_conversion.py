@@ -19,7 +19,7 @@ bandwidth (ISO 3382-2:2008, Eqs. 4 and 5): a third has sqrt(3) times the octave'
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +77,58 @@ def complete_octaves(frequencies: Iterable[float]) -> Array:
     """
     centres = bands.as_bands(frequencies).tolist()
     return np.array([f for f in bands.OCTAVES if set(_thirds_of(f)) <= set(centres)], dtype=float)
+
+
+def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
+    """Return the ``wanted`` bands in Hz that can be had from the bands ``frequencies``.
+
+    Examples
+    --------
+    >>> print(obtainable([400, 500, 630, 800], [250, 500, 1000]))
+    [500.]
+    """
+    old, new = bands.as_bands(frequencies), bands.as_bands(wanted)
+    centres = set(old.tolist())
+    parts = _parts(old, new)
+    return np.array([f for f, part in zip(new, parts, strict=True) if set(part) <= centres])
+
+
+def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
+    """Return the bands in Hz of ``frequencies`` that no band of ``wanted`` is made from.
+
+    Examples
+    --------
+    >>> print(unused([400, 500, 630, 800], [250, 500, 1000]))
+    [800.]
+    """
+    old = bands.as_bands(frequencies)
+    had = obtainable(old, wanted)
+    used = {f for part in _parts(old, had) for f in part} if had.size else set()
+    return np.array([f for f in old if f not in used])
+
+
+def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -> str:
+    """Return in a sentence how a quantity is converted; empty where the bands are of one width.
+
+    Examples
+    --------
+    >>> rule([400, 500, 630], [500], "alpha")
+    'alpha is converted from third-octaves to octaves: the mean of the three thirds'
+    """
+    was_thirds, are_thirds = (
+        _in_thirds(bands.as_bands(frequencies)),
+        _in_thirds(bands.as_bands(wanted)),
+    )
+    if was_thirds == are_thirds:
+        return ""
+    if are_thirds:
+        return f"{quantity} is converted from octaves to third-octaves: that of the octave"
+    average = (
+        "the mean of 1/T over the three thirds"
+        if quantity == "T"
+        else "the mean of the three thirds"
+    )
+    return f"{quantity} is converted from third-octaves to octaves: {average}"
 
 
 def absorption(values: Array, frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
@@ -232,6 +284,44 @@ def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
     )
 
 
+def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) -> Measurement:
+    """Return the measurement in exactly the ``wanted`` bands, with missing values where it has none.
+
+    The one rule for what is measured in other bands than the room's: bands of the same width are
+    selected, others are converted by `measurement`.
+
+    Raises
+    ------
+    DataError
+        If none of the bands can be had.
+    """
+    centres = bands.as_bands(wanted)
+    had = obtainable(measured.centre_frequencies, centres)
+    if not had.size:
+        raise DataError(
+            f"the measurement ({_listed(measured.centre_frequencies.tolist())}) and the room "
+            f"({_listed(centres.tolist())}) have no band in common"
+        )
+    converted = measurement(measured, had)
+    columns = np.searchsorted(centres, had)
+
+    def widened(tables: Mapping[str, Array]) -> dict[str, Array]:
+        wide = {p: np.full((*t.shape[:-1], len(centres)), np.nan) for p, t in tables.items()}
+        for parameter, table in tables.items():
+            wide[parameter][..., columns] = table
+        return wide
+
+    return Measurement(
+        centre_frequencies=centres,
+        values=widened(converted.values),
+        pairs=converted.pairs,
+        standard_deviation=widened(converted.standard_deviation),
+        uncertainty=widened(converted.uncertainty),
+        n_sources=converted.n_sources,
+        n_receivers=converted.n_receivers,
+    )
+
+
 def _scale(name: str) -> _Scale:
     if name not in _SCALES:
         raise DataError(f'parameter "{name}" is unknown; known are {", ".join(_SCALES)}')
@@ -253,11 +343,7 @@ class _Columns:
         new = bands.as_bands(wanted, "wanted")
         is_thirds, are_thirds = _in_thirds(self.old), _in_thirds(new)
         self.to_thirds = are_thirds and not is_thirds
-        parts = [[f] for f in new.tolist()]
-        if self.to_thirds:
-            parts = [[_octave_of(f)] for f in new.tolist()]
-        elif is_thirds and not are_thirds:
-            parts = [_thirds_of(f) for f in new.tolist()]
+        parts = _parts(self.old, new)
         place = {f: i for i, f in enumerate(self.old.tolist())}
         for frequency, part in zip(new.tolist(), parts, strict=True):
             if missing := [f for f in part if f not in place]:
@@ -275,6 +361,16 @@ class _Columns:
                 f"values has shape {values.shape}; its last axis has {len(self.old)} bands"
             )
         return values[..., self._index]
+
+
+def _parts(old: Array, new: Array) -> list[list[float]]:
+    """Return for each new band the old bands that it is made from, present or not."""
+    is_thirds, are_thirds = _in_thirds(old), _in_thirds(new)
+    if are_thirds and not is_thirds:
+        return [[_octave_of(f)] for f in new.tolist()]
+    if is_thirds and not are_thirds:
+        return [_thirds_of(f) for f in new.tolist()]
+    return [[f] for f in new.tolist()]
 
 
 def _in_thirds(centres: Array) -> bool:

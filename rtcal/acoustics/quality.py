@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.parameters import DECAY_TIMES
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -154,6 +155,11 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "the measurement contradicts what was stated of the materials: check areas and volume, "
         "then look for an effect that the model lacks, before using these coefficients",
     ),
+    "bent": (
+        "c",
+        "one T does not describe the decay, and these coefficients follow T20: look for coupled "
+        "spaces or absorption on one side, and do not carry them to other positions or rooms",
+    ),
     "no_air": (
         "",
         "the surfaces are made to absorb what the air does, most of all above 1 kHz: state "
@@ -210,6 +216,7 @@ def trust_marks(
     active: NDArray[Any],
     z: Array,
     unreachable: Sequence[float] = (),
+    bent: Sequence[BentDecay] = (),
 ) -> tuple[TrustMark, ...]:
     """Return every reason not to believe a band or the room.
 
@@ -225,6 +232,8 @@ def trust_marks(
     z : array (n_bands,)
     unreachable : sequence of float
         Centre frequencies in Hz of bands that were moved to the nearest end.
+    bent : sequence of BentDecay
+        Bands whose measured decay is not straight.
     """
     found: list[TrustMark] = []
 
@@ -257,6 +266,9 @@ def trust_marks(
             mark("below_schroeder", f, f"below the Schroeder frequency, {limit:.0f} Hz")
         if f in unreachable:
             mark("unreachable", f, "no coefficients within the bounds give this T")
+        for decay in bent:
+            if decay.frequency == f:
+                mark("bent", f, decay.text)
         if air_share[k] > _AIR_SHARE:
             mark("air", f, "the air absorbs more than the surfaces")
         if uncertainty[k] > JND["t20"] * measured[k]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics.curvature import BentDecay, bent_decays
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -22,8 +23,8 @@ class MeasuredTimes:
 
     ``reverberation_time`` and ``uncertainty`` in s, (n_bands,), NaN where missing or unknown;
     ``parameter`` per band ``"t20"``, ``"t30"`` or ``""``; ``ignored`` the measured bands in Hz that
-    the room lacks; ``fingerprint`` names the data; ``caution`` is a sentence where T was measured in
-    bands of another width, else empty.
+    the room lacks; ``fingerprint`` names the data; ``caution`` is a sentence where T was converted from
+    bands of another width, else empty; ``bent`` the bands whose decay is not straight.
     """
 
     reverberation_time: Array
@@ -32,6 +33,7 @@ class MeasuredTimes:
     ignored: tuple[float, ...]
     fingerprint: str
     caution: str
+    bent: tuple[BentDecay, ...] = ()
 
     def __repr__(self) -> str:
         given = np.count_nonzero(np.isfinite(self.reverberation_time))
@@ -47,26 +49,23 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         For a wrong shape, a T that is not above 0, or no band in common.
     """
     if isinstance(measured, Measurement):
-        decay = measured.decay_time()
-        places = [bands.index(measured.centre_frequencies, f) for f in room.centre_frequencies]
-        mean = np.array([np.nan if p is None else decay.mean[p] for p in places])
-        spread = np.array([np.nan if p is None else decay.uncertainty[p] for p in places])
-        used = tuple("" if p is None else decay.parameter[p] for p in places)
-        ignored = tuple(
-            float(f)
-            for f in measured.centre_frequencies
-            if bands.index(room.centre_frequencies, f) is None
-        )
-        if all(p is None for p in places):
-            have = ", ".join(bands.label(f) for f in measured.centre_frequencies)
-            raise DataError(f"the measurement ({have}) and the room have no band in common")
+        in_room = band_conversion.measurement_in_room_bands(measured, room.centre_frequencies)
+        decay = in_room.decay_time()
+        mean = decay.mean
         if not np.isfinite(mean).any():
             given = ", ".join(p.upper() for p in measured.values)
             raise DataError(
                 f"the measurement has {given}, but no T20 and no T30 in any band of the room"
             )
+        stated, wanted = measured.centre_frequencies, room.centre_frequencies
         return MeasuredTimes(
-            mean, spread, used, ignored, _fingerprint(room, mean), _other_bandwidth(room, measured)
+            reverberation_time=mean,
+            uncertainty=decay.uncertainty,
+            parameter=decay.parameter,
+            ignored=tuple(band_conversion.unused(stated, wanted).tolist()),
+            fingerprint=_fingerprint(room, mean),
+            caution=band_conversion.rule(stated, wanted, "T"),
+            bent=bent_decays(in_room),
         )
     try:
         times = checks.array("measured", measured).copy()
@@ -97,19 +96,6 @@ def _fingerprint(room: Room, times: Array) -> str:
         if np.isfinite(value):
             digest.update(f"{frequency:g} Hz {value:.9g} s;".encode())
     return digest.hexdigest()[:16]
-
-
-def _other_bandwidth(room: Room, measured: Measurement) -> str:
-    """A sentence where T and coefficients share their centres, but are not of the same bands."""
-    if min(room.n_bands, len(measured.centre_frequencies)) < 2:
-        return ""
-    kinds = [
-        "octaves" if bands.bandwidth_factor(f) > 0.5 else "third-octaves"
-        for f in (measured.centre_frequencies, room.centre_frequencies)
-    ]
-    if kinds[0] == kinds[1]:
-        return ""
-    return f"T was measured in {kinds[0]}, the coefficients are in {kinds[1]}: not the same bands"
 
 
 def refuse_repeated_data(room: Room, data: MeasuredTimes) -> None:

@@ -217,6 +217,7 @@ class CalibrationResult:
             self.active,
             self.plausibility.z,
             [u.frequency for u in self.unreachable],
+            self.measured_data.bent,
         )
 
     @cached_property

@@ -14,7 +14,7 @@ from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import refuse_repeated_data, times_in_room
 from rtcal.discrepancy import case_files
-from rtcal.discrepancy.case_checks import check_configuration, check_room, shares
+from rtcal.discrepancy.case_checks import check_configuration, check_room, in_room_bands, shares
 from rtcal.discrepancy.configuration import Configuration, checked_uncertainty
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
@@ -130,6 +130,8 @@ class Case:
             raise DataError(f"configurations = {names}: each has a name of its own")
         object.__setattr__(self, "facing", shares(self.room, self.facing))
         check_room(self.room)
+        configurations = tuple(in_room_bands(self.room, c) for c in self.configurations)
+        object.__setattr__(self, "configurations", configurations)
         for c in self.configurations:
             check_configuration(self.room, c)
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.parameters import DECAY_TIMES, plausible_time
 from rtcal.acoustics.room import AXES, Room, text_name
 from rtcal.discrepancy.configuration import Configuration
-from rtcal.errors import DataError
+from rtcal.errors import DataError, OtherBandsWarning
 from rtcal.support import checks
 from rtcal.support.types import Array
 
@@ -73,17 +75,33 @@ def shares(room: Room, facing: Any) -> Array:
     return found
 
 
+def in_room_bands(room: Room, c: Configuration) -> Configuration:
+    """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
+
+    Warns of a conversion and of bands that are left out.
+    """
+    stated, wanted = c.measured.centre_frequencies, room.centre_frequencies
+    if stated.tolist() == wanted.tolist():
+        return c
+    where = f'configuration "{c.name}"'
+    try:
+        measured = band_conversion.measurement_in_room_bands(c.measured, wanted)
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from error
+    notes = [band_conversion.rule(stated, wanted, "T")]
+    unused = band_conversion.unused(stated, wanted)
+    if unused.size:
+        notes.append(f"left out, not in the room: {', '.join(bands.label(f) for f in unused)}")
+    if any(notes):
+        warnings.warn(f"{where}: {'; '.join(filter(None, notes))}", OtherBandsWarning, stacklevel=2)
+    return replace(c, measured=measured)
+
+
 def check_configuration(room: Room, c: Configuration) -> None:
     """Refuse a configuration that does not fit its room, or that no room can have."""
     if not text_name("configuration: name", c.name).strip():
         raise DataError(f"configuration: name = {c.name!r} is blank")
     where = f'configuration "{c.name}"'
-    if c.measured.centre_frequencies.tolist() != room.centre_frequencies.tolist():
-        raise DataError(
-            f"{where} has bands {c.measured.centre_frequencies.tolist()} Hz; the room has "
-            f"{room.centre_frequencies.tolist()} Hz. A case needs the same: leave the values of bands "
-            "that were not measured empty in the CSV, or state the room in the measured bands"
-        )
     if "t20" not in c.measured.values and "t30" not in c.measured.values:
         raise DataError(f"{where} has neither t20 nor t30")
     for material, change in c.changes.items():
