@@ -18,6 +18,7 @@ from __future__ import annotations
 import os
 import re
 
+from rtcal.acoustics import band_conversion
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -49,6 +50,7 @@ def write(
     template: str | os.PathLike[str] | None = None,
     equation: LinearEquation | None = None,
     decimals: int | None = None,
+    missing_bands: str = "refuse",
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
@@ -63,6 +65,9 @@ def write(
         Predicts what the rounding does to T; Eyring by default.
     decimals : int, optional
         Decimals of a coefficient, 3 for a tenth of a percent; the format's own by default.
+    missing_bands : {"refuse", "nearest"}
+        What a new list has in an octave from 125 Hz to 4 kHz that the room lacks: no list is made,
+        or the octave has the coefficients of the nearest one.
 
     Returns
     -------
@@ -81,6 +86,8 @@ def write(
         template=template,
         equation=equation,
         decimals=decimals,
+        new_bands=_bands_of_new_list(room),
+        missing_bands=missing_bands,
     )
 
 
@@ -184,12 +191,14 @@ def _numbers(text: str, offset: int, place: str) -> tuple[list[float], tuple[tup
     return values, tuple(spans)
 
 
+def _bands_of_new_list(room: Room) -> tuple[float, ...]:
+    """Return the octaves 125 Hz to 4 kHz, and 8 and 16 kHz if the room has them."""
+    obtainable = band_conversion.obtainable(room.centre_frequencies, BANDS)
+    n_bands = 6 if BANDS[6] not in obtainable else 7 if BANDS[7] not in obtainable else 8
+    return BANDS[:n_bands]
+
+
 def _new_list(room: Room) -> MaterialList:
-    columns = material_list.octaves(room, BANDS[:6], "CATT-Acoustic")
-    for f in BANDS[6:]:
-        if f not in room.centre_frequencies:
-            break
-        columns.append(list(room.centre_frequencies).index(f))
     rows = ["; Absorption, %, in octaves from 125 Hz; written by rtcal"]
     for i, name in enumerate(room.materials):
         if not re.fullmatch(_NAME, name) or not name.isascii():
@@ -197,13 +206,13 @@ def _new_list(room: Room) -> MaterialList:
                 f'material "{name}": a name for CATT-Acoustic is ASCII, without spaces and none '
                 "of = < > { } ; :"
             )
-        groups = [f"ABS {name} = <{_percents(room.alpha[i], columns)}>"]
+        groups = [f"ABS {name} = <{_percents(room.alpha[i])}>"]
         if room.scattering is not None:
-            groups.append(f"L <{_percents(room.scattering[i], columns)}>")
+            groups.append(f"L <{_percents(room.scattering[i])}>")
         rows.append(" ".join(groups))
     return parse(("\r\n".join(rows) + "\r\n").encode("ascii"))
 
 
-def _percents(row: Array, columns: list[int]) -> str:
-    texts = [f"{100 * row[c]:.{DECIMALS}f}" for c in columns]
+def _percents(row: Array) -> str:
+    texts = [f"{100 * value:.{DECIMALS}f}" for value in row]
     return " ".join(texts[:6]) + (" : " + " ".join(texts[6:]) if texts[6:] else "")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtcal.acoustics import bands, quality
+from rtcal.acoustics import band_conversion, bands, quality
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.materials import text_name
@@ -177,11 +177,27 @@ class MaterialList:
         names = ", ".join([*self.names, *self.aliases])
         raise DataError(f'"{name}" is no material of {self.path}; it has {names}')
 
+    def _in_file_bands(self, room: Room) -> Room:
+        """Return the room itself, or the room in the file's bands if they are of another width."""
+        bands_of = {name: set(self._listed(name).centre_frequencies) for name in room.materials}
+        wanted = sorted(set.intersection(*bands_of.values()))
+        if not wanted or not band_conversion.rule(room.centre_frequencies, wanted, "alpha"):
+            return room
+        obtainable = band_conversion.obtainable(room.centre_frequencies, wanted)
+        if not obtainable.size:
+            raise DataError(
+                f"{self.path}: none of its bands can be had from the room's, "
+                f"{', '.join(bands.label(f) for f in room.centre_frequencies)}"
+            )
+        return band_conversion.room(room, obtainable)
+
     def with_alpha(self, room: Room) -> tuple[bytes, Room]:
         """Return the file with the room's coefficients in it, and the room as it is then read.
 
-        A number is written only where the coefficient, rounded to the file's decimals, differs
-        from the one that stands there.
+        A room in thirds is written into a file in octaves as the means of the thirds, and a room in
+        octaves into a file in thirds as the octaves' values; the room that is returned is then in
+        the file's bands. A number is written only where the coefficient, rounded to the file's
+        decimals, differs from the one that stands there.
 
         Raises
         ------
@@ -189,6 +205,7 @@ class MaterialList:
             For a material that the file lacks, for a material that has none of the room's bands,
             and for two aliases of one material with different coefficients.
         """
+        room = self._in_file_bands(room)
         as_read = np.array(room.alpha)
         texts: dict[tuple[int, int], str] = {}
         written: dict[tuple[int, int], tuple[float, str]] = {}
@@ -228,7 +245,7 @@ class MaterialList:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport:
-    """What a program reads from the file that was written, and what the rounding does to T.
+    """What a program reads from the file that was written, and what that does to T.
 
     Parameters
     ----------
@@ -236,13 +253,15 @@ class ExportReport:
     equation : str
         The reverberation equation that gives both T.
     room : Room
-        The room with the coefficients as the program reads them.
+        The room as the program reads it: in the file's bands, rounded to its decimals.
     reverberation_time : array (n_bands,)
-        T in s before the rounding.
+        T in s of the room that was exported, converted to the file's bands.
     reverberation_time_as_read : array (n_bands,)
-        T in s after it.
+        T in s of ``room``.
     bands_not_written : sequence of float
-        Bands of the room in Hz that the file does not have.
+        Bands of the exported room in Hz that the file does not have.
+    notes : sequence of str
+        How bands were converted or filled.
     """
 
     path: str
@@ -251,15 +270,16 @@ class ExportReport:
     reverberation_time: Array
     reverberation_time_as_read: Array
     bands_not_written: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def change(self) -> Array:
-        """What the rounding does to T, in JND, signed, (n_bands,)."""
+        """What writing does to T, in JND, signed, (n_bands,)."""
         return quality.gap_jnd(self.reverberation_time_as_read, self.reverberation_time)
 
     def __str__(self) -> str:
         rows = [
-            f"{self.path}: T by {self.equation}, before and after the rounding of alpha",
+            f"{self.path}: T by {self.equation}, of the room and as the program reads it",
             f"{'band':>8} {'T, s':>9} {'as read, s':>11} {'change, JND':>12}",
         ]
         for f, before, after, change in zip(
@@ -273,7 +293,7 @@ class ExportReport:
         if self.bands_not_written:
             missing = ", ".join(bands.label(f) for f in self.bands_not_written)
             rows.append(f"Not in the file, so not written: {missing}")
-        return "\n".join(rows)
+        return "\n".join([*rows, *self.notes])
 
 
 def coefficient(value: float, unit: float) -> float:
@@ -302,32 +322,78 @@ def write(
     template: str | os.PathLike[str] | None,
     equation: LinearEquation | None,
     decimals: int | None,
+    new_bands: Sequence[float] = (),
+    missing_bands: str = "refuse",
 ) -> ExportReport:
     """Write a room's coefficients into the template, else into the file that exists, else anew.
 
     ``read`` and ``new_list`` are the format's: a file's material list, and a new one for a room.
+    ``new_bands`` are those that a new file needs; ``missing_bands`` is "refuse" or "nearest", which
+    gives a band that the room lacks the coefficients of its nearest one.
     """
+    if missing_bands not in ("refuse", "nearest"):
+        raise DataError(f'missing_bands = "{missing_bands}" is neither "refuse" nor "nearest"')
+    equation = equation or Eyring()
+    notes: list[str] = []
     if template is not None or Path(path).exists():
         listed = read(template if template is not None else path)
     else:
-        listed = new_list(room)
+        in_new_bands, notes = _in_new_bands(room, new_bands, missing_bands, os.fspath(path))
+        listed = new_list(in_new_bands)
     if decimals is not None:
         listed = replace(
             listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)
         )
     content, as_read = listed.with_alpha(room)
-    equation = equation or Eyring()
+    time = equation.reverberation_time(room)
     held = {f for m in listed.materials for f in m.centre_frequencies}
+    not_written = np.array([f for f in room.centre_frequencies if f not in held])
+    rule = band_conversion.rule(room.centre_frequencies, as_read.centre_frequencies, "alpha")
+    if rule:
+        between = room.centre_frequencies, as_read.centre_frequencies
+        time, not_written = (
+            band_conversion.parameter(time, *between),
+            band_conversion.unused(*between),
+        )
+        notes.append(f"{rule}; T of the room by the mean of 1/T")
     report = ExportReport(
         path=os.fspath(path),
         equation=equation.name,
         room=as_read,
-        reverberation_time=equation.reverberation_time(room),
+        reverberation_time=time,
         reverberation_time_as_read=equation.reverberation_time(as_read),
-        bands_not_written=tuple(float(f) for f in room.centre_frequencies if f not in held),
+        bands_not_written=tuple(float(f) for f in not_written),
+        notes=tuple(notes),
     )
     write_bytes(path, content)
     return report
+
+
+def _in_new_bands(
+    room: Room, needed: Sequence[float], missing_bands: str, path: str
+) -> tuple[Room, list[str]]:
+    """Return the room in the bands that a new file needs, and how they were filled."""
+    if not needed:
+        return room, []
+    obtainable = band_conversion.obtainable(room.centre_frequencies, needed)
+    missing = [f for f in needed if f not in obtainable]
+    if missing and (missing_bands == "refuse" or not obtainable.size):
+        raise DataError(
+            f"{path}: a new file of this program needs {bands.label(missing[0])}, which the room has "
+            'not; write into the program\'s own file (template), or state missing_bands="nearest"'
+        )
+    converted = band_conversion.room(room, obtainable)
+    nearest = [int(np.argmin(np.abs(np.log(obtainable / f)))) for f in needed]
+    notes = [
+        f"{bands.label(f)} is not in the room: alpha as at {bands.label(obtainable[k])}"
+        for f, k in zip(needed, nearest, strict=True)
+        if f in missing
+    ]
+    tables = {n: getattr(converted, n) for n in ("alpha", "sigma", "alpha_min", "scattering")}
+    return converted.replace(
+        centre_frequencies=np.asarray(needed),
+        **{n: t[:, nearest] for n, t in tables.items() if t is not None},
+    ), notes
 
 
 def _with_decimals(listed: ListedMaterial, decimals: int) -> ListedMaterial:
@@ -339,15 +405,3 @@ def _with_decimals(listed: ListedMaterial, decimals: int) -> ListedMaterial:
             + (", since the file has whole percents at least" if least else "")
         )
     return replace(listed, decimals=decimals - least)
-
-
-def octaves(room: Room, needed: Sequence[float], program: str) -> list[int]:
-    """Return the room's columns of the bands that a new file of a program must have."""
-    columns = [bands.index(np.asarray(room.centre_frequencies), f) for f in needed]
-    for f, column in zip(needed, columns, strict=True):
-        if column is None:
-            raise DataError(
-                f"a new file for {program} needs {bands.label(f)}, which the room has not; write "
-                "into the program's own file (template)"
-            )
-    return [c for c in columns if c is not None]

@@ -48,10 +48,12 @@ def write(
     template: str | os.PathLike[str] | None = None,
     equation: LinearEquation | None = None,
     decimals: int | None = None,
+    missing_bands: str = "refuse",
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
-    Without either a new library is made. It needs all eight octaves. Its materials are "number
+    Without either a new library is made. It needs all eight octaves; ``missing_bands="nearest"`` gives
+    those that the room lacks the coefficients of the nearest one. Its materials are "number
     description"; a material without a number gets one from 10001 on. Returns what the rounding does
     to T, as `catt.write`.
     """
@@ -63,6 +65,8 @@ def write(
         template=template,
         equation=equation,
         decimals=decimals,
+        new_bands=BANDS,
+        missing_bands=missing_bands,
     )
 
 
@@ -126,12 +130,11 @@ def _material(head: re.Match[str], raw: str, start: int, place: str, line: int) 
 
 
 def _new_list(room: Room) -> MaterialList:
-    columns = material_list.octaves(room, BANDS, "ODEON")
     rows = []
     for i, name in enumerate(room.materials):
         if not (name.isprintable() and name.strip() == name and name):
             raise DataError(f"material {name!r}: an ODEON description is one line of text")
         numbered = re.match(r"\d{1,10} \S", name, re.ASCII)
         rows.append(name if numbered else f"{10001 + i} {name}")
-        rows.append("\t" + "\t".join(f"{room.alpha[i, c]:.{DECIMALS}f}" for c in columns))
+        rows.append("\t" + "\t".join(f"{a:.{DECIMALS}f}" for a in room.alpha[i]))
     return parse(Text("", codec="cp1252").encode("\r\n".join(rows) + "\r\n"))

@@ -194,18 +194,15 @@ def _key(token: str, place: str) -> str:
 
 
 def _new_list(room: Room) -> MaterialList:
-    columns = range(room.n_bands)
-
-    def table(values: Any) -> dict[str, Any]:
-        return {
-            name: {"description": name, "coeffs": [float(values[i, c]) for c in columns]}
-            for i, name in enumerate(room.materials)
-        }
-
-    content = {
+    entries = dictionaries(room)
+    content: dict[str, Any] = {
         "center_freqs": [float(f) for f in room.centre_frequencies],
-        "absorption": {"Calibrated": table(room.alpha)},
+        "absorption": {
+            "Calibrated": {name: entry["energy_absorption"] for name, entry in entries.items()}
+        },
     }
     if room.scattering is not None:
-        content["scattering"] = {"Calibrated": table(room.scattering)}
+        content["scattering"] = {
+            "Calibrated": {name: entry["scattering"] for name, entry in entries.items()}
+        }
     return parse((json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode("utf-8"))
