@@ -15,13 +15,12 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.equations import EQUATIONS, LinearEquation, register
+from rtcal.acoustics.equations import EQUATIONS, LinearEquation, linear_equation, register
 from rtcal.acoustics.equations import base as registry
 from rtcal.discrepancy.model import STEEPEST, sensitivities
 from rtcal.discrepancy.recalibration import plain, recalibrate
 from rtcal.discrepancy.states import state
 from rtcal.loop.state import Loop, start
-from rtcal.report.words import linear_equation
 from rtcal.simulators.equation import EquationSimulator
 
 ONE_FILE = '''

@@ -26,7 +26,7 @@ class Air:
     temperature : float
         °C, from -20 to 50 (the range of ISO 9613-1).
     humidity : float
-        Relative humidity in %, above 0 and up to 100.
+        Relative humidity in %, above 1 and up to 100.
     pressure : float
         Ambient pressure in kPa, above 0 and up to 200 (ISO 9613-1).
 
@@ -61,8 +61,13 @@ class Air:
             ("pressure", 0 < self.pressure <= 200, "kPa", "above 0 and at most 200 kPa"),
         )
         for name, holds, unit, rule in rules:
-            if not holds:  # NaN holds no comparison, so it is refused here as well
+            if not holds:  # every comparison with NaN is false, so NaN is refused too
                 raise DataError(f"air.{name} = {getattr(self, name):g} {unit} is not {rule}")
+        if self.humidity <= 1:  # no room is so dry
+            raise DataError(
+                f"air.humidity = {self.humidity:g} % looks like a fraction; {100 * self.humidity:g} % "
+                f"is humidity = {100 * self.humidity:g}"
+            )
 
     @property
     def speed_of_sound(self) -> float:

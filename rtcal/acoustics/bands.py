@@ -51,6 +51,7 @@ THIRD_OCTAVES: tuple[float, ...] = (
 # Exact base-ten centres differ from the nominal ones by at most 1 % (1584.9 Hz is called 1600 Hz),
 # and neighbouring thirds by 26 %, so this tells them apart with room to spare.
 _TOLERANCE = 0.015
+_LOWEST = 20.0  # Hz; the lowest band that is heard, and above the highest one in kHz
 
 
 def nominal(frequency: float) -> float:
@@ -118,7 +119,8 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
     Raises
     ------
     DataError
-        If there is none, or one is not a finite positive number, or they do not increase.
+        If there is none, or one is not a finite positive number, or they do not increase, or all
+        are below 20 Hz, as if in kHz.
     """
     try:
         given = [float(v) for v in frequencies]
@@ -132,6 +134,11 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
             raise DataError(
                 f"{place} has {value:g} Hz; a centre frequency is finite and above 0 Hz"
             )
+    if f.max() < _LOWEST:
+        raise DataError(
+            f"{place} = {', '.join(f'{v:g}' for v in given[:8])} looks like kHz; a centre frequency "
+            f"is in Hz, and at least one is {_LOWEST:g} Hz or more"
+        )
     for i, (below, above) in enumerate(itertools.pairwise(f)):
         if above <= below:
             raise DataError(

@@ -91,10 +91,10 @@ def text_name(place: str, value: object) -> str:
 
 def number(name: str, value: object, unit: str) -> float:
     """Return a finite number above 0, or raise DataError naming it."""
-    found = checks.number(name, value)
-    if not (np.isfinite(found) and found > 0):
-        raise DataError(f"{name} = {found:g}{unit} is not finite and above 0")
-    return found
+    real = checks.number(name, value)
+    if not 0 < real < np.inf:
+        raise DataError(f"{name} = {real:g}{unit} is not finite and above 0")
+    return real
 
 
 def array_of(name: str, value: object) -> Array:

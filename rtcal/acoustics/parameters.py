@@ -20,6 +20,16 @@ DECAY_TIMES = ("t20", "t30", "edt")
 T_LIMITS = (0.01, 120.0)
 """Least and longest T20 and T30 in s that are accepted. A lined box of a litre has 0.01 s or more. The
 longest known T is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic Wonderland, 2014)."""
+LIMITS: dict[str, tuple[float, float, str]] = {
+    "c50": (-200.0, 200.0, "is it in dB?"),
+    "c80": (-200.0, 200.0, "is it in dB?"),
+    "d50": (0.0, 1.0, "is it in percent? D50 is a fraction"),
+    "ts": (0.0, 10.0, "is it in ms?"),
+    "g": (-200.0, 200.0, "is it in dB?"),
+}
+"""Least and most of each other parameter in its unit, and what a value beyond them looks like.
+
+Ts of an exponential decay is T / 13.8: 8.7 s for T = 120 s. C80 of T = 0.03 s is 160 dB."""
 SUMMARY = "*"
 """Name of the source and of the receiver in a row that holds means over several pairs."""
 

@@ -19,7 +19,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.support import checks
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
 
 TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}
 """Standard deviation by degree of uncertainty (Bellows & Katz 2025, Sect. 4.3.1)."""
@@ -102,7 +102,7 @@ class TruncatedNormal:
         for name, value in zip(("mu", "sigma", "lower", "upper"), values, strict=True):
             if not np.isfinite(value).all():
                 raise DataError(f"truncated normal: {name} has a value that is not finite")
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, read_only(value))
         if not np.all(self.sigma > 0):
             raise DataError(f"truncated normal: sigma = {np.min(self.sigma):g} is not above 0")
         if not np.all(np.asarray(self.lower) < np.asarray(self.upper)):
@@ -174,15 +174,18 @@ class TruncatedNormal:
 def sigma_relative(alpha: Array, fraction: float, minimum: float = 0.0) -> Array:
     """Return max(fraction alpha, minimum), same shape as ``alpha``.
 
+    Raises DataError if an alpha is not from 0 to 2, or fraction or minimum is not from 0 to 1.
+
     Examples
     --------
     >>> print(sigma_relative(np.array([0.02, 0.5]), 0.3, 0.01))
     [0.01 0.15]
     """
     for name, value in (("fraction", fraction), ("minimum", minimum)):
-        if not (np.isfinite(value) and value >= 0):
-            raise DataError(f"sigma_relative: {name} = {value:g} is not finite and 0 or more")
-    return np.asarray(np.maximum(fraction * np.asarray(alpha, dtype=float), minimum))
+        if not 0 <= checks.number(f"sigma_relative: {name}", value) <= 1:
+            percent = ": is it in percent?" if 1 < value <= 100 else ""
+            raise DataError(f"sigma_relative: {name} = {value:g} is not from 0 to 1{percent}")
+    return np.maximum(fraction * _coefficients("sigma_relative", alpha), minimum)
 
 
 def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array) -> Array:
@@ -198,7 +201,7 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
     Raises
     ------
     DataError
-        For a band that the standard does not tabulate.
+        For a band that the standard does not tabulate, or an alpha that is not from 0 to 2.
 
     References
     ----------
@@ -224,17 +227,35 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
             )
         constants.append(np.mean([_ISO_12999_2[w] for w in wanted], axis=0))
     m, n = np.array(constants).T
-    return np.asarray(m * np.asarray(alpha, dtype=float) + n)
+    coefficients = _coefficients("sigma_iso_12999_2", alpha)
+    if coefficients.ndim == 0 or coefficients.shape[-1] not in (1, len(f)):
+        raise DataError(
+            f"sigma_iso_12999_2: alpha has shape {coefficients.shape}; its last axis has {len(f)} bands"
+        )
+    return np.asarray(m * coefficients + n)
 
 
 def in_situ(sigma: Array, factor: float) -> Array:
     """Return ``factor`` times ``sigma``: another specimen, mounted otherwise, aged and painted.
+
+    Raises DataError if a sigma is not from 0 to 1, or the factor is not finite and 1 or more.
 
     Examples
     --------
     >>> print(in_situ(np.array([0.02]), 2.0))
     [0.04]
     """
-    if not (np.isfinite(factor) and factor >= 1):
+    if not 1 <= checks.number("in-situ factor", factor) < np.inf:
         raise DataError(f"in-situ factor = {factor:g} is not finite and 1 or more")
-    return np.asarray(factor * np.asarray(sigma, dtype=float))
+    return np.asarray(factor * _coefficients("in_situ", sigma, "sigma", most=1.0))
+
+
+def _coefficients(function: str, values: Array, name: str = "alpha", most: float = 2.0) -> Array:
+    """Return checked alpha or sigma; laboratories report alpha above 1 (ISO 354: edges absorb too)."""
+    array = checks.array(f"{function}: {name}", values)
+    bad = ~((array >= 0) & (array <= most))
+    if bad.any():
+        raise DataError(
+            f"{function}: {name} has {array[bad][0]:g}, which is not from 0 to {most:g}"
+        )
+    return array

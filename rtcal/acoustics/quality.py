@@ -1,10 +1,10 @@
-"""How far a model is from a measurement (JND), how plausible that is, and where not to believe it."""
+"""The gap between model and measurement in JND, its plausibility, and reasons to doubt a result."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.parameters import DECAY_TIMES
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
+from rtcal.support import checks
 from rtcal.support.types import Array
 
 # ISO 3382-1:2009, Table A.1: relative for decay times, absolute for the others.
@@ -44,22 +45,27 @@ def gap_jnd(model: Array, measured: Array, parameter: str = "t20") -> Array:
     return np.asarray((model - measured) / unit)
 
 
+P_CONTRADICTION = 0.05
+"""A p-value below it contradicts prior or measurement: the usual level of 5 %."""
+P_TOO_GOOD = 0.99
+"""A p-value above it is too good to be true. By chance, 1 right statement in 100 has one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Plausibility:
-    """Whether to believe a calibration: it always fits.
+    """Whether prior and measurement agree. The fit does not show it, since a calibration always fits.
 
     Attributes
     ----------
     z : array (n_bands,)
-        The miss of S'alpha before calibration in standard deviations of what was known of it; NaN
-        where nothing was matched.
+        b - S'mu over its standard deviation; NaN where nothing was matched.
     q : float
         z'R^-1 z, R the correlation of z between bands; the sum of z² where the bands are independent.
     degrees_of_freedom : int
-        One a matched band, not one a coefficient.
+        One per matched band, not one per coefficient.
     p_value : float or None
-        The chance of a larger q if prior and measurement are right; None where a bound is active,
-        because then q is not chi-square.
+        The probability of a larger q if prior and measurement are right. None where a bound is
+        active, because then q is not chi-square.
     """
 
     z: Array
@@ -67,29 +73,72 @@ class Plausibility:
     degrees_of_freedom: int
     p_value: float | None
 
+    @property
+    def agreement(self) -> Agreement | None:
+        """What the p-value says: see `agreement`."""
+        return agreement(self.p_value)
 
-def plausibility(miss: Array, covariance: Array, bound_active: bool) -> Plausibility:
+
+Agreement = Literal["contradicts", "agrees", "too good"]
+
+
+def agreement(p_value: float | None) -> Agreement | None:
+    """Return whether measurement and prior contradict, agree, or agree too well to be true.
+
+    Too well: S'mu is nearer to b than the stated uncertainties make likely. Then a sigma or u_T is
+    too large, or T was calculated from these coefficients. None without a p-value.
+
+    Examples
+    --------
+    >>> agreement(0.001), agreement(0.4), agreement(1.0)
+    ('contradicts', 'agrees', 'too good')
+    """
+    if p_value is None:
+        return None
+    if p_value < P_CONTRADICTION:
+        return "contradicts"
+    return "too good" if p_value > P_TOO_GOOD else "agrees"
+
+
+def plausibility(difference: Array, covariance: Array, bound_active: bool) -> Plausibility:
     """Return z per band and Q over bands.
 
     Parameters
     ----------
-    miss : array (n_bands,)
+    difference : array (n_bands,)
         b - S'mu in m², NaN where nothing was measured.
     covariance : array (n_bands, n_bands)
-        Of ``miss``, if prior and measurement are right.
+        Of ``difference``, if prior and measurement are right.
     bound_active : bool
         Whether a coefficient stands at a bound: then there is no p-value.
 
+    Raises
+    ------
+    DataError
+        If the covariance is not finite or of another size.
+
     Examples
     --------
-    >>> found = plausibility(np.array([2.0, np.nan]), np.eye(2), bound_active=False)
-    >>> found.q, found.degrees_of_freedom, round(found.p_value, 4)
+    >>> result = plausibility(np.array([2.0, np.nan]), np.eye(2), bound_active=False)
+    >>> result.q, result.degrees_of_freedom, round(result.p_value, 4)
     (4.0, 1, 0.0455)
     """
+    difference, covariance = (
+        checks.array("difference", difference),
+        checks.array("covariance", covariance),
+    )
+    n = difference.size
+    if difference.shape != (n,) or covariance.shape != (n, n):
+        raise DataError(
+            f"difference has shape {difference.shape} and covariance {covariance.shape}; they are "
+            "(n_bands,) and (n_bands, n_bands)"
+        )
+    if not np.isfinite(covariance).all():
+        raise DataError("covariance has a value that is not finite: is a sigma far too large?")
     spread = np.sqrt(np.diag(covariance))
-    used = np.isfinite(miss) & (spread > 0)
-    z = np.full(len(miss), np.nan)
-    z[used] = miss[used] / spread[used]
+    used = np.isfinite(difference) & (spread > 0)
+    z = np.full(n, np.nan)
+    z[used] = difference[used] / spread[used]
     correlation = covariance[np.ix_(used, used)] / np.outer(spread[used], spread[used])
     q = float(z[used] @ np.linalg.solve(correlation, z[used])) if used.any() else 0.0
     count = int(used.sum())
@@ -103,10 +152,10 @@ def plausibility(miss: Array, covariance: Array, bound_active: bool) -> Plausibi
 
 @dataclass(frozen=True)
 class TrustMark:
-    """A reason not to believe a band (``frequency`` in Hz) or the whole room (None).
+    """A reason to doubt a band (``frequency`` in Hz) or the whole room (None).
 
-    ``kind`` names it, ``letter`` stands for it in tables, ``text`` says what is so and ``advice``
-    what to do.
+    ``kind`` names it, ``letter`` stands for it in tables, ``text`` states the fact and ``advice``
+    says what to do.
     """
 
     kind: str
@@ -150,6 +199,11 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "its sigma or another's is too small, or an effect is missing: state a floor (alpha_min) "
         "for hard materials and look for the effect",
     ),
+    "at_upper_bound": (
+        "b",
+        "T asks for more absorption than these materials can have: look for absorption that the "
+        "model lacks, for a surface that is missing or too small, or a sigma that is too small",
+    ),
     "implausible": (
         "z",
         "the measurement contradicts what was stated of the materials: check areas and volume, "
@@ -175,9 +229,23 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
         "state a larger sigma for these materials",
     ),
+    "dimensions": (
+        "",
+        "one of them is wrong: T is proportional to the volume, and so is the absorption that it "
+        "asks for",
+    ),
+    "wide_sigma": (
+        "",
+        "so large a sigma says nothing of a coefficient, and any T agrees with it: is it a relative "
+        "one, or in percent?",
+    ),
 }
 
 _AIR_SHARE = 0.5
+_OFF_VOLUME = 0.1
+"""Relative difference of the volume from that of the stated dimensions: plans are no more precise."""
+_WIDE_SIGMA = 0.5
+"""The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
 
 
 def schroeder_frequency(t: Array, volume: float) -> Array:
@@ -202,9 +270,9 @@ def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
     1.9
     """
     t, f = np.asarray(t, dtype=float), np.asarray(centre_frequencies, dtype=float)
-    here = np.isfinite(t)
-    middle = here & (f > 500 / np.sqrt(2)) & (f < 1000 * np.sqrt(2))
-    used = middle if middle.any() else here
+    has_t = np.isfinite(t)
+    middle = has_t & (f > 500 / np.sqrt(2)) & (f < 1000 * np.sqrt(2))
+    used = middle if middle.any() else has_t
     return float(np.mean(t[used])) if used.any() else float("nan")
 
 
@@ -218,7 +286,7 @@ def trust_marks(
     unreachable: Sequence[float] = (),
     bent: Sequence[BentDecay] = (),
 ) -> tuple[TrustMark, ...]:
-    """Return every reason not to believe a band or the room.
+    """Return every reason to doubt a band or the room.
 
     Parameters
     ----------
@@ -228,18 +296,19 @@ def trust_marks(
     air_share : array (n_bands,)
         The air's share of the whole absorption.
     active : array (n_materials, n_bands)
-        Not 0 where a coefficient stands at a bound.
+        Where a coefficient stands at a bound: -1 for the lower, 1 for the upper one, else 0.
     z : array (n_bands,)
+        See `Plausibility`.
     unreachable : sequence of float
         Centre frequencies in Hz of bands that were moved to the nearest end.
     bent : sequence of BentDecay
         Bands whose measured decay is not straight.
     """
-    found: list[TrustMark] = []
+    marks: list[TrustMark] = []
 
-    def mark(kind: str, frequency: float | None, text: str) -> None:
-        letter, advice = _ADVICE[kind]
-        found.append(TrustMark(kind, letter, frequency, text, advice))
+    def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> None:
+        letter, advice = _ADVICE[advised or kind]
+        marks.append(TrustMark(kind, letter, frequency, text, advice))
 
     if room.air is None:
         mark("no_air", None, "no air is stated")
@@ -251,10 +320,22 @@ def trust_marks(
             f"{room.total_area:.4g} m² of surface cannot enclose "
             f"{room.volume:.4g} m³, which takes at least {smallest:.4g} m²",
         )
+    if room.dimensions is not None:
+        box = float(np.prod(room.dimensions))
+        if abs(room.volume / box - 1) > _OFF_VOLUME:
+            sides = " x ".join(f"{side:g}" for side in room.dimensions)
+            text = f"volume = {room.volume:g} m³, but the dimensions {sides} m hold {box:g} m³"
+            mark("dimensions", None, text)
+    wide = np.argwhere(room.sigma > _WIDE_SIGMA)
+    if len(wide):
+        i, k = wide[0].tolist()
+        text = f"{room.place('sigma', i, k)} = {room.sigma[i, k]:g} is above {_WIDE_SIGMA:g}"
+        others = f", and {len(wide) - 1} more" if len(wide) > 1 else ""
+        mark("wide_sigma", None, text + others)
     if room.clipped:
         mark("clipped", None, f"cut to 1: {'; '.join(room.clipped)}")
-    here = np.isfinite(measured)
-    if here.any() and not np.isfinite(uncertainty[here]).any():
+    has_t = np.isfinite(measured)
+    if has_t.any() and not np.isfinite(uncertainty[has_t]).any():
         mark("no_uncertainty", None, "the uncertainty of T is not known")
     middle = mid_frequency_time(measured, room.centre_frequencies)
     limit = float(schroeder_frequency(np.array(middle), room.volume))
@@ -274,12 +355,12 @@ def trust_marks(
         if uncertainty[k] > JND["t20"] * measured[k]:
             mark("uncertain", f, "T is uncertain by more than one JND")
         for i in np.flatnonzero(active[:, k]).tolist():
-            side = "lower" if active[i, k] < 0 else "upper"
-            mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound")
+            side, advised = ("lower", "") if active[i, k] < 0 else ("upper", "at_upper_bound")
+            mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
         if abs(z[k]) > 2:
             side = "more" if z[k] > 0 else "less"
             mark("implausible", f, f"T asks for {side} absorption than was stated, |z| over 2")
-    return tuple(found)
+    return tuple(marks)
 
 
 def letters(marks: Sequence[TrustMark], frequency: float) -> str:
@@ -288,14 +369,14 @@ def letters(marks: Sequence[TrustMark], frequency: float) -> str:
 
 
 def explained(marks: Sequence[TrustMark]) -> list[str]:
-    """Return the marks as lines of text, those of one kind together, with what to do."""
+    """Return the marks as lines of text: those with the same advice together, then the advice."""
     lines = []
-    for kind in dict.fromkeys(mark.kind for mark in marks):
-        of_kind = [mark for mark in marks if mark.kind == kind]
-        letter = f"[{of_kind[0].letter}] " if of_kind[0].letter else ""
-        told = []
-        for text in dict.fromkeys(mark.text for mark in of_kind):
-            where = [f"{m.frequency:g}" for m in of_kind if m.text == text and m.frequency]
-            told.append(f"{', '.join(where)} Hz: {text}" if where else text)
-        lines += [f"{letter}{'; '.join(told)}", f"    -> {of_kind[0].advice}"]
+    for advice in dict.fromkeys(mark.advice for mark in marks):
+        alike = [mark for mark in marks if mark.advice == advice]
+        letter = f"[{alike[0].letter}] " if alike[0].letter else ""
+        texts = []
+        for text in dict.fromkeys(mark.text for mark in alike):
+            where = [f"{m.frequency:g}" for m in alike if m.text == text and m.frequency]
+            texts.append(f"{', '.join(where)} Hz: {text}" if where else text)
+        lines += [f"{letter}{'; '.join(texts)}", f"    -> {advice}"]
     return lines

@@ -30,6 +30,10 @@ from rtcal.support.types import Array, read_only
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
 
 
+_LARGEST_LABORATORY_ALPHA = 2.0
+"""ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Room:
     """A room: volume, materials with their areas, absorption coefficients and their uncertainty.
@@ -50,7 +54,7 @@ class Room:
         Absorption coefficients as believed now, 0 to 1: the prior before a calibration, the
         calibrated ones after.
     sigma : array (n_materials, n_bands)
-        Their standard deviations, 0 or more; 0 keeps a coefficient where it is.
+        Their standard deviations, 0 to 1; 0 keeps a coefficient where it is.
     centre_frequencies : array (n_bands,)
         Hz, increasing; within 1.5 % of a nominal third-octave centre they are made nominal.
     air : Air, optional
@@ -182,6 +186,13 @@ class Room:
         alpha = array_of("alpha", self.alpha)
         if alpha.shape == (self.n_materials, self.n_bands):
             above = np.argwhere(alpha > 1)
+            if (alpha > _LARGEST_LABORATORY_ALPHA).any():
+                i, k = np.argwhere(alpha > _LARGEST_LABORATORY_ALPHA)[0].tolist()
+                raise DataError(
+                    f"{self.place('alpha', i, k)} = {alpha[i, k]:g} looks like percent; "
+                    f'above_one = "clip" takes values up to {_LARGEST_LABORATORY_ALPHA:g}, as '
+                    "laboratories report them"
+                )
             found = [f"{self.place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above.tolist()]
             put("clipped", (*self.clipped, *found))
             put("alpha", np.minimum(alpha, 1.0))
@@ -223,13 +234,14 @@ class Room:
             raise DataError(
                 f"{name} has shape {array.shape}; it must be (n_materials, n_bands) = {shape}"
             )
-        bad = ~np.isfinite(array) | (array < 0)
-        rule = "a finite value of 0 or more"
-        if name != "sigma":
-            bad |= array > 1
-            rule = "in [0, 1]"
+        bad = ~np.isfinite(array) | (array < 0) | (array > 1)
         if bad.any():
             i, k = (int(v) for v in np.argwhere(bad)[0])
+            rule = "in [0, 1]"
+            if name == "sigma" and not array[i, k] > 0:
+                rule = "a finite value of 0 or more"
+            elif 1.5 < array[i, k] <= 100:
+                rule += ": is it in percent?"
             raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} is not {rule}")
         if name == "alpha_min" and (low := array > self.alpha).any():
             i, k = (int(v) for v in np.argwhere(low)[0])

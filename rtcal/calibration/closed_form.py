@@ -57,6 +57,8 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
     sigma = _finite("sigma", sigma)
     if sigma.shape != mu.shape:
         raise DataError(f"sigma has shape {sigma.shape}; mu has {mu.shape}")
+    if (sigma < 0).any():
+        raise DataError(f"sigma has {sigma.min():g}, which is not 0 or more")
     weight = _along(areas, mu) * sigma**2
     room_to_move = areas @ weight
     if np.any(room_to_move == 0):
@@ -67,7 +69,12 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
 def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
     """Return D = (S'mu - b) / sum S² sigma² in 1/m², a scalar or (n_bands,) (Eqs. 23 to 25)."""
     mu, areas, target = _checked(mu, areas, target)
-    spread = areas**2 @ _finite("sigma", sigma) ** 2
+    sigma = _finite("sigma", sigma)
+    if sigma.shape != mu.shape or (sigma < 0).any():
+        raise DataError(f"sigma has not the shape {mu.shape} of mu, or a value below 0")
+    spread = areas**2 @ sigma**2
+    if np.any(spread == 0):
+        raise DataError("all sigma of a band are 0; no coefficient there can move")
     return np.asarray((areas @ mu - target) / spread)
 
 
@@ -99,6 +106,8 @@ def _checked(mu: Array, areas: Array, target: Array | float) -> tuple[Array, Arr
             f"mu {mu.shape}, areas {areas.shape} and target {target.shape} do not fit: "
             "(n_materials,) and a scalar target, or (n_materials, n_bands) and (n_bands,)"
         )
+    if (areas <= 0).any():
+        raise DataError(f"areas has {areas.min():g} m², which is not above 0")
     return mu, areas, target
 
 

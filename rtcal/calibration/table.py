@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import TrustMark, explained, letters
+from rtcal.acoustics.quality import TrustMark, agreement, explained, letters
 from rtcal.support import html, text
 from rtcal.support.types import Array
 
-_SIGNIFICANT = 0.05
-"""The p-value below which the measurement is said to contradict the prior: the usual level."""
 _STRONG_SHIFT = 3.0
 """The shift in sigmas, and the gap in JND, that a notebook's table shades most strongly."""
 
@@ -225,7 +223,13 @@ def _plausibility(plausibility: Mapping[str, Any]) -> str:
     )
     if p_value is None:
         return f"{start}; no p-value, because a bound is active."
-    if p_value < _SIGNIFICANT:
+    if agreement(p_value) == "too good":
+        return (
+            f"{start}, p = {p_value:.2g}: too good to be true. The coefficients moved less than their "
+            "stated uncertainty makes likely: a sigma or the uncertainty of T is stated too large, or "
+            "T was calculated from these coefficients."
+        )
+    if agreement(p_value) == "contradicts":
         return (
             f"{start}, p = {p_value:.2g}: the measurement contradicts what was stated of the "
             "materials. It fits all the same; do not take the fit for proof."

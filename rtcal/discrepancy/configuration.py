@@ -16,7 +16,7 @@ from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.decode import Entries
 from rtcal.support.files import json_numbers
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
 
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
 """Parameters that are compared, in the order of a saved case."""
@@ -34,6 +34,11 @@ class Change:
 
     alpha: Array
     sigma: Array
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "sigma"):
+            value = checks.array(f"change: {name}", getattr(self, name))
+            object.__setattr__(self, name, read_only(value))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,6 +69,16 @@ class Configuration:
     air: Air | None = None
     distances: Array | None = None
     planned: bool = False
+
+    def __post_init__(self) -> None:
+        checks.instance("configuration: measured", self.measured, Measurement)
+        changes = checks.mapped("configuration: changes", self.changes)
+        for material, change in changes.items():
+            checks.instance(f'configuration: changes["{material}"]', change, Change)
+        object.__setattr__(self, "changes", changes)
+        if self.distances is not None:
+            distances = read_only(checks.array("configuration: distances", self.distances))
+            object.__setattr__(self, "distances", distances)
 
     def with_uncertainty(self, stated: Mapping[str, float]) -> Configuration:
         """Return the configuration with uncertainties for the values that state none.

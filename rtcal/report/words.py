@@ -10,11 +10,10 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import EQUATIONS
-from rtcal.acoustics.quality import JND, TrustMark
+from rtcal.acoustics.quality import JND, TrustMark, agreement
 from rtcal.calibration.presets import METHODS
 from rtcal.report.saved import Saved
 
-P_LIMIT = 0.05
 LARGE_SHIFT = 2.0
 """Standard deviations of the prior: a larger shift contradicts what was stated of a material."""
 _MOST_SHIFTS = 20
@@ -137,7 +136,17 @@ def verdict(seen: Saved) -> tuple[str, str, str]:
                 f"coefficient stands at a bound ({numbers})."
             ),
         )
-    if p < P_LIMIT:
+    if agreement(p) == "too good":
+        return (
+            "agrees",
+            "Too good to be true",
+            (
+                "Over all bands the coefficients moved less than their stated uncertainty makes "
+                f"likely ({numbers}, p = {p:.2g}); {asks}. A sigma or the uncertainty of T is stated "
+                "too large, or T was calculated from these coefficients."
+            ),
+        )
+    if agreement(p) == "contradicts":
         return (
             "contradicts",
             _AGAINST,

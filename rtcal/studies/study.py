@@ -29,6 +29,7 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 _LEAST, _MOST = 1e-9, 10.0
+_LARGEST_AREA = 1e8  # m² of one surface: the walls of the largest halls have some 1e5
 
 Table = np.recarray[Any, Any]
 """Rows with named columns: ``table["score"]``, ``table.score``, ``row.method``."""
@@ -313,8 +314,10 @@ def _areas(areas: ArrayLike) -> Array:
     if s.ndim != 1 or s.size == 0:
         raise DataError(f"areas has shape {s.shape}; one value in m² a surface is needed: (n,)")
     for i, value in enumerate(s):
-        if not (np.isfinite(value) and value > 0):
-            raise DataError(f"areas[{i}] = {value:g} m² is not above 0")
+        if not 0 < value <= _LARGEST_AREA:
+            raise DataError(
+                f"areas[{i}] = {value:g} m² is not above 0 and at most {_LARGEST_AREA:g} m²"
+            )
     return s
 
 

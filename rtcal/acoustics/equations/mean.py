@@ -26,7 +26,8 @@ from rtcal.support.types import Array
 class MeanEquation(ReverberationEquation, ABC):
     """An equation whose exponent is a function E of the mean of h(alpha) over the walls.
 
-    All methods take arrays of any shape, element by element.
+    E and h are the identity unless an equation defines them. All methods take arrays of any shape,
+    element by element.
     """
 
     largest_alpha: ClassVar[float] = np.inf
@@ -49,17 +50,17 @@ class MeanEquation(ReverberationEquation, ABC):
         """Return dh / d alpha."""
         return np.ones_like(alpha)
 
-    @abstractmethod
     def exponent(self, mean: Array) -> Array:
         """Return the absorption exponent a = E(mean)."""
+        return np.asarray(mean)
 
-    @abstractmethod
     def inverse(self, exponent: Array) -> Array:
         """Return the mean that has this exponent, NaN where none has: the inverse of `exponent`."""
+        return np.asarray(exponent)
 
-    @abstractmethod
     def slope(self, mean: Array) -> Array:
         """Return d exponent / d mean."""
+        return np.ones_like(mean)
 
     @abstractmethod
     def linear(self) -> LinearEquation:

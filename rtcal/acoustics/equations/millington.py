@@ -16,7 +16,7 @@ from rtcal.support.types import Array
 @register
 @dataclass(frozen=True)
 class Millington(MeanEquation):
-    """Millington and Sette: S a = -sum S_i ln(1 - alpha_i).
+    """Millington and Sette: S a = -sum S_i ln(1 - alpha_i), the mean over the walls' own exponents.
 
     The mean is taken over the exponents and not over the coefficients. One surface with alpha = 1
     makes T zero. T equals Eyring's if and only if all coefficients are equal. T does not determine
@@ -53,18 +53,6 @@ class Millington(MeanEquation):
         """Return 1 / (1 - alpha)."""
         with np.errstate(divide="ignore"):
             return np.asarray(1 / (1 - np.asarray(alpha, dtype=float)))
-
-    def exponent(self, mean: Array) -> Array:
-        """Return the mean of the walls' exponents itself."""
-        return np.asarray(mean)
-
-    def inverse(self, exponent: Array) -> Array:
-        """Return the exponent itself."""
-        return np.asarray(exponent)
-
-    def slope(self, mean: Array) -> Array:
-        """Return 1."""
-        return np.ones_like(mean)
 
     def linear(self) -> LinearEquation:
         """Return Eyring's equation, which has the same T for equal coefficients."""

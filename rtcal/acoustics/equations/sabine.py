@@ -5,18 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from rtcal.acoustics.equations.base import register
 from rtcal.acoustics.equations.eyring import Eyring
 from rtcal.acoustics.equations.mean import LinearEquation, MeanEquation
-from rtcal.support.types import Array
 
 
 @register
 @dataclass(frozen=True)
 class Sabine(LinearEquation):
     """Sabine's equation: a = mean alpha (Sabine 1922; Bellows & Katz 2025, Eqs. 2 and 5).
+
+    E and h of a `MeanEquation` are both the identity.
 
     Examples
     --------
@@ -30,18 +29,6 @@ class Sabine(LinearEquation):
 
     name: ClassVar[str] = "Sabine"
     key: ClassVar[str] = "sabine"
-
-    def exponent(self, mean: Array) -> Array:
-        """Return the mean coefficient itself."""
-        return np.asarray(mean)
-
-    def inverse(self, exponent: Array) -> Array:
-        """Return the exponent itself."""
-        return np.asarray(exponent)
-
-    def slope(self, mean: Array) -> Array:
-        """Return 1."""
-        return np.ones_like(mean)
 
     def diffuse_field(self) -> MeanEquation:
         """Return Eyring's equation: Sabine's T stays above 0 where every wall absorbs everything."""

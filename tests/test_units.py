@@ -1,0 +1,183 @@
+"""What is legal but wrong by a unit: refused with what it looks like, or marked where it is odd."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.acoustics.priors import TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
+from rtcal.acoustics.quality import agreement, explained, plausibility
+from rtcal.calibration import closed_form
+from rtcal.discrepancy import Change, Configuration
+from rtcal.errors import DataError
+from rtcal.loop.state import start
+from rtcal.studies import analytic_scores
+
+
+def room(**changes: Any) -> rt.Room:
+    stated = {
+        "name": "r",
+        "volume": 200,
+        "materials": ["a", "b"],
+        "areas": [100, 120],
+        "alpha": [[0.1, 0.2], [0.3, 0.2]],
+        "sigma": [[0.02, 0.02], [0.05, 0.05]],
+        "centre_frequencies": [500, 1000],
+        "air": rt.Air(),
+    }
+    return rt.Room(**(stated | changes))
+
+
+def measured(**values: Any) -> rt.Measurement:
+    return rt.Measurement.from_values([500, 1000], **values)
+
+
+REFUSED: list[tuple[Callable[[], Any], str]] = [
+    (lambda: room(centre_frequencies=[0.5, 1]), "0.5, 1 looks like kHz"),
+    (lambda: rt.Measurement.from_values([0.125, 8], t20=[1, 1]), "looks like kHz"),
+    (lambda: rt.Air(20, 0.417), r"humidity = 0.417 % looks like a fraction; 41.7 %"),
+    (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* is it in percent'),
+    (lambda: room(sigma=[[1e160, 0.1], [0.1, 0.1]]), r"1e\+160 is not in \[0, 1\]"),
+    (lambda: sigma_relative([0.1, 0.2], 30), "fraction = 30 is not from 0 to 1: is it in percent"),
+    (lambda: measured(ts=[80, 70]), r"ts, 500 Hz\] = 80 is not from 0 to 10 s: is it in ms"),
+    (lambda: measured(d50=[50, 60]), "= 50 is not from 0 to 1: is it in percent"),
+    (lambda: measured(c80=[500, 1]), "= 500 is not from -200 to 200 dB: is it in dB"),
+    (
+        lambda: room(alpha=[[10, 20], [30, 20]], above_one="clip"),
+        r'alpha\["a", 500 Hz\] = 10 looks like percent',
+    ),
+    (lambda: room().replace(volume=True), "volume = True is not a number"),
+    (lambda: room(areas=[100, 120], dimensions=(True, 2, 3)), "dimensions = True is not a number"),
+    (lambda: sigma_relative([0.1, 2, -3], 0.3), "alpha has -3, which is not from 0 to 2"),
+    (lambda: in_situ([-1], 1.5), "sigma has -1, which is not from 0 to 1"),
+    (lambda: sigma_iso_12999_2([-1, 5], [500, 1000]), "alpha has -1, which is not from 0 to 2"),
+    (lambda: sigma_iso_12999_2([0.1, 0.2], [500, 1000, 2000]), "its last axis has 3 bands"),
+    (
+        lambda: closed_form.maximum_likelihood([0.1, 0.2], [-0.1, 0.1], [10, 20], 4),
+        "sigma has -0.1, which is not 0 or more",
+    ),
+    (lambda: closed_form.multiplier([0.1, 0.2], [-0.1, 0.1], [10, 20], 4), "value below 0"),
+    (lambda: closed_form.multiplier([0.1, 0.2], [0, 0], [10, 20], 4), "no coefficient there"),
+    (lambda: closed_form.least_squares([0.1, 0.2], [-10, 20], 4), "areas has -10 m²"),
+    (lambda: closed_form.scaling([0.1, 0.2], [0, 20], 4), "areas has 0 m²"),
+    (lambda: analytic_scores([1e300, 1e300], 0.05, 10), r"areas\[0\] = 1e\+300 m² is not above 0"),
+    (
+        lambda: start(room(), measured(t20=[1, 1])).record("nonsense", measured(t20=[1, 1])),
+        "alpha is not an array of real numbers",
+    ),
+    (
+        lambda: start(room(), measured(t20=[1, 1])).record([[0.1]], measured(t20=[1, 1])),
+        r"alpha has shape \(1, 1\)",
+    ),
+    (lambda: plausibility(np.zeros(2), np.full((2, 2), np.inf), False), "covariance"),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), REFUSED, ids=[m[:40] for _, m in REFUSED])
+def test_a_wrong_unit_is_refused_with_what_it_looks_like(
+    call: Callable[[], Any], message: str
+) -> None:
+    with pytest.raises(DataError, match=message):
+        call()
+
+
+def unwrapped(result: Any) -> str:
+    return " ".join(str(result).split())
+
+
+def kinds(stated: rt.Room) -> dict[str, str]:
+    result = rt.calibrate(stated, rt.Eyring().reverberation_time(stated) * 0.9)
+    return {m.kind: m.text for m in result.trust_marks}
+
+
+def test_an_odd_sigma_is_marked() -> None:
+    assert "wide_sigma" not in kinds(room())
+    text = kinds(room(sigma=[[1, 1], [0.05, 0.05]]))["wide_sigma"]
+    assert text == 'sigma["a", 500 Hz] = 1 is above 0.5, and 1 more'
+
+
+def test_dimensions_of_another_volume_are_marked() -> None:
+    assert "dimensions" not in kinds(room(dimensions=(10, 5, 4.1)))
+    stated = room(dimensions=(10, 5, 3))
+    assert "the dimensions 10 x 5 x 3 m hold 150 m³" in kinds(stated)["dimensions"]
+    result = rt.calibrate(stated, rt.Eyring().reverberation_time(stated))
+    assert "volume = 200 m³, but the dimensions" in unwrapped(result)
+
+
+def test_what_was_checked_cannot_be_altered() -> None:
+    alpha, distances, sigma = np.array([0.1, 0.2]), np.array([3.0]), np.array([0.1])
+    change = Change(alpha, alpha)
+    configuration = Configuration(
+        name="c", measured=measured(t20=[1, 1]), changes={"a": change}, distances=distances
+    )
+    prior = TruncatedNormal(np.array([0.2]), sigma)
+    for source, kept in (
+        (alpha, change.alpha),
+        (distances, configuration.distances),
+        (sigma, prior.sigma),
+    ):
+        before = kept.copy()
+        source[:] = -1
+        np.testing.assert_array_equal(kept, before)
+        with pytest.raises(ValueError, match="read-only"):
+            kept[:] = -1
+
+
+def test_positions_do_not_average_out_what_all_share() -> None:
+    """130 positions of one source made u(T) 0.13 % at 4 kHz."""
+    rng = np.random.default_rng(4)
+
+    def uncertainty(n: int) -> np.ndarray:
+        t = 1 + 0.015 * rng.standard_normal((n, 2))
+        pairs = [("S", f"R{i}") for i in range(n)]
+        measurement = rt.Measurement(centre_frequencies=[125, 4000], values={"t20": t}, pairs=pairs)
+        return measurement.decay_time().uncertainty
+
+    iso = 0.88 * np.sqrt(1.19 / (12 * 0.71 * np.array([125, 4000])))
+    assert np.all(uncertainty(130) >= 0.99 * iso)
+    assert uncertainty(130)[1] > 0.004
+    np.testing.assert_allclose(uncertainty(130), uncertainty(13), rtol=0.5)
+    summary = rt.Measurement(
+        centre_frequencies=[4000],
+        values={"t30": [[1.0]]},
+        standard_deviation={"t30": [0.015]},
+        n_sources=1,
+        n_receivers=130,
+    )
+    assert summary.decay_time().uncertainty[0] == pytest.approx(0.015 / np.sqrt(12))
+
+
+def test_q_too_small_is_said() -> None:
+    assert [agreement(p) for p in (None, 0.01, 0.5, 1.0)] == [
+        None,
+        "contradicts",
+        "agrees",
+        "too good",
+    ]
+    exact = rt.calibrate(room(), rt.Eyring().reverberation_time(room()))
+    assert exact.plausibility.agreement == "too good"
+    assert "too good to be true" in unwrapped(exact)
+    stated = room()
+    spread = np.sqrt(stated.areas**2 @ stated.sigma**2)
+    usual = rt.Eyring().time(stated, stated.absorption_area + 0.8 * spread)
+    assert "in keeping with what was stated" in unwrapped(rt.calibrate(stated, usual))
+
+
+def test_an_upper_bound_is_not_told_to_state_a_floor() -> None:
+    stated = room()
+    t = rt.Eyring().time(stated, np.array([30.0, 215.0]))
+    marks = rt.calibrate(stated, t).trust_marks
+    upper = [m for m in marks if m.kind == "at_bound" and "upper" in m.text]
+    assert upper
+    assert not any("floor" in m.advice for m in upper)
+    low = rt.Eyring().time(stated, np.array([4.0, 44.0]))
+    marks = rt.calibrate(stated, low).trust_marks
+    lower = [m for m in marks if m.kind == "at_bound" and "lower" in m.text]
+    assert lower
+    assert all("state a floor" in m.advice for m in lower)
+    lines = explained([*upper, *lower])
+    assert len([line for line in lines if line.startswith("    ->")]) == 2
