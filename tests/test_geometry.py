@@ -119,7 +119,7 @@ def test_walls_that_do_not_close_name_the_edge():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"faces": [(0, 1, 99)] * 6}, 'face "west" names vertex 99'),
+        ({"faces": [(0, 1, 99)] * 6}, 'face "west" has vertex 99'),
         ({"faces": [(0, 1, 1)] * 6}, "2 distinct vertices"),
         ({"materials": ["a"]}, "materials has 1 values; there are 6 faces"),
         ({"vertices": [[0, 0]]}, "shape"),

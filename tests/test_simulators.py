@@ -164,3 +164,20 @@ def test_equation_simulators_take_an_equation_and_a_room():
     for equation, room in ((None, SHOEBOX), (rt.Eyring, SHOEBOX), (rt.Eyring(), None)):
         with pytest.raises(DataError):
             rt.simulators.EquationSimulator(equation, room)
+
+
+@pytest.mark.parametrize(
+    ("argument", "values"),
+    [
+        ("vertices", [None, "abc", 5, [[0, 0]], [["a", 0, 0]], [[np.inf, 0, 0]]]),
+        ("faces", [None, 5, "abc", [], [5], [None], [(0, 1, 2.5)], [(0, 1, "2")], [(0, 1, -1)]]),
+        ("materials", [None, 5, "wall", []]),
+        ("names", [None, 5, ["a"]]),
+    ],
+)
+def test_wrong_walls_are_typed_errors(argument, values):
+    box = rt.simulators.Polyhedron.shoebox((5, 7, 3), "all")
+    arguments = {name: getattr(box, name) for name in ("vertices", "faces", "materials", "names")}
+    for value in values:
+        with pytest.raises(DataError):
+            rt.simulators.Polyhedron(**(arguments | {argument: value}))

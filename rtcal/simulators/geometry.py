@@ -1,6 +1,6 @@
-"""Rooms bounded by plane walls: closed polyhedra, convex or not, with a material per face.
+"""Rooms bounded by plane walls: closed polyhedra, convex or not, with one material per face.
 
-Tracers read this type, and readers of meshes (OBJ) write it. Objects that stand free in the room
+Tracers take a `Polyhedron`, and readers of meshes (OBJ) return one. Free-standing objects in the room
 are further closed surfaces of the same polyhedron.
 """
 
@@ -21,13 +21,13 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 SHOEBOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")
-"""A shoebox' faces, in order: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
+"""Faces of a shoebox in order: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
 
 WELD = 1e-4
-"""Vertices nearer than this (m) are one: mesh files round their coordinates."""
+"""In m; vertices closer than this are merged, since mesh files round their coordinates."""
 
 PLANARITY = 2e-3
-"""How far (m) a vertex may lie off its face's plane: two roundings to a millimetre."""
+"""Largest distance in m of a vertex from the plane of its face: two roundings to a millimetre."""
 
 Edge = tuple[int, int]
 
@@ -36,10 +36,10 @@ Edge = tuple[int, int]
 class Polyhedron:
     """A room bounded by plane faces.
 
-    Faces may be wound either way: they are turned so that every normal points out of the room's
-    air. The largest closed surface is the room; every other one is an object in it, and its volume
-    is taken off. Faces are simple polygons; a wall with a hole is drawn as two. An edge may run
-    along several shorter ones. That faces do not cut through each other is not checked.
+    Faces may have either orientation: they are reversed until every normal points out of the room's
+    air. The largest closed surface is the room. Every other one is an object in it, whose volume is
+    subtracted. Faces are simple polygons; a wall with a hole is drawn as two faces. An edge may run
+    along several shorter ones. Faces that cut each other are not detected.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Polyhedron:
     materials : sequence of str (n_faces,)
         Name of each face's material.
     names : sequence of str (n_faces,), optional
-        Name of each face; "face 1", "face 2", ... if not given.
+        Name of each face, by default "face 1", "face 2", ...
 
     Attributes
     ----------
@@ -59,17 +59,18 @@ class Polyhedron:
     normals : array (n_faces, 3)
         Unit normals, out of the room's air.
     triangles : array (n_triangles, 3, 3)
-        Corners in m, wound as the faces are.
+        Corners in m, with the orientation of the faces.
     triangle_faces : int array (n_triangles,)
-        The face that each triangle is a part of.
+        Face that each triangle belongs to.
     volume : float
-        m³, by the divergence theorem: the sum over faces of p·A / 3, p a vertex, A the vector area.
+        In m³, by the divergence theorem: the sum over faces of p·A / 3, with a vertex p and the
+        vector area A.
 
     Raises
     ------
     DataError
-        If the walls do not close (the edge is named), a face is not plane or has no area, an index
-        names no vertex, or a shape does not fit.
+        If the walls do not close (the message names the edge), a face is not plane or has no area,
+        an index has no vertex, or an argument has another type or shape.
 
     Examples
     --------
@@ -99,12 +100,10 @@ class Polyhedron:
 
         vertices, index = _welded(_points("vertices", self.vertices))
         put("vertices", vertices)
-        put("materials", tuple(str(m) for m in self.materials))
-        put(
-            "names",
-            tuple(str(n) for n in self.names)
-            or tuple(f"face {i + 1}" for i in range(len(self.faces))),
-        )
+        put("faces", checks.listed("faces", self.faces))
+        put("materials", tuple(str(m) for m in checks.listed("materials", self.materials)))
+        names = tuple(str(n) for n in checks.listed("names", self.names))
+        put("names", names or tuple(f"face {i + 1}" for i in range(len(self.faces))))
         for name in ("materials", "names"):
             if len(getattr(self, name)) != len(self.faces):
                 raise DataError(
@@ -127,14 +126,15 @@ class Polyhedron:
         put("volume", _volume(vertices, faces, areas))
 
     def _face(self, i: int, index: NDArray[np.int64]) -> tuple[int, ...]:
-        """Face i in welded vertices, without repetitions; checked to be a plane polygon."""
-        name, given = self.names[i], list(self.faces[i])
-        for v in given:
-            if not 0 <= v < len(index):
+        """Return face i with merged vertices, without repetitions; DataError unless it is plane."""
+        name = self.names[i]
+        vertices = checks.listed(f'face "{name}"', self.faces[i])
+        for v in vertices:
+            if checks.whole(f'a vertex of face "{name}"', v, 0) >= len(index):
                 raise DataError(
-                    f'face "{name}" names vertex {v}; there are vertices 0 to {len(index) - 1}'
+                    f'face "{name}" has vertex {v}; there are vertices 0 to {len(index) - 1}'
                 )
-        welded = [int(index[v]) for v in given]
+        welded = [int(index[v]) for v in vertices]
         face = tuple(v for k, v in enumerate(welded) if v != welded[k - 1])
         if len(face) < 3:
             raise DataError(f'face "{name}" has {len(face)} distinct vertices; it needs at least 3')
@@ -147,7 +147,7 @@ class Polyhedron:
         if off.max() > PLANARITY:
             raise DataError(
                 f'face "{name}" is not plane: the vertex {_place(corners[int(off.argmax())])} lies '
-                f"{off.max():.3g} m off its plane, at most {PLANARITY:g} m is let pass"
+                f"{off.max():.3g} m off its plane; the limit is {PLANARITY:g} m"
             )
         return face
 
@@ -177,7 +177,7 @@ class Polyhedron:
 
     @classmethod
     def from_polygons(cls, polygons: Iterable[tuple[str, str, Any]]) -> Polyhedron:
-        """Return the polyhedron of faces given as (name, material, points (n, 3) in m)."""
+        """Return the polyhedron of faces (name, material, points), with points (n, 3) in m."""
         polygons = checks.listed("polygons", polygons)
         if any(len(checks.listed("polygons", polygon)) != 3 for polygon in polygons):
             raise DataError("polygons has a face that is not (name, material, points)")
@@ -200,7 +200,7 @@ class Polyhedron:
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
-        """The faces as a `Room`'s surfaces, with the axis of those that stand across one."""
+        """The faces as surfaces of a `Room`, with the axis of those perpendicular to one."""
         axes = [
             AXES[int(np.argmax(np.abs(n)))] if np.abs(n).max() > 1 - 1e-6 else None
             for n in self.normals
@@ -214,7 +214,7 @@ class Polyhedron:
 
     @property
     def mean_free_path(self) -> float:
-        """4 V / S in m: the mean free path in a diffuse field (Kuttruff 2009, Eq. 5.4)."""
+        """Mean free path 4 V / S in a diffuse field in m (Kuttruff 2009, Eq. 5.4)."""
         return float(4 * self.volume / np.sum(self.face_areas))
 
     def contains(self, points: Any) -> NDArray[np.bool_]:
@@ -228,10 +228,10 @@ class Polyhedron:
         return _triangles.distance(_points("points", points), self.triangles)
 
     def require_inside(self, kind: str, points: Mapping[str, Any]) -> Array:
-        """Return named points as an array (n_points, 3).
+        """Return points by name as an array (n_points, 3).
 
-        Raises DataError for a point outside the room or on a wall (nearer than `WELD`); ``kind``,
-        "source" or "receiver", is how the message calls it.
+        Raises DataError for a point outside the room or closer than `WELD` to a wall. ``kind`` is
+        "source" or "receiver", for the message.
         """
         if not checks.mapped(f"{kind}s", points):
             raise DataError(f"there is no {kind}; at least one is needed")
@@ -260,7 +260,7 @@ def _place(point: Array) -> str:
 
 
 def _welded(vertices: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices of which no two are nearer than `WELD`, and where each old one went."""
+    """Return vertices of which no two are closer than `WELD`, and the new number of each old one."""
     index = np.zeros(len(vertices), dtype=np.int64)
     kept = np.zeros_like(vertices)
     n = 0
@@ -274,24 +274,24 @@ def _welded(vertices: Array) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _volume(vertices: Array, faces: Sequence[Sequence[int]], areas: Array) -> float:
-    # From a corner of the room, so that a model far from the origin loses no digits.
+    # Relative to a corner of the room, so that a model far from the origin loses no digits.
     first = np.array([vertices[face[0]] for face in faces]) - vertices[faces[0][0]]
     return float(np.sum(first * areas) / 3)
 
 
 def _pieces(vertices: Array, face: Sequence[int]) -> list[Edge]:
-    """Edges of a face, cut at every vertex that lies on them."""
+    """Return the edges of a face, split at every vertex that lies on them."""
     pieces: list[Edge] = []
     for k, end in enumerate(face):
         start = face[k - 1]
         along = vertices[end] - vertices[start]
         length = float(np.linalg.norm(along))
-        where = (vertices - vertices[start]) @ along / length
-        beside = np.linalg.norm(
-            vertices - vertices[start] - where[:, np.newaxis] * along / length, axis=1
+        position = (vertices - vertices[start]) @ along / length
+        distance = np.linalg.norm(
+            vertices - vertices[start] - position[:, np.newaxis] * along / length, axis=1
         )
-        between = np.flatnonzero((beside < WELD) & (where > WELD) & (where < length - WELD))
-        chain = [start, *between[np.argsort(where[between])], end]
+        between = np.flatnonzero((distance < WELD) & (position > WELD) & (position < length - WELD))
+        chain = [start, *between[np.argsort(position[between])], end]
         pieces += [(int(a), int(b)) for a, b in pairwise(chain)]
     return pieces
 
@@ -299,7 +299,7 @@ def _pieces(vertices: Array, face: Sequence[int]) -> list[Edge]:
 def _turned_outward(
     vertices: Array, faces: list[tuple[int, ...]], names: Sequence[str]
 ) -> list[tuple[int, ...]]:
-    """Return the faces with normals out of the room's air; DataError where they do not close."""
+    """Return the faces with normals out of the room's air; DataError if they do not close."""
     if not faces:
         raise DataError("there is no face; a room has at least 4")
     owners: dict[Edge, list[tuple[int, bool]]] = {}
@@ -308,7 +308,7 @@ def _turned_outward(
             owners.setdefault((min(a, b), max(a, b)), []).append((i, a < b))
     neighbours: list[list[tuple[int, bool]]] = [[] for _ in faces]
     for (a, b), sides in owners.items():
-        if len(sides) % 2:  # an object's edge may lie on a wall's edge: four faces meet in it
+        if len(sides) % 2:  # four faces meet in an edge of a wall that is an object's edge too
             raise DataError(
                 f"the walls do not close: the edge from {_place(vertices[a])} to "
                 f'{_place(vertices[b])} of "{names[sides[0][0]]}" belongs to {len(sides)} '
@@ -340,7 +340,7 @@ def _turned_outward(
 def _shells(
     neighbours: list[list[tuple[int, bool]]], names: Sequence[str]
 ) -> tuple[list[bool], list[list[int]]]:
-    """Return which faces to turn so that neighbours agree, and the faces of each closed surface."""
+    """Return whether to reverse each face so that neighbours agree, and each closed surface."""
     turned: list[bool | None] = [None] * len(neighbours)
     shells: list[list[int]] = []
     for first in range(len(neighbours)):
@@ -348,17 +348,17 @@ def _shells(
             continue
         turned[first] = False
         shell = [first]
-        for i in shell:  # grows while it is walked through
+        for i in shell:  # the list grows during the loop
             for j, same_way in neighbours[i]:
-                # Neighbours that run along their edge the same way are wound against each other.
-                wanted = bool(turned[i]) != same_way
+                # Neighbours with the same direction along their edge have opposite orientations.
+                turn = bool(turned[i]) != same_way
                 if turned[j] is None:
-                    turned[j] = wanted
+                    turned[j] = turn
                     shell.append(j)
-                elif turned[j] != wanted:
+                elif turned[j] != turn:
                     raise DataError(
-                        f'the walls do not close: "{names[i]}" and "{names[j]}" have no inside '
-                        "that both agree on"
+                        f'the walls do not close: "{names[i]}" and "{names[j]}" have no common '
+                        "inside"
                     )
         shells.append(shell)
     return [bool(t) for t in turned], shells

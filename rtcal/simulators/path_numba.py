@@ -1,6 +1,6 @@
-"""The path tracer's inner loops, compiled. `rtcal.simulators.path_numpy` is their twin.
+"""The path tracer's inner loops, compiled. `rtcal.simulators.path_numpy` does the same in NumPy.
 
-Both modules have `trace` and `histogram` with the same arguments, and make the same paths up to
+Both modules have `trace` and `histogram` with the same arguments, and trace the same paths up to
 rounding. Only `rtcal.simulators.paths` imports them, inside a function.
 """
 
@@ -14,8 +14,8 @@ import numpy as np
 from rtcal.support.jit import compiled
 from rtcal.support.types import Array
 
-# splitmix64 (Steele, Lea & Flood 2014): one 64-bit state a path, so that a path does not depend on
-# how many others are traced, nor on the number of threads.
+# splitmix64 (Steele, Lea & Flood 2014) with one 64-bit state per path: a path does not depend on the
+# number of other paths or threads.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
@@ -35,15 +35,15 @@ def uniform(state: Any) -> float:
 
 @compiled(reorder=False)
 def nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[int, float]:
-    """Return the triangle that the ray meets first and how far away; (-1, inf) if none."""
-    best, found = np.inf, -1
+    """Return the first triangle that the ray hits and its distance; (-1, inf) if it hits none."""
+    distance, triangle = np.inf, -1
     for i in range(planes.shape[0]):
         approach = -(planes[i, 0] * v[0] + planes[i, 1] * v[1] + planes[i, 2] * v[2])
-        if approach <= 0.0:  # seen from behind, or along the wall
+        if approach <= 0.0:  # from behind, or parallel to the wall
             continue
         height = planes[i, 0] * p[0] + planes[i, 1] * p[1] + planes[i, 2] * p[2] - planes[i, 3]
         t = height / approach
-        if t >= best or t < -1e-9:
+        if t >= distance or t < -1e-9:
             continue
         x, y, z = p[0] + t * v[0], p[1] + t * v[1], p[2] + t * v[2]
         a = sides[i, 0, 0] * x + sides[i, 0, 1] * y + sides[i, 0, 2] * z - sides[i, 0, 3]
@@ -52,13 +52,13 @@ def nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[int, float
         b = sides[i, 1, 0] * x + sides[i, 1, 1] * y + sides[i, 1, 2] * z - sides[i, 1, 3]
         if b < -1e-9 or a + b > 1.0 + 1e-9:
             continue
-        best, found = t, i
-    return found, best
+        distance, triangle = t, i
+    return triangle, distance
 
 
 @compiled(reorder=False)
 def grown(array: Any, needed: int) -> Any:
-    """Return the array with room for ``needed`` elements, at least doubled where it grows."""
+    """Return the array with space for ``needed`` elements; it grows at least to twice its size."""
     if needed <= array.size:
         return array
     larger = np.empty(max(2 * array.size, needed), array.dtype)
@@ -143,17 +143,17 @@ def trace(
                 v[i] -= 2.0 * across * planes[triangle, i]
             if (vector and s > 0.0) or (not vector and choice < s):
                 diffuse = True
-                # A point of the unit sphere on top of the normal: Lambert's distribution.
+                # The normal plus a random point of the unit sphere follows Lambert's law.
                 up = 1.0 - 2.0 * u
                 round_ = math.sqrt(max(1.0 - up * up, 0.0))
                 lx = nx + round_ * math.cos(2.0 * math.pi * w)
                 ly = ny + round_ * math.sin(2.0 * math.pi * w)
                 lz = nz + up
                 share = (s if vector else 1.0) / math.sqrt(lx * lx + ly * ly + lz * lz + 1e-30)
-                rest = 1.0 - s if vector else 0.0
-                v[0] = share * lx + rest * v[0]
-                v[1] = share * ly + rest * v[1]
-                v[2] = share * lz + rest * v[2]
+                specular = 1.0 - s if vector else 0.0
+                v[0] = share * lx + specular * v[0]
+                v[1] = share * ly + specular * v[1]
+                v[2] = share * lz + specular * v[2]
             norm = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
             for i in range(3):
                 v[i] /= norm
@@ -163,7 +163,7 @@ def trace(
         starts,
         lengths[:n_heard].copy(),
         weights[:n_heard].copy(),
-        (counts),
+        counts,
     )
 
 
@@ -179,7 +179,7 @@ def histogram(
     bin_length: float,
     out: Array,
 ) -> None:
-    """Add what the receivers hear to ``out``; see `rtcal.simulators.paths.Paths.energy`."""
+    """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins)."""
     n_materials, n_bands = log_reflection.shape
     n_bins = out.shape[2]
     level = np.empty(n_bands)

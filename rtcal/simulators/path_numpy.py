@@ -1,4 +1,4 @@
-"""The path tracer's inner loops in NumPy, for where numba is absent: all paths step together."""
+"""The path tracer's inner loops in NumPy, used without numba: all paths step together."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _uniform(state: NDArray[np.uint64]) -> Array:
 
 
 def nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the triangle that each ray meets first and how far away; inf if none."""
+    """Return the first triangle that each ray hits and its distance, infinite if it hits none."""
     approach = -(v @ planes[:, :3].T)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = (p @ planes[:, :3].T - planes[:, 3]) / approach
@@ -55,21 +55,21 @@ def trace(
     receivers: Array,
     radii: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
-    """Trace paths; see `rtcal.simulators.path_numba.trace` for what comes back."""
+    """Trace paths; returns the same as `rtcal.simulators.path_numba.trace`."""
     n_paths, n_materials = len(directions), len(scattering)
     p, v = np.broadcast_to(origin, directions.shape).copy(), directions.copy()
     state, travelled = seeds.copy(), np.zeros(n_paths)
     diffuse = np.zeros(n_paths, dtype=bool)
     alive = np.arange(n_paths)
     counts = np.zeros(4)
-    found: list[tuple[Any, Any, Any, Any]] = []  # path, code, length, weight, step by step
+    events: list[tuple[Any, Any, Any, Any]] = []  # path, code, length and weight, by step
     step = 0
     while alive.size:
         triangle, t = nearest(p, v, planes, sides)
-        here = np.isfinite(t)
-        counts[0] += np.count_nonzero(~here)
+        hits_wall = np.isfinite(t)
+        counts[0] += np.count_nonzero(~hits_wall)
         alive, p, v, travelled, state, diffuse, triangle, t = _kept(
-            here, alive, p, v, travelled, state, diffuse, triangle, t
+            hits_wall, alive, p, v, travelled, state, diffuse, triangle, t
         )
         if step:
             counts[1:] += t.size, t.sum(), (t * t).sum()
@@ -81,7 +81,7 @@ def trace(
                 hit &= np.sum(to * to, axis=1) - along**2 < radius**2
                 ratio = radius**2 / np.maximum(length[hit], radius) ** 2
                 weight = np.where(diffuse[hit], 1.0, 0.5 * (1 + np.sqrt(1 - ratio)))
-                found.append(
+                events.append(
                     (
                         alive[hit],
                         np.full(hit.sum(), n_materials + r),
@@ -96,7 +96,7 @@ def trace(
         )
         material, normal = owners[triangle], planes[triangle, :3]
         nothing = np.full(alive.size, np.nan)
-        found.append((alive, material, nothing, nothing))
+        events.append((alive, material, nothing, nothing))
         choice, u, w = _uniform(state), _uniform(state), _uniform(state)
         p = p + t[:, np.newaxis] * v
         v = v - 2 * np.sum(v * normal, axis=1, keepdims=True) * normal
@@ -113,8 +113,8 @@ def trace(
         v /= np.linalg.norm(v, axis=1, keepdims=True)
         diffuse = diffuse | spread
         step += 1
-    path, code, length, weight = (np.concatenate(column) for column in zip(*found, strict=True))
-    order = np.argsort(path, kind="stable")  # within a path the steps stay in their order
+    path, code, length, weight = (np.concatenate(column) for column in zip(*events, strict=True))
+    order = np.argsort(path, kind="stable")  # keeps the order of the steps of each path
     heard = order[code[order] >= n_materials]
     starts = np.concatenate([[0], np.cumsum(np.bincount(path, minlength=n_paths))])
     return (
@@ -137,7 +137,7 @@ def histogram(
     bin_length: float,
     out: Array,
 ) -> None:
-    """Add what the receivers hear to ``out``; see `rtcal.simulators.paths.Paths.energy`."""
+    """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins)."""
     n_materials, n_bands = log_reflection.shape
     n_receivers, _, n_bins = out.shape
     heard = np.flatnonzero(events >= n_materials)
@@ -146,14 +146,14 @@ def histogram(
     receiver = events[heard].astype(np.int64) - n_materials
     length = lengths.astype(float)
     place = np.floor((length - first[receiver]) / bin_length).astype(np.int64)
-    here = (place >= 0) & (place < n_bins)
+    in_bins = (place >= 0) & (place < n_bins)
     path = np.searchsorted(starts, heard, side="right") - 1
-    # -inf (nothing reflected) would make NaN of a difference of sums; -800 is 0 all the same.
+    # -inf for a wall that reflects nothing would make a difference of sums NaN; exp(-800) is 0 too.
     steps = np.vstack([np.maximum(log_reflection, -800), np.zeros((n_receivers, n_bands))])
     for k in range(n_bands):
         level = np.concatenate([[0.0], np.cumsum(steps[events, k])])
         energy = weights * np.exp(level[heard] - level[starts[path]] - attenuation[k] * length)
         flat = np.bincount(
-            (receiver * n_bins + place)[here], energy[here], minlength=n_receivers * n_bins
+            (receiver * n_bins + place)[in_bins], energy[in_bins], minlength=n_receivers * n_bins
         )
         out[:, k] += flat.reshape(n_receivers, n_bins)

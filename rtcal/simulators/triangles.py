@@ -12,22 +12,22 @@ from rtcal.support.types import Array
 def vector_area(polygon: Array) -> Array:
     """Return the polygon's area in m² times its unit normal, (3,).
 
-    ½ sum of p_i x p_(i+1) (Newell): right for any plane polygon, convex or not; the normal points
-    to where the vertices run counter-clockwise.
+    ½ sum of p_i x p_(i+1) (Newell), for any plane polygon. Seen against the normal, the vertices
+    run counter-clockwise.
 
     Examples
     --------
     >>> print(vector_area(np.array([[0.0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]])))
     [0. 0. 6.]
     """
-    local = polygon - polygon[0]  # near the origin, where the products lose no digits
+    local = polygon - polygon[0]  # near the origin the products lose no digits
     return np.asarray(0.5 * np.sum(np.cross(local, np.roll(local, -1, axis=0)), axis=0))
 
 
 def triangulate(polygon: Array) -> list[tuple[int, int, int]]:
     """Return triangles of vertex indices that cover a simple plane polygon, wound as it is.
 
-    Ear clipping: cut off a convex corner with no other vertex in it, until nothing is left.
+    Ear clipping: cut off convex corners that contain no other vertex, until a triangle is left.
     """
     normal = vector_area(polygon)
     keep = np.delete(np.arange(3), np.argmax(np.abs(normal)))
@@ -49,12 +49,12 @@ def triangulate(polygon: Array) -> list[tuple[int, int, int]]:
 
 
 def _turn(a: Array, b: Array, c: Array) -> float:
-    """Twice the signed area of the triangle: above 0 where it turns left."""
+    """Return twice the signed area of the triangle: positive for a left turn."""
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def _ear(flat: Array, left: Sequence[int], tiny: float) -> int:
-    """Position in ``left`` of a corner to cut; a straight one where there is no proper ear."""
+    """Return the position in ``left`` of an ear, else of a straight corner."""
     straight = 0
     for position, corner in enumerate(left):
         before, after = left[position - 1], left[(position + 1) % len(left)]
@@ -74,29 +74,28 @@ def _ear(flat: Array, left: Sequence[int], tiny: float) -> int:
 
 
 def winding_number(points: Array, triangles: Array) -> Array:
-    """Return how often the closed surface winds round each point, (n_points,): 1 inside, 0 outside.
+    """Return the winding number of the closed surface at each point, (n_points,): 1 inside, else 0.
 
-    The triangles' solid angles as seen from the point, over 4 pi (Van Oosterom & Strackee 1983,
-    IEEE Trans. Biomed. Eng. 30(2), Eq. 8). ``points`` (n_points, 3), ``triangles``
-    (n_triangles, 3, 3).
+    It is the sum of the triangles' solid angles over 4 pi (Van Oosterom & Strackee 1983, IEEE Trans.
+    Biomed. Eng. 30(2), Eq. 8). ``points`` (n_points, 3), ``triangles`` (n_triangles, 3, 3).
     """
     corners = triangles[np.newaxis] - points[:, np.newaxis, np.newaxis, :]
     a, b, c = corners[:, :, 0], corners[:, :, 1], corners[:, :, 2]
     la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
     volume = np.sum(a * np.cross(b, c), axis=-1)
-    rest = (
+    denominator = (
         la * lb * lc
         + np.sum(a * b, axis=-1) * lc
         + np.sum(b * c, axis=-1) * la
         + np.sum(c * a, axis=-1) * lb
     )
-    return np.asarray(np.sum(np.arctan2(volume, rest), axis=-1) / (2 * np.pi))
+    return np.asarray(np.sum(np.arctan2(volume, denominator), axis=-1) / (2 * np.pi))
 
 
 def distance(points: Array, triangles: Array) -> Array:
     """Return each point's distance in m from the nearest triangle, (n_points,).
 
-    The foot of the perpendicular where it lies in the triangle, else the nearest of the edges.
+    To the foot of the perpendicular if it lies in the triangle, else to the nearest edge.
     """
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
