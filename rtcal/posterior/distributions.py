@@ -38,6 +38,9 @@ class Posterior:
         Standard deviation before the measurement, within the bounds.
     samples : array (n_samples, n_materials, n_bands), optional
         Present where sampling was needed.
+    effective_samples : array (n_materials, n_bands), optional
+        How many independent samples the mean of each coefficient is worth: its standard error is
+        sigma / sqrt(effective_samples).
     effects : dict of str to array (n_samples,)
         Samples of the sizes of further unknowns.
     """
@@ -49,6 +52,7 @@ class Posterior:
     cumulative: Array
     prior_sigma: Array
     samples: Array | None = None
+    effective_samples: Array | None = None
     effects: dict[str, Array] = field(default_factory=dict)
 
     def quantile(self, probability: float) -> Array:
@@ -112,7 +116,7 @@ def posterior(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Poste
         If the objective is not a log-density: a prior with one sigma for all (`lse`) or a
         `HuberDeviation` (`robust`).
     SolverError
-        If sampling was needed and its chains disagree.
+        If sampling was needed and no point inside the constraints was found.
     DataError
         If ``result`` is not the result of a calibration, or ``n_samples`` or ``seed`` is not a
         whole number.
@@ -214,7 +218,8 @@ def _quantile(points: Array, cumulative: Array, probability: float) -> Array:
 
 def _sampled(bands: CoupledBands, n_samples: int, seed: int) -> Posterior:
     rows, n_alpha = list(bands.rows), (max(bands.rows) + 1) * bands.n_bands
-    unknowns = sample(bands.posterior, n_samples, seed)
+    drawn = sample(bands.posterior, n_samples, seed)
+    unknowns = drawn.values
     alpha = unknowns[:, :n_alpha].reshape(len(unknowns), -1, bands.n_bands)[:, rows]
     ordered = np.moveaxis(np.sort(alpha, axis=0), 0, -1)
     levels = (np.arange(len(alpha)) + 0.5) / len(alpha)
@@ -226,7 +231,8 @@ def _sampled(bands: CoupledBands, n_samples: int, seed: int) -> Posterior:
         )
         correlation[k] = centred.T @ centred / (len(alpha) - 1)
         np.fill_diagonal(correlation[k], 1.0)
-    prior_sigma = sample(bands.prior, n_samples, seed + 1)[:, :n_alpha].std(axis=0, ddof=1)
+    prior = sample(bands.prior, n_samples, seed + 1).values
+    prior_sigma = prior[:, :n_alpha].std(axis=0, ddof=1)
     return Posterior(
         mean=alpha.mean(axis=0),
         sigma=sigma,
@@ -235,5 +241,6 @@ def _sampled(bands: CoupledBands, n_samples: int, seed: int) -> Posterior:
         cumulative=np.broadcast_to(levels, ordered.shape),
         prior_sigma=prior_sigma.reshape(-1, bands.n_bands)[rows],
         samples=alpha,
+        effective_samples=drawn.effective[:n_alpha].reshape(-1, bands.n_bands)[rows],
         effects={name: unknowns[:, n_alpha + p] for p, name in enumerate(bands.further)},
     )
