@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.stats import chi2, multivariate_normal
+from threadpoolctl import threadpool_info
 
 import rtcal as rt
 from rtcal.discrepancy import (
@@ -729,3 +731,23 @@ def test_an_effect_says_what_it_is(effect: Effect) -> None:
         for name in set(parameters) - set(effect.discrete):
             assert name.replace("_", " ") in described
     assert effect.size.replace("_", " ") not in effect.describe(parameters, without=effect.size)
+
+
+def test_the_search_holds_blas_to_one_thread() -> None:
+    seen: list[set[int]] = []
+
+    class Watching(Opening):
+        def spectrum(self, frequencies: np.ndarray, parameters: Mapping[str, float]) -> np.ndarray:
+            pools = threadpool_info()
+            seen.append({p["num_threads"] for p in pools if p["user_api"] == "blas"})
+            return np.ones_like(frequencies)
+
+    case = opened()
+    for call in (
+        lambda: find(case, effects=[Watching()], controls=controls_of(case)),
+        lambda: plan(case, effects=[Watching()]),
+    ):
+        seen.clear()
+        call()
+        assert seen
+        assert all(threads == {1} for threads in seen)

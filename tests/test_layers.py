@@ -32,7 +32,16 @@ ORDER = (
     "__main__",
 )
 SEPARATE = [("simulators", "calibration"), ("exact", "calibration"), ("closed_form", "problem")]
-ONE_DOOR = ("matplotlib", "pyroomacoustics", "pyrato", "pyfar", "numba", "tqdm", "jinja2")
+ONE_DOOR = (
+    "threadpoolctl",
+    "matplotlib",
+    "pyroomacoustics",
+    "pyrato",
+    "pyfar",
+    "numba",
+    "tqdm",
+    "jinja2",
+)
 
 
 def modules() -> list[Path]:

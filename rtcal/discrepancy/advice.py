@@ -18,6 +18,7 @@ from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
 from rtcal.discrepancy.model import FEATURES
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
 _USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
@@ -230,6 +231,7 @@ GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
 """Standard deviation of the model's error before any engine has run, by feature."""
 
 
+@single_threaded_blas()
 def plan(
     case: Case,
     effects: Sequence[Effect] | None = None,

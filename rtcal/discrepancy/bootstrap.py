@@ -34,6 +34,7 @@ from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
 QUANTILE = 0.95
@@ -59,6 +60,7 @@ class Threshold:
         return self.discrepancy.engines
 
 
+@single_threaded_blas()
 def control_rooms(
     case: Case,
     seed: int = 0,
@@ -71,7 +73,7 @@ def control_rooms(
         raise DataError(f'engine "{unknown[0]}" is not one of {", ".join(ENGINES)}')
     if len(names) < 2:
         raise DataError(f"engines = {list(names)}: a threshold needs at least two engines")
-    return tuple(ENGINES[name](case, seed, report=report) for name in names)
+    return tuple(ENGINES[name].run(case, seed, report) for name in names)
 
 
 def checked_controls(case: Case, controls: object) -> tuple[ControlRooms, ...]:

@@ -37,6 +37,7 @@ from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import amount
 from rtcal.errors import MissingAirWarning
 from rtcal.support.text import shortened
+from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 
@@ -201,6 +202,7 @@ def plain(case: Case) -> Recalibrated:
     return _calibrated(one, bare, None, exact=True)
 
 
+@single_threaded_blas()
 def recalibrate(case: Case, discrepancy: ModelDiscrepancy | None = None) -> Recalibrated:
     """Calibrate the case with its effects, to T20 of every configuration.
 

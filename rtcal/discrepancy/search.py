@@ -32,12 +32,14 @@ from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
 from rtcal.discrepancy.size import estimate_size
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.threads import single_threaded_blas
 
 CANDIDATE_NATS = 1.1
 """Nats within which an effect is a candidate beside the best: odds of three to one. Ten to one (2.3)
 holds the truth more often, in sets half as large again: docs/discrepancy.md."""
 
 
+@single_threaded_blas()
 def find(
     case: Case,
     effects: Sequence[Effect] | None = None,

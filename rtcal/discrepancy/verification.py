@@ -27,6 +27,7 @@ from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import listed
 from rtcal.support import html
 from rtcal.support.files import json_numbers
+from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
 _WORSE = 0.1
@@ -181,6 +182,7 @@ class Verification:
         return "\n".join(lines)
 
 
+@single_threaded_blas()
 def verify(finding: Finding, case: Case | None = None) -> Verification:
     """Compare the plainly calibrated model with the one that has the named effect.
 

@@ -1,0 +1,54 @@
+"""BLAS is held to one thread where it is asked to, and given back."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from threadpoolctl import threadpool_info
+
+from rtcal.support.threads import single_threaded_blas
+
+
+def threads() -> set[int]:
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+def test_blas_has_one_thread_inside_and_as_many_as_before_outside() -> None:
+    before = threads()
+    with single_threaded_blas():
+        assert threads() == {1}
+        with single_threaded_blas():
+            assert threads() == {1}
+        assert threads() == {1}
+    assert threads() == before
+
+
+def test_an_error_gives_the_threads_back() -> None:
+    before = threads()
+
+    @single_threaded_blas()
+    def fails() -> None:
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        fails()
+    assert threads() == before
+
+
+def test_concurrent_contexts_give_the_threads_back() -> None:
+    before, entered, leave = threads(), threading.Event(), threading.Event()
+
+    def other() -> None:
+        with single_threaded_blas():
+            entered.set()
+            leave.wait(10)
+
+    thread = threading.Thread(target=other)
+    with single_threaded_blas():
+        thread.start()
+        assert entered.wait(10)
+        assert threads() == {1}
+    leave.set()
+    thread.join(10)
+    assert threads() == before
