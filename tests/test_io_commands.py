@@ -144,3 +144,146 @@ def test_a_range_is_0_db_or_more(tmp_path: Path, capsys) -> None:
         assert "dB is not finite and 0 or more" in capsys.readouterr().err
     assert run("measure", tmp_path) == 2
     assert "not a file" in capsys.readouterr().err
+
+
+LIST = b"ABS wood = <10 12 14 16 18 20>\r\nABS felt = <2 2 2 2 2 2> L <30 30 30 30 30 30>\r\n"
+BOTH = ("--volume", 60, "--area", "wood=40", "--area", "felt=60")
+
+
+def imported(folder: Path, *options: object, content: bytes = LIST) -> rt.Room:
+    (folder / "hall.geo").write_bytes(content)
+    out = folder / "room.toml"
+    assert run("import", "catt", folder / "hall.geo", "--out", out, *options) == 0
+    return rt.Room.from_file(str(out))
+
+
+def test_import_says_what_the_list_does_not(tmp_path: Path, capsys) -> None:
+    """Sigma of 30 % and no air were taken in silence."""
+    room = imported(tmp_path, *BOTH)
+    shown = capsys.readouterr().out
+    assert "sigma = max(0.3 alpha, 0.01)" in shown
+    assert "no air: state --temperature and --humidity" in shown
+    assert "scattering left out, since wood state none" in shown
+    assert room.air is None
+    assert room.scattering is None
+
+
+def test_import_takes_sigma_air_bands_and_scattering(tmp_path: Path, capsys) -> None:
+    table = tmp_path / "sigma.csv"
+    table.write_text("material,125,250,500,1000,2000,4000\nfelt,.05,.05,.04,.04,.03,.02\n")
+    options = (
+        "--sigma-relative",
+        0.1,
+        "--sigma-minimum",
+        0.02,
+        "--sigma",
+        table,
+        "--in-situ-factor",
+        2,
+        "--temperature",
+        22,
+        "--scattering",
+        0.1,
+    )
+    room = imported(tmp_path, *BOTH, *options, "--bands", "500,1000")
+    assert room.centre_frequencies.tolist() == [500, 1000]
+    assert room.sigma == pytest.approx(np.array([[0.04, 0.04], [0.04, 0.04]]))
+    assert (room.air.temperature, room.air.humidity) == (22, 50)
+    assert room.scattering == pytest.approx(np.array([[0.1, 0.1], [0.3, 0.3]]))
+    shown = capsys.readouterr().out
+    assert "sigma = 2 max(0.1 alpha, 0.02); stated: felt" in shown
+    room = imported(tmp_path, *BOTH, "--bands", "third-octave", "--iso-12999-2")
+    assert room.n_bands == 18
+    assert room.alpha[0, :4] == pytest.approx([0.1, 0.1, 0.1, 0.12])
+    assert (room.sigma >= rt.priors.sigma_iso_12999_2(room.alpha, room.centre_frequencies)).all()
+    table.write_text("material,sigma\nfelt,0.05\n")
+    assert imported(tmp_path, *BOTH, "--sigma", table).sigma[1] == pytest.approx([0.05] * 6)
+    table.write_text("material,sigma\nglass,0.05\n")
+    assert (
+        run(
+            "import",
+            "catt",
+            tmp_path / "hall.geo",
+            *BOTH,
+            "--sigma",
+            table,
+            "--out",
+            tmp_path / "room.toml",
+        )
+        == 2
+    )
+    assert '"glass" is no material of the room' in capsys.readouterr().err
+
+
+def test_a_material_that_is_used_by_its_alias_is_not_left_out(tmp_path: Path, capsys) -> None:
+    """Seven materials that were used were said to be left out."""
+    path = tmp_path / "hall.Li8"
+    path.write_bytes(
+        b"103 Rough concrete\n.02 .02 .03 .03 .03 .04 .05 .05\n7 Felt\n.1 .1 .1 .1 .1 .1 .1 .1\n"
+    )
+    command = ("import", "odeon", path, "--volume", 60, "--out", tmp_path / "room.toml")
+    assert run(*command, "--area", "Rough concrete=90") == 0
+    assert "Left out, without area: 7 Felt\n" in capsys.readouterr().out
+
+
+def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
+    tmp_path: Path, capsys
+) -> None:
+    pytest.importorskip("pyroomacoustics")
+    (tmp_path / "hall.geo").write_bytes(LIST)
+    command = ("import", "catt", tmp_path / "hall.geo", *BOTH, "--area", "brick wall=20")
+    out = ("--out", tmp_path / "room.toml")
+    assert run(*command, *out) == 2
+    message = capsys.readouterr().err
+    assert '"brick wall" (similar: brick_wall_rough' in message
+    assert 'State --catalogue "brick wall=ENTRY"' in message
+    assert not (tmp_path / "room.toml").exists()
+    assert run(*command, "--catalogue", "brick wall=brick_wall_rough", *out) == 0
+    shown = capsys.readouterr().out
+    room = rt.Room.from_file(str(tmp_path / "room.toml"))
+    expected = rt.datasets.catalogue.material("brick_wall_rough", room.centre_frequencies)
+    assert room.alpha[2] == pytest.approx(expected.alpha)
+    assert "Vorländer 2008" in room.sources["brick wall"]
+    assert "brick wall: pyroomacoustics" in shown
+    assert run(*command, "--catalogue", "brick wall=none_such", *out) == 2
+    assert '"none_such" is no material of the catalogue' in capsys.readouterr().err
+
+
+def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, capsys) -> None:
+    pytest.importorskip("pyroomacoustics")
+    mesh, out = tmp_path / "hall.obj", tmp_path / "room.toml"
+    mesh.write_bytes(fuzz.OBJ[0])
+    command = ("import", "catalogue", "--mesh", mesh, "--out", out)
+    assert run(*command) == 2
+    assert '"wood" (similar: ' in capsys.readouterr().err
+    chosen = ("--catalogue", "wood=wood_16mm", "--catalogue", "brick=brickwork")
+    assert run(*command, *chosen) == 0
+    assert rt.Room.from_file(str(out)).volume == 2
+    assert "Left out" not in capsys.readouterr().out
+
+
+def test_a_table_with_the_number_of_its_pairs(tmp_path: Path, capsys) -> None:
+    path, out = tmp_path / "in.csv", tmp_path / "t.csv"
+    path.write_text(
+        "room,parameter,stat,500,1000\nA,T20,mean,1.5,1.4\nA,T20,sd,0.1,0.2\nB,T20,mean,9,9\n"
+    )
+    command = ("table", path, "--where", "room=A", "--out", out)
+    assert run(*command) == 2
+    assert "needs the numbers of sources and receivers" in capsys.readouterr().err
+    assert run(*command, "--sources", 2, "--receivers", 5) == 0
+    measured = rt.Measurement.from_file(str(out))
+    assert (measured.n_sources, measured.n_receivers) == (2, 5)
+    assert measured.standard_deviation["t20"].tolist() == [0.1, 0.2]
+    assert run("table", path, "--where", "room", "--out", out) == 2
+    assert '--where: "room" is not NAME=ENTRY' in capsys.readouterr().err
+
+
+def test_odeon_without_63_hz_on_request(tmp_path: Path, capsys) -> None:
+    room = imported(tmp_path, *BOTH).replace(scattering=None)
+    room.save(str(tmp_path / "r.toml"))
+    command = ("export", "odeon", tmp_path / "r.toml", tmp_path / "new.Li8")
+    assert run(*command) == 2
+    assert "needs 63 Hz" in capsys.readouterr().err
+    assert run(*command, "--missing-bands", "nearest") == 0
+    assert "63 Hz is not in the room: alpha as at 125 Hz" in capsys.readouterr().out
+    assert run("export", "bras", *command[2:], "--missing-bands", "nearest") == 2

@@ -1,13 +1,13 @@
-"""``rtcal measure``, ``table``, ``import`` and ``export``: foreign files in and out."""
+"""``rtcal measure``, ``table`` and ``export``: foreign measurements in, materials out."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
+from rtcal.command.assignments import numbers, texts
 from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
 from rtcal.support.files import spare
@@ -35,6 +35,11 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
     metavar="PARAMETER=DB",
     help="The impulse-to-noise ratio that a parameter needs, in place of ISO 3382's: t30=38.",
 )
+@click.option(
+    "--channels",
+    metavar="N|receivers",
+    help="Which channel to read of files that have several, or that each is a receiver.",
+)
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
 @json_option
 @quiet_option
@@ -42,6 +47,7 @@ def measure(
     responses: tuple[str, ...],
     bands: str,
     ranges: tuple[str, ...],
+    channels: str | None,
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -58,7 +64,8 @@ def measure(
         analysis = impulse_responses.read(
             responses,
             bands=bands,
-            minimum_range=_assignments(ranges, "DB"),
+            channels=int(channels) if channels and channels.isdecimal() else channels,
+            minimum_range=numbers("--minimum-range", ranges, "DB"),
             progress=lambda: shown.update(1),
         )
     if not quiet and all(np.isnan(v).all() for v in analysis.measurement.values.values()):
@@ -75,6 +82,12 @@ def measure(
 @click.argument("path", type=click.Path())
 @click.option("--decay-time", help="t20 or t30: what a column RT60 or T60 holds.")
 @click.option("--parameter", help="What the values are, where the table does not say it.")
+@click.option(
+    "--where", multiple=True, metavar="COLUMN=ENTRY", help="Take only rows with this entry."
+)
+@click.option("--ignore", multiple=True, metavar="COLUMN", help="Leave a column out.")
+@click.option("--sources", type=click.IntRange(1), help="The values are means over N sources.")
+@click.option("--receivers", type=click.IntRange(1), help="And over N receivers.")
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
 @json_option
 @quiet_option
@@ -82,6 +95,10 @@ def table(
     path: str,
     decay_time: str | None,
     parameter: str | None,
+    where: tuple[str, ...],
+    ignore: tuple[str, ...],
+    sources: int | None,
+    receivers: int | None,
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -93,17 +110,25 @@ def table(
     from rtcal.io import tables
 
     spare([] if out is None else [out], [path])
-    found = tables.read(path, decay_time=decay_time, parameter=parameter)
-    _write_and_tell(found, {"columns": found.columns}, out, as_json, quiet)
+    table_read = tables.read(
+        path,
+        decay_time=decay_time,
+        parameter=parameter,
+        where=texts("--where", where, "ENTRY"),
+        ignore=ignore,
+        n_sources=sources,
+        n_receivers=receivers,
+    )
+    _write_and_tell(table_read, {"columns": table_read.columns}, out, as_json, quiet)
 
 
 def _write_and_tell(
-    found: Analysis | Table, notes: dict[str, Any], out: str | None, as_json: bool, quiet: bool
+    analysis: Analysis | Table, notes: dict[str, Any], out: str | None, as_json: bool, quiet: bool
 ) -> None:
-    """The file first: whoever reads the page may close it half-way (``| head``)."""
+    """Write the file before the text is printed: ``| head`` closes the output half-way."""
+    measurement = analysis.measurement
     if out is not None:
-        found.measurement.save(out)
-    measurement = found.measurement
+        measurement.save(out)
     record = {
         "centre_frequencies": measurement.centre_frequencies,
         "pairs": measurement.pairs,
@@ -111,65 +136,8 @@ def _write_and_tell(
         **notes,
         "written": out,
     }
-    text = str(found) if out is None else f"{found}\nWritten: {out}"
+    text = str(analysis) if out is None else f"{analysis}\nWritten: {out}"
     tell(text, record, quiet=quiet, as_json=as_json)
-
-
-@click.command("import", short_help="A program's material list and a mesh to a room.")
-@click.argument("program", type=click.Choice(PROGRAMS))
-@click.argument("materials", type=click.Path())
-@click.option("--mesh", type=click.Path(), help="OBJ with the materials' names: areas and volume.")
-@click.option("--unit", type=float, default=1.0, show_default=True, help="The mesh's unit in m.")
-@click.option("--volume", type=float, help="m³, without a mesh.")
-@click.option(
-    "--area", "areas", multiple=True, metavar="MATERIAL=M2", help="Without a mesh, one a material."
-)
-@click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room (TOML) to write.")
-@json_option
-@quiet_option
-def import_room(
-    program: str,
-    materials: str,
-    mesh: str | None,
-    unit: float,
-    volume: float | None,
-    areas: tuple[str, ...],
-    out: str,
-    as_json: bool,
-    quiet: bool,
-) -> None:
-    """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
-
-    Example: rtcal import catt hall.geo --volume 2000 --area wood=300 --out room.toml
-    """
-    from importlib import import_module
-
-    from rtcal.io import obj
-
-    spare([out], [materials] if mesh is None else [materials, mesh])
-    listed = import_module(f"rtcal.io.{program}").read(materials)
-    name = Path(materials).stem
-    if (mesh is None) == (volume is None and not areas):
-        raise DataError("either --mesh, or --volume and --area, say how large the room is")
-    if mesh is not None:
-        polyhedron = obj.read(mesh, unit=unit)
-        room = listed.room(name=name, volume=polyhedron.volume, areas=polyhedron.surfaces)
-    elif volume is None:
-        raise DataError("--volume is missing")
-    else:
-        stated = _assignments(areas, "M2")
-        room = listed.room(name=name, volume=volume, areas=stated)
-    room.save(out)
-    unused = [m for m in listed.names if m not in room.materials]
-    areas_of = dict(zip(room.materials, room.areas.tolist(), strict=True))
-    lines = [
-        f"V = {room.volume:.6g} m³, S = {room.total_area:.6g} m²",
-        *(f"{area:10.3f} m²  {material}" for material, area in areas_of.items()),
-        *([f"Left out, without area: {', '.join(unused)}"] if unused else []),
-        f"Written: {out}",
-    ]
-    record = {"volume": room.volume, "areas": areas_of, "left_out": unused, "written": out}
-    tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 
 @click.command(short_help="A calibrated room into a program's material list.")
@@ -184,6 +152,13 @@ def import_room(
     type=click.IntRange(0, 15),
     help="Decimals of a coefficient (3: a tenth of a percent); else the format's.",
 )
+@click.option(
+    "--missing-bands",
+    type=click.Choice(("refuse", "nearest")),
+    default="refuse",
+    show_default=True,
+    help="A new list's bands that the room lacks (CATT, ODEON): none, or as the nearest band.",
+)
 @json_option
 @quiet_option
 def export(
@@ -192,10 +167,11 @@ def export(
     materials: str,
     template: str | None,
     decimals: int | None,
+    missing_bands: str,
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Write ROOM's coefficients into a program's MATERIALS; print what the rounding does to T.
+    """Write ROOM's coefficients into a program's MATERIALS; print what that does to T.
 
     Example: rtcal export catt calibrated/room.toml hall.geo
     """
@@ -204,7 +180,14 @@ def export(
     from rtcal.acoustics.room import Room
 
     module = import_module(f"rtcal.io.{program}")
-    done = module.write(Room.from_file(room), materials, template=template, decimals=decimals)
+    options: dict[str, Any] = {"template": template, "decimals": decimals}
+    if program in ("catt", "odeon"):
+        options["missing_bands"] = missing_bands
+    elif missing_bands != "refuse":
+        raise DataError(
+            f"--missing-bands: a list of {program} has the room's bands, whatever they are"
+        )
+    done = module.write(Room.from_file(room), materials, **options)
     record = {
         "written": done.path,
         "equation": done.equation,
@@ -213,25 +196,6 @@ def export(
         "reverberation_time_as_read": done.reverberation_time_as_read,
         "change_jnd": done.change,
         "bands_not_written": done.bands_not_written,
+        "notes": done.notes,
     }
     tell(str(done), record, quiet=quiet, as_json=as_json)
-
-
-def _assignments(texts: tuple[str, ...], unit: str) -> dict[str, float]:
-    pairs = [_assignment(text, unit) for text in texts]
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        twice = next(name for i, (name, _) in enumerate(pairs) if name in dict(pairs[:i]))
-        raise DataError(f'"{twice}" is given twice')
-    return found
-
-
-def _assignment(text: str, unit: str) -> tuple[str, float]:
-    name, _, value = text.rpartition("=")
-    try:
-        number = float(value)
-    except ValueError:
-        number = float("nan")
-    if not name or number != number:
-        raise DataError(f'"{text}" is not NAME={unit}')
-    return name, number

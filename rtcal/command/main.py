@@ -12,8 +12,9 @@ import click
 
 from rtcal.command.calibrate import calibrate
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
-from rtcal.command.files import export, import_room, measure, table
+from rtcal.command.files import export, measure, table
 from rtcal.command.gap import NOTHING_TO_ADD, gap
+from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
 from rtcal.command.report import report
 from rtcal.command.study import study

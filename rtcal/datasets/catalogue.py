@@ -6,8 +6,11 @@ pyroomacoustics. They are handbook values: state a sigma that they deserve.
 
 from __future__ import annotations
 
+import difflib
 import json
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import metadata, resources
 from typing import Any
 
@@ -17,9 +20,13 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.priors import in_situ, sigma_iso_12999_2
 from rtcal.acoustics.room import Material
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io import pyroomacoustics
+from rtcal.io.material_list import MaterialList
 from rtcal.support.types import Array
 
 _TABLE = "pyroomacoustics"
+_LEAST_LIKENESS = 0.75
+"""Share of the letters that two words have in common: 0.93 for "curtains" and "curtain"."""
 
 
 def names() -> dict[str, str]:
@@ -79,6 +86,48 @@ def material(
         source=f"pyroomacoustics {version} materials.json (after Vorländer 2008): "
         f"{entries[name]['description']}",
     )
+
+
+def material_list() -> MaterialList:
+    """Return the catalogue as a material list, each material in the bands that it has.
+
+    Raises MissingDependencyError without pyroomacoustics.
+    """
+    descriptions = names()
+    with resources.as_file(resources.files(_TABLE) / "data" / "materials.json") as path:
+        listed = pyroomacoustics.read(path)
+    version = metadata.version(_TABLE)
+    return replace(
+        listed,
+        path="the catalogue",
+        materials=tuple(
+            replace(
+                m,
+                source=f"pyroomacoustics {version} materials.json (after Vorländer 2008): "
+                f"{descriptions[m.name]}",
+            )
+            for m in listed.materials
+        ),
+    )
+
+
+def similar(name: str, most: int = 3) -> list[str]:
+    """Return the names of entries whose name or description resembles a material's name.
+
+    Entries that share more words come first; words may differ in their ending.
+    """
+    words = set(re.findall(r"[^\W\d_]{3,}", name.lower()))
+    scores = {}
+    for entry, description in names().items():
+        entry_words = set(re.findall(r"[^\W\d_]{3,}", f"{entry} {description}".lower()))
+        close = [max((_likeness(w, e) for e in entry_words), default=0.0) for w in words]
+        scores[entry] = sum(c for c in close if c >= _LEAST_LIKENESS)
+    best = sorted((n for n, score in scores.items() if score), key=lambda n: (-scores[n], n))
+    return best[:most]
+
+
+def _likeness(first: str, second: str) -> float:
+    return difflib.SequenceMatcher(None, first, second).ratio()
 
 
 def _entries() -> tuple[list[float], dict[str, dict[str, Any]]]:

@@ -29,7 +29,8 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import material_list
-from rtcal.io.material_list import ExportReport, ListedMaterial, MaterialList
+from rtcal.io.material_export import ExportReport, write_list
+from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.support.files import read_bytes
 
@@ -61,7 +62,7 @@ def write(
 
     Without either a new table is made. Returns what the rounding does to T, as `catt.write`.
     """
-    return material_list.write(
+    return write_list(
         room,
         path,
         read=lambda p: read(p, where=where),

@@ -23,7 +23,8 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import material_list
-from rtcal.io.material_list import ExportReport, ListedMaterial, MaterialList
+from rtcal.io.material_export import ExportReport, write_list
+from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
@@ -78,7 +79,7 @@ def write(
     DataError
         For a material that the file lacks, and for a file that cannot be read or written.
     """
-    return material_list.write(
+    return write_list(
         room,
         path,
         read=read,

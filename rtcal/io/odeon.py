@@ -25,7 +25,8 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import material_list
-from rtcal.io.material_list import ExportReport, ListedMaterial, MaterialList
+from rtcal.io.material_export import ExportReport, write_list
+from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, Text, decode, lines, number, shown
 from rtcal.support.files import read_bytes
 
@@ -57,7 +58,7 @@ def write(
     description"; a material without a number gets one from 10001 on. Returns what the rounding does
     to T, as `catt.write`.
     """
-    return material_list.write(
+    return write_list(
         room,
         path,
         read=read,

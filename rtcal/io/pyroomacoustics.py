@@ -27,7 +27,8 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import material_list
-from rtcal.io.material_list import ExportReport, ListedMaterial, MaterialList
+from rtcal.io.material_export import ExportReport, write_list
+from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, decode, line_of, number, shown
 from rtcal.support.files import read_bytes
 
@@ -56,7 +57,7 @@ def write(
     Without either a new data base is made. All digits are written unless ``decimals`` are stated, so
     T does not change; the report says so.
     """
-    return material_list.write(
+    return write_list(
         room,
         path,
         read=read,

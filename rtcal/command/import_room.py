@@ -1,0 +1,273 @@
+"""``rtcal import``: a program's material list, or the catalogue, and a mesh to a room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rtcal.command.assignments import numbers, texts
+from rtcal.command.console import json_option, quiet_option, tell
+from rtcal.command.files import PROGRAMS
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.support.files import spare
+
+if TYPE_CHECKING:
+    from rtcal.acoustics.air import Air
+    from rtcal.acoustics.materials import Surface
+    from rtcal.acoustics.room import Room
+    from rtcal.io.material_list import ListedMaterial, MaterialList
+
+
+@click.command("import", short_help="A program's material list and a mesh to a room.")
+@click.argument("program", type=click.Choice((*PROGRAMS, "catalogue")))
+@click.argument("materials", type=click.Path(), required=False)
+@click.option("--mesh", type=click.Path(), help="OBJ with the materials' names: areas and volume.")
+@click.option("--unit", type=float, default=1.0, show_default=True, help="The mesh's unit in m.")
+@click.option("--volume", type=float, help="m³, without a mesh.")
+@click.option(
+    "--area",
+    "areas",
+    multiple=True,
+    metavar="MATERIAL=M2",
+    help="Without a mesh, one per material.",
+)
+@click.option(
+    "--catalogue",
+    "entries",
+    multiple=True,
+    metavar="MATERIAL=ENTRY",
+    help="Take a material from the catalogue (Vorländer 2008).",
+)
+@click.option(
+    "--bands", metavar="octave|third-octave|HZ,HZ...", help="The room's bands; else the list's."
+)
+@click.option("--temperature", type=float, help="Of the air, °C (20 with --humidity alone).")
+@click.option("--humidity", type=float, help="Of the air, % (50 with --temperature alone).")
+@click.option(
+    "--sigma", "sigma_table", type=click.Path(), help="CSV: material,sigma or one per band."
+)
+@click.option(
+    "--sigma-relative", type=float, default=0.3, show_default=True, help="Share of alpha."
+)
+@click.option("--sigma-minimum", type=float, default=0.01, show_default=True, help="Least sigma.")
+@click.option("--iso-12999-2", is_flag=True, help="sigma at least that between laboratories.")
+@click.option("--in-situ-factor", type=float, default=1.0, show_default=True, help="Times sigma.")
+@click.option("--scattering", type=float, help="Of materials that state none.")
+@click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room (TOML) to write.")
+@json_option
+@quiet_option
+def import_room(
+    program: str,
+    materials: str | None,
+    mesh: str | None,
+    unit: float,
+    volume: float | None,
+    areas: tuple[str, ...],
+    entries: tuple[str, ...],
+    bands: str | None,
+    temperature: float | None,
+    humidity: float | None,
+    sigma_table: str | None,
+    sigma_relative: float,
+    sigma_minimum: float,
+    iso_12999_2: bool,
+    in_situ_factor: float,
+    scattering: float | None,
+    out: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
+
+    A list states neither uncertainty nor air: state them, or the output says what was taken.
+
+    Example: rtcal import catt hall.geo --volume 2000 --area wood=300 --out room.toml
+    """
+    from rtcal.io import sigma_table as table
+    from rtcal.io.material_list import SigmaRule
+
+    spare([out], [path for path in (materials, mesh, sigma_table) if path is not None])
+    listed = _materials(program, materials)
+    volume, surfaces = _geometry(mesh, unit, volume, areas)
+    used = list(dict.fromkeys(surface.material for surface in surfaces))
+    chosen = texts("--catalogue", entries, "ENTRY")
+    others = _from_catalogue(listed, program, used, chosen)
+    rule = SigmaRule(
+        relative=sigma_relative,
+        minimum=sigma_minimum,
+        iso_12999_2=iso_12999_2,
+        in_situ_factor=in_situ_factor,
+    )
+    sigma = {} if sigma_table is None else table.read(sigma_table)
+    if unknown := [name for name in sigma if name not in used]:
+        raise DataError(f'{sigma_table}: "{unknown[0]}" is no material of the room')
+    room = listed.room(
+        name=Path(materials or mesh or "room").stem,
+        volume=volume,
+        areas=surfaces,
+        centre_frequencies=_centre_frequencies(bands, [*listed.materials, *others.values()]),
+        sigma_rule=rule,
+        sigma=sigma,
+        scattering=scattering,
+        others=others,
+        air=_air(temperature, humidity),
+    )
+    room.save(out)
+    taken = {listed.listed(name).name for name in used if name not in others}
+    unused = [] if program == "catalogue" else [n for n in listed.names if n not in taken]
+    notes = _notes(room, rule, sigma, {n: m.scattering for n, m in _used(listed, others, used)})
+    _tell(room, unused, notes, out, as_json=as_json, quiet=quiet)
+
+
+def _materials(program: str, path: str | None) -> MaterialList:
+    if program == "catalogue":
+        from rtcal.datasets import catalogue
+
+        if path is not None:
+            raise DataError(f"{path}: import catalogue takes no file of materials")
+        return catalogue.material_list()
+    if path is None:
+        raise DataError(f"a file of materials for {program} is missing")
+    listed: MaterialList = import_module(f"rtcal.io.{program}").read(path)
+    return listed
+
+
+def _geometry(
+    mesh: str | None, unit: float, volume: float | None, areas: tuple[str, ...]
+) -> tuple[float, Sequence[Surface]]:
+    """Return volume in m³ and surfaces, from the mesh or as stated."""
+    from rtcal.acoustics.materials import Surface
+    from rtcal.io import obj
+
+    if (mesh is None) == (volume is None and not areas):
+        raise DataError("either --mesh, or --volume and --area, say how large the room is")
+    if mesh is not None:
+        polyhedron = obj.read(mesh, unit=unit)
+        return polyhedron.volume, polyhedron.surfaces
+    if volume is None:
+        raise DataError("--volume is missing")
+    stated = numbers("--area", areas, "M2")
+    return volume, [Surface(name, name, area) for name, area in stated.items()]
+
+
+def _from_catalogue(
+    listed: MaterialList, program: str, used: Sequence[str], chosen: dict[str, str]
+) -> dict[str, ListedMaterial]:
+    """Return the room's materials that are taken from the catalogue.
+
+    Raises DataError, with proposals, for materials that are neither in the list nor chosen.
+    """
+    if unknown := [name for name in chosen if name not in used]:
+        raise DataError(f'--catalogue: "{unknown[0]}" is no material of the room')
+    in_list = {*listed.names, *listed.aliases}
+    if missing := [n for n in used if n not in in_list and n not in chosen]:
+        proposals = "; ".join(f'"{name}"{_proposals(name)}' for name in missing)
+        place = "the catalogue" if program == "catalogue" else listed.path
+        raise DataError(
+            f'not in {place}: {proposals}. State --catalogue "{missing[0]}=ENTRY" for an entry of '
+            "the catalogue"
+        )
+    if not chosen:
+        return {}
+    from rtcal.datasets import catalogue
+
+    entries = catalogue.material_list()
+    return {name: entries.listed(entry) for name, entry in chosen.items()}
+
+
+def _proposals(name: str) -> str:
+    from rtcal.datasets import catalogue
+
+    try:
+        similar = catalogue.similar(name)
+    except MissingDependencyError:
+        return ""
+    return f" (similar: {', '.join(similar)})" if similar else ""
+
+
+def _centre_frequencies(
+    bands: str | None, materials: Sequence[ListedMaterial]
+) -> list[float] | None:
+    """Return the room's bands in Hz as stated; None for those that the materials have."""
+    from rtcal.acoustics.band_conversion import obtainable
+    from rtcal.acoustics.bands import OCTAVES, THIRD_OCTAVES
+
+    if bands is None:
+        return None
+    if bands in ("octave", "third-octave"):
+        wanted = OCTAVES if bands == "octave" else THIRD_OCTAVES
+        return [
+            float(f)
+            for f in wanted
+            if all(obtainable(m.centre_frequencies, [f]).size for m in materials)
+        ]
+    try:
+        return [float(f) for f in bands.split(",")]
+    except ValueError as error:
+        raise DataError(f'--bands: "{bands}" is not octave, third-octave or HZ,HZ...') from error
+
+
+def _air(temperature: float | None, humidity: float | None) -> Air | None:
+    from rtcal.acoustics.air import Air
+
+    if temperature is None and humidity is None:
+        return None
+    return Air(
+        temperature=20 if temperature is None else temperature,
+        humidity=50 if humidity is None else humidity,
+    )
+
+
+def _used(
+    listed: MaterialList, others: dict[str, ListedMaterial], used: Sequence[str]
+) -> list[tuple[str, ListedMaterial]]:
+    return [(name, others.get(name) or listed.listed(name)) for name in used]
+
+
+def _notes(
+    room: Room, rule: object, sigma: dict[str, Any], scattering: dict[str, Any]
+) -> list[str]:
+    """Return what was taken without being in the list."""
+    stated = "" if not sigma else f"; stated: {', '.join(sigma)}"
+    notes = [f"{rule}{stated}"]
+    if room.air is None:
+        notes.append(
+            "no air: state --temperature and --humidity, or alpha takes what the air absorbs"
+        )
+    else:
+        notes.append(f"air {room.air.temperature:g} °C, {room.air.humidity:g} %")
+    without = [name for name, values in scattering.items() if values is None]
+    if without and len(without) < len(scattering) and room.scattering is None:
+        notes.append(
+            f"scattering left out, since {', '.join(without)} state none; --scattering gives theirs"
+        )
+    notes += [f"{name}: {source}" for name, source in room.sources.items()]
+    return notes
+
+
+def _tell(
+    room: Room, unused: list[str], notes: list[str], out: str, *, as_json: bool, quiet: bool
+) -> None:
+    from rtcal.acoustics.bands import span
+
+    areas = dict(zip(room.materials, room.areas.tolist(), strict=True))
+    rows = [
+        f"V = {room.volume:.6g} m³, S = {room.total_area:.6g} m², {span(room.centre_frequencies)}",
+        *(f"{area:10.3f} m²  {material}" for material, area in areas.items()),
+        *notes,
+        *([f"Left out, without area: {', '.join(unused)}"] if unused else []),
+        f"Written: {out}",
+    ]
+    record = {
+        "volume": room.volume,
+        "areas": areas,
+        "centre_frequencies": room.centre_frequencies,
+        "notes": notes,
+        "left_out": unused,
+        "written": out,
+    }
+    tell("\n".join(rows), record, quiet=quiet, as_json=as_json)

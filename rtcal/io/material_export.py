@@ -1,0 +1,165 @@
+"""Export of a room into a material list: what is written, and what that does to T."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rtcal.acoustics import band_conversion, bands, quality
+from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.io.material_list import ListedMaterial, MaterialList
+from rtcal.support.files import write_bytes
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportReport:
+    """What a program reads from the file that was written, and what that does to T.
+
+    Parameters
+    ----------
+    path : str
+    equation : str
+        The reverberation equation that gives both T.
+    room : Room
+        The room as the program reads it: in the file's bands, rounded to its decimals.
+    reverberation_time : array (n_bands,)
+        T in s of the room that was exported, converted to the file's bands.
+    reverberation_time_as_read : array (n_bands,)
+        T in s of ``room``.
+    bands_not_written : sequence of float
+        Bands of the exported room in Hz that the file does not have.
+    notes : sequence of str
+        How bands were converted or filled.
+    """
+
+    path: str
+    equation: str
+    room: Room
+    reverberation_time: Array
+    reverberation_time_as_read: Array
+    bands_not_written: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def change(self) -> Array:
+        """What writing does to T, in JND, signed, (n_bands,)."""
+        return quality.gap_jnd(self.reverberation_time_as_read, self.reverberation_time)
+
+    def __str__(self) -> str:
+        rows = [
+            f"{self.path}: T by {self.equation}, of the room and as the program reads it",
+            f"{'band':>8} {'T, s':>9} {'as read, s':>11} {'change, JND':>12}",
+        ]
+        for f, before, after, change in zip(
+            self.room.centre_frequencies,
+            self.reverberation_time,
+            self.reverberation_time_as_read,
+            self.change,
+            strict=True,
+        ):
+            rows.append(f"{bands.label(f):>8} {before:9.4f} {after:11.4f} {change:+12.4f}")
+        if self.bands_not_written:
+            missing = ", ".join(bands.label(f) for f in self.bands_not_written)
+            rows.append(f"Not in the file, so not written: {missing}")
+        return "\n".join([*rows, *self.notes])
+
+
+def write_list(
+    room: Room,
+    path: str | os.PathLike[str],
+    *,
+    read: Callable[[str | os.PathLike[str]], MaterialList],
+    new_list: Callable[[Room], MaterialList],
+    template: str | os.PathLike[str] | None,
+    equation: LinearEquation | None,
+    decimals: int | None,
+    new_bands: Sequence[float] = (),
+    missing_bands: str = "refuse",
+) -> ExportReport:
+    """Write a room's coefficients into the template, else into the file that exists, else anew.
+
+    ``read`` and ``new_list`` are the format's: a file's material list, and a new one for a room.
+    ``new_bands`` are those that a new file needs; ``missing_bands`` is "refuse" or "nearest", which
+    gives a band that the room lacks the coefficients of its nearest one.
+    """
+    if missing_bands not in ("refuse", "nearest"):
+        raise DataError(f'missing_bands = "{missing_bands}" is neither "refuse" nor "nearest"')
+    equation = equation or Eyring()
+    notes: list[str] = []
+    if template is not None or Path(path).exists():
+        listed = read(template if template is not None else path)
+    else:
+        in_new_bands, notes = _in_new_bands(room, new_bands, missing_bands, os.fspath(path))
+        listed = new_list(in_new_bands)
+    if decimals is not None:
+        listed = replace(
+            listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)
+        )
+    content, as_read = listed.with_alpha(room)
+    time = equation.reverberation_time(room)
+    held = {f for m in listed.materials for f in m.centre_frequencies}
+    not_written = np.array([f for f in room.centre_frequencies if f not in held])
+    rule = band_conversion.rule(room.centre_frequencies, as_read.centre_frequencies, "alpha")
+    if rule:
+        between = room.centre_frequencies, as_read.centre_frequencies
+        time, not_written = (
+            band_conversion.parameter(time, *between),
+            band_conversion.unused(*between),
+        )
+        notes.append(f"{rule}; T of the room by the mean of 1/T")
+    report = ExportReport(
+        path=os.fspath(path),
+        equation=equation.name,
+        room=as_read,
+        reverberation_time=time,
+        reverberation_time_as_read=equation.reverberation_time(as_read),
+        bands_not_written=tuple(float(f) for f in not_written),
+        notes=tuple(notes),
+    )
+    write_bytes(path, content)
+    return report
+
+
+def _in_new_bands(
+    room: Room, needed: Sequence[float], missing_bands: str, path: str
+) -> tuple[Room, list[str]]:
+    """Return the room in the bands that a new file needs, and how they were filled."""
+    if not needed:
+        return room, []
+    obtainable = band_conversion.obtainable(room.centre_frequencies, needed)
+    missing = [f for f in needed if f not in obtainable]
+    if missing and (missing_bands == "refuse" or not obtainable.size):
+        raise DataError(
+            f"{path}: a new file of this program needs {bands.label(missing[0])}, which the room has "
+            'not; write into the program\'s own file (template), or state missing_bands="nearest"'
+        )
+    converted = band_conversion.room(room, obtainable)
+    nearest = [int(np.argmin(np.abs(np.log(obtainable / f)))) for f in needed]
+    notes = [
+        f"{bands.label(f)} is not in the room: alpha as at {bands.label(obtainable[k])}"
+        for f, k in zip(needed, nearest, strict=True)
+        if f in missing
+    ]
+    tables = {n: getattr(converted, n) for n in ("alpha", "sigma", "alpha_min", "scattering")}
+    return converted.replace(
+        centre_frequencies=np.asarray(needed),
+        **{n: t[:, nearest] for n, t in tables.items() if t is not None},
+    ), notes
+
+
+def _with_decimals(listed: ListedMaterial, decimals: int) -> ListedMaterial:
+    """Return the material with its numbers written to these decimals of the coefficient."""
+    least = 2 if listed.unit == 0.01 else 0
+    if not least <= decimals <= 15:
+        raise DataError(
+            f"decimals = {decimals} of a coefficient; they are {least} to 15"
+            + (", since the file has whole percents at least" if least else "")
+        )
+    return replace(listed, decimals=decimals - least)
