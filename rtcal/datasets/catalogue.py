@@ -111,7 +111,7 @@ def material_list() -> MaterialList:
     )
 
 
-def similar(name: str, most: int = 3) -> list[str]:
+def similar(name: str, most: int = 5) -> list[str]:
     """Return the names of entries whose name or description resembles a material's name.
 
     Entries that share more words come first; words may differ in their ending.
