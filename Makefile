@@ -43,8 +43,11 @@ notebooks: $(STAMP)  ## run every notebook in full and store its outputs; RTCAL_
 study: $(STAMP)  ## the long studies
 	$(BIN)/python -m pytest -m study
 
-fuzz: $(STAMP)  ## 10,000 broken files into every reader
+FUZZ_SECONDS ?= 60
+fuzz: $(STAMP)  ## 10,000 broken files, then libFuzzer on every reader for FUZZ_SECONDS each
 	$(BIN)/python benchmarks/fuzz_files.py 10000
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check atheris
+	$(BIN)/python benchmarks/fuzz_readers.py $(FUZZ_SECONDS)
 
 mutate: $(STAMP)  ## 300 deliberate faults: which does no test see?
 	$(BIN)/python benchmarks/mutation.py

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import rtcal as rt
 from rtcal.errors import DataError
-from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, tables
+from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, sigma_table, tables
 from rtcal.io.material_list import MaterialList
 
 
@@ -58,6 +58,7 @@ TABLES = (
     b"Source,Receiver,Parameter,125 Hz,1 kHz,2k\nS1,R1,T20,1.5,1.4,1.3\nS1,R1,EDT,1.2,,1e0\n",
     b'position\tparameter\tfrequency\tvalue\tunit\nR1\tC80\t500\t2,5\tdB\n"R 2"\tTs\t1k\t90\tms\n',
 )
+SIGMA = (b"material,sigma\nbrick,0.02\nfelt,.1\n", b"material,125,250\nbrick,0.02,0.03\n")
 ROOM = (Path(str(rt.datasets.path("bras_cr2/room.toml"))).read_bytes(),)
 MEASURED = (Path(str(rt.datasets.path("bras_cr2/measured.csv"))).read_bytes(),)
 
@@ -82,13 +83,14 @@ READERS: dict[str, Reader] = {
     "pyroomacoustics": Reader(pyroomacoustics.read, ".json", PRA),
     "bras": Reader(bras.read, ".csv", BRAS),
     "obj": Reader(obj.read, ".obj", OBJ),
+    "sigma": Reader(sigma_table.read, ".csv", SIGMA),
     "tables": Reader(tables.read, ".csv", TABLES),
     "room": Reader(rt.Room.from_file, ".toml", ROOM),
     "measurement": Reader(rt.Measurement.from_file, ".csv", MEASURED),
     "wav": Reader(lambda p: impulse_responses.read(p, bands=[1000]), ".wav", (_decay(),)),
 }
 
-LINES = ("bras", "catt", "odeon", "pyroomacoustics", "tables")
+LINES = ("bras", "catt", "odeon", "pyroomacoustics", "sigma", "tables")
 """Readers whose messages always name a line; a mesh that does not close has none."""
 
 TOKENS = (

@@ -1,0 +1,90 @@
+"""Coverage-guided fuzzing of every reader: `python benchmarks/fuzz_readers.py [SECONDS] [READER...]`.
+
+libFuzzer by way of atheris (`pip install atheris`) changes files so that they reach new lines of
+rtcal, and keeps those that do in `.fuzz/READER`, from where the next run goes on. It starts from the
+files of `tests/fuzz.py` and `tests/corpus.py`. A reader passes if every file is read or refused as
+`fuzz.check` asks, within 10 s and 1 GB. Prints the files tried and kept; ends with 1 if a reader fell,
+beside the file that did it. SECONDS, 60 if not said, are those of each reader.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+FOLDER = ROOT / ".fuzz"
+MAX_BYTES = 20_000
+
+
+def fuzz_one(name: str, seconds: int) -> None:
+    """Fuzz a reader in this process, which libFuzzer ends."""
+    import atheris
+
+    with atheris.instrument_imports(include=["rtcal"]):
+        from tests import fuzz
+
+    kept = FOLDER / name
+    folder = Path(tempfile.mkdtemp(prefix="rtcal-fuzz-"))
+    for number, content in enumerate(seeds(name)):
+        (kept / f"seed-{number}").write_bytes(content)
+    tokens = folder / "tokens"
+    tokens.write_text("".join(f'"{escaped(t)}"\n' for t in fuzz.TOKENS if 0 < len(t) < 60))
+
+    def check(content: bytes) -> None:
+        fuzz.check(name, content, folder)
+
+    options = [
+        f"-max_total_time={seconds}",
+        f"-max_len={MAX_BYTES}",
+        f"-dict={tokens}",
+        f"-artifact_prefix={FOLDER}/{name}-",
+        "-timeout=10",
+        "-rss_limit_mb=1024",
+        "-print_final_stats=1",
+        "-close_fd_mask=1",
+    ]
+    atheris.Setup([sys.argv[0], str(kept), *options], check)
+    atheris.Fuzz()
+
+
+def seeds(name: str) -> list[bytes]:
+    """Good and odd files of a reader."""
+    from tests import corpus, fuzz
+
+    odd = [case.content for case in corpus.CASES if case.reader == name]
+    return [c for c in (*fuzz.READERS[name].seeds, *odd) if len(c) <= MAX_BYTES]
+
+
+def escaped(token: bytes) -> str:
+    """A token as libFuzzer's dictionaries have it."""
+    return "".join(f"\\x{byte:02x}" for byte in token)
+
+
+def main(seconds: int, names: list[str]) -> int:
+    from tests import fuzz
+
+    fell = 0
+    print(f"{'reader':16} {'tried':>9} {'kept':>6}")
+    for name in names or sorted(fuzz.READERS):
+        (FOLDER / name).mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, __file__, "--one", name, str(seconds)]
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace")
+        tried = re.search(r"number_of_executed_units: (\d+)", done.stderr)
+        kept = len(list((FOLDER / name).iterdir()))
+        print(f"{name:16} {tried[1] if tried else '-':>9} {kept:6}", flush=True)
+        if done.returncode:
+            fell += 1
+            print("\n".join(done.stderr.splitlines()[-30:]))
+    return min(fell, 1)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--one"]:
+        fuzz_one(sys.argv[2], int(sys.argv[3]))
+    else:
+        sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 60, sys.argv[2:]))
