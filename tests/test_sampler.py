@@ -157,7 +157,10 @@ def test_a_band_at_the_end_of_its_reach_is_held_and_the_other_sampled() -> None:
     found = posterior(result, n_samples=1280)
     assert found.samples is not None
     np.testing.assert_allclose(found.samples[:, :, 0], 0.1, atol=1e-9)
-    np.testing.assert_allclose(found.sigma[:, 0], 0, atol=1e-9)
+    np.testing.assert_array_equal(found.sigma[:, 0], 0)
+    np.testing.assert_array_equal(found.correlation[0], np.eye(4))
+    assert found.correlation[1].min() < -0.1
+    assert np.abs(found.correlation[1]).max() <= 1
     assert (found.sigma[:, 1] > 0.01).all()
     area = found.samples[:, :, 1] @ room.areas
     np.testing.assert_allclose(area, result.target[1], rtol=1e-9)

@@ -21,6 +21,9 @@ from rtcal.support.types import Array
 
 Rows = NDArray[np.intp]
 
+_ROUNDING = 1e-13
+"""Coefficients whose samples differ by less than this have a single value."""
+
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
@@ -118,8 +121,8 @@ def posterior(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Poste
     SolverError
         If sampling was needed and no point inside the constraints was found.
     DataError
-        If ``result`` is not the result of a calibration, or ``n_samples`` or ``seed`` is not a
-        whole number.
+        If ``result`` is not the result of a calibration, ``n_samples`` not a whole number of at
+        least 2, or ``seed`` not one of at least 0.
 
     Examples
     --------
@@ -131,7 +134,7 @@ def posterior(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Poste
     """
     if not isinstance(result, Calibrated):
         raise DataError(f"result = {result!r} is not the result of a calibration")
-    checks.whole("n_samples", n_samples, 1)
+    checks.whole("n_samples", n_samples, 2)
     checks.whole("seed", seed, 0)
     density = result.density()
     if isinstance(density, IndependentBands):
@@ -224,13 +227,10 @@ def _sampled(bands: CoupledBands, n_samples: int, seed: int) -> Posterior:
     ordered = np.moveaxis(np.sort(alpha, axis=0), 0, -1)
     levels = (np.arange(len(alpha)) + 0.5) / len(alpha)
     sigma = alpha.std(axis=0, ddof=1)
-    correlation = np.empty((bands.n_bands, len(rows), len(rows)))
-    for k in range(bands.n_bands):
-        centred = (alpha[:, :, k] - alpha[:, :, k].mean(axis=0)) / np.where(
-            sigma[:, k] > 0, sigma[:, k], 1.0
-        )
-        correlation[k] = centred.T @ centred / (len(alpha) - 1)
-        np.fill_diagonal(correlation[k], 1.0)
+    sigma[np.ptp(alpha, axis=0) < _ROUNDING] = 0.0
+    scaled = (alpha - alpha.mean(axis=0)) / np.where(sigma > 0, sigma, np.inf)
+    correlation = np.einsum("sik,sjk->kij", scaled, scaled) / (len(alpha) - 1)
+    correlation[:, range(len(rows)), range(len(rows))] = 1.0
     prior = sample(bands.prior, n_samples, seed + 1).values
     prior_sigma = prior[:, :n_alpha].std(axis=0, ddof=1)
     return Posterior(

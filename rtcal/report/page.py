@@ -336,7 +336,7 @@ def _interval_note(seen: Saved) -> str:
         return "The intervals are those of the exact posterior distribution, within the bounds."
     return (
         "The intervals are those of the linear estimate, alpha ± 1.645 standard deviations cut to 0 to "
-        "1: exact ones would take long here, or the method has no posterior distribution."
+        "1: exact ones would need samples here, or the method has no posterior distribution."
     )
 
 
