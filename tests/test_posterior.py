@@ -142,6 +142,20 @@ def test_an_unreachable_target_leaves_one_answer(target: float) -> None:
     assert np.isfinite(found.identifiability).all()
 
 
+@pytest.mark.parametrize("end", [0, 1])
+def test_a_target_within_rounding_of_an_end_is_that_end(end: int) -> None:
+    mu, sigma, areas = np.full(3, 0.3), np.full(3, 0.05), np.array([30.0, 20.0, 10.0])
+    box = np.full(3, 0.1), np.full(3, 0.7)
+    sign = 1 - 2 * end
+    for relative, width in ((6e-15, 0.0), (1e-9, 1e-10)):
+        target = float(areas @ box[end]) * (1 + sign * relative)
+        found = marginals(mu, sigma, *box, areas, target, 0.0, 0.0)
+        np.testing.assert_allclose(found.mean, box[end], rtol=3 * relative)
+        spread = np.ptp(found.points, axis=1)
+        assert (spread > width / 10).all() if width else (spread == 0).all()
+        assert np.isfinite(found.cumulative).all()
+
+
 def test_intervals_of_many_materials_are_those_of_the_posterior() -> None:
     """More than the 40 materials that were once the most; one material and one band are held."""
     rng = np.random.default_rng(5)
