@@ -28,15 +28,6 @@ def bent(room, factor, power):
     return External(room=room, run=run, name="bent")
 
 
-def test_the_papers_rule_is_equations_38_to_40():
-    targets, rates, wanted = np.array([2.0]), np.array([2.5]), 2.0
-    second = loop_rules.secant(targets, rates, wanted, 0.1, 10)
-    assert second == pytest.approx(2.0 * (1 - (2.5 - 2.0) / 2.0))  # Eq. 39
-    third = loop_rules.secant(np.array([2.0, 1.5]), np.array([2.5, 1.8]), wanted, 0.1, 10)
-    assert third == pytest.approx(1.5 - (1.8 - 2.0) * (1.5 - 2.0) / (1.8 - 2.5))  # Eq. 40
-    assert loop_rules.secant(targets, np.array([5.0]), wanted, 0.1, 10) < 0  # its weakness
-
-
 @pytest.mark.parametrize("rule", ["safeguarded", "regression"])
 @pytest.mark.parametrize("factor", [0.3, 0.8, 1.3, 4.0])
 @pytest.mark.parametrize("power", [0.6, 1.0, 1.8])

@@ -24,6 +24,15 @@ def after(rule, points, wanted, low=LOW, high=HIGH):
     return rules.RULES[rule](targets, rates, wanted, low, high)
 
 
+def test_the_secant_is_equations_38_to_40_of_the_paper():
+    wanted = 2.0
+    assert after("secant", [(2.0, 2.5)], wanted) == pytest.approx(2.0 * (1 - (2.5 - 2.0) / 2.0))
+    third = 1.5 - (1.8 - 2.0) * (1.5 - 2.0) / (1.8 - 2.5)  # Eq. 40
+    assert after("secant", [(2.0, 2.5), (1.5, 1.8)], wanted) == pytest.approx(third)
+    assert after("secant", [(9.0, 9.0), (2.0, 2.5), (1.5, 1.8)], wanted) == pytest.approx(third)
+    assert after("secant", [(2.0, 5.0)], wanted) < 0  # its weakness
+
+
 def test_the_secant_keeps_its_target_where_the_rate_stays():
     assert after("secant", [(2.0, 3.0), (1.5, 3.0)], 2.0) == 1.5
 
@@ -86,6 +95,16 @@ def test_a_rule_ends_at_the_range_of_the_equation():
     assert after("safeguarded", points, 1.2, low=0.3) == pytest.approx(0.3)
 
 
+def test_a_step_to_the_very_end_of_the_range_is_kept():
+    assert after("safeguarded", [(2.0, 4.0)], 2.0, low=1.0) == 1.0
+    assert after("safeguarded", [(2.0, 1.0)], 2.0, high=4.0) == pytest.approx(4.0, rel=1e-12)
+
+
+def test_one_target_that_was_too_low_and_too_high_is_no_bracket():
+    points = [(2.0, 1.9), (2.0, 2.1)]
+    assert after("safeguarded", points, 2.0) == pytest.approx(2.0 * 2.0 / 2.1)
+
+
 def test_a_bracket_that_contradicts_itself_is_ignored():
     points = [(1.0, 3.0), (2.0, 1.0)]  # falls
     assert after("safeguarded", points, 1.5) == pytest.approx(2.0 * 1.5 ** (1 / 0.3))
@@ -135,6 +154,8 @@ def test_the_next_target_is_a_time_within_the_range():
     assert next_time("secant", [(2.0, 2.5)], 2.0) == pytest.approx(1 / (2 / 2.0 - 1 / 2.5))
     assert next_time("safeguarded", [(2.0, 9.0)], 1.0, shortest=0.8) == pytest.approx(0.8)
     assert next_time("safeguarded", [(2.0, 1.0)], 8.0, longest=5.0) == pytest.approx(5.0)
+    assert next_time("safeguarded", [(2.0, 1.0)], 5 / 3, longest=5.0) == pytest.approx(10 / 3)
+    assert next_time("safeguarded", [(2.0, 4.0)], 2.4, shortest=0.8) == pytest.approx(1.2)
     assert next_time("secant", [(2.0, 0.9)], 2.0, longest=5.0) == pytest.approx(2.0)  # below 0
     assert next_time("secant", [(2.0, 1.0)], 2.0, longest=5.0) == pytest.approx(2.0)  # 0
     assert next_time("secant", [(9.0, 0.9)], 2.0, longest=5.0) == pytest.approx(5.0)  # and cut

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.terms import Objective, RowConstraint
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 
 _DENSE = 500_000
 """Up to this many coefficients, rows are kept as an array."""
@@ -134,7 +134,7 @@ class NumpyModel:
 
     def gradient(self, u: Array) -> Array:
         """Return the objective's gradient at the unknowns."""
-        total = np.zeros_like(u)
+        total, u = np.zeros_like(u), read_only_view(u)
         for term, weight in zip(self.objective.terms, self.data.weights, strict=True):
             if weight > 0:
                 total = total + weight * term.gradient(u, self.data)
@@ -142,12 +142,12 @@ class NumpyModel:
 
     def value(self, u: Array) -> float:
         """Return the objective at the unknowns."""
-        pairs = zip(self.objective.terms, self.data.weights, strict=True)
+        pairs, u = zip(self.objective.terms, self.data.weights, strict=True), read_only_view(u)
         return float(sum(weight * term.value(u, self.data) for term, weight in pairs))
 
     def curvature(self, u: Array) -> Any:
         """Return the objective's second derivative: a diagonal (size,), or a sparse matrix."""
-        diagonal = np.zeros(self.sigma.size)
+        diagonal, u = np.zeros(self.sigma.size), read_only_view(u)
         matrix = None
         for term, weight in zip(self.objective.terms, self.data.weights, strict=True):
             part = term.curvature(u, self.data)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.calibration.layout import Integers, Layout
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 
 __all__ = ["Flags", "Integers", "ProblemData"]
 
@@ -66,6 +66,11 @@ class ProblemData:
     weights: tuple[float, ...]
     pinned: Flags
     centre: Array
+
+    def __post_init__(self) -> None:
+        for name, value in list(vars(self).items()):
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, name, read_only_view(value))
 
     @cached_property
     def matched(self) -> Flags:

@@ -16,7 +16,7 @@ from rtcal.calibration.context import Context
 from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.calibration.terms import ObjectiveTerm, RowConstraint
 from rtcal.errors import TermError
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 
 _AGREEMENT = 1e-4
 """Largest relative difference of two descriptions of one term: rounding and the finite differences
@@ -51,7 +51,7 @@ def require_agreement(
     for term, weight, expression in zip(model.objective.terms, weights, expressions, strict=True):
         if weight > 0:
             _check_value(term, weight, expression, context, model, points)
-            _check_derivatives(term, model, centre + scale * points, scale)
+            _check_derivatives(term, model, read_only_view(centre + scale * points), scale)
     for constraint, parts in zip(model.row_constraints, constraints, strict=True):
         _check_rows(constraint, parts, context, model, points)
 
@@ -65,7 +65,8 @@ def _check_value(
     points: Array,
 ) -> None:
     data = model.data
-    numpy_values = [weight * term.value(data.centre + data.scale * x, data) for x in points]
+    us = read_only_view(data.centre + data.scale * points)
+    numpy_values = [weight * term.value(u, data) for u in us]
     cvxpy_values = [_minimum(expression, context, x) for x in points]
     numpy_changes, cvxpy_changes = np.diff(numpy_values), np.diff(cvxpy_values)
     if _differ(numpy_changes, cvxpy_changes):
@@ -91,7 +92,7 @@ def _check_derivatives(term: ObjectiveTerm, model: NumpyModel, us: Array, scale:
     slopes, directional, bends, curved = [], [], [], []
     for u, towards in zip(us, us[::-1], strict=True):
         direction = towards - u
-        low, high = u - _STEP * direction, u + _STEP * direction
+        low, high = map(read_only_view, (u - _STEP * direction, u + _STEP * direction))
         slopes.append((term.value(high, data) - term.value(low, data)) / (2 * _STEP))
         directional.append(float(term.gradient(u, data) @ direction))
         gradients = term.gradient(high, data) - term.gradient(low, data)

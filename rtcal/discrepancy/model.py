@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from rtcal.acoustics.equations import MeanEquation, mean_equation
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 
 FEATURES = ("t20", "edt", "t30", "c80", "g")
 """Rows of every feature table: ln T20 (s), ln EDT/T20, ln T30/T20, C80 and G in dB."""
@@ -62,6 +62,11 @@ class State:
     floor_db: float | None = None
     record: float = 2.0
     direct_db: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("areas", "alpha", "facing", "air", "frequencies", "covering", "objects"):
+            if isinstance(values := getattr(self, name), np.ndarray):
+                object.__setattr__(self, name, read_only_view(values))
 
     @property
     def total_area(self) -> float:

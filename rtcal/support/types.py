@@ -20,6 +20,11 @@ def read_only(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
     >>> read_only(np.ones(2)).flags.writeable
     False
     """
-    values = values.copy()
-    values.setflags(write=False)
-    return values
+    return read_only_view(values.copy())
+
+
+def read_only_view(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """Return a read-only view: it costs no copy, and follows changes by the owner."""
+    view = values.view()
+    view.setflags(write=False)
+    return view

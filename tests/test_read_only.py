@@ -1,0 +1,130 @@
+"""Code of one's own gets arrays that it cannot change: else its caller's numbers would change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal import terms
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.configuration import Configuration
+from rtcal.discrepancy.effects.base import Effect
+from rtcal.discrepancy.effects.checks import changed_states
+from rtcal.discrepancy.model import State
+from rtcal.discrepancy.states import state
+from rtcal.errors import DataError, SimulatorError
+
+
+def test_a_loop_cannot_be_changed_from_after_step(cr2: Any) -> None:
+    room, measured = cr2
+
+    def meddles(loop: rt.loop.Loop) -> None:
+        for name in ("alpha", "simulated", "target", "noise"):
+            array = getattr(loop.steps[-1], name)
+            with pytest.raises(ValueError, match="read-only"):
+                array *= 0.5
+        with pytest.raises(ValueError, match="read-only"):
+            loop.wanted[:] = 1.0
+
+    program = rt.simulators.External(
+        room=room,
+        name="x",
+        run=lambda alpha, seed: 1.2 * rt.Eyring().time(room, room.areas @ alpha),
+    )
+    rt.calibrate_simulator(program, room, measured, after_step=meddles)
+
+
+def test_a_loop_keeps_the_coefficients_that_it_was_given(cr2: Any) -> None:
+    room, measured = cr2
+    loop = rt.loop.start(room, measured)
+    alpha = loop.next_alpha
+    simulated = rt.Measurement.from_values(room.centre_frequencies, t20=loop.wanted)
+    loop = loop.record(alpha, simulated)
+    kept = alpha.copy()
+    alpha[:] = 1.0
+    assert np.array_equal(loop.steps[0].alpha, kept)
+    changed = loop.next_alpha
+    changed[:] = 1.0
+    assert np.array_equal(loop.steps[0].alpha, kept)
+    assert np.array_equal(loop.outcome.alpha, kept)
+
+
+@dataclass(frozen=True)
+class Halving(rt.Eyring):
+    """An equation of one's own that changes the areas it is given."""
+
+    def time(self, room: rt.Room, absorption_area: Any) -> Any:
+        return super().time(room, absorption_area)
+
+    def reverberation_time(self, room: rt.Room) -> Any:
+        areas = room.areas
+        areas *= 0.5
+        return super().reverberation_time(room)
+
+
+def test_an_equation_cannot_change_the_room(cr2: Any) -> None:
+    room, measured = cr2
+    kept = room.areas.copy()
+    simulator = rt.simulators.EquationSimulator(Halving(), room)
+    with pytest.raises(SimulatorError, match="read-only"):
+        rt.calibrate_simulator(simulator, room, measured)
+    assert np.array_equal(room.areas, kept)
+
+
+class Painted(Effect):
+    """An effect of one's own that changes the state it is given."""
+
+    name: ClassVar[str] = "paint"
+    size: ClassVar[str] = "share"
+    unit: ClassVar[str] = ""
+
+    def grid(self, state: State) -> list[dict[str, float]]:
+        return [{"share": 0.5}, {"share": 0.9}]
+
+    def change(self, state: State, parameters: Any) -> State:
+        alpha = state.alpha
+        alpha *= parameters["share"]
+        return replace(state, alpha=alpha)
+
+
+def test_an_effect_cannot_change_the_state(cr2: Any) -> None:
+    """The second state of its grid was that of both shares together, and so was the case's own."""
+    room, measured = cr2
+    case = Case(room=room, configurations=[Configuration(name="empty", measured=measured)])
+    unchanged = state(case, case.configurations[0])
+    kept = unchanged.alpha.copy()
+    with pytest.raises(DataError, match=r'effect "paint": change.*read-only'):
+        changed_states(Painted(), unchanged, Painted().grid(unchanged))
+    assert np.array_equal(unchanged.alpha, kept)
+
+
+@pytest.mark.parametrize("name", ["areas", "alpha", "facing", "air", "frequencies"])
+def test_the_arrays_of_a_state_are_read_only(cr2: Any, name: str) -> None:
+    room, measured = cr2
+    case = Case(room=room, configurations=[Configuration(name="empty", measured=measured)])
+    values = getattr(state(case, case.configurations[0]), name)
+    with pytest.raises(ValueError, match="read-only"):
+        values *= 1.0
+
+
+@pytest.mark.parametrize("method", ["gradient", "curvature"])
+@pytest.mark.parametrize("what", ["u", "mu", "sigma", "areas", "target", "centre"])
+def test_a_term_cannot_change_the_unknowns_or_the_data(cr2: Any, method: str, what: str) -> None:
+    room, measured = cr2
+
+    class Meddling(terms.PriorDeviation):
+        """A prior of one's own that changes what it is given in one of its methods."""
+
+    def meddles(self: Any, u: Any, data: Any) -> Any:
+        values = u if what == "u" else getattr(data, what)
+        values *= 1.01
+        return getattr(terms.PriorDeviation, method)(self, u, data)
+
+    setattr(Meddling, method, meddles)
+    problem = rt.Calibration(Meddling(), [terms.ExactMatch()]).build(room)
+    with pytest.raises(ValueError, match="read-only"):
+        problem.solve(measured)
