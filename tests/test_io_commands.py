@@ -58,7 +58,7 @@ def test_a_table_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert rt.Measurement.from_file(str(out)).values["t20"].tolist() == [[1.5, 1.4]]
     path.write_bytes(b"f,RT60\n500,1.5\n")
     assert run("table", path, "--out", out) == 2
-    assert 'state decay_time="t20"' in capsys.readouterr().err
+    assert "state --decay-time t20 or --decay-time t30" in capsys.readouterr().err
     assert run("table", path, "--decay-time", "t20") == 0
 
 
@@ -269,7 +269,7 @@ def test_a_table_with_the_number_of_its_pairs(tmp_path: Path, capsys) -> None:
     )
     command = ("table", path, "--where", "room=A", "--out", out)
     assert run(*command) == 2
-    assert "needs the numbers of sources and receivers" in capsys.readouterr().err
+    assert "state --sources and --receivers" in capsys.readouterr().err
     assert run(*command, "--sources", 2, "--receivers", 5) == 0
     measured = rt.Measurement.from_file(str(out))
     assert (measured.n_sources, measured.n_receivers) == (2, 5)
@@ -287,3 +287,28 @@ def test_odeon_without_63_hz_on_request(tmp_path: Path, capsys) -> None:
     assert run(*command, "--missing-bands", "nearest") == 0
     assert "63 Hz is not in the room: alpha as at 125 Hz" in capsys.readouterr().out
     assert run("export", "bras", *command[2:], "--missing-bands", "nearest") == 2
+
+
+def test_messages_name_the_option_and_not_the_argument(tmp_path: Path, capsys) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text("position,500,1k\nA,1.5,1.4\n")
+    for arguments, message in (
+        (("table", path), "state it: --parameter t20, for instance"),
+        (("table", path, "--parameter", "t99"), "--parameter t99 is none of"),
+    ):
+        assert run(*arguments) == 2
+        assert message in capsys.readouterr().err
+    path.write_text("Frequency,Sound level\n500,1.5\n")
+    assert run("table", path) == 2
+    assert 'leave it out with --ignore "Sound level"' in capsys.readouterr().err
+    path.write_text("Frequency,T20\n500,1.5\n")
+    assert run("table", path) == 0
+    assert "state --sources and --receivers" in capsys.readouterr().out
+
+
+def test_a_file_name_that_is_no_text_is_refused(tmp_path: Path, capsys) -> None:
+    pytest.importorskip("pyfar")
+    path = tmp_path / "S1_\udce9.wav"
+    path.write_bytes(fuzz.READERS["wav"].seeds[0])
+    assert run("measure", path) == 2
+    assert "cannot be read as WAV" in capsys.readouterr().err

@@ -87,8 +87,8 @@ def test_bands_down_with_decimal_commas() -> None:
         '"T20 (s)": T20',
         '"D50 [%]": D50, times 0.01',
         '"Ts [ms]": TS, times 0.001',
-        "no positions: taken as one source and one receiver; state how many sources and receivers "
-        "if the values are means",
+        "no positions: taken as one source and one receiver; if the values are means, state "
+        "n_sources and n_receivers",
     ]
 
 
@@ -116,7 +116,7 @@ def test_rt60_must_be_said() -> None:
     table = tables.parse(content, decay_time="t30")
     assert table.measurement.values["t30"].tolist() == [[1.5]]
     bare = b"position,500,1k\nA,1.5,1.4\n"
-    with pytest.raises(DataError, match="state parameter"):
+    with pytest.raises(DataError, match='state it: parameter="t20"'):
         tables.parse(bare)
     assert tables.parse(bare, parameter="t20").measurement.pairs == (("S1", "A"),)
 

@@ -1,10 +1,37 @@
-"""Options of the form NAME=VALUE, given several times."""
+"""Options: those of the form NAME=VALUE, given several times, and their names in messages."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from rtcal.errors import DataError
+
+
+def as_options(text: str, arguments: Sequence[str]) -> str:
+    """Return a text with the command's options in place of Python's arguments.
+
+    Examples
+    --------
+    >>> as_options('state decay_time="t20" or n_sources', ["decay_time", "n_sources"])
+    'state --decay-time t20 or --sources'
+    """
+    for argument in arguments:
+        option = "--" + argument.removeprefix("n_").replace("_", "-")
+        text = re.sub(rf'\b{argument} ?= ?(?:"(\w+)"|("[^"]*"|[\w.]+))', rf"{option} \1\2", text)
+        if "_" in argument:
+            text = re.sub(rf"(?<!-)\b{argument}\b", option, text)
+    return text
+
+
+@contextmanager
+def errors_name_options(*arguments: str) -> Iterator[None]:
+    """Let a DataError name the command's options in place of Python's arguments."""
+    try:
+        yield
+    except DataError as error:
+        raise DataError(as_options(str(error), arguments)) from error
 
 
 def texts(option: str, stated: Sequence[str], value_name: str) -> dict[str, str]:

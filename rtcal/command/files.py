@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from rtcal.command.assignments import numbers, texts
+from rtcal.command.assignments import as_options, errors_name_options, numbers, texts
 from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
 from rtcal.support.files import spare
@@ -60,7 +61,10 @@ def measure(
     from rtcal.support.progress import bar
 
     spare([] if out is None else [out], responses)
-    with bar(len(responses), "response", bar_wanted(quiet)) as shown:
+    with (
+        errors_name_options("channels"),
+        bar(len(responses), "response", bar_wanted(quiet)) as shown,
+    ):
         analysis = impulse_responses.read(
             responses,
             bands=bands,
@@ -110,15 +114,19 @@ def table(
     from rtcal.io import tables
 
     spare([] if out is None else [out], [path])
-    table_read = tables.read(
-        path,
-        decay_time=decay_time,
-        parameter=parameter,
-        where=texts("--where", where, "ENTRY"),
-        ignore=ignore,
-        n_sources=sources,
-        n_receivers=receivers,
-    )
+    arguments = ("decay_time", "parameter", "ignore", "n_sources", "n_receivers")
+    with errors_name_options(*arguments):
+        table_read = tables.read(
+            path,
+            decay_time=decay_time,
+            parameter=parameter,
+            where=texts("--where", where, "ENTRY"),
+            ignore=ignore,
+            n_sources=sources,
+            n_receivers=receivers,
+        )
+    columns = tuple(as_options(line, arguments) for line in table_read.columns)
+    table_read = replace(table_read, columns=columns)
     _write_and_tell(table_read, {"columns": table_read.columns}, out, as_json, quiet)
 
 
@@ -187,7 +195,8 @@ def export(
         raise DataError(
             f"--missing-bands: a list of {program} has the room's bands, whatever they are"
         )
-    done = module.write(Room.from_file(room), materials, **options)
+    with errors_name_options("missing_bands", "decimals"):
+        done = module.write(Room.from_file(room), materials, **options)
     record = {
         "written": done.path,
         "equation": done.equation,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.command.assignments import numbers, texts
+from rtcal.command.assignments import errors_name_options, numbers, texts
 from rtcal.command.console import json_option, quiet_option, tell
 from rtcal.command.files import PROGRAMS
 from rtcal.errors import DataError, MissingDependencyError
@@ -146,7 +146,8 @@ def _geometry(
     if (mesh is None) == (volume is None and not areas):
         raise DataError("either --mesh, or --volume and --area, say how large the room is")
     if mesh is not None:
-        polyhedron = obj.read(mesh, unit=unit)
+        with errors_name_options("unit"):
+            polyhedron = obj.read(mesh, unit=unit)
         return polyhedron.volume, polyhedron.surfaces
     if volume is None:
         raise DataError("--volume is missing")

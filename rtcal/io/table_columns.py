@@ -199,7 +199,7 @@ def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
         if decay_time is None:
             raise DataError(
                 f'{place}: "{shown(text)}" does not say which decay time it is; state '
-                'decay_time="t20" or "t30"'
+                'decay_time="t20" or decay_time="t30"'
             )
         return decay_time
     return None

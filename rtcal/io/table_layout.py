@@ -259,7 +259,7 @@ class _Headers:
             if column is None:
                 raise DataError(
                     f'{place}: column "{shown(name)}" is no parameter, band, source or receiver; '
-                    "state that it is to be ignored, or delete it"
+                    f'leave it out with ignore="{shown(name)}", or delete it'
                 )
             columns.append(column)
         if columns and columns[0].kind == "first":

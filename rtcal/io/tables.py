@@ -270,7 +270,8 @@ class _Reader:
             band = column.band if column.has_band else row_band
             if parameter is None:
                 raise DataError(
-                    f'{place}: the table does not say what "{shown(cell)}" is; state parameter'
+                    f'{place}: the table does not say what "{shown(cell)}" is; state it: '
+                    'parameter="t20", for instance'
                 )
             if band is None:
                 raise DataError(f'{place}: no band for the value "{shown(cell)}"')
@@ -347,8 +348,8 @@ class _Reader:
         pairs = {key[:2] for key in values}
         if pairs == {("S1", "R1")} and not self.has_positions:
             report.append(
-                "no positions: taken as one source and one receiver; state how many sources and "
-                "receivers if the values are means"
+                "no positions: taken as one source and one receiver; if the values are means, state "
+                "n_sources and n_receivers"
             )
         return tuple(report)
 
@@ -366,7 +367,7 @@ class _Reader:
             if "standard_deviation" in numbers and not {"sources", "receivers"} <= {*numbers}:
                 raise DataError(
                     f"{place}: a standard deviation over positions needs the numbers of sources "
-                    "and receivers; state both"
+                    "and receivers; state n_sources and n_receivers"
                 )
         try:
             return Measurement.from_dict(of_single_values(values))
