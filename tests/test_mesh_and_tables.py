@@ -156,7 +156,7 @@ def test_bad_tables(content: bytes, rule: str) -> None:
 def test_native_files_are_bounded(tmp_path: Path) -> None:
     path = tmp_path / "room.toml"
     path.write_text("a = " + "[" * 100_000)
-    with pytest.raises(DataError, match=r"room.toml: not valid TOML"):
+    with pytest.raises(DataError, match=r"room.toml: .* more than 20 levels"):
         rt.Room.from_file(str(path))
     path.write_text(
         'volume = 1e3\ncentre_frequencies = [500]\n[[material]]\nname = "a"\narea = 1'
