@@ -163,7 +163,7 @@ def test_native_files_are_bounded(tmp_path: Path) -> None:
         + "0" * 400
         + "\nalpha = [0.1]\nsigma = 0.1\n"
     )
-    with pytest.raises(DataError, match=r'surface\["a"\].area = .* is not a number'):
+    with pytest.raises(DataError, match=r'material "a": area = 10.* is too large a number'):
         rt.Room.from_file(str(path))
     path.write_text(
         "source,receiver,parameter,band,value\n"
