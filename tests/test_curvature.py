@@ -8,6 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics import decay
 from rtcal.acoustics.curvature import bent_decays, curvature
+from rtcal.report import page
 
 
 def test_curvature_is_that_of_iso_3382_2() -> None:
@@ -61,9 +62,10 @@ def test_a_bent_decay_is_a_reservation_of_the_calibration() -> None:
     )
     straight = {"edt": [0.7, 0.7], "t20": [0.73, 0.73], "t30": [0.73, 0.74]}
     bent = {**straight, "t30": [0.73, 1.01], "edt": [0.7, 0.42]}
-    marks = rt.calibrate(room, rt.Measurement.from_values([500, 1000], **bent)).trust_marks
-    (mark,) = [m for m in marks if m.kind == "bent"]
+    result = rt.calibrate(room, rt.Measurement.from_values([500, 1000], **bent))
+    (mark,) = [m for m in result.trust_marks if m.kind == "bent"]
     assert (mark.frequency, mark.letter) == (1000, "c")
     assert "curvature T30/T20 - 1 = +38 %" in mark.text
+    assert "curvature T30/T20 - 1 = +38 %" in page.page(result)
     result = rt.calibrate(room, rt.Measurement.from_values([500, 1000], **straight))
     assert not [m for m in result.trust_marks if m.kind == "bent"]

@@ -264,6 +264,11 @@ def test_pyroomacoustics_takes_the_dictionaries() -> None:
     )
 
 
+def test_bras_writes_155_hz_for_160() -> None:
+    (material,) = bras.parse(b"125,155,200\n0.1,0.2,0.3\n").materials
+    assert material.centre_frequencies == (125, 160, 200)
+
+
 def test_bras_table_of_the_benchmark(shared_data: Path) -> None:
     path = shared_data / "bras" / "absorption_third_octave.csv"
     listed = bras.read(path, where={"room": "CR2", "set": "initial"})

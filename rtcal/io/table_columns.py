@@ -214,21 +214,29 @@ def frequency_of(text: str) -> float | None:
     return value if value > 0 else None
 
 
-def nominal_band(frequency: float, place: str) -> float:
-    """Return the nominal band within 3 % of a frequency; DataError for any other frequency.
+def nearest_band(frequency: float) -> float | None:
+    """Return the nominal band whose exact centre is within 3 % of a frequency, None without one.
 
     Examples
     --------
-    >>> nominal_band(155, "line 1")
-    160.0
+    >>> nearest_band(155), nearest_band(440)
+    (160.0, None)
     """
     steps = np.arange(-19, 14)  # thirds from 12.5 Hz to 20 kHz
     exact: Array = 1000 * 10 ** (steps / 10)  # IEC 61260-1, Eq. 2
     nominal = [12.5, 16.0, *bands.THIRD_OCTAVES]
     nearest = int(np.argmin(np.abs(np.log(exact / frequency))))
     if frequency not in nominal and abs(frequency / exact[nearest] - 1) > BAND_TOLERANCE:
-        raise DataError(f"{place}: {frequency:g} Hz is no octave or third-octave (IEC 61260-1)")
+        return None
     return float(nominal[nearest])
+
+
+def nominal_band(frequency: float, place: str) -> float:
+    """Return the nominal band of a frequency; DataError if it is none within 3 %."""
+    band = nearest_band(frequency)
+    if band is None:
+        raise DataError(f"{place}: {frequency:g} Hz is no octave or third-octave (IEC 61260-1)")
+    return band
 
 
 def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
