@@ -295,9 +295,12 @@ def test_certificate_catches_a_wrong_answer(cr2) -> None:
     assert certify(raw.model, off, right).primal_residual[2] > 1e-6
     wrong = Multipliers(right.rows * 1.001, zero, zero)
     assert certify(raw.model, result.alpha, wrong).worst > 1e-6
-    for bad in (wrong, Multipliers(-right.rows, zero, zero)):
-        bound = certify(raw.model, result.alpha, bad).alpha_error_bound
-        assert bound.max() > 1e-4
+    # The bound tells of the coefficients, whatever the multipliers are.
+    for multipliers in (right, wrong, Multipliers(-right.rows, zero, zero)):
+        assert certify(raw.model, result.alpha, multipliers).alpha_error_bound.max() < 1e-12
+        bound = certify(raw.model, off, multipliers).alpha_error_bound
+        assert bound[0, 2] == pytest.approx(1e-4, rel=1e-6)
+        assert np.sort(bound.ravel())[-2] < 1e-12
 
 
 def test_posterior_sigma_is_the_linear_gaussian_one(cr2) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.calibration import contradiction, feasibility, solvers
-from rtcal.calibration.certificate import Certificate, certify
+from rtcal.calibration import contradiction, feasibility, separable, solvers
+from rtcal.calibration.certificate import Certificate, by_band, certify
 from rtcal.calibration.compiled_qp import CompiledQP, WhitenedQP
 from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Layout
@@ -107,6 +108,8 @@ class ConvexProgram:
     def __init__(self, layout: Layout, objective: Objective, rows: Sequence[RowConstraint]) -> None:
         self.objective = objective
         self.rows = tuple(rows)
+        # The compiled problem holds one set of numbers: a thread at a time fills and solves it.
+        self._lock = threading.RLock()
         self._matches = [row for row in self.rows if isinstance(row, MatchConstraint)]
         self._context = context = Context(layout)
         self._expressions = [t.expression(context, i) for i, t in enumerate(objective.terms)]
@@ -148,65 +151,73 @@ class ConvexProgram:
         TermError
             If that is because a term's NumPy description disagrees with its cvxpy expression.
         """
-        settled, at_lower, at_upper, beyond = self._settle(
+        reachable, at_lower, at_upper, beyond = self._within_reach(
             data, rooms, equation, options.unreachable
         )
         # The ends are pinned for the solver only: model and certificate see the problem as asked.
-        asked = replace(data, target=settled.target)
-        model = NumpyModel(asked, self.objective, self.rows)
-        self._context.update(settled)
+        model = NumpyModel(replace(data, target=reachable.target), self.objective, self.rows)
+        failure = ""
+        try:
+            raw = self._solver_answer(model, reachable, options)
+        except SolverError as error:
+            failure = str(error)
+        else:
+            solution = _polished(model, raw, at_lower, at_upper)
+            failure = _failure(solution, options.solver)
+            if not failure:
+                moved = np.abs(solution.unknowns - raw.unknowns) > _FAR * model.sigma
+                if (moved & model.movable).any():
+                    self._require_agreement(reachable)
+                return replace(solution, unreachable=tuple(beyond))
+        contradiction.explain(model)
+        self._require_agreement(reachable)
+        if options == SolveOptions(unreachable=options.unreachable):
+            dual = _dual_answer(model, failure)
+            if dual is not None:
+                solution = _polished(model, dual, at_lower, at_upper)
+                if not _failure(solution, options.solver):
+                    return replace(solution, unreachable=tuple(beyond))
+        raise SolverError(failure)
+
+    def _solver_answer(
+        self, model: NumpyModel, data: ProblemData, options: SolveOptions
+    ) -> RawSolution:
+        """Fill the compiled problem with the data, solve it and read the answer: one at a time."""
         start = None
         if options.warm_start == "closed_form":
             if not (len(self.rows) == 1 and len(self.objective.terms) == 1):
                 raise ModelError(
                     "the closed form starts only a prior deviation with an exact match"
                 )
-            start = from_closed_form(settled)
-        try:
-            answer = solvers.run(self._compiled, options, start)
-        except SolverError as error:
-            contradiction.explain(model)
-            self._require_agreement(settled)
-            raise error
-        u = settled.centre + settled.scale * answer.x
-        raw = RawSolution(
+            start = from_closed_form(data)
+        with self._lock:
+            self._context.update(data)
+            output = solvers.run(self._compiled, options, start)
+        u = data.centre + data.scale * output.x
+        return RawSolution(
             model=model,
             unknowns=u,
-            multipliers=self._multipliers(settled, model, u, answer),
-            status=answer.status,
-            iterations=answer.iterations,
-            seconds=answer.seconds,
-        )
-        unknowns, multipliers, certificate, active, polished = _polished(
-            model, raw, at_lower, at_upper
-        )
-        if not _passes(model, unknowns, certificate):
-            contradiction.explain(model)
-            self._require_agreement(settled)
-            raise SolverError(
-                f'solver "{options.solver}" says {answer.status}, but its answer does not pass: primal '
-                f"residual {np.max(certificate.primal_residual):.1e}, dual residual "
-                f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}"
-            )
-        moved = np.abs(unknowns - raw.unknowns) > _FAR * model.sigma
-        if (moved & model.movable).any():
-            self._require_agreement(settled)
-        return Solution(
-            model, unknowns, multipliers, active, certificate, raw, polished, tuple(beyond)
+            multipliers=self._multipliers(data, model, u, output),
+            status=output.status,
+            iterations=output.iterations,
+            seconds=output.seconds,
         )
 
     def _require_agreement(self, data: ProblemData) -> None:
         """Raise TermError if the answer is off because of a term, not because of the solver."""
         model = NumpyModel(data, self.objective, self.rows)
-        require_agreement(self._context, model, self._expressions, self._constraints)
+        with self._lock:
+            self._context.update(data)
+            require_agreement(self._context, model, self._expressions, self._constraints)
 
     def whitened(self, data: ProblemData) -> WhitenedQP:
         """Return the QP of the data's numbers as they are, whether it has an answer or not."""
-        self._context.update(data)
-        matrices = self._compiled.matrices()
+        with self._lock:
+            self._context.update(data)
+            matrices = self._compiled.matrices()
         return WhitenedQP(matrices, data.centre, data.scale, self._compiled.column, data.layout)
 
-    def _settle(
+    def _within_reach(
         self,
         data: ProblemData,
         rooms: Sequence[Room],
@@ -231,7 +242,7 @@ class ConvexProgram:
         return feasibility.restrict_to_reach(data, rooms, wanted, equation, unreachable)
 
     def _multipliers(
-        self, settled: ProblemData, model: NumpyModel, u: Array, answer: solvers.SolverOutput
+        self, data: ProblemData, model: NumpyModel, u: Array, answer: solvers.SolverOutput
     ) -> Multipliers:
         """The solver's duals in the unknowns' units.
 
@@ -239,7 +250,7 @@ class ConvexProgram:
         solver is never asked for: they follow from stationarity.
         """
         duals = iter(answer.row_duals)
-        scales = [term.row_scale(settled) for term in self.rows]
+        scales = [term.row_scale(data) for term in self.rows]
         rows = [
             sum(sign * next(duals) for sign in signs) * scale
             for scale, signs in zip(scales, self._signs, strict=True)
@@ -247,7 +258,7 @@ class ConvexProgram:
         row_values = np.concatenate(rows) if rows else np.zeros(0)
         lower, upper = answer.lower_dual, np.zeros_like(answer.lower_dual)
         upper[: len(answer.upper_dual)] = answer.upper_dual
-        ends = model.movable & (settled.scale == 0)
+        ends = model.movable & (data.scale == 0)
         if ends.any():
             at_lower, at_upper = ends & (u == model.lower), ends & (u == model.upper)
             starved = (np.concatenate([*scales, np.zeros(0)]) == 0) & (model.row_norm > 0)
@@ -258,35 +269,56 @@ class ConvexProgram:
         return Multipliers(row_values, lower, upper)
 
 
-def _passes(model: NumpyModel, u: Array, certificate: Certificate) -> bool:
-    """Whether an answer is optimal to `_ACCEPTED`, relative to how steep the objective is there.
+def _failure(solution: Solution, solver: str) -> str:
+    """Say why an answer is not optimal to `_ACCEPTED`, or nothing if it is.
 
-    A soft match with a tiny u_b has a gradient that is the difference of huge numbers: it is known
-    to eps |H| |u| only, which is then allowed too.
+    Each band is judged by how steep the objective is there. A soft match with a tiny u_b has a
+    gradient that is the difference of huge numbers, known to eps |H| |u| only; that is allowed too.
     """
+    model, u, certificate = solution.model, solution.unknowns, solution.certificate
     if certificate.worst <= _ACCEPTED:
-        return True
-    steepness = 1 + float(np.max(np.abs(model.sigma * model.gradient(u)), initial=0.0))
+        return ""
+    n_bands = model.data.layout.n_bands
+    steepness = _ACCEPTED * model.steepness(u)[:n_bands]
     curvature, size = abs(model.curvature(u)), np.abs(u)
-    terms = curvature @ size if sp.issparse(curvature) else curvature * size
-    rounding = 16 * np.finfo(float).eps * float(np.max(model.sigma * terms, initial=0.0))
-    return bool(
-        np.max(certificate.primal_residual) <= _ACCEPTED
-        and np.max(certificate.dual_residual) <= _ACCEPTED * steepness + rounding
-        and np.max(certificate.duality_gap) <= _ACCEPTED * steepness
+    products = model.sigma * (curvature @ size if sp.issparse(curvature) else curvature * size)
+    rounding = 16 * np.finfo(float).eps * by_band(products, model.data.layout, np.max)
+    if not model.separate(u):
+        rounding = np.full(n_bands, np.max(rounding))
+    if (
+        np.all(certificate.primal_residual <= _ACCEPTED)
+        and np.all(certificate.dual_residual <= steepness + rounding)
+        and np.all(certificate.duality_gap <= steepness)
+    ):
+        return ""
+    return (
+        f'solver "{solver}" says {solution.raw.status}, but its answer does not pass: primal residual '
+        f"{np.max(certificate.primal_residual):.1e}, dual residual "
+        f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}"
     )
 
 
-def _polished(
-    model: NumpyModel, raw: RawSolution, at_lower: Flags, at_upper: Flags
-) -> tuple[Array, Multipliers, Certificate, NDArray[np.int8], bool]:
-    """The polished answer where it is better than the raw one, else the raw one."""
-    found = polish(model, raw.unknowns, raw.multipliers, at_lower, at_upper)
-    if found is not None:
-        certificate = certify(model, found.alpha, found.multipliers)
-        if _passes(model, found.alpha, certificate) or certificate.worst <= raw.certificate.worst:
-            return found.alpha, found.multipliers, certificate, found.active, True
+def _dual_answer(model: NumpyModel, failure: str) -> RawSolution | None:
+    """Return the answer of the exact dual in the place of a solver's; None if there is none."""
+    answer = separable.solve(model)
+    if answer is None:
+        return None
+    u, multipliers = answer
+    status = f"exact dual, since the solver failed: {failure}"
+    return RawSolution(model, u, multipliers, status, iterations=0, seconds=np.nan)
+
+
+def _polished(model: NumpyModel, raw: RawSolution, at_lower: Flags, at_upper: Flags) -> Solution:
+    """Return the polished answer where it is better than the raw one, else the raw one."""
+    answer = polish(model, raw.unknowns, raw.multipliers, at_lower, at_upper)
+    if answer is not None:
+        certificate = certify(model, answer.alpha, answer.multipliers)
+        polished = Solution(
+            model, answer.alpha, answer.multipliers, answer.active, certificate, raw, True, ()
+        )
+        if not _failure(polished, "") or certificate.worst <= raw.certificate.worst:
+            return polished
     near = 1e-9
     active = (model.movable & (raw.unknowns >= model.upper - near)).astype(np.int8)
     active -= (model.movable & (raw.unknowns <= model.lower + near)).astype(np.int8)
-    return raw.unknowns, raw.multipliers, raw.certificate, active, False
+    return Solution(model, raw.unknowns, raw.multipliers, active, raw.certificate, raw, False, ())

@@ -140,6 +140,17 @@ class NumpyModel:
                 total = total + weight * term.gradient(u, self.data)
         return total
 
+    def steepness(self, u: Array) -> Array:
+        """Return 1 + max |sigma gradient| over the bands that each unknown is coupled with, (size,).
+
+        It is the scale that rounding errors of the optimality conditions are measured with.
+        """
+        slope = np.abs(self.sigma * self.gradient(u))
+        if not self.separate(u):
+            return np.full(len(slope), 1 + np.max(slope, initial=0.0))
+        by_band = 1 + np.max(self.data.alpha(slope), axis=0)
+        return np.tile(by_band, self.data.layout.n_rows)
+
     def value(self, u: Array) -> float:
         """Return the objective at the unknowns."""
         pairs, u = zip(self.objective.terms, self.data.weights, strict=True), read_only_view(u)

@@ -22,6 +22,8 @@ from rtcal.support.types import Array
 
 _ROUNDS = 60
 _ROUNDING = 1e-13
+_UNBALANCED = 1e3
+"""Imbalance of a free unknown, in units of its rounding error, up to which it counts as balanced."""
 _PATIENCE = 8
 """Rounds without progress before what is reached is left to the certificate."""
 
@@ -94,7 +96,7 @@ def polish(
         gradient = model.gradient(trial)
         force = np.asarray(gradient + model.matrix.T @ rows)
         balance = force * sigma
-        tolerance = _ROUNDING * (1 + np.max(np.abs(gradient * sigma), initial=0.0))
+        tolerance = _ROUNDING * model.steepness(trial)
         free_lower = at_lower & (balance < -tolerance)
         free_upper = at_upper & (balance > tolerance)
         free_row = ~fixed_row & (side * rows < 0)
@@ -103,8 +105,8 @@ def polish(
             at_lower, at_upper = at_lower & ~free_lower, at_upper & ~free_upper
             side = np.where(free_row, 0, side)
             continue
-        unbalanced = float(np.max(np.abs(balance[free]), initial=0.0))
-        if unbalanced > 1e3 * tolerance and patience:
+        unbalanced = float(np.max(np.abs(balance[free]) / tolerance[free], initial=0.0))
+        if unbalanced > _UNBALANCED and patience:
             # A piecewise quadratic objective changed its piece, or rounding is all that is left.
             worst, patience = min(worst, unbalanced), patience - (unbalanced > 0.5 * worst)
             continue
