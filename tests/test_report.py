@@ -417,6 +417,42 @@ def test_a_finding_has_its_section(result) -> None:
     assert "data:image/svg+xml" in section
 
 
+def test_a_findings_page_opens_with_the_finding(result) -> None:
+    """Not with the sentence that the plain calibration meets the measured T, which proves nothing."""
+    finding = {"summary": ["An opening is missing."], "plain": "plain calibration: not to be used"}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "_figures", no_figures)
+        text = page.page(result, finding=finding)
+        usual = page.page(result)
+    met = "Now the model has the measured T"
+    order = ["An opening is missing.", "plain calibration: not to be used", met]
+    assert [text.index(sentence) for sentence in order] == sorted(map(text.index, order))
+    assert met in usual
+
+
+def test_the_page_names_the_bands_that_were_compared() -> None:
+    room = rt.Room(
+        name="box",
+        volume=60,
+        materials=["wall"],
+        areas=[94],
+        alpha=[[0.3] * 8],
+        sigma=[[0.1] * 8],
+        centre_frequencies=[125, 250, 500, 1000, 2000, 4000, 8000, 16000],
+    )
+    measured = rt.Measurement.from_values([250, 500, 1000, 2000, 4000, 8000], t20=[0.35] * 6)
+    sentences = words.summary(saving.saved(rt.calibrate(room, measured)))
+    assert "in 6 bands, 250 to 8000 Hz." in sentences[0]
+
+
+def test_half_a_surrogate_pair_is_refused_before_a_page_is_begun(result, tmp_path, capsys) -> None:
+    text = result.to_json().replace("BRAS CR2", "BRAS \\ud800", 1)
+    (tmp_path / "result.json").write_text(text, encoding="utf-8")
+    assert run("report", tmp_path) == 2
+    assert "half of a surrogate pair" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["result.json"]
+
+
 def test_a_loops_page(loop, tmp_path) -> None:
     path = tmp_path / "loop.json"
     loop.save(str(path))

@@ -15,6 +15,7 @@ from rtcal.command.console import (
     quiet_option,
     tell,
     without_air_warning,
+    written,
 )
 
 
@@ -80,6 +81,5 @@ def calibrate(
         )
     text = str(result)
     if folder is not None:
-        written = result_folder.write(result, folder)
-        text += f"\nWritten: {', '.join(map(str, written))}"
+        text += "\n" + written(result_folder.write(result, folder))
     tell(text, result.to_dict(), quiet=quiet, as_json=as_json)

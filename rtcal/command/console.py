@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.errors import DataError
-from rtcal.support.text import printable
+from rtcal.support.encode import json_text
+from rtcal.support.text import printable, width
 
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
@@ -104,34 +103,21 @@ def bar_wanted(quiet: bool) -> bool:
     )
 
 
-def _json_text(record: Mapping[str, Any]) -> str:
-    """Return a record as JSON: arrays as lists, missing numbers as null.
+def written(paths: Sequence[object]) -> str:
+    """Return the line that names the files written, or one line per file where it gets too long."""
+    line = f"Written: {', '.join(map(str, paths))}"
+    return line if len(line) <= width() else "\n  ".join(["Written:", *map(str, paths)])
 
-    ASCII alone, with escapes, where the output's encoding lacks a character or a terminal would
-    obey one.
-    """
-    plain = _plain(record)
-    text = json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False)
+
+def _json_text(record: Mapping[str, Any]) -> str:
+    """Return a record as JSON, with escapes for what the output lacks or a terminal would obey."""
+    text = json_text(record)
     try:
         text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
         escape = printable(text) != text
     except UnicodeEncodeError:
         escape = True
-    return json.dumps(plain, indent=1, allow_nan=False) if escape else text
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        if value.dtype.names:  # a table: one object per row
-            return [dict(zip(value.dtype.names, _plain(list(row)), strict=True)) for row in value]
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return json_text(record, ascii_only=True) if escape else text
 
 
 def without_air_warning() -> warnings.catch_warnings[None]:

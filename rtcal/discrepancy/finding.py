@@ -14,8 +14,7 @@ from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.evidence import UNKNOWN, ModelDiscrepancy
 from rtcal.discrepancy.wording import NATS, amount, listed
 from rtcal.errors import DataError
-from rtcal.support import html
-from rtcal.support.text import shortened
+from rtcal.support import html, text
 from rtcal.support.types import Array
 
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
@@ -191,7 +190,7 @@ class Finding:
 
     def __repr__(self) -> str:
         """Return one line: verdict, candidates, evidence and threshold."""
-        names = shortened(", ".join(self.candidates)) or "no effect"
+        names = text.shortened(", ".join(self.candidates)) or "no effect"
         return (
             f"<Finding {self.verdict}: {names}; {self.score:+.1f} nats, threshold "
             f"{self.threshold:.1f}>"
@@ -204,45 +203,57 @@ class Finding:
             for name, nats in self.evidence.items()
         ]
         return html.table(
-            f"{self._headline}; threshold {self.threshold:.1f} nats",
+            f"{self.headline}; threshold {self.threshold:.1f} nats",
             ["effect", "evidence / nats", ""],
             rows,
-            [*filter(None, [self._size_in_words]), f"Next: {self.advice}", *self.notes],
+            [*filter(None, [self.size_in_words]), f"Next: {self.advice}", *self.notes],
         )
 
     def __str__(self) -> str:
         """Return verdict, size, evidence, residuals, advice and notes."""
-        lines = [self._headline]
-        if self._size_in_words:
-            lines.append("  " + self._size_in_words)
-        lines.append(
-            f"  evidence {self.score:+.1f} nats ({NATS}); threshold {self.threshold:.1f}, "
-            f"bootstrapped on {' and '.join(self.engines) or 'no engine'}; "
-            f"runner-up {self.second_best}"
-        )
-        for c, table in zip(self.case.configurations, self.residuals, strict=True):
-            lines.append(f'  residuals of "{c.name}", in standard deviations (measured - model):')
-            heads = "".join(f"{bands.label(x):>9}" for x in self.case.room.centre_frequencies)
-            lines.append(f"    {'':9}{heads}")
-            for name, row in zip(FEATURE_NAMES, table, strict=True):
-                if np.isfinite(row).any():
-                    cells = "".join("        -" if np.isnan(v) else f"{v:+9.1f}" for v in row)
-                    lines.append(f"    {name:9}{cells}")
-        lines.append(f"  next: {self.advice}")
-        lines += [f"  note: {n}" for n in self.notes]
+        sentences = [*filter(None, [self.size_in_words]), self.evidence_in_words]
+        lines = text.wrapped(self.headline)
+        for sentence in sentences:
+            lines += text.wrapped(sentence, indent="  ")
+        header = ("", [bands.label(f) for f in self.case.room.centre_frequencies])
+        for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
+            lines += text.wrapped(
+                f'residuals of "{c.name}", in standard deviations (measured - model):', indent="  "
+            )
+            rows = [
+                (f"    {name}", ["-" if np.isnan(v) else f"{v:+.1f}" for v in row])
+                for name, row in zip(FEATURE_NAMES, residuals, strict=True)
+                if np.isfinite(row).any()
+            ]
+            lines += text.table(rows, header=header)
+        for sentence in (f"next: {self.advice}", *(f"note: {n}" for n in self.notes)):
+            lines += text.wrapped(sentence, indent="  ")
         return "\n".join(lines)
 
     @property
-    def _headline(self) -> str:
-        """The verdict in a sentence."""
-        sentence = {
+    def evidence_in_words(self) -> str:
+        """The best effect's evidence, the threshold, and the second best effect."""
+        return (
+            f"evidence {self.score:+.1f} nats ({NATS}); threshold {self.threshold:.1f}, "
+            f"bootstrapped on {' and '.join(self.engines) or 'no engine'}; "
+            f"runner-up {self.second_best}"
+        )
+
+    @property
+    def headline(self) -> str:
+        """The verdict and its `sentence`."""
+        return f"{self.verdict}: {self.sentence}"
+
+    @property
+    def sentence(self) -> str:
+        """What the verdict says of the model."""
+        return {
             "none": "No disagreement beyond what prior, measurement and model error allow.",
             "hint": f"A hint of {self.title}, under the threshold.",
             "named": f"{self.kind}: {self.title}.",
             "ambiguous": f"{self.kind}: one of {', '.join([self.title, *self.rivals])}.",
             "unknown": "Something is missing that no effect of the library explains.",
         }[self.verdict]
-        return f"{self.verdict}: {sentence}"
 
     @property
     def kind(self) -> str:
@@ -258,7 +269,7 @@ class Finding:
         return "Missing from the model, or not as stated"
 
     @property
-    def _size_in_words(self) -> str:
+    def size_in_words(self) -> str:
         """The best effect's size with its interval, and its other parameters; "" without any."""
         if not self.parameters:
             return ""

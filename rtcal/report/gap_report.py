@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,11 +13,13 @@ from rtcal.calibration.presets import calibrate
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.verification import Verification, verify
 from rtcal.discrepancy.wording import listed
-from rtcal.errors import DataError, MissingAirWarning
+from rtcal.errors import MissingAirWarning
 from rtcal.report import gap_figures
 from rtcal.report.figures import rendered
 from rtcal.report.page import page
-from rtcal.support.files import write_all
+from rtcal.report.rows import material_rows
+from rtcal.support.encode import json_text
+from rtcal.support.files import make_folder, write_all
 
 FIGURES = ("evidence", "residuals", "reverberation_time", "decay", "shifts")
 WRITTEN = ("finding.json", "report.html", *(f"{name}.png" for name in FIGURES))
@@ -96,14 +97,11 @@ def write(finding: Finding, folder: Path, reproduction: Reproduction | None = No
     told = summary(finding, verified, reproduction)
     text = page(usual, finding=told, finding_figures=list(drawn.values()))
     contents = {
-        folder / "finding.json": (json.dumps(record, indent=1) + "\n").encode(),
+        folder / "finding.json": (json_text(record) + "\n").encode(),
         folder / "report.html": text.encode(),
         **{folder / f"{name}.png": rendered(figure, "png") for name, (figure, _) in drawn.items()},
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder}: {error.strerror or error}") from error
+    make_folder(folder)
     write_all(contents)
     return list(contents)
 
@@ -112,9 +110,12 @@ def summary(
     finding: Finding, verification: Verification | None, reproduction: Reproduction | None = None
 ) -> dict[str, Any]:
     """Return what the page says of a finding: `rtcal.report.page.page` has the keys."""
-    lines = [line.strip() for line in str(finding).splitlines()]
-    at = next(i for i, line in enumerate(lines) if line.startswith("evidence"))
-    sentences = [*lines[:at], *(line for line in lines[at:] if line.startswith("next: "))]
+    size = finding.size_in_words
+    sentences = [
+        finding.sentence,
+        *([f"{size[0].upper()}{size[1:]}."] if size else []),
+        f"Next: {finding.advice.rstrip('.')}.",
+    ]
     first = finding.case.configurations[0].name
     told: dict[str, Any] = {
         "verdict": finding.verdict,
@@ -148,7 +149,6 @@ def summary(
 def _corrected(verification: Verification) -> dict[str, Any]:
     """The coefficients with the effect in the model, and how much there is of it."""
     room, found = verification.finding.case.room, verification.corrected
-    low, high = found.interval
     names = [f'"{c.name}"' for c in verification.finding.case.configurations]
     use = {
         "proven": "These are the ones to use, if the name is right.",
@@ -160,23 +160,9 @@ def _corrected(verification: Verification) -> dict[str, Any]:
         + listed(names),
         "use": use,
         "effects": found.effects_in_words,
-        "materials": [
-            {
-                "name": m,
-                "area": room.areas[i],
-                "cells": [
-                    {
-                        "before": room.alpha[i, k],
-                        "after": found.alpha[i, k],
-                        "low": low[i, k],
-                        "high": high[i, k],
-                        "star": "",
-                    }
-                    for k in range(room.n_bands)
-                ],
-            }
-            for i, m in enumerate(room.materials)
-        ],
+        "materials": material_rows(
+            room.materials, room.areas, room.alpha, found.alpha, found.interval
+        ),
     }
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
+from rtcal.report.rows import material_rows
 from rtcal.report.words import hertz
 
 if TYPE_CHECKING:
@@ -67,6 +68,13 @@ def assumed(loop: Loop) -> list[str]:
     ]
 
 
+def equation_option(loop: Loop) -> str:
+    """Return what `rtcal loop start` needs to be told of the equation; nothing for Eyring's."""
+    if loop.equation is None or loop.equation == Eyring():
+        return ""
+    return f" --equation {loop.equation.key}"
+
+
 def bands_table(loop: Loop, status: Sequence[str]) -> dict[str, Any]:
     """Return the rows of the table by band."""
     nearest = np.array([loop.steps[b].simulated[k] for k, b in enumerate(loop.best)])
@@ -85,19 +93,17 @@ def bands_table(loop: Loop, status: Sequence[str]) -> dict[str, Any]:
 
 def at_ends(loop: Loop) -> list[str]:
     """Return which coefficients of the nearest simulations stand at 0 or 1 and did not before."""
-    found = []
+    sentences = []
     for row in materials_table(loop):
         for end in (0.0, 1.0):
             bands = [
-                float(f)
-                for f, (before, after) in zip(
-                    loop.room.centre_frequencies, row["cells"], strict=True
-                )
-                if after == end != before
+                float(frequency)
+                for frequency, cell in zip(loop.room.centre_frequencies, row["cells"], strict=True)
+                if cell["after"] == end != cell["before"]
             ]
             if bands:
-                found.append(f"{row['name']}: α = {end:g} at {hertz(bands)}")
-    return found
+                sentences.append(f"{row['name']}: α = {end:g} at {hertz(bands)}")
+    return sentences
 
 
 def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
@@ -153,11 +159,4 @@ def materials_table(loop: Loop) -> list[dict[str, Any]]:
     """Return name, area and coefficients, stated and in each band's nearest run."""
     room = loop.room
     after = loop.best_alpha
-    return [
-        {
-            "name": room.materials[i],
-            "area": room.areas[i],
-            "cells": list(zip(room.alpha[i], after[i], strict=True)),
-        }
-        for i in range(room.n_materials)
-    ]
+    return material_rows(room.materials, room.areas, room.alpha, after)

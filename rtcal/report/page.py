@@ -21,6 +21,7 @@ from rtcal.loop import files as loop_files
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
 from rtcal.report import figures, loop_figures, loop_words, material_figures, words
+from rtcal.report.rows import material_rows
 from rtcal.report.saved import Saved, from_dict, read_json, saved
 from rtcal.support.files import write_text
 from rtcal.support.version import __version__
@@ -152,6 +153,7 @@ def loop_page(
             "blocks": _blocks(loop.room.n_bands),
             "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
             "materials": loop_words.materials_table(loop),
+            "equation_option": loop_words.equation_option(loop),
         },
     )
 
@@ -312,23 +314,14 @@ def _materials(seen: Saved) -> list[dict[str, Any]]:
     low, high = material_figures.intervals(seen)
     size = np.max(seen.areas[:, np.newaxis] * seen.alpha_after, axis=1)
     rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS])
-    return [
-        {
-            "name": seen.materials[i],
-            "area": seen.areas[i],
-            "cells": [
-                {
-                    "before": seen.alpha_before[i, k],
-                    "after": seen.alpha_after[i, k],
-                    "low": low[i, k],
-                    "high": high[i, k],
-                    "star": "*" if seen.at_bound[i, k] else "",
-                }
-                for k in range(len(seen.centre_frequencies))
-            ],
-        }
-        for i in rows
-    ]
+    return material_rows(
+        [seen.materials[i] for i in rows],
+        seen.areas[rows],
+        seen.alpha_before[rows],
+        seen.alpha_after[rows],
+        (low[rows], high[rows]),
+        seen.at_bound[rows] != "",
+    )
 
 
 def _interval_note(seen: Saved) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -15,6 +14,7 @@ import numpy as np
 from rtcal.acoustics.quality import TrustMark
 from rtcal.calibration.record import KIND
 from rtcal.errors import DataError
+from rtcal.support.decode import json_object
 from rtcal.support.files import read_text
 from rtcal.support.types import Array
 
@@ -92,15 +92,11 @@ def saved(result: CalibrationResult | Saved) -> Saved:
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return a JSON object; DataError if the file cannot be read or holds something else."""
+    text = read_text(path, MAX_BYTES)
     try:
-        found = json.loads(read_text(path, MAX_BYTES))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, DataError):
-            raise
-        raise DataError(f"{path}: not JSON: {error}") from error
-    if not isinstance(found, dict):
-        raise DataError(f"{path}: not a JSON object")
-    return found
+        return json_object(text)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
 
 
 def read(path: str | os.PathLike[str]) -> Saved:

@@ -72,9 +72,9 @@ def summary(seen: Saved) -> list[str]:
     """Return the calibration as a few sentences."""
     f, here = seen.centre_frequencies, np.isfinite(seen.gap_before)
     found = [
-        f"The reverberation time T of the model was compared with the measured one in {_bands(here)}"
-        f", {f[0]:g} to {f[-1]:g} Hz. Differences are given in just noticeable differences: "
-        f"one JND is {100 * JND['t20']:g} % of the measured T."
+        f"The reverberation time T of the model was compared with the measured one in "
+        f"{bands.span(f[here]) if here.any() else 'no band'}. Differences are given in just "
+        f"noticeable differences: one JND is {100 * JND['t20']:g} % of the measured T."
     ]
     if here.any():
         gap = np.where(here, np.abs(seen.gap_before), -1.0)
@@ -91,11 +91,6 @@ def summary(seen: Saved) -> list[str]:
         "believe it shows in how far the coefficients had to move."
     )
     return found
-
-
-def _bands(here: np.ndarray) -> str:
-    count = int(here.sum())
-    return f"{count} frequency band{'' if count == 1 else 's'}"
 
 
 def _after(seen: Saved) -> str:
