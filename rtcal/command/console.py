@@ -16,7 +16,7 @@ import click
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.errors import DataError
 from rtcal.support.encode import json_text
-from rtcal.support.text import printable, width
+from rtcal.support.text import fitted, printable, width
 
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
@@ -53,7 +53,7 @@ def tell(text: str, record: Mapping[str, Any], *, quiet: bool, as_json: bool) ->
     if sys.stdout is None:
         raise CannotPrint("cannot print: the standard output is closed")
     with printing():
-        click.echo(_json_text(record) if as_json else printable(text))
+        click.echo(_json_text(record) if as_json else printable(fitted(text)))
 
 
 @contextmanager

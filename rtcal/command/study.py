@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from rtcal.command.assignments import errors_name_options
 from rtcal.command.console import bar_wanted, json_option, output_folder, quiet_option, tell
 
 
@@ -82,17 +83,18 @@ def study(
     target = output_folder("--out", out)
     if target is not None:
         make_folder(target)
-    report = study_report.report(
-        rooms,
-        sigma_r,
-        realisations,
-        trials,
-        seed,
-        workers=workers,
-        folder=output_folder("--folder", folder),
-        progress=bar_wanted(quiet),
-        with_files=target is not None,
-    )
+    with errors_name_options("sigma_r"):
+        report = study_report.report(
+            rooms,
+            sigma_r,
+            realisations,
+            trials,
+            seed,
+            workers=workers,
+            folder=output_folder("--folder", folder),
+            progress=bar_wanted(quiet),
+            with_files=target is not None,
+        )
     if target is not None:
         write_all({target / name: content for name, content in report.files.items()})
     record = {

@@ -17,7 +17,7 @@ from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
 from rtcal.discrepancy.model import FEATURES
 from rtcal.errors import DataError
-from rtcal.support import checks
+from rtcal.support import checks, text
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -157,29 +157,23 @@ class Plan:
         """Return the table of expected evidence, and the pairs that cannot be distinguished."""
         names = list(dict.fromkeys(a for a, _ in self.separations))
         lines = [
-            f"With {', '.join(self.parameters)}: evidence (nats) to expect for the effect in the row, "
-            "at the size",
-            f"whose change of T (its own column) is nearest to {100 * self.change:g} %,",
-            f"against the effect in the column; over {MINIMUM_NATS} (ten to one) they can be "
-            "told apart;",
-            f"over {_MOST:.0f} is certain, and no number is printed.",
+            f"With {', '.join(self.parameters)}: evidence (nats) to expect",
+            "for the effect in the row against the effect in the column,",
+            f"at the size whose change of T (its own column) is nearest to {100 * self.change:g} %.",
+            f"Over {MINIMUM_NATS} (ten to one) they can be told apart; over {_MOST:.0f} is certain, "
+            "and no",
+            "number is printed.",
         ]
-        heads = [n.replace("-", "- ").split() for n in (NONE, *names)]
-        heads = [["change", "of T"], *heads]
-        rows = max(map(len, heads))
-        widths = [max(7, *(len(word) + 1 for word in head)) for head in heads]
-        first = max(map(len, names)) + 1
-        for row in range(rows):
-            words = [["", *[""] * (rows - 1 - len(h)), *h][row - rows] for h in heads]
-            lines.append(
-                " " * first + "".join(f"{w:>{n}}" for w, n in zip(words, widths, strict=True))
-            )
+        words = [["change", "of T"], *(n.replace("-", "- ").split() for n in (NONE, *names))]
+        height = max(map(len, words))
+        padded = [[""] * (height - len(column)) + column for column in words]
+        header = [("", [column[row] for column in padded]) for row in range(height)]
+        rows = []
         for a in names:
             cells = [f"{100 * self.reached[a]:.1f} %"]
             cells += ["." if a == b else _cell(self.separations[a, b]) for b in (NONE, *names)]
-            lines.append(
-                f"{a:<{first}}" + "".join(f"{c:>{n}}" for c, n in zip(cells, widths, strict=True))
-            )
+            rows.append((a, cells))
+        lines += text.table(rows, header=header)
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
         both, one_way = _blind(self.separations, pairs)
         unseen = [a for a in names if self.separations[a, NONE] < MINIMUM_NATS]

@@ -36,7 +36,7 @@ from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import amount
 from rtcal.errors import MissingAirWarning
-from rtcal.support.text import shortened
+from rtcal.support import text
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
@@ -149,8 +149,8 @@ class Recalibrated:
             p.name if p.name not in self.sizes else f"{p.name} {self.sizes[p.name]:.3g}"
             for p in self.case.applied
         )
-        effects = shortened(", ".join(sizes)) or "no effect"
-        name = shortened(self.case.room.name)
+        effects = text.shortened(", ".join(sizes)) or "no effect"
+        name = text.shortened(self.case.room.name)
         return f'<Recalibrated "{name}": {len(self.alpha)} materials, with {effects}>'
 
     def to_dict(self) -> dict[str, Any]:
@@ -179,16 +179,15 @@ def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
     """Return lines that tell each material's alpha, as stated and as calibrated, and the effects."""
     named = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
     named |= {k: (c.alpha, np.subtract(*c.interval[::-1]) / 2) for k, c in columns.items()}
-    width = max(map(len, room.materials)) + 2
-    lines = [
-        "alpha ± half its 90 % interval, means over bands",
-        " " * width + "".join(f"{name:>16}" for name in named),
-    ]
+    rows = []
     for i, material in enumerate(room.materials):
-        cells = (f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values())
-        lines.append(f"  {material:{width - 2}}" + "".join(f"{cell:>16}" for cell in cells))
+        cells = [f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values()]
+        rows.append((f"  {material}", cells))
+    lines = ["alpha ± half its 90 % interval, means over bands"]
+    lines += text.table(rows, header=("", list(named)))
     for c in columns.values():
-        lines += ["  " + line for line in c.effects_in_words]
+        for line in c.effects_in_words:
+            lines += text.wrapped(line, indent="  ")
     return lines
 
 

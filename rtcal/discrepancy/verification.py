@@ -25,7 +25,7 @@ from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, table
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import listed
-from rtcal.support import html
+from rtcal.support import html, text
 from rtcal.support.files import json_numbers
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
@@ -166,17 +166,21 @@ class Verification:
 
     def __str__(self) -> str:
         """Return the sentence, the gaps and the coefficients."""
-        lines = [self.sentence, f"{'mean gap in JND':34}{'plain':>8}{'corrected':>11}"]
+        rows = []
         for g in self.gaps:
-            name = f"{g.quantity} of {g.configuration}" + (" (fitted)" if g.fitted else "")
-            lines.append(f"  {name:32}{g.before:8.2f}{g.after:11.2f}")
+            name = f"  {g.quantity} of {g.configuration}" + (" (fitted)" if g.fitted else "")
+            rows.append((name, [f"{g.before:.2f}", f"{g.after:.2f}"]))
         if np.isfinite(self.before):
-            lines.append(f"  {'what alpha cannot absorb':32}{self.before:8.2f}{self.after:11.2f}")
-        lines += [
+            cells = [f"{self.before:.2f}", f"{self.after:.2f}"]
+            rows.append(("  what alpha cannot absorb", cells))
+        lines = text.wrapped(self.sentence)
+        lines += text.table(rows, header=("mean gap in JND", ["plain", "corrected"]))
+        for sentence in (
             f"Each band predicted from the others: {_better(self.predictive)}.",
             "Plain calibration meets the fitted T20 exactly; the corrected one as closely as the "
             "uncertainty of T deserves.",
-        ]
+        ):
+            lines += text.wrapped(sentence)
         room = self.finding.case.room
         lines += table(room, {"plain": self.plain, "corrected": self.corrected})
         return "\n".join(lines)

@@ -174,7 +174,7 @@ def _add_halls(made: StudyReport, sigma_r: Sequence[float], realisations: int, s
 
 def _table_1() -> str:
     low, high = paper.table_1_range(np.array(SHOEBOX))
-    lines = ["\nTable 1, EMSE x 1e4: printed, and the 98 % range that its rounded mu, sigma allow"]
+    lines = ["\nTable 1, EMSE x 1e4: printed, and the 98 % range that rounded mu, sigma allow"]
     for i, (method, value) in enumerate(paper.TABLE_1_EMSE.items()):
         lines.append(
             f"{NAMES[method]:<8}{1e4 * value:>6.1f}   {1e4 * low[i]:.1f} to {1e4 * high[i]:.1f}"

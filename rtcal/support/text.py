@@ -51,7 +51,28 @@ def wrapped(sentence: str, indent: str = "", hanging: str | None = None) -> list
     )
 
 
-def table(rows: Sequence[Row], *, header: Row | None = None, gap: int = 2) -> list[str]:
+def fitted(text: str) -> str:
+    """Return a text in which the lines beyond `width` are wrapped and keep their indents.
+
+    Tables come from `table` and fit already; what is wrapped is prose.
+
+    Examples
+    --------
+    >>> print(fitted("  note: " + "T does not depend on alpha. " * 3))
+      note: T does not depend on alpha. T does not depend on alpha. T does not
+        depend on alpha.
+    """
+    most = width()
+    lines: list[str] = []
+    for line in text.split("\n"):
+        indent = line[: len(line) - len(line.lstrip(" "))]
+        lines += wrapped(line.strip(), indent) if len(line) > most else [line]
+    return "\n".join(lines)
+
+
+def table(
+    rows: Sequence[Row], *, header: Row | Sequence[Row] | None = None, gap: int = 2
+) -> list[str]:
     """Return a table as lines within `width`: columns that do not fit follow in further blocks.
 
     Each column is as wide as its widest cell. The header stands above each block. A label that
@@ -61,7 +82,8 @@ def table(rows: Sequence[Row], *, header: Row | None = None, gap: int = 2) -> li
     ----------
     rows : sequence of (label, cells)
         All with the same number of cells, which are aligned to the right.
-    header : (label, cells), optional
+    header : (label, cells) or a sequence of them, optional
+        The head's one or several lines.
     gap : int
         Blanks between two columns.
 
@@ -72,7 +94,8 @@ def table(rows: Sequence[Row], *, header: Row | None = None, gap: int = 2) -> li
                   125 Hz  250 Hz
     T before / s     2.1    1.95
     """
-    lines = [*([header] if header is not None else []), *rows]
+    head = [header] if isinstance(header, tuple) else list(header or ())
+    lines = [*head, *rows]
     most = 2 * width() // 5
     label_width = max((len(label) for label, _ in lines if len(label) <= most), default=0)
     columns = list(zip(*(cells for _, cells in lines), strict=True))
@@ -81,7 +104,7 @@ def table(rows: Sequence[Row], *, header: Row | None = None, gap: int = 2) -> li
     for first, last in _blocks(widths, width() - label_width):
         if text:
             text.append("")
-        for label, cells in lines:
+        for row, (label, cells) in enumerate(lines):
             if len(label) > most:
                 text += wrapped(label)
             start = label if len(label) <= most else ""
@@ -89,7 +112,9 @@ def table(rows: Sequence[Row], *, header: Row | None = None, gap: int = 2) -> li
                 cell.rjust(space)
                 for cell, space in zip(cells[first:last], widths[first:last], strict=True)
             )
-            text.append((start.ljust(label_width) + "".join(shown)).rstrip())
+            line = (start.ljust(label_width) + "".join(shown)).rstrip()
+            if line or row >= len(head):  # a head of several lines may be lower in this block
+                text.append(line)
     return text
 
 
