@@ -82,39 +82,41 @@ def reverberation_time(result: CalibrationResult | Saved) -> Any:
 
     Letters below the bands are those of the trust marks.
     """
-    seen = saved(result)
+    calibration = saved(result)
     figure, axes = new_figure()
-    f, measured = seen.centre_frequencies, seen.measured
+    f, measured = calibration.centre_frequencies, calibration.measured
     here = np.isfinite(measured)
     jnd_band(axes, f, measured)
     axes.errorbar(
         f[here],
         measured[here],
-        yerr=np.nan_to_num(seen.uncertainty)[here],
+        yerr=np.nan_to_num(calibration.uncertainty)[here],
         color=BLACK,
         marker="o",
         capsize=3,
         linestyle="none",
         label="measured, ± standard uncertainty",
     )
-    axes.plot(f, seen.before, color=ORANGE, marker="s", linestyle="--", label="before calibration")
+    axes.plot(
+        f, calibration.before, color=ORANGE, marker="s", linestyle="--", label="before calibration"
+    )
     axes.plot(
         f,
-        seen.after,
+        calibration.after,
         color=BLUE,
         marker="o",
         markersize=10,
         markerfacecolor="none",
         label="after calibration",
     )
-    band_axis(axes, f, [letters(seen.trust_marks, v) for v in f])
-    found = [f"{m.letter} {m.title}".strip() for m in seen.trust_marks]
+    band_axis(axes, f, [letters(calibration.trust_marks, v) for v in f])
+    found = [f"{m.letter} {m.title}".strip() for m in calibration.trust_marks]
     if found:
         key = f"\ndo not trust: {', '.join(dict.fromkeys(found))}"
         axes.set_xlabel(axes.get_xlabel() + key)
     axes.set_ylabel("Reverberation time T / s")
     axes.set_ylim(bottom=0)
-    name, method, equation = (seen.record[k] for k in ("room", "method", "equation"))
+    name, method, equation = (calibration.record[k] for k in ("room", "method", "equation"))
     axes.set_title(shown(f"{name}: {method}, {equation}", 70))
     axes.legend()
     return figure
@@ -122,14 +124,14 @@ def reverberation_time(result: CalibrationResult | Saved) -> Any:
 
 def gap(result: CalibrationResult | Saved) -> Any:
     """Return the figure of the gap to the measured T, before and after, in JND by band."""
-    seen = saved(result)
+    calibration = saved(result)
     figure, axes = new_figure(7.0, 3.2)
-    at = np.arange(len(seen.centre_frequencies))
+    at = np.arange(len(calibration.centre_frequencies))
     axes.axhspan(-1, 1, color="0.85", label="within 1 JND (5 %)")
     axes.axhline(0, color=BLACK, linewidth=0.8)
     axes.bar(
         at,
-        seen.gap_before,
+        calibration.gap_before,
         0.5,
         facecolor="#F5C9A6",
         edgecolor=ORANGE,
@@ -138,7 +140,7 @@ def gap(result: CalibrationResult | Saved) -> Any:
     )
     axes.plot(
         at,
-        seen.gap_after,
+        calibration.gap_after,
         color=BLUE,
         marker="o",
         linestyle="none",
@@ -146,10 +148,12 @@ def gap(result: CalibrationResult | Saved) -> Any:
         label="after calibration",
     )
     many = len(at) > _MANY_BANDS
-    axes.set_xticks(at, [f"{f:g}" for f in seen.centre_frequencies], rotation=90 if many else 0)
+    axes.set_xticks(
+        at, [f"{f:g}" for f in calibration.centre_frequencies], rotation=90 if many else 0
+    )
     axes.set_xlabel("Band centre frequency / Hz")
     axes.set_ylabel("Gap to measured T / JND")
-    axes.set_title(shown(seen.record["room"], 70))
+    axes.set_title(shown(calibration.record["room"], 70))
     axes.legend()
     return figure
 

@@ -76,7 +76,7 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
 def write(finding: Finding, folder: Path, reproduction: Reproduction | None = None) -> list[Path]:
     """Write finding.json, the figures (PNG) and report.html; return their paths.
 
-    ``reproduction``, where it is given, is printed on the page.
+    ``reproduction``, if there is one, is printed on the page.
 
     Raises DataError if the folder cannot be made, MissingDependencyError without matplotlib or jinja2.
     """
@@ -94,8 +94,8 @@ def write(finding: Finding, folder: Path, reproduction: Reproduction | None = No
             unreachable="nearest",
             equation=mean_equation(finding.case.equation).linear(),
         )
-    told = summary(finding, verified, reproduction)
-    text = page(usual, finding=told, finding_figures=list(drawn.values()))
+    entries = summary(finding, verified, reproduction)
+    text = page(usual, finding=entries, finding_figures=list(drawn.values()))
     contents = {
         folder / "finding.json": (json_text(record) + "\n").encode(),
         folder / "report.html": text.encode(),
@@ -117,7 +117,7 @@ def summary(
         f"Next: {finding.advice.rstrip('.')}.",
     ]
     first = finding.case.configurations[0].name
-    told: dict[str, Any] = {
+    entries: dict[str, Any] = {
         "verdict": finding.verdict,
         "effect": "" if finding.effect is None else finding.title,
         "candidates": list(finding.candidates),
@@ -131,24 +131,24 @@ def summary(
     else:
         sentences.append(verification.sentence)
         supported = verification.verdict == "proven"
-        told["corrected"] = _corrected(verification)
-        told["unknowable"] = _unknowable(finding, supported)
+        entries["corrected"] = _corrected(verification)
+        entries["unknowable"] = _unknowable(finding, supported)
         if supported:
             lacking = " or ".join([finding.title, *finding.rivals])
-            told["plain"] += f": not to be used, the model lacks {lacking}"
+            entries["plain"] += f": not to be used, the model lacks {lacking}"
     if reproduction is not None:
-        told["reproduce"] = {
+        entries["reproduce"] = {
             "command": reproduction.command,
             "files": list(reproduction.files),
             "seed": reproduction.seed,
             "engines": list(finding.engines),
         }
-    return {**told, "summary": sentences}
+    return {**entries, "summary": sentences}
 
 
 def _corrected(verification: Verification) -> dict[str, Any]:
     """The coefficients with the effect in the model, and how much there is of it."""
-    room, found = verification.finding.case.room, verification.corrected
+    room, corrected = verification.finding.case.room, verification.corrected
     names = [f'"{c.name}"' for c in verification.finding.case.configurations]
     use = {
         "proven": "These are the ones to use, if the name is right.",
@@ -159,9 +159,9 @@ def _corrected(verification: Verification) -> dict[str, Any]:
         "title": f"with {verification.finding.title} in the model, calibrated to T20 of "
         + listed(names),
         "use": use,
-        "effects": found.effects_in_words,
+        "effects": corrected.effects_in_words,
         "materials": material_rows(
-            room.materials, room.areas, room.alpha, found.alpha, found.interval
+            room.materials, room.areas, room.alpha, corrected.alpha, corrected.interval
         ),
     }
 

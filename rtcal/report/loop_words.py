@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rtcal.loop.state import Loop
 
 _SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
-_SAID = {
+_STATUS_IN_WORDS = {
     "converged": "came within the goal",
     "unreachable": "cannot be reached: no coefficients within the equation's range bring it nearer",
     "not converging": "did not come within the goal so far",
@@ -27,28 +27,28 @@ _SAID = {
 }
 
 
-def summary(loop: Loop, said_of: Sequence[str]) -> list[str]:
-    """Return the loop as a few sentences; ``said_of`` is each band's status."""
+def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
+    """Return the loop as a few sentences; ``status_of_bands`` is each band's status."""
     f, first = loop.room.centre_frequencies, gap_jnd(loop.steps[0].simulated, loop.wanted)
     n = len(loop.steps)
-    found = [
+    sentences = [
         f"A simulator was run {n} time{'' if n == 1 else 's'}. After each run the absorption "
         "coefficients were changed so that its T20 comes nearer to the measured one, band by band. "
         "Differences are given in just noticeable differences: one JND is 5 % of the measured T20."
     ]
-    here = np.isfinite(first)
-    if here.any():
-        found.append(
-            f"The first run was off by {np.abs(first[here]).max():.1f} JND in the worst band; "
-            f"taking each band's nearest run, {np.abs(loop.gap[here]).max():.1f} JND are left."
+    compared = np.isfinite(first)
+    if compared.any():
+        sentences.append(
+            f"The first run was off by {np.abs(first[compared]).max():.1f} JND in the worst band; "
+            f"taking each band's nearest run, {np.abs(loop.gap[compared]).max():.1f} JND are left."
         )
-    for status, said in _SAID.items():
-        bands = [float(v) for v, s in zip(f, said_of, strict=True) if s == status]
+    for status, description in _STATUS_IN_WORDS.items():
+        bands = [float(v) for v, s in zip(f, status_of_bands, strict=True) if s == status]
         if bands:
-            found.append(f"{hertz(bands)}: {said}.")
+            sentences.append(f"{hertz(bands)}: {description}.")
     if not loop.finished:
-        found.append("The loop is not finished: simulate again and run `rtcal loop next`.")
-    return found
+        sentences.append("The loop is not finished: simulate again and run `rtcal loop next`.")
+    return sentences
 
 
 def assumed(loop: Loop) -> list[str]:
@@ -113,7 +113,7 @@ def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
         return "What the coefficients returned give was not simulated."
     k = int(np.nanargmax(gap))
     how = (
-        "With random numbers that the calibration has not seen"
+        "With random numbers that the calibration has not calibration"
         if ends["confirmed"]
         else ("With all the coefficients returned")
     )
@@ -140,7 +140,7 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
         if not isinstance(result["simulator"], str) or type(result["confirmed"]) is not bool:
             raise ValueError("no name of a simulator")
         status = tuple(result["status"])
-        if len(status) != loop.room.n_bands or not set(status) <= set(_SAID):
+        if len(status) != loop.room.n_bands or not set(status) <= set(_STATUS_IN_WORDS):
             raise ValueError("status has not one of the known words a band")
         gap = gap_jnd(np.array(result["after"]["t20"], dtype=float), loop.wanted)
         rows.insert(2, ("its gap / JND", gap, 1, True))

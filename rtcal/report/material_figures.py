@@ -36,19 +36,23 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
     mu ± 1.645 sigma within the bounds; the calibrated coefficients' is exact where it is known, else
     alpha ± 1.645 sigma of the linear estimate within the bounds.
     """
-    seen = saved(result)
-    size = np.max(seen.areas[:, np.newaxis] * seen.alpha_after, axis=1)
+    calibration = saved(result)
+    size = np.max(calibration.areas[:, np.newaxis] * calibration.alpha_after, axis=1)
     drawn = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
     columns = min(_COLUMNS, len(drawn))
     rows = -(-len(drawn) // columns)
     figure, grid = new_figure(max(5.0, 3.1 * columns), 2.4 * rows + 0.7, rows, columns)
     panels = np.atleast_1d(grid).ravel()
-    low, high = intervals(seen)
-    f = seen.centre_frequencies
+    low, high = intervals(calibration)
+    f = calibration.centre_frequencies
     apart = float(f[1] / f[0]) ** 0.08 if len(f) > 1 else 1.0
     for axes, i in zip(panels, drawn, strict=False):
-        prior, after, bound = seen.alpha_before[i], seen.alpha_after[i], seen.at_bound[i] != ""
-        spread = _NORMAL_90 * seen.sigma_before[i]
+        prior, after, bound = (
+            calibration.alpha_before[i],
+            calibration.alpha_after[i],
+            calibration.at_bound[i] != "",
+        )
+        spread = _NORMAL_90 * calibration.sigma_before[i]
         ends = np.clip([prior - spread, prior + spread], 0, 1)
         axes.errorbar(
             f / apart,
@@ -95,7 +99,9 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
         axes.set_ylabel("α", fontsize=9)
         axes.set_ylim(0, None)
         axes.margins(y=0.1)
-        axes.set_title(f"{shown(seen.materials[i], 28)}, {seen.areas[i]:.4g} m²", fontsize=9)
+        axes.set_title(
+            f"{shown(calibration.materials[i], 28)}, {calibration.areas[i]:.4g} m²", fontsize=9
+        )
     for axes in panels[len(drawn) :]:
         axes.set_visible(False)
     handles, labels = panels[0].get_legend_handles_labels()
@@ -104,12 +110,14 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
     return figure
 
 
-def intervals(seen: Saved) -> tuple[Array, Array]:
+def intervals(calibration: Saved) -> tuple[Array, Array]:
     """Return the ends of the calibrated coefficients' 90 % intervals, (n_materials, n_bands)."""
-    if seen.interval is not None:
-        return seen.interval[0], seen.interval[1]
-    spread = _NORMAL_90 * seen.sigma_after
-    return np.clip(seen.alpha_after - spread, 0, 1), np.clip(seen.alpha_after + spread, 0, 1)
+    if calibration.interval is not None:
+        return calibration.interval[0], calibration.interval[1]
+    spread = _NORMAL_90 * calibration.sigma_after
+    return np.clip(calibration.alpha_after - spread, 0, 1), np.clip(
+        calibration.alpha_after + spread, 0, 1
+    )
 
 
 def shares(result: CalibrationResult | Saved) -> Any:
@@ -117,10 +125,10 @@ def shares(result: CalibrationResult | Saved) -> Any:
 
     Materials by S alpha, effects, and the air by its share; the smallest materials together.
     """
-    seen = saved(result)
-    names, parts = absorption_shares(seen, len(_SHARES))
+    calibration = saved(result)
+    names, parts = absorption_shares(calibration, len(_SHARES))
     figure, axes = new_figure(7.0, 4.4)
-    at = np.arange(len(seen.centre_frequencies))
+    at = np.arange(len(calibration.centre_frequencies))
     below = np.zeros(len(at))
     styles = [*_SHARES[: len(names) - 1], ("#FFFFFF", "")]
     for name, part, (color, hatch) in zip(names, parts, styles, strict=True):
@@ -137,7 +145,9 @@ def shares(result: CalibrationResult | Saved) -> Any:
         )
         below = below + part
     many = len(at) > 10
-    axes.set_xticks(at, [f"{f:g}" for f in seen.centre_frequencies], rotation=90 if many else 0)
+    axes.set_xticks(
+        at, [f"{f:g}" for f in calibration.centre_frequencies], rotation=90 if many else 0
+    )
     axes.set_xlabel("Band centre frequency / Hz")
     axes.set_ylabel("Share of the absorption / %")
     axes.set_ylim(0, 100)
@@ -147,26 +157,28 @@ def shares(result: CalibrationResult | Saved) -> Any:
     return figure
 
 
-def absorption_shares(seen: Saved, most: int) -> tuple[list[str], Array]:
+def absorption_shares(calibration: Saved, most: int) -> tuple[list[str], Array]:
     """Return names and shares in %, (n_names, n_bands), of materials, effects and, last, the air.
 
     Not more than ``most`` names beside the air: the smallest materials are put together.
     """
-    area = seen.areas[:, np.newaxis] * seen.alpha_after
+    area = calibration.areas[:, np.newaxis] * calibration.alpha_after
     order = np.argsort(-area.sum(axis=1), kind="stable")
-    effects = bool(np.any(seen.added_absorption))
+    effects = bool(np.any(calibration.added_absorption))
     single = len(order) if len(order) + effects <= most else most - 1 - effects
-    names = [seen.materials[i] for i in order[:single]]
+    names = [calibration.materials[i] for i in order[:single]]
     parts = [area[i] for i in order[:single]]
     if single < len(order):
         names.append(f"{len(order) - single} other materials")
         parts.append(area[order[single:]].sum(axis=0))
     if effects:
-        names.append("effects: " + ", ".join(seen.record["effects"]))
-        parts.append(seen.added_absorption)
+        names.append("effects: " + ", ".join(calibration.record["effects"]))
+        parts.append(calibration.added_absorption)
     surfaces = np.sum(parts, axis=0)
-    of_surfaces = 100 * (1 - seen.air_share) / np.where(surfaces > 0, surfaces, 1.0)
-    return [*names, "air"], np.array([*(p * of_surfaces for p in parts), 100 * seen.air_share])
+    of_surfaces = 100 * (1 - calibration.air_share) / np.where(surfaces > 0, surfaces, 1.0)
+    return [*names, "air"], np.array(
+        [*(p * of_surfaces for p in parts), 100 * calibration.air_share]
+    )
 
 
 def plane_of(
@@ -185,48 +197,48 @@ def plane_of(
         For a material or a band that the room lacks, a band that was not matched, or a room of one
         material.
     """
-    seen = saved(result)
-    if len(seen.materials) < 2:
+    calibration = saved(result)
+    if len(calibration.materials) < 2:
         raise DataError("a plane takes two materials; the room has one")
-    k = _band(seen, frequency)
+    k = _band(calibration, frequency)
     if pair is None:
-        weight = seen.areas * seen.sigma_before[:, k]
+        weight = calibration.areas * calibration.sigma_before[:, k]
         rows = np.sort(np.argsort(-weight, kind="stable")[:2])
     else:
-        if missing := [name for name in pair if name not in seen.materials]:
+        if missing := [name for name in pair if name not in calibration.materials]:
             raise DataError(f'the room has no material "{missing[0]}"')
-        rows = np.array([seen.materials.index(name) for name in pair])
+        rows = np.array([calibration.materials.index(name) for name in pair])
         if rows[0] == rows[1]:
             raise DataError(f'a plane takes two materials, not "{pair[0]}" twice')
-    others = np.delete(np.arange(len(seen.areas)), rows)
-    left = seen.target[k] - seen.added_absorption[k]
-    left -= seen.areas[others] @ seen.alpha_after[others, k]
-    names = seen.materials[rows[0]], seen.materials[rows[1]]
+    others = np.delete(np.arange(len(calibration.areas)), rows)
+    left = calibration.target[k] - calibration.added_absorption[k]
+    left -= calibration.areas[others] @ calibration.alpha_after[others, k]
+    names = calibration.materials[rows[0]], calibration.materials[rows[1]]
     correlation = 0.0
-    for entry in seen.record["material_correlation"]:
+    for entry in calibration.record["material_correlation"]:
         if set(entry["materials"]) == set(names):
             correlation = float(entry["value"])
     rest = f", the {len(others)} others as calibrated" if len(others) else ""
     return plane(
-        seen.alpha_before[rows, k],
-        seen.sigma_before[rows, k],
-        seen.areas[rows],
+        calibration.alpha_before[rows, k],
+        calibration.sigma_before[rows, k],
+        calibration.areas[rows],
         float(left),
-        seen.alpha_after[rows, k],
+        calibration.alpha_after[rows, k],
         names=names,
         correlation=correlation,
-        title=f"{seen.centre_frequencies[k]:g} Hz{rest}",
+        title=f"{calibration.centre_frequencies[k]:g} Hz{rest}",
     )
 
 
-def _band(seen: Saved, frequency: float | None) -> int:
+def _band(calibration: Saved, frequency: float | None) -> int:
     """Place of a matched band: the one asked for, else the one with the largest gap before."""
     if frequency is None:
-        if not seen.matched.any():
+        if not calibration.matched.any():
             raise DataError("no band was matched, so there is no plane to show")
-        gap = np.abs(np.where(seen.matched, np.nan_to_num(seen.gap_before), -1.0))
-        return int(np.argmax(np.where(seen.matched, gap, -1.0)))
-    found = np.flatnonzero((seen.centre_frequencies == frequency) & seen.matched)
+        gap = np.abs(np.where(calibration.matched, np.nan_to_num(calibration.gap_before), -1.0))
+        return int(np.argmax(np.where(calibration.matched, gap, -1.0)))
+    found = np.flatnonzero((calibration.centre_frequencies == frequency) & calibration.matched)
     if not len(found):
         raise DataError(f"{frequency:g} Hz is no band of the room that was matched")
     return int(found[0])

@@ -66,49 +66,53 @@ def page(
     DataError
         If the page would be larger than 2 MB.
     """
-    seen = saved(result)
+    calibration = saved(result)
     step = progress or (lambda: None)
-    clean, marked = words.usable(seen)
-    shifts, shift_count = words.large_shifts(seen)
+    clean, marked = words.usable(calibration)
+    shifts, shift_count = words.large_shifts(calibration)
     certificate = {
-        short: _worst(seen.record["certificate"][key])
+        short: _worst(calibration.record["certificate"][key])
         for short, key in (
             ("primal", "primal_residual"),
             ("dual", "dual_residual"),
             ("gap", "duality_gap"),
         )
     }
-    bounds = [v for m in seen.record["materials"] for v in m["error_bound"]]
+    bounds = [v for m in calibration.record["materials"] for v in m["error_bound"]]
     certificate["error"] = _worst(bounds)
     return _render(
         "calibration.html",
         {
-            "title": f"{seen.record['room']}: calibration",
-            "seen": seen,
-            "summary": words.summary(seen),
-            "verdict": words.verdict(seen),
+            "title": f"{calibration.record['room']}: calibration",
+            "calibration": calibration,
+            "summary": words.summary(calibration),
+            "verdict": words.verdict(calibration),
             "hertz": words.hertz,
             "clean": clean,
             "marked": marked,
-            "doubts": words.doubts(seen.trust_marks),
+            "doubts": words.doubts(calibration.trust_marks),
             "shifts": shifts,
             "shift_count": shift_count,
             "large_shift": f"{words.LARGE_SHIFT:g}",
-            "not_met": words.not_met(seen),
+            "not_met": words.not_met(calibration),
             "finding": _finding(finding, finding_figures, step),
-            "figures": _figures(seen, step),
-            "blocks": _blocks(len(seen.centre_frequencies)),
-            "labels": words.band_labels(seen),
-            "band_rows": _band_rows(seen),
-            "band_letters": [letters(seen.trust_marks, f) for f in seen.centre_frequencies],
-            "materials": _materials(seen),
-            "interval_note": _interval_note(seen),
-            "assumed": words.assumed(seen),
-            "sources": [(m["name"], m["source"]) for m in seen.record["materials"] if m["source"]],
+            "figures": _figures(calibration, step),
+            "blocks": _blocks(len(calibration.centre_frequencies)),
+            "labels": words.band_labels(calibration),
+            "band_rows": _band_rows(calibration),
+            "band_letters": [
+                letters(calibration.trust_marks, f) for f in calibration.centre_frequencies
+            ],
+            "materials": _materials(calibration),
+            "interval_note": _interval_note(calibration),
+            "assumed": words.assumed(calibration),
+            "sources": [
+                (m["name"], m["source"]) for m in calibration.record["materials"] if m["source"]
+            ],
             "certificate": certificate,
-            "inputs": _inputs(seen),
-            "command": words.command(seen),
-            "composed": words.composed(seen),
+            "inputs": _inputs(calibration),
+            "command": words.command(calibration),
+            "composed": words.composed(calibration),
         },
     )
 
@@ -128,11 +132,11 @@ def loop_page(
     loop = result.loop if isinstance(result, LoopResult) else result
     if isinstance(result, LoopResult):
         ends = result.ends()
-    shown = None if ends is None else loop_words.read_ends(loop, ends, place)
-    status = loop.status if shown is None else shown["status"]
+    simulated = None if ends is None else loop_words.read_ends(loop, ends, place)
+    status = loop.status if simulated is None else simulated["status"]
     summary = loop_words.summary(loop, status)
-    if shown is not None:
-        summary.append(loop_words.confirmed(loop, shown))
+    if simulated is not None:
+        summary.append(loop_words.confirmed(loop, simulated))
     figure = loop_figures.path(loop)
     source = _source(figure, progress or (lambda: None))
     return _render(
@@ -149,7 +153,7 @@ def loop_page(
                 "caption": "Left: T20 by band. Right: how far each simulation was off.",
             },
             "bands": loop_words.bands_table(loop, status),
-            "ends": shown,
+            "ends": simulated,
             "blocks": _blocks(loop.room.n_bands),
             "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
             "materials": loop_words.materials_table(loop),
@@ -206,8 +210,8 @@ def _blocks(n_bands: int) -> list[slice]:
 
 
 def _worst(values: Sequence[float | None]) -> str:
-    known = [v for v in values if v is not None]
-    return f"{max(known):.1e}" if len(known) == len(values) else "unknown"
+    numbers = [v for v in values if v is not None]
+    return f"{max(numbers):.1e}" if len(numbers) == len(values) else "unknown"
 
 
 def _fixed(value: float, digits: int) -> str:
@@ -228,45 +232,45 @@ def _source(figure: Any, step: Callable[[], None]) -> str:
     return f"data:image/svg+xml;base64,{content}"
 
 
-def _figures(seen: Saved, step: Callable[[], None]) -> dict[str, dict[str, str]]:
-    room = seen.record["room"]
+def _figures(calibration: Saved, step: Callable[[], None]) -> dict[str, dict[str, str]]:
+    room = calibration.record["room"]
     drawn: dict[str, tuple[Any, str, str]] = {
         "gap": (
-            figures.gap(seen),
+            figures.gap(calibration),
             "Gap to the measured reverberation time by band, before and after",
             "How far the model's reverberation time was from the measured one: before (bars) and after "
             "calibration (dots).",
         ),
         "reverberation_time": (
-            figures.reverberation_time(seen),
+            figures.reverberation_time(calibration),
             "Reverberation time by band: measured, before, after",
             "Reverberation time by band, with the band of one JND around the measured one.",
         ),
         "coefficients": (
-            material_figures.coefficients(seen),
+            material_figures.coefficients(calibration),
             "Absorption coefficients by material and band",
             "Absorption coefficients before and after, with 90 % intervals. Where the two intervals "
             "are alike, the measurement taught nothing about the material.",
         ),
         "shares": (
-            material_figures.shares(seen),
+            material_figures.shares(calibration),
             "Share of each material in the absorption by band",
             "Who absorbs: each material's share of the room's whole absorption, after calibration.",
         ),
     }
-    if len(seen.materials) > 1 and seen.matched.any():
+    if len(calibration.materials) > 1 and calibration.matched.any():
         drawn["plane"] = (
-            material_figures.plane_of(seen),
+            material_figures.plane_of(calibration),
             "The calibration in the plane of two materials",
-            "The step that the calibration takes, seen for two materials: from what was stated "
+            "The step that the calibration takes, shown for two materials: from what was stated "
             "to what the method chose. On the line lie all coefficients that give the measured "
             "reverberation time.",
         )
-    found = {
+    encoded = {
         name: {"source": _source(figure, step), "alt": f"{room}: {alt}", "caption": caption}
         for name, (figure, alt, caption) in drawn.items()
     }
-    return found | ({} if "plane" in found else {"plane": {}})
+    return encoded | ({} if "plane" in encoded else {"plane": {}})
 
 
 def _finding(
@@ -276,18 +280,18 @@ def _finding(
 ) -> dict[str, Any] | None:
     if finding is None and not pictures:
         return None
-    given = dict(finding or {})
+    entries = dict(finding or {})
     return {
-        "summary": list(given.get("summary", ())),
-        "verdict": given.get("verdict", ""),
-        "effect": given.get("effect", ""),
-        "candidates": list(given.get("candidates", ())),
-        "evidence": sorted(dict(given.get("evidence", {})).items(), key=lambda e: -e[1]),
-        "notes": list(given.get("notes", ())),
-        "plain": given.get("plain", ""),
-        "corrected": given.get("corrected"),
-        "unknowable": given.get("unknowable", ""),
-        "reproduce": given.get("reproduce"),
+        "summary": list(entries.get("summary", ())),
+        "verdict": entries.get("verdict", ""),
+        "effect": entries.get("effect", ""),
+        "candidates": list(entries.get("candidates", ())),
+        "evidence": sorted(dict(entries.get("evidence", {})).items(), key=lambda e: -e[1]),
+        "notes": list(entries.get("notes", ())),
+        "plain": entries.get("plain", ""),
+        "corrected": entries.get("corrected"),
+        "unknowable": entries.get("unknowable", ""),
+        "reproduce": entries.get("reproduce"),
         "figures": [
             {"source": _source(figure, step), "alt": caption, "caption": caption}
             for figure, caption in pictures
@@ -295,37 +299,42 @@ def _finding(
     }
 
 
-def _band_rows(seen: Saved) -> list[tuple[str, Any, int, bool]]:
+def _band_rows(calibration: Saved) -> list[tuple[str, Any, int, bool]]:
     """Name, values, decimals and whether the sign is shown, of each row of the band table."""
     return [
-        ("measured T / s", seen.measured, 3, False),
-        ("its uncertainty / s", seen.uncertainty, 3, False),
-        ("T before / s", seen.before, 3, False),
-        ("T after / s", seen.after, 3, False),
-        ("gap before / JND", seen.gap_before, 1, True),
-        ("gap after / JND", seen.gap_after, 1, True),
-        ("z", seen.z, 1, True),
-        ("absorption area of the surfaces / m²", seen.areas @ seen.alpha_after, 2, False),
-        ("air's share / %", 100 * seen.air_share, 0, False),
+        ("measured T / s", calibration.measured, 3, False),
+        ("its uncertainty / s", calibration.uncertainty, 3, False),
+        ("T before / s", calibration.before, 3, False),
+        ("T after / s", calibration.after, 3, False),
+        ("gap before / JND", calibration.gap_before, 1, True),
+        ("gap after / JND", calibration.gap_after, 1, True),
+        ("z", calibration.z, 1, True),
+        (
+            "absorption area of the surfaces / m²",
+            calibration.areas @ calibration.alpha_after,
+            2,
+            False,
+        ),
+        ("air's share / %", 100 * calibration.air_share, 0, False),
     ]
 
 
-def _materials(seen: Saved) -> list[dict[str, Any]]:
-    low, high = material_figures.intervals(seen)
-    size = np.max(seen.areas[:, np.newaxis] * seen.alpha_after, axis=1)
+def _materials(calibration: Saved) -> list[dict[str, Any]]:
+    low, high = material_figures.intervals(calibration)
+    size = np.max(calibration.areas[:, np.newaxis] * calibration.alpha_after, axis=1)
     rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS])
     return material_rows(
-        [seen.materials[i] for i in rows],
-        seen.areas[rows],
-        seen.alpha_before[rows],
-        seen.alpha_after[rows],
+        [calibration.materials[i] for i in rows],
+        calibration.areas[rows],
+        calibration.alpha_before[rows],
+        calibration.alpha_after[rows],
         (low[rows], high[rows]),
-        seen.at_bound[rows] != "",
+        calibration.at_bound[rows] != "",
     )
 
 
-def _interval_note(seen: Saved) -> str:
-    if seen.interval is not None:
+def _interval_note(calibration: Saved) -> str:
+    if calibration.interval is not None:
         return "The intervals are those of the exact posterior distribution, within the bounds."
     return (
         "The intervals are those of the linear estimate, alpha ± 1.645 standard deviations cut to 0 to "
@@ -333,9 +342,9 @@ def _interval_note(seen: Saved) -> str:
     )
 
 
-def _inputs(seen: Saved) -> dict[str, str] | None:
+def _inputs(calibration: Saved) -> dict[str, str] | None:
     """The two files as data URIs; None for a room that is larger than a room's file may be."""
-    texts = {key: seen.record["inputs"][key].encode() for key in ("room", "measured")}
+    texts = {key: calibration.record["inputs"][key].encode() for key in ("room", "measured")}
     if len(texts["room"]) > room_files.MAX_BYTES:
         return None
     return {

@@ -41,7 +41,7 @@ class Doubt:
 
     title: str
     letter: str
-    found: tuple[str, ...]
+    texts: tuple[str, ...]
     advice: str
 
 
@@ -68,35 +68,35 @@ def hertz(frequencies: Sequence[float]) -> str:
     return (", ".join(texts[:-1]) + " and " if len(texts) > 1 else "") + texts[-1] + " Hz"
 
 
-def summary(seen: Saved) -> list[str]:
+def summary(calibration: Saved) -> list[str]:
     """Return the calibration as a few sentences."""
-    f, here = seen.centre_frequencies, np.isfinite(seen.gap_before)
-    found = [
+    f, compared = calibration.centre_frequencies, np.isfinite(calibration.gap_before)
+    sentences = [
         f"The reverberation time T of the model was compared with the measured one in "
-        f"{bands.span(f[here]) if here.any() else 'no band'}. Differences are given in just "
+        f"{bands.span(f[compared]) if compared.any() else 'no band'}. Differences are given in just "
         f"noticeable differences: one JND is {100 * JND['t20']:g} % of the measured T."
     ]
-    if here.any():
-        gap = np.where(here, np.abs(seen.gap_before), -1.0)
+    if compared.any():
+        gap = np.where(compared, np.abs(calibration.gap_before), -1.0)
         k = int(np.argmax(gap))
-        found.append(
-            f"Before calibration the model was off by {gap[here].mean():.1f} JND on average and by "
-            f"{gap[k]:.1f} JND at worst: at {f[k]:g} Hz it had {seen.before[k]:.2f} s where "
-            f"{seen.measured[k]:.2f} s were measured."
+        sentences.append(
+            f"Before calibration the model was off by {gap[compared].mean():.1f} JND on average and by "
+            f"{gap[k]:.1f} JND at worst: at {f[k]:g} Hz it had {calibration.before[k]:.2f} s where "
+            f"{calibration.measured[k]:.2f} s were measured."
         )
-        found.append(_after(seen))
-    found.append(
+        sentences.append(_after(calibration))
+    sentences.append(
         "That the model agrees with the measurement now proves nothing. It agrees by construction, and "
         "would do so too if a wall, the air or an opening were missing from it. Whether to "
         "believe it shows in how far the coefficients had to move."
     )
-    return found
+    return sentences
 
 
-def _after(seen: Saved) -> str:
-    gap = np.abs(seen.gap_after[np.isfinite(seen.gap_after)])
+def _after(calibration: Saved) -> str:
+    gap = np.abs(calibration.gap_after[np.isfinite(calibration.gap_after)])
     met, count = int(np.sum(gap < _MET)), len(gap)
-    n = len(seen.materials)
+    n = len(calibration.materials)
     text = (
         f"The absorption coefficients of {n} material{'' if n == 1 else 's'} were then changed, as "
         "little as what was known of them allows. "
@@ -109,12 +109,18 @@ def _after(seen: Saved) -> str:
     )
 
 
-def verdict(seen: Saved) -> tuple[str, str, str]:
+def verdict(calibration: Saved) -> tuple[str, str, str]:
     """Return agrees, contradicts or open (measurement and prior); a heading; a sentence."""
-    known = seen.record["plausibility"]
-    numbers = f"Q = {known['q']:.1f}, {known['degrees_of_freedom']:.0f} degrees of freedom"
-    p = known["p_value"]
-    far = [float(f) for f, z in zip(seen.centre_frequencies, seen.z, strict=True) if abs(z) > 2]
+    plausibility = calibration.record["plausibility"]
+    numbers = (
+        f"Q = {plausibility['q']:.1f}, {plausibility['degrees_of_freedom']:.0f} degrees of freedom"
+    )
+    p = plausibility["p_value"]
+    far = [
+        float(f)
+        for f, z in zip(calibration.centre_frequencies, calibration.z, strict=True)
+        if abs(z) > 2
+    ]
     asks = (
         f"at {hertz(far)} the measurement asks for an absorption more than two standard deviations "
         "from the stated one"
@@ -161,10 +167,10 @@ def verdict(seen: Saved) -> tuple[str, str, str]:
     )
 
 
-def usable(seen: Saved) -> tuple[list[float], list[float]]:
+def usable(calibration: Saved) -> tuple[list[float], list[float]]:
     """Return the bands (Hz) without any trust mark, and those with one."""
-    marked = {m.frequency for m in seen.trust_marks if m.frequency is not None}
-    every = [float(f) for f in seen.centre_frequencies]
+    marked = {m.frequency for m in calibration.trust_marks if m.frequency is not None}
+    every = [float(f) for f in calibration.centre_frequencies]
     return [f for f in every if f not in marked], [f for f in every if f in marked]
 
 
@@ -173,101 +179,107 @@ def doubts(marks: Sequence[TrustMark]) -> list[Doubt]:
     out = []
     for kind in dict.fromkeys(mark.kind for mark in marks):
         of_kind = [mark for mark in marks if mark.kind == kind]
-        told = []
+        texts = []
         for text in dict.fromkeys(mark.text for mark in of_kind):
-            where = [m.frequency for m in of_kind if m.text == text and m.frequency is not None]
-            told.append(f"{hertz(where)}: {text}" if where else text)
-        out.append(Doubt(of_kind[0].title, of_kind[0].letter, tuple(told), of_kind[0].advice))
+            frequencies = [
+                m.frequency for m in of_kind if m.text == text and m.frequency is not None
+            ]
+            texts.append(f"{hertz(frequencies)}: {text}" if frequencies else text)
+        out.append(Doubt(of_kind[0].title, of_kind[0].letter, tuple(texts), of_kind[0].advice))
     return out
 
 
-def large_shifts(seen: Saved) -> tuple[list[Shift], int]:
+def large_shifts(calibration: Saved) -> tuple[list[Shift], int]:
     """Return the shifts beyond `LARGE_SHIFT`, largest first and 20 at most, and how many there are."""
-    sigmas = np.nan_to_num(seen.shift_in_sigmas)
+    sigmas = np.nan_to_num(calibration.shift_in_sigmas)
     places = [(int(i), int(k)) for i, k in np.argwhere(np.abs(sigmas) > LARGE_SHIFT)]
     places.sort(key=lambda at: -abs(sigmas[at]))
-    found = [
+    shifts = [
         Shift(
-            seen.materials[i],
-            float(seen.centre_frequencies[k]),
-            float(seen.alpha_before[i, k]),
-            float(seen.alpha_after[i, k]),
+            calibration.materials[i],
+            float(calibration.centre_frequencies[k]),
+            float(calibration.alpha_before[i, k]),
+            float(calibration.alpha_after[i, k]),
             float(sigmas[i, k]),
         )
         for i, k in places[:_MOST_SHIFTS]
     ]
-    return found, len(places)
+    return shifts, len(places)
 
 
-def not_met(seen: Saved) -> list[str]:
+def not_met(calibration: Saved) -> list[str]:
     """Return what the calibration could not meet, band by band."""
-    found = [
+    sentences = [
         f"{text}. The nearest that the bounds allow was taken."
-        for text in seen.record["unreachable"]
+        for text in calibration.record["unreachable"]
     ]
     missing = [
         float(f)
-        for f, m in zip(seen.centre_frequencies, seen.measured, strict=True)
+        for f, m in zip(calibration.centre_frequencies, calibration.measured, strict=True)
         if not np.isfinite(m)
     ]
     if missing:
-        found.append(f"{hertz(missing)}: no T was measured, the coefficients are the stated ones.")
+        sentences.append(
+            f"{hertz(missing)}: no T was measured, the coefficients are the stated ones."
+        )
     left = [
         f"{f:g} Hz ({g:+.1f} JND)"
-        for f, g in zip(seen.centre_frequencies, seen.gap_after, strict=True)
+        for f, g in zip(calibration.centre_frequencies, calibration.gap_after, strict=True)
         if abs(g) >= _MET
     ]
     if left:
-        found.append(f"A gap remains at {', '.join(left)}.")
-    ignored = seen.record["measured"]["bands_not_in_room"]
+        sentences.append(f"A gap remains at {', '.join(left)}.")
+    ignored = calibration.record["measured"]["bands_not_in_room"]
     if ignored:
-        found.append(f"Measured, but no band of the model: {hertz(ignored)}.")
-    return found
+        sentences.append(f"Measured, but no band of the model: {hertz(ignored)}.")
+    return sentences
 
 
-def assumed(seen: Saved) -> list[str]:
+def assumed(calibration: Saved) -> list[str]:
     """Return what the calibration takes for granted."""
-    record = seen.record
+    record = calibration.record
     air = record["air"]
-    found = [
-        f"Volume {record['volume']:g} m³ and areas of {seen.areas.sum():g} m² in all, taken as exact.",
+    sentences = [
+        f"Volume {record['volume']:g} m³ and areas of {calibration.areas.sum():g} m² in all, taken as "
+        "exact.",
         "Air: none stated, so the surfaces are made to absorb what the air does."
         if air is None
         else f"Air of {air['temperature']:g} °C, {air['humidity']:g} % relative humidity and "
         f"{air['pressure']:g} kPa (absorption after ISO 9613-1).",
-        f"{record['equation']}'s reverberation equation{_parameters(seen)}: a diffuse sound field.",
-        _METHODS.get(record["method"], f"A calibration of its own: {composed(seen)}."),
-        "The coefficients that were stated before, their standard deviations, and that these errors "
-        + _correlated(seen)
-        + " One measured T a band tells one number, the sum of all absorption: "
+        f"{record['equation']}'s reverberation equation{_parameters(calibration)}: a diffuse sound "
+        "field.",
+        _METHODS.get(record["method"], f"A composed calibration: {composed(calibration)}."),
+        "The stated coefficients and their standard deviations, and that these errors "
+        + _correlated(calibration)
+        + " One measured T per band tells one number, the sum of all absorption: "
         "how it is shared among the materials follows from these standard deviations alone.",
-        _measured(seen),
+        _measured(calibration),
     ]
     floors = [m["name"] for m in record["materials"] if m["alpha_min"] is not None]
-    found.append(
+    sentences.append(
         "Coefficients lie between 0 and 1"
         + (", or above the floors that the room states." if floors else ".")
     )
     if record["measured"]["caution"]:
-        found.append(record["measured"]["caution"] + ".")
+        sentences.append(record["measured"]["caution"] + ".")
     if record["effects"]:
         sizes = ", ".join(f"{name} = {size:.4g}" for name, size in record["effects"].items())
-        found.append(f"Further effects in the model, with their calibrated sizes: {sizes}.")
-    return found
+        sentences.append(f"Further effects in the model, with their calibrated sizes: {sizes}.")
+    return sentences
 
 
-def _parameters(seen: Saved) -> str:
-    own = seen.record["equation_parameters"]
-    return " with " + ", ".join(f"{k} = {v:g}" for k, v in own.items()) if own else ""
+def _parameters(calibration: Saved) -> str:
+    parameters = calibration.record["equation_parameters"]
+    return " with " + ", ".join(f"{k} = {v:g}" for k, v in parameters.items()) if parameters else ""
 
 
-def composed(seen: Saved) -> str:
+def composed(calibration: Saved) -> str:
     """Return what the calibration is composed of: terms and constraints."""
-    return "; ".join([*seen.record["objective"], *seen.record["constraints"]])
+    return "; ".join([*calibration.record["objective"], *calibration.record["constraints"]])
 
 
-def _correlated(seen: Saved) -> str:
-    record, parts = seen.record, []
+def _correlated(calibration: Saved) -> str:
+    record, parts = calibration.record, []
     if record["band_correlation"]:
         parts.append(f"correlate by {record['band_correlation']:g} over an octave")
     if record["material_correlation"]:
@@ -275,26 +287,26 @@ def _correlated(seen: Saved) -> str:
     return (" and ".join(parts) if parts else "are independent of each other") + "."
 
 
-def _measured(seen: Saved) -> str:
-    parameters = dict.fromkeys(p.upper() for p in seen.record["measured"]["parameter"] if p)
+def _measured(calibration: Saved) -> str:
+    parameters = dict.fromkeys(p.upper() for p in calibration.record["measured"]["parameter"] if p)
     text = (
         f"Measured: {' and '.join(parameters)}, the arithmetic mean over the source-receiver pairs"
     )
-    known = np.isfinite(seen.uncertainty) & np.isfinite(seen.measured)
-    if not known.any():
+    stated = np.isfinite(calibration.uncertainty) & np.isfinite(calibration.measured)
+    if not stated.any():
         return text + "; its uncertainty is not known."
-    share = 100 * seen.uncertainty[known] / seen.measured[known]
+    share = 100 * calibration.uncertainty[stated] / calibration.measured[stated]
     ends = dict.fromkeys([f"{share.min():.1f}", f"{share.max():.1f}"])
     return text + f"; its standard uncertainty is {' to '.join(ends)} %."
 
 
-def command(seen: Saved) -> str | None:
+def command(calibration: Saved) -> str | None:
     """Return the shell command that gives the same result from the two files of the page.
 
     None where the shell cannot: a composed calibration, an equation with other parameters than its
     usual ones, or one that is not rtcal's.
     """
-    record = seen.record
+    record = calibration.record
     keys = {equation.name: key for key, equation in EQUATIONS.items()}
     equation = keys.get(record["equation"])
     if record["method"] not in METHODS or record["equation_parameters"] or equation is None:
@@ -312,6 +324,6 @@ def command(seen: Saved) -> str | None:
     return shlex.join(["rtcal", "calibrate", "room.toml", "t.csv", *chosen, "--out", "calibrated"])
 
 
-def band_labels(seen: Saved) -> list[str]:
+def band_labels(calibration: Saved) -> list[str]:
     """Return the bands' names for a table's head."""
-    return [bands.label(f) for f in seen.centre_frequencies]
+    return [bands.label(f) for f in calibration.centre_frequencies]
