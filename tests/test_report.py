@@ -576,7 +576,7 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     folder.mkdir()
     (folder / "result.json").write_text(evil.to_json(), encoding="utf-8")
     assert run("report", folder) == 0
-    assert capsys.readouterr().out == f"Written: {folder / 'report.html'}\n"
+    assert capsys.readouterr().out.split() == ["Written:", str(folder / "report.html")]
     text = (folder / "report.html").read_text(encoding="utf-8")
     assert run("report", folder / "result.json", "--out", folder / "b.html", "--json") == 0
     said = json.loads(capsys.readouterr().out)
