@@ -683,7 +683,7 @@ def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
     assert run("study", "--trials", 0, "--realisations", 20, "--sigma-r", 0.1, "--json") == 0
     rows = json.loads(capsys.readouterr().out)["studies"][0]["scores"]
     assert run("study", "--trials", 0, "--realisations", 20, "--sigma-r", -1) == 2
-    assert "rtcal: --sigma-r -1 is not" in capsys.readouterr().err
+    assert "rtcal: --sigma-r = -1 is not above 0" in capsys.readouterr().err
     assert {r["method"] for r in rows} == {"none", "scaling", "lse", "mle"}
     assert rows[3]["score"] > rows[1]["score"] > 0
 
