@@ -1,4 +1,4 @@
-"""Posterior moments of one band by quadrature alone: the witness of `rtcal.posterior.marginals`.
+"""Posterior moments of one band by quadrature alone, to check `rtcal.posterior.marginals`.
 
 The density of a sum is built by adding one truncated normal after the other, the widest first, by
 Gauss-Legendre quadrature between cubic splines. No transform and no common grid.

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from rtcal.errors import DataError
 from rtcal.posterior.density import CoupledBands, IndependentBands
-from rtcal.posterior.marginals import POINTS, Marginals, marginals, unmatched
+from rtcal.posterior.integration import POINTS, Marginals
+from rtcal.posterior.marginals import marginals, unmatched
 from rtcal.posterior.sampler import sample
 from rtcal.support import checks
 from rtcal.support.types import Array

@@ -86,7 +86,7 @@ def sample(density: TruncatedNormal, n_samples: int, seed: int) -> Samples:
     draws = -(-n_samples // _CHAINS)
     region, inside = _region(density, free)
     w = _chains(region, inside, draws, np.random.default_rng(seed))
-    values = np.einsum("ij,djc->dci", region.basis, w) + region.centre
+    values = np.moveaxis(region.basis @ w, 1, 2) + region.centre
     out = np.tile(density.point, (draws * _CHAINS, 1))
     out[:, free] = values.reshape(-1, len(free))
     effective = np.full(len(density.point), float(n_samples))

@@ -1,0 +1,44 @@
+"""Moments and distribution functions of densities that are given at points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.support.types import Array
+
+POINTS = 801
+"""Points of each density; an odd number for Simpson's rule."""
+
+
+@dataclass(frozen=True, eq=False)
+class Marginals:
+    """The distributions of a band's coefficients.
+
+    ``points`` and the distribution function ``cumulative`` at them, (n, points); ``mean`` (n,);
+    ``covariance`` (n, n), with zeros off its diagonal where it was not asked for.
+    """
+
+    points: Array
+    cumulative: Array
+    mean: Array
+    covariance: Array
+
+
+def integrated(t: Array, density: Array) -> Marginals:
+    """Return distribution function, means and variances of densities at points, (n, points).
+
+    Simpson's rule for the moments. For the distribution function it is the trapezoidal rule with the
+    first correction of Euler and Maclaurin. A density may jump at its ends only.
+    """
+    step = (t[:, 1:2] - t[:, :1]) / 3
+    weight = density * step * np.array([1.0, *[4.0, 2.0] * ((POINTS - 3) // 2), 4.0, 1.0])
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = np.sum(weight * t, axis=1)
+    variance = np.sum(weight * (t - mean[:, np.newaxis]) ** 2, axis=1)
+    slope = np.gradient(density, axis=1, edge_order=2)
+    cells = (density[:, 1:] + density[:, :-1]) / 2 - np.diff(slope, axis=1) / 12
+    cumulative = np.cumsum(np.maximum(cells, 0.0), axis=1)
+    cumulative = np.concatenate([np.zeros((len(t), 1)), cumulative], axis=1)
+    return Marginals(t, cumulative / cumulative[:, -1:], mean, np.diag(variance))
