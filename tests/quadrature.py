@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(80)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(40)
 REACH = 9.0  # support ends where a density is exp(-40) of its highest value
-GRID = 3001
+GRID = 1501
 
 
 @dataclass(frozen=True)
