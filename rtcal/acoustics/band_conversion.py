@@ -102,8 +102,8 @@ def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
     [800.]
     """
     old = bands.as_bands(frequencies)
-    had = obtainable(old, wanted)
-    used = {f for part in _parts(old, had) for f in part} if had.size else set()
+    new = obtainable(old, wanted)
+    used = {f for part in _parts(old, new) for f in part} if new.size else set()
     return np.array([f for f in old if f not in used])
 
 
@@ -296,14 +296,14 @@ def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) ->
         If none of the bands can be had.
     """
     centres = bands.as_bands(wanted)
-    had = obtainable(measured.centre_frequencies, centres)
-    if not had.size:
+    possible = obtainable(measured.centre_frequencies, centres)
+    if not possible.size:
         raise DataError(
             f"the measurement ({_listed(measured.centre_frequencies.tolist())}) and the room "
             f"({_listed(centres.tolist())}) have no band in common"
         )
-    converted = measurement(measured, had)
-    columns = np.searchsorted(centres, had)
+    converted = measurement(measured, possible)
+    columns = np.searchsorted(centres, possible)
 
     def widened(tables: Mapping[str, Array]) -> dict[str, Array]:
         wide = {p: np.full((*t.shape[:-1], len(centres)), np.nan) for p, t in tables.items()}

@@ -107,7 +107,7 @@ def table(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Read a measuring system's table (CSV) and say how each column was taken.
+    """Read a measuring system's table (CSV) and say how each column was read.
 
     Example: rtcal table dirac.csv --decay-time t20 --out t.csv
     """

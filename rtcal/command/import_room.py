@@ -83,7 +83,7 @@ def import_room(
 ) -> None:
     """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
 
-    A list states neither uncertainty nor air: state them, or the output says what was taken.
+    A list states neither uncertainty nor air. State them, or the output says what was assumed.
 
     Example: rtcal import catt hall.geo --volume 2000 --area wood=300 --out room.toml
     """
@@ -117,8 +117,8 @@ def import_room(
         air=_air(temperature, humidity),
     )
     room.save(out)
-    taken = {listed.listed(name).name for name in used if name not in others}
-    unused = [] if program == "catalogue" else [n for n in listed.names if n not in taken]
+    in_use = {listed.listed(name).name for name in used if name not in others}
+    unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
     notes = _notes(room, rule, sigma, {n: m.scattering for n, m in _used(listed, others, used)})
     _tell(room, unused, notes, out, as_json=as_json, quiet=quiet)
 
@@ -232,7 +232,7 @@ def _used(
 def _notes(
     room: Room, rule: object, sigma: dict[str, Any], scattering: dict[str, Any]
 ) -> list[str]:
-    """Return what was taken without being in the list."""
+    """Return what was assumed beyond the list."""
     stated = "" if not sigma else f"; stated: {', '.join(sigma)}"
     notes = [f"{rule}{stated}"]
     if room.air is None:

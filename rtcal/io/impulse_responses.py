@@ -65,7 +65,7 @@ class Analysis:
     """What impulse responses tell, and what they do not.
 
     ``impulse_to_noise_ratio`` in dB, (n_pairs, n_bands); ``missing`` gives the reason for each value
-    that is missing, ``notes`` doubts about values that are given.
+    that is missing, ``notes`` the doubts about values that are not.
     """
 
     measurement: Measurement
@@ -309,10 +309,12 @@ def _curve_and_noise(
             _, _, noise = pyrato.edc.intersection_time_lundeby(
                 signal, failure_policy="error", **options
             )
-            found = pyrato.edc.energy_decay_curve_chu_lundeby(signal, normalize=False, **options)
+            corrected = pyrato.edc.energy_decay_curve_chu_lundeby(
+                signal, normalize=False, **options
+            )
         except (ArithmeticError, ValueError, IndexError, TypeError):
             return np.empty(0), np.nan
-    curve = np.ravel(found.time)
+    curve = np.ravel(corrected.time)
     ends = np.flatnonzero(~(curve > 0))
     return curve[: ends[0]] if ends.size else curve.copy(), float(np.ravel(noise)[0])
 
@@ -383,8 +385,8 @@ def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
     centres = _bands.as_bands(bands, "bands")
     fractions = 1 if _bands.bandwidth_factor(centres) > 0.5 else 3
     for f in centres:
-        known = _bands.OCTAVES if fractions == 1 else _bands.THIRD_OCTAVES
-        if f not in known or f * 2 ** (0.5 / fractions) * 1.01 >= rate / 2:
+        nominal = _bands.OCTAVES if fractions == 1 else _bands.THIRD_OCTAVES
+        if f not in nominal or f * 2 ** (0.5 / fractions) * 1.01 >= rate / 2:
             raise DataError(
                 f"bands has {_bands.label(f)}; it is no {'' if fractions == 1 else 'third-'}octave "
                 f"below half the sampling rate of {rate:g} Hz"
