@@ -20,7 +20,39 @@ from rtcal.calibration.layout import Integers, Layout
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.support.types import Array
 
+_BLOCK = 256
+"""Factors that are compiled together: 2 MB of memory, and few enough blocks to compile quickly."""
+
 Coefficients = Callable[[ProblemData], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """Parameters that multiply a cvxpy vector elementwise, and the product.
+
+    cvxpy compiles a product of n factors with memory for n² numbers, so long vectors are cut.
+    """
+
+    blocks: list[Any]
+    product: Any
+
+    @classmethod
+    def of(cls, vector: Any) -> Factors:
+        """Return the factors of a vector (n,)."""
+        starts = range(0, vector.size, _BLOCK)
+        if len(starts) == 1:
+            blocks = [cp.Parameter(vector.size)]
+            return cls(blocks, cp.multiply(blocks[0], vector))
+        parts = [vector[start : start + _BLOCK] for start in starts]
+        blocks = [cp.Parameter(part.size) for part in parts]
+        products = [cp.multiply(*pair) for pair in zip(blocks, parts, strict=True)]
+        return cls(blocks, cp.hstack(products))
+
+    def fill(self, values: Array) -> None:
+        """Set the factors, (n,)."""
+        for i, block in enumerate(self.blocks):
+            # save_value: the setter's checks of shape and kind cost more than the numbers.
+            block.save_value(values[i * _BLOCK : (i + 1) * _BLOCK])
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +64,13 @@ class Affine:
     columns: Integers
     n_rows: int
     compute: Coefficients
-    coefficients: Any
+    coefficients: Factors
     constant: Any
 
     def update(self, data: ProblemData) -> None:
         """Set the derived parameters for ``data``."""
         values, constant = self.compute(data)
-        # save_value: the setter's checks of shape and kind cost more than the numbers.
-        self.coefficients.save_value(values * data.scale[self.columns])
+        self.coefficients.fill(values * data.scale[self.columns])
         moved = values * data.centre[self.columns]
         self.constant.save_value(constant + np.bincount(self.rows, moved, minlength=self.n_rows))
 
@@ -51,6 +82,7 @@ class Context:
         self.layout = layout
         self.x = cp.Variable(layout.size, name="x")
         self._affine: list[Affine] = []
+        self._factors: list[tuple[Factors, Callable[[ProblemData], Array]]] = []
         self._parameters: list[tuple[Any, Callable[[ProblemData], Array]]] = []
 
     @property
@@ -75,14 +107,14 @@ class Context:
         compute : function of ProblemData
             Returns the coefficients of the unknowns (n_entries,) and the constants (n_rows,).
         """
-        coefficients = cp.Parameter(len(columns))
         constant = cp.Parameter(n_rows)
         picked = self.x
         if not np.array_equal(columns, np.arange(self.size)):
             entries = np.arange(len(columns))
             ones = np.ones(len(columns))
             picked = sp.csr_array((ones, (entries, columns)), (len(columns), self.size)) @ self.x
-        terms = cp.multiply(coefficients, picked)
+        factors = Factors.of(picked)
+        terms = factors.product
         if not np.array_equal(rows, np.arange(n_rows)):
             entries = np.arange(len(rows))
             terms = sp.csr_array((np.ones(len(rows)), (rows, entries)), (n_rows, len(rows))) @ terms
@@ -92,11 +124,17 @@ class Context:
             np.asarray(columns),
             n_rows,
             compute,
-            coefficients,
+            factors,
             constant,
         )
         self._affine.append(made)
         return made
+
+    def multiply(self, vector: Any, compute: Callable[[ProblemData], Array]) -> Any:
+        """Return a cvxpy vector times what ``compute`` gives of each problem's data, elementwise."""
+        factors = Factors.of(vector)
+        self._factors.append((factors, compute))
+        return factors.product
 
     def parameter(
         self,
@@ -135,5 +173,7 @@ class Context:
         """Set every derived parameter for ``data``."""
         for affine in self._affine:
             affine.update(data)
+        for factors, compute in self._factors:
+            factors.fill(compute(data))
         for parameter, compute in self._parameters:
             parameter.save_value(compute(data))

@@ -118,10 +118,9 @@ class ConvexProgram:
         self._signs = [[sign for _, sign in of_term] for of_term in parts]
         row_constraints = [constraint for of_term in self._constraints for constraint in of_term]
         size, n = layout.size, layout.n_alpha
-        scale = context.parameter(size, lambda i: i.scale)
         low = context.parameter(size, lambda i: i.lower - i.centre)
         high = context.parameter(n, lambda i: (i.upper - i.centre)[:n])
-        moved = cp.multiply(scale, context.x)
+        moved = context.multiply(context.x, lambda i: i.scale)
         # Only alpha has an upper side: cvxpy takes no infinite limit.
         lower, upper = moved >= low, (moved[:n] if size > n else moved) <= high
         problem = cp.Problem(cp.Minimize(sum(self._expressions)), [*row_constraints, lower, upper])

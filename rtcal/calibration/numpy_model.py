@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from rtcal.calibration.layout import Integers
 from rtcal.calibration.problem_data import Flags, ProblemData
-from rtcal.calibration.terms import Objective, RowConstraint
+from rtcal.calibration.terms import MatchConstraint, Objective, RowConstraint
 from rtcal.support.types import Array, read_only_view
 
 _DENSE = 500_000
@@ -81,6 +82,17 @@ class NumpyModel:
             return np.argmax(self.matrix != 0, axis=1) % n_bands
         first = np.minimum(self.matrix.indptr[:-1], max(self.matrix.nnz - 1, 0))
         return self.matrix.indices[first] % n_bands
+
+    @cached_property
+    def row_place(self) -> Integers:
+        """The place among the T (configuration by configuration) that each row matches, else -1."""
+        places = [
+            np.arange(len(rows.lower))
+            if isinstance(constraint, MatchConstraint)
+            else np.full(len(rows.lower), -1)
+            for constraint, rows in zip(self.row_constraints, self._rows, strict=True)
+        ]
+        return np.concatenate([*places, np.zeros(0, dtype=int)])
 
     @cached_property
     def convexity(self) -> Array:

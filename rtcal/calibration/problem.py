@@ -14,6 +14,7 @@ from rtcal.calibration.assemble import Assembler, layout_of, require_same_shape
 from rtcal.calibration.compiled_qp import WhitenedQP
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import ConvexProgram
+from rtcal.calibration.layout import Layout
 from rtcal.calibration.measured import MeasuredTimes, refuse_repeated_data, times_in_room
 from rtcal.calibration.options import SolveKeywords, SolveOptions
 from rtcal.calibration.result import CalibrationResult, JointResult
@@ -33,6 +34,10 @@ from rtcal.support.types import Array
 
 Constraint = RowConstraint | BoundConstraint | SharedMaterials
 Times = Measurement | Sequence[float] | Array
+
+
+_MOST_PAIRS = 20_000_000
+"""Entries of a soft match's curvature. Polishing holds some six copies of 12 bytes each: 1.5 GB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,10 +155,22 @@ def _compiled(
     boxes = [c for c in constraints if isinstance(c, BoundConstraint)]
     shared = [c for c in constraints if isinstance(c, SharedMaterials)]
     layout = layout_of(configurations, objective, shared)
+    _refuse_too_large(layout, objective)
     place, prior = next((i, t) for i, t in enumerate(objective.terms) if t.is_prior)
     sigma: float | None = getattr(prior, "sigma", None)
     assembler = Assembler(layout, equation, objective, tuple(boxes), place, sigma)
     return assembler, ConvexProgram(layout, objective, rows)
+
+
+def _refuse_too_large(layout: Layout, objective: Objective) -> None:
+    """Raise ModelError before the work where a soft match would not fit into memory."""
+    pairs = layout.n_rows**2 * layout.n_bands
+    if pairs > _MOST_PAIRS and any(isinstance(t, SoftMatch) for t in objective.terms):
+        raise ModelError(
+            f"SoftMatch couples every two of {layout.n_rows} materials in each of "
+            f"{layout.n_bands} bands: {pairs:.2g} pairs, and at most {_MOST_PAIRS:.2g} fit. Merge "
+            "materials, use fewer bands, or match exactly"
+        )
 
 
 def _measured_times(given: Configurations, measured: Sequence[Times]) -> list[MeasuredTimes]:

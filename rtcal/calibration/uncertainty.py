@@ -69,18 +69,24 @@ def optimality(
     active = equality | (np.abs(multipliers) > 0)
     active &= np.asarray(model.squares @ (model.sigma * free) ** 2) > 0
     upper = (multipliers > 0) | equality
-    gradient_by_time = np.zeros((len(u), data.time.size))
+    before, after = (
+        _with_times(solution, measured_times, assemble, factor, noise_follows=bounds)
+        for factor in (1 - _STEP, 1 + _STEP)
+    )
+    width = 2 * _STEP * data.time.ravel()
+    # Each row of the match depends on its own T alone, and no other term on any.
+    pull_by_time = np.zeros(data.time.size)
+    for term, weight in zip(model.objective.terms, data.weights, strict=True):
+        if isinstance(term, SoftMatch):
+            change = term.pull(u, after.data) - term.pull(u, before.data)
+            pull_by_time += weight * np.nan_to_num(change.ravel() / width)
+    gradient_by_time = match_matrix(data).T.toarray() * pull_by_time
+    limits = [np.where(upper, m.row_upper, m.row_lower) for m in (before, after)]
+    changing = active & np.isfinite(limits[0]) & np.isfinite(limits[1])
     limit_by_time = np.zeros((len(active), data.time.size))
-    for place in np.flatnonzero(np.isfinite(data.time).ravel()):
-        before, after = (
-            _with_time(solution, measured_times, assemble, int(place), factor, noise_follows=bounds)
-            for factor in (1 - _STEP, 1 + _STEP)
-        )
-        width = 2 * _STEP * data.time.ravel()[place]
-        gradient_by_time[:, place] = (after.gradient(u) - before.gradient(u)) / width
-        limits = [np.where(upper, t.row_upper, t.row_lower) for t in (before, after)]
-        changing = active & np.isfinite(limits[0]) & np.isfinite(limits[1])
-        limit_by_time[changing, place] = (limits[1][changing] - limits[0][changing]) / width
+    for row in np.flatnonzero(changing & (model.row_place >= 0)):
+        place = model.row_place[row]
+        limit_by_time[row, place] = (limits[1][row] - limits[0][row]) / width[place]
     return Optimality(
         rows=data.layout.rows,
         n_bands=data.layout.n_bands,
@@ -196,23 +202,19 @@ def _truncated_normal(model: NumpyModel, u: Array) -> TruncatedNormal:
     )
 
 
-def _with_time(
+def _with_times(
     solution: Solution,
     measured_times: Sequence[MeasuredTimes],
     assemble: Assemble,
-    place: int,
     factor: float,
     *,
     noise_follows: bool,
 ) -> NumpyModel:
-    """The same problem with one T multiplied by ``factor``."""
+    """Return the same problem with every T multiplied by ``factor``."""
     model = solution.model
-    configuration, band = divmod(place, model.data.layout.n_bands)
-    times = measured_times[configuration].reverberation_time.copy()
-    times[band] *= factor
-    changed = list(measured_times)
-    changed[configuration] = replace(measured_times[configuration], reverberation_time=times)
-    data = assemble(changed)
+    data = assemble(
+        [replace(m, reverberation_time=factor * m.reverberation_time) for m in measured_times]
+    )
     if not noise_follows:
         data = replace(data, target_uncertainty=model.data.target_uncertainty)
     return NumpyModel(data, model.objective, model.row_constraints)

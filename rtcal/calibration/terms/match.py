@@ -190,12 +190,15 @@ class SoftMatch(BaseTerm):
 
     def value(self, u: Array, data: ProblemData) -> float:
         """Return ½ sum ((S'alpha - b) / u_b)²."""
-        return 0.5 * float(np.nansum(self._miss(u, data) ** 2))
+        return 0.5 * float(np.nansum(self._residual(u, data) ** 2))
 
     def gradient(self, u: Array, data: ProblemData) -> Array:
         """Return S (S'alpha - b) / u_b²."""
-        pull = np.nan_to_num(self._miss(u, data) / self.uncertainty(data)).ravel()
-        return np.asarray(match_matrix(data).T @ pull)
+        return np.asarray(match_matrix(data).T @ np.nan_to_num(self.pull(u, data)).ravel())
+
+    def pull(self, u: Array, data: ProblemData) -> Array:
+        """Return (S'alpha - b) / u_b² in 1/m², (n_configurations, n_bands), NaN without T."""
+        return self._residual(u, data) / self.uncertainty(data)
 
     def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return S S' / u_b²: a sparse matrix that couples the materials of a band."""
@@ -203,7 +206,7 @@ class SoftMatch(BaseTerm):
         matrix = sp.diags_array(steep) @ match_matrix(data)
         return sp.csr_array(matrix.T @ matrix)
 
-    def _miss(self, u: Array, data: ProblemData) -> Array:
+    def _residual(self, u: Array, data: ProblemData) -> Array:
         return (data.absorption_area(u) - data.target) / self.uncertainty(data)
 
 

@@ -131,12 +131,10 @@ class PriorDeviation(BaseTerm):
             return half_squares(x)
         # A coefficient held off its mean pulls at those that it is correlated with; one that is
         # known exactly (sigma = 0) says nothing of them, so there x stays free.
-        keep = context.parameter(n, lambda i: 1.0 - _held(i))
-        loose = context.parameter(n, _held)
+        keep = context.multiply(x, lambda i: 1.0 - _held(i))
+        loose = context.multiply(x, _held)
         pull = context.parameter(n, lambda i: _held(i) * _deviation(i.centre, i)[:n])
-        return half_squares(self._whitener(layout) @ (cp.multiply(keep, x) + pull)) + half_squares(
-            cp.multiply(loose, x)
-        )
+        return half_squares(self._whitener(layout) @ (keep + pull)) + half_squares(loose)
 
     def value(self, u: Array, data: ProblemData) -> float:
         """Return ½ x'R⁻¹x over the coefficients with sigma > 0."""

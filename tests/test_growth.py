@@ -1,0 +1,68 @@
+"""Memory and work grow with the number of materials and configurations, not with its square."""
+
+from __future__ import annotations
+
+import tracemalloc
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.calibration import uncertainty
+from rtcal.errors import ModelError
+
+
+def large_room(n_materials: int, seed: int = 0, name: str = "large") -> rt.Room:
+    rng = np.random.default_rng(seed)
+    alpha = np.random.default_rng(1).uniform(0.05, 0.5, (n_materials, 6))
+    areas = rng.uniform(1, 30, n_materials)
+    return rt.Room(
+        name=name,
+        volume=float(areas.sum() ** 1.5 / 10),
+        materials=[f"m{i}" for i in range(n_materials)],
+        areas=areas,
+        alpha=alpha,
+        sigma=0.2 * alpha,
+        centre_frequencies=[125, 250, 500, 1000, 2000, 4000],
+        air=rt.Air(),
+    )
+
+
+def peak_of_calibration(room: rt.Room, method: str) -> float:
+    t = 1.1 * rt.Eyring().reverberation_time(room)
+    tracemalloc.start()
+    rt.calibrate(room, t, method=method)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
+
+
+def test_memory_of_a_calibration_is_linear_in_the_materials() -> None:
+    rt.calibrate(large_room(5), np.full(6, 0.8), unreachable="nearest")  # imports
+    small, large = (peak_of_calibration(large_room(n), "mle") for n in (100, 400))
+    assert np.log(large / small) / np.log(4) < 1.2
+
+
+def test_soft_match_beyond_memory_is_refused_before_the_work() -> None:
+    with pytest.raises(ModelError, match=r"SoftMatch couples every two of 2000 materials .* 2\.4e"):
+        rt.calibrate(large_room(2000), np.full(6, 0.8), method="soft")
+
+
+def test_derivative_with_respect_to_every_time_takes_two_assemblies(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rooms = [large_room(4, seed, f"state {seed}") for seed in range(5)]
+    times = [1.1 * rt.Eyring().reverberation_time(room) for room in rooms]
+    joint = rt.calibrate(rt.Configurations(rooms), times, method="joint")
+    assemble = Mock(side_effect=joint.assemble)
+    conditions = uncertainty.optimality(joint.solution, joint.measured_times, assemble, bounds=True)
+    assert assemble.call_count == 2
+    # Against calibrating again with one T changed.
+    derivative = conditions.derivative()
+    step = 1e-4
+    changed = [t.copy() for t in times]
+    changed[2][3] *= 1 + step
+    again = rt.calibrate(rt.Configurations(rooms), changed, method="joint")
+    difference = (again.solution.unknowns - joint.solution.unknowns) / (step * times[2][3])
+    np.testing.assert_allclose(derivative[:, 2 * 6 + 3], difference, rtol=2e-3, atol=1e-7)

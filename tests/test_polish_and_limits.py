@@ -1,0 +1,136 @@
+"""What decides an active set: rows that are let go or kept, bounds that are met, tolerance limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal import terms
+from rtcal.calibration.numpy_model import Multipliers, NumpyModel
+from rtcal.calibration.polish import polish
+from rtcal.errors import SolverError
+from rtcal.support import kkt
+
+PRIOR = terms.PriorDeviation()
+ROOM, MEASURED = rt.datasets.bras_cr2()
+
+
+def solved(constraint: object, factor: float) -> tuple[NumpyModel, np.ndarray, np.ndarray]:
+    """Model, optimum and multipliers of the rows for the prior's own T times a factor."""
+    t = factor * rt.Eyring().reverberation_time(ROOM)
+    solution = rt.Calibration(PRIOR, [constraint]).build(ROOM).solve(t).joint.solution
+    return solution.model, solution.unknowns, solution.multipliers.rows
+
+
+def polished(model: NumpyModel, start: np.ndarray, rows: np.ndarray) -> tuple:
+    none = np.zeros(len(start))
+    answer = polish(model, start, Multipliers(rows, none, none), none > 0, none > 0)
+    assert answer is not None
+    return answer.alpha, answer.multipliers.rows
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_inequality_row_with_the_wrong_sign_is_let_go(side: float) -> None:
+    """The prior is within the tolerance; the start claims that it is not."""
+    model, optimum, _ = solved(terms.MatchWithin(1.0), 1.0)
+    np.testing.assert_array_equal(optimum, model.data.mu)
+    u, rows = polished(model, optimum, np.full(ROOM.n_bands, side * 1e3))
+    np.testing.assert_allclose(u, model.data.mu, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(rows, 0)
+
+
+@pytest.mark.parametrize(("factor", "side"), [(0.8, -1.0), (1.25, 1.0)])
+def test_inequality_row_with_the_right_sign_is_kept(factor: float, side: float) -> None:
+    model, optimum, expected = solved(terms.MatchWithin(1.0), factor)
+    assert (side * expected > 0).all()
+    limit = model.row_lower if side < 0 else model.row_upper
+    np.testing.assert_allclose(model.matrix @ optimum, limit, rtol=1e-13)
+    for claimed in (side, 0.0, -side):  # right, not active at all, active on the other side
+        u, rows = polished(model, optimum, np.full(ROOM.n_bands, claimed * 1e3))
+        np.testing.assert_allclose(u, optimum, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(rows, expected, rtol=1e-9)
+
+
+def test_wrongly_claimed_bounds_are_let_go_and_missed_bounds_are_met() -> None:
+    t = rt.Eyring().reverberation_time(ROOM) * 1.4
+    bounds = terms.Bounds(0.06, 1.0, material="plaster")
+    room = ROOM.replace(alpha=np.maximum(ROOM.alpha, 0.061))
+    calibration = rt.Calibration(PRIOR, [terms.ExactMatch(), bounds])
+    solution = calibration.build(room).solve(t).joint.solution
+    model, optimum = solution.model, solution.unknowns
+    assert (solution.active == -1).any()
+    assert (solution.active == 0).any()
+    nothing = np.zeros(len(optimum), dtype=bool)
+    force = np.full(len(optimum), 1e6)
+    for lower, upper in ((force, 0 * force), (0 * force, force), (0 * force, 0 * force)):
+        claimed = Multipliers(solution.multipliers.rows, lower, upper)
+        answer = polish(model, optimum, claimed, nothing, nothing)
+        if answer is not None:  # all at their upper bounds may leave the active set unsettled
+            np.testing.assert_allclose(answer.alpha, optimum, rtol=0, atol=1e-13)
+            np.testing.assert_array_equal(answer.active, solution.active)
+            assert (answer.multipliers.lower >= 0).all()
+            assert (answer.multipliers.lower[solution.active != -1] == 0).all()
+    assert answer is not None  # from no claim at all
+
+
+def test_tolerance_reaches_to_a_target_that_was_moved_and_no_farther() -> None:
+    model, _, _ = solved(terms.MatchWithin(1.0), 1.0)
+    data, within = model.data, terms.MatchWithin(1.0)
+    low, high = (limit.copy() for limit in within.target_limits(data))
+    assert (low < data.target).all()
+    assert (data.target < high).all()
+    t = data.time
+    np.testing.assert_allclose(low, data.target_of(1.05 * t), rtol=1e-14)
+    np.testing.assert_allclose(high, data.target_of(0.95 * t), rtol=1e-14)
+    for moved, expected in (
+        (0.5 * low, (0.5 * low, high)),
+        (2.0 * high, (low, 2.0 * high)),
+        (0.5 * (low + high), (low, high)),
+    ):
+        limits = within.target_limits(replace(data, target=moved))
+        np.testing.assert_array_equal(limits[0], expected[0])
+        np.testing.assert_array_equal(limits[1], expected[1])
+
+
+def test_target_whose_tolerance_has_one_end_only_is_closed_by_the_target() -> None:
+    """T so short that no absorption gives it: the end within reach takes the lower limit's place."""
+    model, _, _ = solved(terms.MatchWithin(1.0), 1.0)
+    data = model.data
+    nothing = replace(data, target_of=lambda t: np.full(t.shape, np.nan))
+    low, high = terms.MatchWithin(1.0).target_limits(nothing)
+    np.testing.assert_array_equal(low, data.target)
+    np.testing.assert_array_equal(high, np.broadcast_to(data.largest_target, high.shape))
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_kkt_solution_satisfies_both_equations(sparse: bool) -> None:
+    import scipy.sparse as sp
+
+    rng = np.random.default_rng(0)
+    hessian = rng.uniform(1, 3, 6)
+    rows = rng.standard_normal((2, 6))
+    for columns in ((), (3,)):
+        force, limit = rng.standard_normal((6, *columns)), rng.standard_normal((2, *columns))
+        given = sp.csr_array(sp.diags_array(hessian)) if sparse else hessian
+        step, multipliers = kkt.solve(given, sp.csr_array(rows) if sparse else rows, force, limit)
+        np.testing.assert_allclose(
+            np.diag(hessian) @ step + rows.T @ multipliers, force, atol=1e-12
+        )
+        np.testing.assert_allclose(rows @ step, limit, atol=1e-12)
+
+
+def test_kkt_takes_the_least_multipliers_of_dependent_rows() -> None:
+    rows = np.array([[1.0, 1.0], [1.0, 1.0]])
+    step, multipliers = kkt.solve(np.ones(2), rows, np.zeros(2), np.array([2.0, 2.0]))
+    np.testing.assert_allclose(step, 1.0, atol=1e-12)
+    np.testing.assert_allclose(multipliers, -0.5, atol=1e-12)
+
+
+def test_kkt_says_that_a_system_is_singular() -> None:
+    import scipy.sparse as sp
+
+    with pytest.raises(SolverError, match="singular"):
+        kkt.solve(sp.csr_array(np.diag([-1e-11, 1.0])), np.zeros((0, 2)), np.zeros(2), np.zeros(0))
