@@ -54,26 +54,30 @@ def test_inequality_row_with_the_right_sign_is_kept(factor: float, side: float) 
         np.testing.assert_allclose(rows, expected, rtol=1e-9)
 
 
-def test_wrongly_claimed_bounds_are_let_go_and_missed_bounds_are_met() -> None:
-    t = rt.Eyring().reverberation_time(ROOM) * 1.4
-    bounds = terms.Bounds(0.06, 1.0, material="plaster")
-    room = ROOM.replace(alpha=np.maximum(ROOM.alpha, 0.061))
+@pytest.mark.parametrize(("factor", "side"), [(1.4, -1), (0.6, 1)])
+def test_wrongly_claimed_bounds_are_let_go_and_missed_bounds_are_met(
+    factor: float, side: int
+) -> None:
+    room = ROOM.replace(alpha=np.clip(ROOM.alpha, 0.061, 0.069))
+    t = factor * rt.Eyring().reverberation_time(room)
+    bounds = terms.Bounds(0.06, 0.07, material="plaster")
     calibration = rt.Calibration(PRIOR, [terms.ExactMatch(), bounds])
     solution = calibration.build(room).solve(t).joint.solution
     model, optimum = solution.model, solution.unknowns
-    assert (solution.active == -1).any()
+    assert (solution.active == side).any()
     assert (solution.active == 0).any()
     nothing = np.zeros(len(optimum), dtype=bool)
-    force = np.full(len(optimum), 1e6)
-    for lower, upper in ((force, 0 * force), (0 * force, force), (0 * force, 0 * force)):
-        claimed = Multipliers(solution.multipliers.rows, lower, upper)
-        answer = polish(model, optimum, claimed, nothing, nothing)
-        if answer is not None:  # all at their upper bounds may leave the active set unsettled
-            np.testing.assert_allclose(answer.alpha, optimum, rtol=0, atol=1e-13)
-            np.testing.assert_array_equal(answer.active, solution.active)
-            assert (answer.multipliers.lower >= 0).all()
-            assert (answer.multipliers.lower[solution.active != -1] == 0).all()
-    assert answer is not None  # from no claim at all
+    none = np.zeros(len(optimum))
+    for claimed in (solution.active, -solution.active, 0 * solution.active):
+        lower, upper = (np.where(claimed == s, 1e6, none) for s in (-1, 1))
+        start = Multipliers(solution.multipliers.rows, lower, upper)
+        answer = polish(model, optimum, start, nothing, nothing)
+        assert answer is not None
+        np.testing.assert_allclose(answer.alpha, optimum, rtol=0, atol=1e-13)
+        np.testing.assert_array_equal(answer.active, solution.active)
+        for multiplier, s in ((answer.multipliers.lower, -1), (answer.multipliers.upper, 1)):
+            assert (multiplier >= 0).all()
+            assert (multiplier[solution.active != s] == 0).all()
 
 
 def test_tolerance_reaches_to_a_target_that_was_moved_and_no_farther() -> None:

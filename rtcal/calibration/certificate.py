@@ -1,4 +1,4 @@
-"""The certificate: how far an answer is from optimal, computed here from the terms' NumPy twins.
+"""The certificate: how far an answer is from the optimum, computed from the terms' NumPy descriptions.
 
 No solver's word is taken. Whoever holds the certificate can check the answer with a few lines.
 """
@@ -71,9 +71,9 @@ def certify(model: NumpyModel, u: Array, multipliers: Multipliers) -> Certificat
     u = u.ravel()
     matrix, sigma = model.matrix, model.sigma
     values = np.asarray(matrix @ u)
-    miss = np.maximum(np.maximum(model.row_lower - values, values - model.row_upper), 0.0)
+    violation = np.maximum(np.maximum(model.row_lower - values, values - model.row_upper), 0.0)
     outside = np.maximum(np.maximum(model.lower - u, u - model.upper), 0.0)
-    relative = np.divide(miss, model.row_norm, out=miss.copy(), where=model.row_norm > 0)
+    relative = np.divide(violation, model.row_norm, out=violation.copy(), where=model.row_norm > 0)
     bands = model.row_band
     primal = by_band(outside, layout, np.max)
     np.maximum.at(primal, bands, relative)
@@ -152,15 +152,15 @@ def _largest_step(force: Array, m: Array, energy: Array, room: Array) -> Array:
 def _row_excess(model: NumpyModel, u: Array, rows: Array, values: Array) -> tuple[Array, Array]:
     """Return by band what unsatisfied rows add to the gap, and to the distance in sigmas."""
     n_bands = model.data.layout.n_bands
-    miss = np.maximum(np.maximum(model.row_lower - values, values - model.row_upper), 0.0)
+    violation = np.maximum(np.maximum(model.row_lower - values, values - model.row_upper), 0.0)
     free = (model.movable & (u > model.lower) & (u < model.upper)).astype(float)
     reach = np.sqrt(np.asarray(model.squares @ (model.sigma * free) ** 2))
     # S'alpha itself is known to rounding only.
     rounding = (model.entries + 1) * _EPS * np.asarray(model.absolute @ np.abs(u))
-    off = np.divide(miss + rounding, reach, out=np.zeros_like(miss), where=reach > 0)
+    off = np.divide(violation + rounding, reach, out=np.zeros_like(violation), where=reach > 0)
     steepness = float(np.linalg.norm(model.gradient(u) * model.sigma))
     excess, distance = np.zeros(n_bands), np.zeros(n_bands)
-    extra = np.abs(rows) * (miss + rounding) + steepness * off + _row_gap(model, rows, values)
+    extra = np.abs(rows) * (violation + rounding) + steepness * off + _row_gap(model, rows, values)
     np.add.at(excess, model.row_band, extra)
     np.add.at(distance, model.row_band, off)
     return excess, distance

@@ -22,7 +22,7 @@ class Configurations:
     Parameters
     ----------
     rooms : sequence of Room
-        One a configuration: its own volume, air and areas. A material is the same unknown wherever
+        One per configuration: its own volume, air and areas. A material is the same unknown wherever
         its name stands; where two rooms state it, they must state the same alpha and sigma.
     names : sequence of str, optional
         Of the configurations; the rooms' names if not given.
@@ -95,12 +95,12 @@ class Configurations:
                 first = next(r for r in self.rooms if material in r.materials)
                 j = first.materials.index(material)
                 for what in ("alpha", "sigma"):
-                    here, there = getattr(room, what)[i], getattr(first, what)[j]
-                    if not np.array_equal(here, there):
-                        k = int(np.flatnonzero(here != there)[0])
+                    values, first_values = getattr(room, what)[i], getattr(first, what)[j]
+                    if not np.array_equal(values, first_values):
+                        k = int(np.flatnonzero(values != first_values)[0])
                         raise DataError(
-                            f'configuration "{name}": {room.place(what, i, k)} = {here[k]:g}, but '
-                            f'"{first.name}" says {there[k]:g}; a shared material has one prior'
+                            f'configuration "{name}": {room.place(what, i, k)} = {values[k]:g}, but '
+                            f'"{first.name}" says {first_values[k]:g}; a shared material has one prior'
                         )
 
     def _pairs(self) -> dict[tuple[str, str], float]:

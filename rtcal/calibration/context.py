@@ -142,13 +142,13 @@ class Context:
         compute: Callable[[ProblemData], Array],
         **attributes: bool,
     ) -> Any:
-        """Return a cvxpy parameter that ``compute`` fills from each data."""
+        """Return a cvxpy parameter that ``compute`` fills from each problem's data."""
         parameter = cp.Parameter(shape, **attributes)
         self._parameters.append((parameter, compute))
         return parameter
 
     def match_pattern(self) -> tuple[Integers, Integers, int]:
-        """Return rows, columns and number of rows of S'alpha, one row a configuration and band.
+        """Return rows, columns and number of rows of S'alpha, one row per configuration and band.
 
         The coefficients come in the order (configuration, row of alpha, band), then
         (configuration, further unknown, band).

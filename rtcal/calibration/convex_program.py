@@ -90,8 +90,8 @@ class Solution:
         for term in self.model.row_constraints:
             n_rows = len(term.row_scale(data))
             if isinstance(term, MatchConstraint):
-                found = self.multipliers.rows[start : start + n_rows]
-                return np.where(data.matched, found.reshape(data.matched.shape), np.nan)
+                of_match = self.multipliers.rows[start : start + n_rows]
+                return np.where(data.matched, of_match.reshape(data.matched.shape), np.nan)
             start += n_rows
         return np.full(data.matched.shape, np.nan)
 
@@ -139,7 +139,7 @@ class ConvexProgram:
         equation: LinearEquation,
         options: SolveOptions,
     ) -> Solution:
-        """Solve for the data's numbers.
+        """Solve the problem for its data.
 
         Raises
         ------
@@ -210,7 +210,7 @@ class ConvexProgram:
             require_agreement(self._context, model, self._expressions, self._constraints)
 
     def whitened(self, data: ProblemData) -> WhitenedQP:
-        """Return the QP of the data's numbers as they are, whether it has an answer or not."""
+        """Return the QP of the data, whether it has an answer or not."""
         with self._lock:
             self._context.update(data)
             matrices = self._compiled.matrices()
@@ -260,8 +260,8 @@ class ConvexProgram:
         ends = model.movable & (data.scale == 0)
         if ends.any():
             at_lower, at_upper = ends & (u == model.lower), ends & (u == model.upper)
-            starved = (np.concatenate([*scales, np.zeros(0)]) == 0) & (model.row_norm > 0)
-            row_values = undetermined(model, u, row_values, starved, at_lower, at_upper)
+            without_free = (np.concatenate([*scales, np.zeros(0)]) == 0) & (model.row_norm > 0)
+            row_values = undetermined(model, u, row_values, without_free, at_lower, at_upper)
             force = model.stationarity(u, row_values)
             lower = np.where(at_lower, np.maximum(force, 0.0), lower)
             upper = np.where(at_upper, np.maximum(-force, 0.0), upper)

@@ -124,7 +124,7 @@ def restrict_to_reach(
     ----------
     data : ProblemData
     rooms : sequence of Room
-        One a configuration.
+        One per configuration.
     wanted : two arrays (n_configurations, n_bands)
         The least and the most S'alpha in m² that the match allows.
     equation : LinearEquation
@@ -160,12 +160,12 @@ def restrict_to_reach(
     )
     too_low = asked & (target < low - tolerance)
     too_high = asked & (np.isnan(target) | (target > top + tolerance))
-    found = []
+    beyond = []
     for c, k in np.argwhere(too_low | too_high):
         longest, shortest = (
             where_valid(equation.time, rooms[c], area)[k] for area in (low[c], top[c])
         )
-        found.append(
+        beyond.append(
             Unreachable(
                 int(c),
                 float(rooms[c].centre_frequencies[k]),
@@ -177,17 +177,17 @@ def restrict_to_reach(
                 float(longest),
             )
         )
-    if found and unreachable == "raise":
-        raise InfeasibleError("; ".join(str(u) for u in found))
+    if beyond and unreachable == "raise":
+        raise InfeasibleError("; ".join(str(u) for u in beyond))
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low
-    settled = np.where(at_low, low, np.where(at_high, top, target))
+    reached = np.where(at_low, low, np.where(at_high, top, target))
     at_high &= top >= high - tolerance  # an equation's own ceiling is no end of the box
     at_lower, at_upper = _forced(data, at_low, at_high)
     pinned = data.pin(at_lower | at_upper, np.where(at_lower, data.lower, data.upper))
     moved = too_low | too_high | at_low | at_high
-    target = np.where(moved | np.isnan(data.target), settled, data.target)
-    return replace(pinned, target=target), at_lower, at_upper, tuple(found)
+    target = np.where(moved | np.isnan(data.target), reached, data.target)
+    return replace(pinned, target=target), at_lower, at_upper, tuple(beyond)
 
 
 def _refuse_invalid(

@@ -34,7 +34,7 @@ class JointSolution:
     equation, method, solver
         As asked for.
     measured_times : tuple of MeasuredTimes
-        One a configuration.
+        One per configuration.
     assemble : function
         The numbers of the same problem for other measurements.
     """

@@ -1,9 +1,9 @@
 """Polishing: from a solver's answer to the exact optimum on its active set.
 
-An interior-point answer is right to 1e-5 at worst; which coefficients stand at a bound it tells
-reliably. Given that active set the optimum is one linear system. Solving it, adding violated bounds
-and dropping those whose multiplier has the wrong sign, until neither is left, gives the optimum to
-rounding (for a piecewise quadratic objective the same loop is Newton's method).
+An interior-point answer is off by 1e-5 at worst, but it tells reliably which coefficients stand at a
+bound. Given that active set the optimum is the solution of one linear system. The loop solves it, adds
+bounds that are violated, and drops those whose multiplier has the wrong sign. Where neither is left
+the optimum is exact to rounding. For a piecewise quadratic objective the loop is Newton's method.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def polish(
     forced_lower: Flags,
     forced_upper: Flags,
 ) -> Polished | None:
-    """Return the optimum near a solver's answer, or None if the active set does not settle.
+    """Return the optimum near a solver's answer, or None if the active set does not converge.
 
     Parameters
     ----------
@@ -85,14 +85,14 @@ def polish(
             side = np.where(row_below, -1, np.where(row_above, 1, side))
             alpha = np.clip(trial, lower, upper)
             continue
-        starved = (side != 0) & ~moving & (model.row_norm > 0)
-        if starved.any():
-            release = _released(model, trial, limit, starved, slack, at_lower, at_upper)
+        without_free = (side != 0) & ~moving & (model.row_norm > 0)
+        if without_free.any():
+            release = _released(model, trial, limit, without_free, slack, at_lower, at_upper)
             if release.any():
                 at_lower, at_upper = at_lower & ~release, at_upper & ~release
                 alpha = trial
                 continue
-            rows = undetermined(model, trial, rows, starved, at_lower, at_upper)
+            rows = undetermined(model, trial, rows, without_free, at_lower, at_upper)
         gradient = model.gradient(trial)
         force = np.asarray(gradient + model.matrix.T @ rows)
         balance = force * sigma
@@ -142,7 +142,7 @@ def _solve(
     norm = np.sqrt(np.asarray(model.squares[:, free] @ scale**2))
     used = active & (norm > 0)
     matrix = model.matrix[used][:, free] * scale / norm[used][:, np.newaxis]
-    miss = (limit[used] - np.asarray(model.matrix @ alpha)[used]) / norm[used]
+    residual = (limit[used] - np.asarray(model.matrix @ alpha)[used]) / norm[used]
     force = model.gradient(alpha)[free] * scale
     curvature = model.curvature(alpha)
     hessian = curvature[free]
@@ -151,7 +151,7 @@ def _solve(
     else:
         hessian = hessian * scale**2
     try:
-        step, pull = kkt.solve(hessian, matrix, -force, miss)
+        step, pull = kkt.solve(hessian, matrix, -force, residual)
     except SolverError:
         return None
     if not (np.isfinite(step).all() and np.isfinite(pull).all()):
@@ -166,7 +166,7 @@ def _released(
     model: NumpyModel,
     alpha: Array,
     limit: Array,
-    starved: Flags,
+    without_free: Flags,
     slack: Array,
     at_lower: Flags,
     at_upper: Flags,
@@ -177,11 +177,11 @@ def _released(
     one to let go is the first to move as the row's multiplier leaves its interval.
     """
     release = np.zeros(len(alpha), dtype=bool)
-    miss = limit - np.asarray(model.matrix @ alpha)
+    residual = limit - np.asarray(model.matrix @ alpha)
     gradient = model.gradient(alpha)
-    for row in np.flatnonzero(starved & (np.abs(miss) > slack)):
+    for row in np.flatnonzero(without_free & (np.abs(residual) > slack)):
         values = _line(model, int(row))
-        wanted = np.sign(miss[row]) * np.sign(values)  # the direction that mends the row
+        wanted = np.sign(residual[row]) * np.sign(values)  # the direction that mends the row
         able = ((wanted > 0) & at_lower) | ((wanted < 0) & at_upper)
         cost = np.full(len(alpha), np.inf)
         cost[able] = (gradient * wanted)[able] / np.abs(values[able])
@@ -197,7 +197,12 @@ def _line(model: NumpyModel, row: int) -> Array:
 
 
 def undetermined(
-    model: NumpyModel, alpha: Array, rows: Array, starved: Flags, at_lower: Flags, at_upper: Flags
+    model: NumpyModel,
+    alpha: Array,
+    rows: Array,
+    without_free: Flags,
+    at_lower: Flags,
+    at_upper: Flags,
 ) -> Array:
     """Give rows without a free coefficient their multiplier.
 
@@ -208,7 +213,7 @@ def undetermined(
     gradient = model.gradient(alpha)
     sign = at_lower.astype(float) - at_upper.astype(float)
     rows = rows.copy()
-    for row in np.flatnonzero(starved):
+    for row in np.flatnonzero(without_free):
         values = _line(model, int(row))
         pull = sign * values
         ends = np.divide(-gradient, values, out=np.zeros_like(values), where=pull != 0)

@@ -103,7 +103,7 @@ def calibrate(
     ----------
     room : Room or Configurations
         Its alpha and sigma are the prior. Several configurations of one room share their
-        materials' coefficients; then ``measured`` has one entry a configuration.
+        materials' coefficients; then ``measured`` has one entry per configuration.
     measured : Measurement, or T in s, (n_bands,)
         Per band T20, else T30; NaN where missing: that band keeps its prior.
     method : {"mle", "lse", "soft", "smooth", "robust", "joint"}

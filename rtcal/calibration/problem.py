@@ -174,7 +174,7 @@ def _refuse_too_large(layout: Layout, objective: Objective) -> None:
 
 
 def _measured_times(given: Configurations, measured: Sequence[Times]) -> list[MeasuredTimes]:
-    """One measurement a configuration, each in its room's bands."""
+    """One measurement per configuration, each in its room's bands."""
     if isinstance(measured, str | Measurement) or not isinstance(measured, Iterable):
         raise DataError(
             f"measured = {measured!r} is not a list of measurements, one a configuration"
@@ -270,10 +270,10 @@ class JointProblem:
         method: str = "composed",
         **options: Unpack[SolveKeywords],
     ) -> JointResult:
-        """Solve for one measurement a configuration, without compiling again.
+        """Solve for one measurement per configuration, without compiling again.
 
         Parameters and errors as in `CalibrationProblem.solve`; ``measured`` and ``configurations``
-        have one entry a configuration.
+        have one entry per configuration.
         """
         chosen = SolveOptions(**options)
         given = self.configurations

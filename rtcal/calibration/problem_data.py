@@ -45,7 +45,7 @@ class ProblemData:
     target_of : function
         b in m² for any T in s, both (n_configurations, n_bands).
     weights : tuple of float
-        One for each objective term.
+        One per objective term.
     pinned : array (size,) of bool
         Unknowns held at ``centre`` for this solve.
     centre : array (size,)

@@ -30,8 +30,8 @@ _BOUNDS = {-1: "lower", 0: "", 1: "upper"}
 
 def versions() -> dict[str, str]:
     """Return the versions of rtcal, Python and the required libraries."""
-    own = {"rtcal": __version__, "Python": platform.python_version()}
-    return own | {name: metadata.version(name) for name in _LIBRARIES}
+    rtcal_and_python = {"rtcal": __version__, "Python": platform.python_version()}
+    return rtcal_and_python | {name: metadata.version(name) for name in _LIBRARIES}
 
 
 def inputs(room: Room, measured: MeasuredTimes) -> dict[str, Any]:

@@ -127,8 +127,8 @@ class CalibrationResult:
     @property
     def unreachable(self) -> tuple[Unreachable, ...]:
         """Bands that were moved to the nearest end."""
-        found = self.joint.solution.unreachable
-        return tuple(u for u in found if u.configuration == self.configuration)
+        every = self.joint.solution.unreachable
+        return tuple(u for u in every if u.configuration == self.configuration)
 
     @property
     def effects(self) -> dict[str, float]:
@@ -139,8 +139,8 @@ class CalibrationResult:
     def added_absorption(self) -> Array:
         """What effects add to the room's S'alpha in m², (n_bands,)."""
         data = self._problem_data
-        own = data.further(self.joint.solution.unknowns)
-        return np.asarray(data.gains[self.configuration] @ own)
+        sizes = data.further(self.joint.solution.unknowns)
+        return np.asarray(data.gains[self.configuration] @ sizes)
 
     @property
     def measured(self) -> Array:
@@ -193,12 +193,12 @@ class CalibrationResult:
     def plausibility(self) -> Plausibility:
         """How far T was from what was known, per band and in all, with the prior's own sigma."""
         deviation, covariance = innovation(self.joint.solution, self.joint.configurations)
-        own = slice(
+        bands = slice(
             self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
         )
         further = self._problem_data.further(self.joint.solution.active.astype(float))
         at_bound = bool(self.active[:, self.matched].any() or further.any())
-        return plausibility(deviation[own], covariance[own, own], at_bound)
+        return plausibility(deviation[bands], covariance[bands, bands], at_bound)
 
     @cached_property
     def air_share(self) -> Array:

@@ -130,9 +130,9 @@ def _installed() -> dict[str, str]:
 
 
 def _cvxpy(compiled: CompiledQP, name: str, settings: dict[str, Any]) -> SolverOutput:
-    known = _installed()
-    if name not in known:
-        have = ", ".join(sorted(s.lower() for s in known))
+    installed = _installed()
+    if name not in installed:
+        have = ", ".join(sorted(s.lower() for s in installed))
         raise MissingDependencyError(
             f'solver "{name.lower()}" is not installed; cvxpy here has {have}, and qpsolvers '
             'solvers are called "qpsolvers:NAME"'
@@ -143,7 +143,7 @@ def _cvxpy(compiled: CompiledQP, name: str, settings: dict[str, Any]) -> SolverO
         warnings.simplefilter("ignore", UserWarning)
         try:
             # A cached solver is reused by some interfaces in ways that fail on new matrices.
-            problem.solve(solver=known[name], warm_start=False, **settings)
+            problem.solve(solver=installed[name], warm_start=False, **settings)
         except cp.SolverError as error:
             raise SolverError(f'solver "{name.lower()}" failed: {error}') from error
         except (TypeError, ValueError, AttributeError, KeyError) as error:
@@ -174,7 +174,7 @@ def _clarabel(compiled: CompiledQP, settings: dict[str, Any]) -> SolverOutput:
             raise _refused("clarabel", settings, error) from error
     cones = [clarabel.ZeroConeT(qp.n_equal), clarabel.NonnegativeConeT(len(qp.b) - qp.n_equal)]
     result = clarabel.DefaultSolver(qp.P_upper, qp.q, qp.A, qp.b, cones, chosen).solve()
-    return _own(
+    return _from_values(
         compiled,
         "clarabel",
         np.array(result.x),
@@ -209,7 +209,7 @@ def _osqp(
             raise ModelError("a warm start fits only a problem without helper variables")
         solver.warm_start(x=x, y=np.concatenate(duals))
     result = solver.solve(raise_error=False)
-    return _own(
+    return _from_values(
         compiled,
         "osqp",
         result.x,
@@ -237,20 +237,20 @@ def _qpsolvers(compiled: CompiledQP, name: str, settings: dict[str, Any]) -> Sol
     )
     began = time.perf_counter()
     try:
-        found = qpsolvers.solve_problem(problem, solver=name, **settings)
+        solution = qpsolvers.solve_problem(problem, solver=name, **settings)
     except Exception as error:  # backends raise errors of many kinds; all mean that it failed
         raise SolverError(f'solver "qpsolvers:{name}" failed: {error}') from error
     seconds = time.perf_counter() - began
     y = np.zeros(len(qp.b))
-    if found.y is not None:
-        y[: qp.n_equal] = found.y
-    if found.z is not None:
-        y[qp.n_equal :] = found.z
-    status = "solved" if found.found else "not found"
-    return _own(compiled, f"qpsolvers:{name}", found.x, y, status, 0, seconds)
+    if solution.y is not None:
+        y[: qp.n_equal] = solution.y
+    if solution.z is not None:
+        y[qp.n_equal :] = solution.z
+    status = "solved" if solution.found else "not found"
+    return _from_values(compiled, f"qpsolvers:{name}", solution.x, y, status, 0, seconds)
 
 
-def _own(
+def _from_values(
     compiled: CompiledQP,
     name: str,
     x: Array | None,

@@ -26,7 +26,7 @@ OK, BELOW, ABOVE, BAD_INPUT = 0, 1, 2, 3
 """Values of ``status``: solved; target below or above reach; a datum breaks a rule."""
 
 EPS = float(np.finfo(float).eps)
-CHUNK = 4096  # rows at a time in the NumPy twin: its temporaries stay in the cache
+CHUNK = 4096  # rows at a time in the NumPy engine: its temporaries stay in the cache
 
 
 class Answer(NamedTuple):
@@ -74,7 +74,7 @@ def solve(
     tolerance, uncertainty : float or array (...)
         m², 0 for an exact match; one of the two at most.
     engine : {"auto", "numba", "numpy"}
-        The compiled kernel where numba is installed, or its NumPy twin.
+        The compiled kernel where numba is installed, or the NumPy engine.
     out : array (..., n), optional
         C-contiguous float64 of the answer's shape; written and returned as ``alpha``.
 
@@ -185,7 +185,7 @@ def _rows(x: Array, batch: tuple[int, ...], n: int) -> Array:
 def _solve_chunk(
     data: Sequence[Array], alpha: Array, multiplier: Array, status: NDArray[np.int8]
 ) -> None:
-    """Solve some rows with NumPy: the twin of `exact_kernel.solve_rows`."""
+    """Solve some rows with NumPy, by the arithmetic of `kernel.solve_rows`."""
     m, g, s, b, low, high, give, slack = data
     rows, n = alpha.shape
     with np.errstate(all="ignore"):  # rows with bad input are found below, and answered with NaN
@@ -244,7 +244,7 @@ def _fix(
     """Variable fixing on rows that the closed form leaves outside the box; return alpha and D."""
     free = w.copy()  # the weights S sigma² of what is free, 0 else
     base = np.where(w > 0, m, np.clip(m, low, high))  # mu of what is free, its bound of the pegged
-    rows = np.arange(len(m))  # not settled yet
+    rows = np.arange(len(m))  # not solved yet
     for _ in range(m.shape[1] + 1):
         ss, lo, hi, ff, base_now = (x[rows] for x in (s, low, high, free, base))
         spread = _sum(ss * ff) + slack[rows]

@@ -1,6 +1,6 @@
 """The compiled rows of `rtcal.exact.batch`: one problem after the other, in one thread.
 
-The arithmetic is that of the NumPy twin in `exact`; tests hold the two together.
+The arithmetic is that of the NumPy engine in `rtcal.exact.batch`; tests hold the two together.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from rtcal.support.jit import compiled
 from rtcal.support.types import Array
 
 EPS = float(np.finfo(float).eps)
-OK, BELOW, ABOVE, BAD_INPUT, UNSETTLED = 0, 1, 2, 3, -1
+OK, BELOW, ABOVE, BAD_INPUT, PENDING = 0, 1, 2, 3, -1
 STRIP = 64  # rows
 LARGEST = float(np.finfo(float).max)
 ROUNDING = 1e-13  # of alpha, below which sums are as they come
@@ -46,7 +46,7 @@ def solve_rows(
     step_tolerance, step_uncertainty = tolerance.size > 1, uncertainty.size > 1
     largest = 0.0
     # First the closed form, inline: handing a row on costs as much as solving it. Then, while the
-    # strip is still in the cache, the rows that it does not settle.
+    # strip is still in the cache, the rows that it does not solve.
     for start in range(0, rows, STRIP):
         stop = min(start + STRIP, rows)
         for r in range(start, stop):
@@ -77,13 +77,11 @@ def solve_rows(
                 room += weight[i] * (x - low[i]) * (high[i] - x)
             # Were b so near to an end that it is the end, `room` would be less than this.
             least_room = 32 * n * EPS * area * largest * largest * variance
-            settled = violations == 0 and room > least_room
+            solved = violations == 0 and room > least_room
             multiplier[r] = d
-            status[r] = (
-                OK if settled and u >= 0 and tolerance[r * step_tolerance] == 0 else UNSETTLED
-            )
+            status[r] = OK if solved and u >= 0 and tolerance[r * step_tolerance] == 0 else PENDING
         for r in range(start, stop):
-            if status[r] == UNSETTLED:
+            if status[r] == PENDING:
                 status[r], multiplier[r] = careful(
                     mu[r * step_mu],
                     sigma[r * step_sigma],
@@ -115,7 +113,7 @@ def careful(
     base: Array,
     a: Array,
 ) -> tuple[int, float]:
-    """Solve a row that the closed form does not settle; return status and multiplier."""
+    """Solve a row that the closed form does not solve; return status and multiplier."""
     n = m.size
     for i in range(n):
         w[i] = s[i] * g[i] * g[i]

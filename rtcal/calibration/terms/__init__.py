@@ -1,12 +1,12 @@
 """What a calibration is composed of: objective terms and constraints.
 
-Objective terms add with ``+`` and scale with ``*``; constraints stand in a list. Each gives two
-independent descriptions of itself: an expression for cvxpy, and a plain-NumPy model (value, gradient
-and curvature of an objective term; rows of a constraint). The certificate is computed from the
-twins, so a wrong expression cannot certify itself; the tests compare the two.
+Objective terms add with ``+`` and scale with ``*``. Constraints stand in a list. Each term describes
+itself twice, independently: by an expression for cvxpy, and in plain NumPy. An objective term has
+its value, gradient and curvature, a constraint its rows. The certificate is computed from the NumPy
+description, so a wrong expression cannot certify itself. Tests compare the two descriptions.
 
-In expression and model the unknowns u are one flat vector: alpha row by row with the bands last,
-then further unknowns (`rtcal.calibration.layout.Layout`).
+In both the unknowns u are one flat vector: alpha row by row with the bands last, then further
+unknowns (`rtcal.calibration.layout.Layout`).
 """
 
 from rtcal.calibration.terms.base import (

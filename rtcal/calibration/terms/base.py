@@ -26,7 +26,7 @@ class ObjectiveTerm(Protocol):
     """Whether it is the prior that makes alpha unique; a calibration has exactly one."""
 
     def expression(self, context: Context, weight: int) -> Any:
-        """Return the cvxpy expression, its weight (number ``weight`` of the data) folded in.
+        """Return the cvxpy expression, with its weight, number ``weight`` of the data's.
 
         A prior's weight is 1: the whole objective is scaled so.
         """
@@ -103,7 +103,7 @@ def lacking(thing: object, *protocols: type) -> str:
 
 
 class BaseTerm:
-    """Lets a term be added and scaled, and says what most terms are."""
+    """Adds and scales a term; by default it is no prior, independent, and claims no convexity."""
 
     is_prior: ClassVar[bool] = False
 
@@ -158,7 +158,7 @@ class RowConstraint(Protocol):
 
 @runtime_checkable
 class MatchConstraint(RowConstraint, Protocol):
-    """A row constraint that holds S'alpha to the measured T: one row a configuration and band."""
+    """A row constraint that holds S'alpha to the measured T: one row per configuration and band."""
 
     def target_limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return the least and the most S'alpha in m², both (n_configurations, n_bands)."""

@@ -74,8 +74,8 @@ class BandSmoothness(BaseTerm):
         over_all = sp.hstack(
             [sp.kron(sp.eye_array(n), one), sp.csr_array((n * (k - 1), layout.size - n * k))]
         )
-        known = np.asarray(data.alpha(data.sigma) == 0)
-        both = ~(known[:, 1:] | known[:, :-1]).ravel()
+        exact = np.asarray(data.alpha(data.sigma) == 0)
+        both = ~(exact[:, 1:] | exact[:, :-1]).ravel()
         return sp.csr_array(sp.diags_array(both / np.sqrt(self._octaves(layout))) @ over_all)
 
     @staticmethod
@@ -212,7 +212,7 @@ class AtMost:
         return False, True
 
     def constraints(self, context: Context) -> list[tuple[Any, int]]:
-        """One inequality a band."""
+        """One inequality per band."""
         lesser, greater = self._places(context.layout)
         n = len(lesser)
         return limited(
@@ -304,7 +304,7 @@ class GroupAbsorption:
         return self.least is not None, self.most is not None
 
     def constraints(self, context: Context) -> list[tuple[Any, int]]:
-        """One or two inequalities a band, or one equality if the two limits are the same."""
+        """One or two inequalities per band, or one equality if the two limits are the same."""
         rows, columns, n_rows = self._pattern(context.layout)
         if self.least != self.most:
             return limited(context, rows, columns, n_rows, self)
@@ -334,13 +334,13 @@ class GroupAbsorption:
         return reciprocal(np.sqrt(np.bincount(rows, weights=moved**2, minlength=n_rows)))
 
     def rows(self, data: ProblemData) -> Rows:
-        """The group's absorption area, one row a band."""
+        """The group's absorption area, one row per band."""
         layout = data.layout
-        own = self._areas(data)
+        areas = self._areas(data)
         columns = layout.index(None, self.band).reshape(layout.n_rows, -1)
         matrix = np.zeros((columns.shape[1], layout.size))
         for row in range(columns.shape[1]):
-            matrix[row, columns[:, row]] = own
+            matrix[row, columns[:, row]] = areas
         return Rows(sp.csr_array(matrix), *self.limits(data))
 
     def label(self, row: int, layout: Layout) -> str:
@@ -357,8 +357,8 @@ class GroupAbsorption:
                 f"GroupAbsorption(configuration={self.configuration}): there are "
                 f"{layout.n_configurations}"
             )
-        here = np.isin(np.arange(layout.n_rows), self._members(layout))
-        return np.where(here, data.areas[self.configuration], 0.0)
+        members = np.isin(np.arange(layout.n_rows), self._members(layout))
+        return np.where(members, data.areas[self.configuration], 0.0)
 
     def _members(self, layout: Layout) -> list[int]:
         members = sorted({int(layout.index(m)[0]) // layout.n_bands for m in self.materials})

@@ -28,7 +28,7 @@ class ExactMatch:
     """
 
     def constraints(self, context: Context) -> list[tuple[Any, int]]:
-        """One equality a band, scaled by k = |S sigma| so that all bands weigh alike."""
+        """One equality per band, scaled by k = |S sigma| so that all bands weigh alike."""
         rows, columns, n_rows = context.match_pattern()
 
         def compute(data: ProblemData) -> tuple[Array, Array]:
@@ -87,7 +87,7 @@ class MatchWithin:
         return True, True
 
     def constraints(self, context: Context) -> list[tuple[Any, int]]:
-        """Two inequalities a band, or one equality if the tolerance is 0."""
+        """Two inequalities per band, or one equality if the tolerance is 0."""
         if self.jnd == 0:
             return ExactMatch().constraints(context)
         rows, columns, n_rows = context.match_pattern()
@@ -311,7 +311,7 @@ def match_values(data: ProblemData) -> Array:
 
 
 def match_matrix(data: ProblemData) -> Any:
-    """Return S' as a sparse matrix, one row a configuration and band, over the unknowns."""
+    """Return S' as a sparse matrix, one row per configuration and band, over the unknowns."""
     layout = data.layout
     c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
     areas = np.broadcast_to(data.areas[:, np.newaxis, :], (c, k, n))
