@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rtcal.errors import DataError
+from rtcal.support import transaction
 
 
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
-    """Return a file's bytes; DataError if it is missing, no regular file, or above ``limit``."""
+    """Return a file's bytes; DataError if it is missing, no regular file, or above ``limit``.
+
+    What an interrupted write left half-way in the folder is put back first.
+    """
     try:
         if Path(path).exists() and not Path(path).is_file():
             raise DataError(f"{path}: not a file")
+        transaction.recover([Path(path).parent])
         with open(path, "rb") as stream:
             content = stream.read(limit + 1)
     except DataError:
@@ -64,37 +68,25 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def write_all(contents: Mapping[Any, bytes]) -> None:
-    """Write several files, each whole, or none of them: beside them first, then moved into place.
+    """Write several files as one: all of them new, or all as they were.
 
-    The keys are paths. Raises DataError, naming the file, if a place cannot be written.
+    That also holds where the process is killed or the disk is full: the next command that reads or
+    writes in the folder puts the old files back. A link is followed, and a file that is there keeps
+    its mode. The keys are paths. Raises DataError, naming the file, if a place cannot be written.
     """
     path: Any = ""
-    temporaries: list[tuple[str, Path]] = []
-    mask = os.umask(0)  # mkstemp makes files private; give them the usual mode
-    os.umask(mask)
     try:
+        targets = {}
         for path, content in contents.items():
-            target = Path(path)
-            if target.is_dir():
-                raise DataError(f"{path}: cannot be written: Is a directory")
-            handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-            temporaries.append((temporary, target))
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content)
-            os.chmod(temporary, 0o666 & ~mask)
-        for temporary, target in temporaries:
-            path = target
-            os.replace(temporary, target)
-    except (OSError, ValueError, TypeError) as error:
+            targets[transaction.target(Path(path))] = content
+        transaction.write(targets)
+    except OSError as error:
+        place = error.filename if len(contents) > 1 and error.filename else path
+        raise DataError(f"{place}: cannot be written: {error.strerror or error}") from error
+    except (ValueError, TypeError) as error:
         if isinstance(error, DataError):
             raise
-        if isinstance(error, TypeError):
-            raise DataError(f"{path!r} is not a path") from error
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise DataError(f"{path}: cannot be written: {reason or error}") from error
-    finally:
-        for temporary, _ in temporaries:
-            Path(temporary).unlink(missing_ok=True)
+        raise DataError(f"{path!r} is not a path: {error}") from error
 
 
 def make_folder(path: str | os.PathLike[str]) -> None:

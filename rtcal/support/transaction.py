@@ -1,0 +1,253 @@
+"""Several files written as one: all of them new, or all of them as they were.
+
+The new files and links to the old ones are put into a hidden folder ``.rtcal-*`` beside the files, then
+a journal, then the new files are moved into place, and removing the journal makes them stay. Whoever
+finds a journal, here after an error or in the next command after a kill or a power cut, puts the old
+files back. Writers hold a lock on the folders, so an unlocked ``.rtcal-*`` belongs to nobody.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import stat
+import threading
+import time
+import uuid
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from rtcal.errors import DataError
+
+try:
+    import fcntl
+except (
+    ImportError
+):  # Windows has no flock: there two commands must not write the same folder at once
+    fcntl = None  # type: ignore[assignment]
+
+PREFIX = ".rtcal-"
+LONGEST_WAIT = 10.0
+"""s that a command waits for another that writes into the same folder."""
+_PAUSE = 0.02
+_FOLDERS, _JOURNAL = "folders", "journal"
+
+_thread_lock = threading.RLock()
+_locked: dict[Path, int] = {}  # folders that this process has locked, and how often
+
+
+@contextmanager
+def locked(*folders: Path) -> Iterator[None]:
+    """Hold folders for this process; wait while another process holds one of them."""
+    with _thread_lock, ExitStack() as stack:
+        for folder in sorted({Path(os.path.realpath(folder)) for folder in folders}):
+            stack.enter_context(_folder_lock(folder))
+        yield
+
+
+@contextmanager
+def _folder_lock(folder: Path) -> Iterator[None]:
+    handle = None
+    if fcntl is not None and not _locked.get(folder):
+        handle = os.open(folder, os.O_RDONLY)
+    try:
+        if handle is not None:
+            _wait_for(handle, folder)
+        _locked[folder] = _locked.get(folder, 0) + 1
+        try:
+            yield
+        finally:
+            _locked[folder] -= 1
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _wait_for(handle: int, folder: Path) -> None:
+    for _ in range(int(LONGEST_WAIT / _PAUSE)):
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            time.sleep(_PAUSE)
+        except OSError:
+            return  # a file system without locks
+    raise OSError(f"another process is writing into {folder}")
+
+
+def recover(folders: Iterable[Path]) -> None:
+    """Put back what an interrupted write left half-way in these folders, and tidy up after it.
+
+    Raises DataError where that is needed but cannot be done.
+    """
+    for folder in {Path(os.path.realpath(folder)) for folder in folders}:
+        for left in _transactions(folder):
+            dirs = _directories(left)
+            with locked(*(d.parent for d in dirs if d.parent.is_dir())):
+                if not left.is_dir():
+                    continue  # its writer was alive, and has finished
+                try:
+                    _roll_back(dirs)
+                except (OSError, ValueError, TypeError) as error:
+                    reason = getattr(error, "strerror", None) or error
+                    raise DataError(
+                        f"{folder}: a write was interrupted, and what was there before cannot be put "
+                        f"back: {reason} ({left.name})"
+                    ) from error
+
+
+def _transactions(folder: Path) -> list[Path]:
+    try:
+        with os.scandir(folder) as entries:
+            return [
+                Path(e.path)
+                for e in entries
+                if e.name.startswith(PREFIX) and e.is_dir(follow_symlinks=False)
+            ]
+    except OSError:
+        return []
+
+
+def _directories(transaction: Path) -> list[Path]:
+    """Return a transaction's hidden folders, that with the journal first."""
+    try:
+        names = json.loads((transaction / _FOLDERS).read_bytes())
+        dirs = [Path(os.path.normpath(transaction.parent / name)) for name in names]
+    except (OSError, ValueError, TypeError):
+        return [transaction]  # killed before it was written: nothing was moved yet
+    alike = transaction in dirs and all(d.name == transaction.name and d.is_dir() for d in dirs)
+    return dirs if alike else [transaction]
+
+
+def target(path: Path) -> Path:
+    """Return the file that a path leads to; OSError where that is no file."""
+    try:
+        file = path.resolve()
+        kind = file.stat().st_mode
+    except FileNotFoundError:
+        return file
+    except RuntimeError as error:  # Python 3.11 and 3.12
+        raise OSError("a loop of links") from error
+    if stat.S_ISDIR(kind):
+        raise IsADirectoryError(None, "Is a directory")
+    if not stat.S_ISREG(kind):
+        raise OSError("not a regular file")
+    return file
+
+
+def write(targets: Mapping[Path, bytes]) -> None:
+    """Write files, all or none. Raises OSError where that cannot be.
+
+    The paths are as `target` returns them, in folders that exist. A file that is there keeps its mode.
+    """
+    parents = list(dict.fromkeys(path.parent for path in targets))
+    with locked(*parents):
+        recover(parents)
+        name = f"{PREFIX}{uuid.uuid4().hex[:12]}"
+        dirs = [parent / name for parent in parents]
+        try:
+            _move_in(targets, dict(zip(parents, dirs, strict=True)))
+        except BaseException as error:
+            try:
+                _roll_back(dirs)
+            except OSError as failed:
+                raise OSError(
+                    f"{getattr(error, 'strerror', None) or error}; the next command puts back what was "
+                    f"there, which failed now: {failed.strerror or failed}"
+                ) from error
+            raise
+        with suppress(OSError):  # the files are in place; the next command tidies up
+            for parent in parents:
+                _sync_folder(parent)
+            _remove(dirs)
+
+
+def _move_in(targets: Mapping[Path, bytes], dirs: Mapping[Path, Path]) -> None:
+    primary = next(iter(dirs.values()))
+    for directory in dirs.values():
+        os.mkdir(directory, 0o700)
+        names = [os.path.relpath(d, directory.parent) for d in dirs.values()]
+        _write_file(directory / _FOLDERS, json.dumps(names).encode())
+    journal = []
+    for i, (target, content) in enumerate(targets.items()):
+        new, old = (dirs[target.parent] / f"{i}.{end}" for end in ("new", "old"))
+        _write_file(new, content, target)
+        if existed := target.exists():
+            _link(target, old)
+        paths = [os.path.relpath(p, primary.parent) for p in (target, new, old)]
+        journal.append([*paths, existed])
+    if len(targets) == 1:  # one rename is whole by itself
+        os.replace(new, target)
+        return
+    draft = primary / f"{_JOURNAL}.new"
+    _write_file(draft, json.dumps(journal).encode())
+    for directory in dirs.values():
+        _sync_folder(directory)
+        _sync_folder(directory.parent)
+    os.replace(draft, primary / _JOURNAL)
+    _sync_folder(primary)
+    for i, target in enumerate(targets):
+        os.replace(dirs[target.parent] / f"{i}.new", target)
+    for parent in dirs:
+        _sync_folder(parent)
+    os.unlink(primary / _JOURNAL)
+
+
+def _write_file(path: Path, content: bytes, like: Path | None = None) -> None:
+    """Write a new file through to the disk, with the mode of the one that it replaces."""
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    try:
+        view = memoryview(content)
+        while view:
+            view = view[os.write(handle, view) :]
+        with suppress(FileNotFoundError):
+            if like is not None:
+                os.chmod(path, stat.S_IMODE(os.stat(like).st_mode))
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _link(file: Path, link: Path) -> None:
+    try:
+        os.link(file, link)
+    except OSError:  # a file system without links
+        shutil.copy2(file, link)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Write a folder's entries through to the disk, where the system can."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _roll_back(dirs: list[Path]) -> None:
+    """Put the old files back where the journal is still there; remove the hidden folders."""
+    journal = dirs[0] / _JOURNAL
+    if journal.exists():
+        for *names, existed in json.loads(journal.read_bytes()):
+            target, new, old = (Path(os.path.normpath(dirs[0].parent / name)) for name in names)
+            if target.parent / dirs[0].name not in dirs or {new.parent, old.parent} - {*dirs}:
+                raise ValueError("the journal names files elsewhere")  # rtcal did not write it
+            if existed and old.exists():
+                os.replace(old, target)
+            elif not existed and not new.exists():
+                target.unlink(missing_ok=True)
+        for directory in dirs:
+            if directory.parent.is_dir():
+                _sync_folder(directory.parent)
+        os.unlink(journal)
+    _remove(dirs)
+
+
+def _remove(dirs: Iterable[Path]) -> None:
+    for directory in [*dirs][::-1]:  # that with the journal last: the others lead to it
+        if directory.is_dir():
+            shutil.rmtree(directory)
