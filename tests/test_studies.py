@@ -264,7 +264,7 @@ def test_resumes_where_it_stopped(tmp_path: Path) -> None:
     with Stops(1) as pool, pytest.raises(RuntimeError, match="switched off"):
         studies.run(SHOEBOX, 0.05, 450, 200, seed=13, executor=pool, folder=folder)
     studies.run(SHOEBOX, 0.05, 450, 200, seed=13, folder=folder)
-    pieces = sorted(folder.glob("*.npz"))
+    pieces = sorted(folder.glob("*.sums"))
     assert len(pieces) == 5
     pieces[2].write_bytes(b"half a file")
     stamps = {p: p.stat().st_mtime_ns for p in pieces}
@@ -284,7 +284,7 @@ def test_what_was_finished_before_a_failure_is_kept(tmp_path: Path) -> None:
 
     with Breaks(1) as pool, pytest.raises(ValueError, match="no number"):
         studies.run(SHOEBOX, 0.05, 450, 50, executor=pool, folder=tmp_path)
-    assert len(list(tmp_path.glob("*.npz"))) == 3
+    assert len(list(tmp_path.glob("*.sums"))) == 3
 
 
 @pytest.mark.filterwarnings("ignore")  # dask's and tornado's own
@@ -306,7 +306,7 @@ def test_dask_cluster_of_two_processes_loses_nothing_when_a_worker_is_killed(
         assert os.getpid() not in pids.values()
 
         def kill() -> None:
-            while not list(tmp_path.glob("*.npz")):
+            while not list(tmp_path.glob("*.sums")):
                 time.sleep(0.01)
             os.kill(next(iter(pids.values())), signal.SIGKILL)
 
@@ -321,7 +321,7 @@ def test_dask_cluster_of_two_processes_loses_nothing_when_a_worker_is_killed(
                 os.kill(next(iter(pids.values())), 0)
                 time.sleep(0.01)
     assert study.scores().tolist() == alone.scores().tolist()
-    assert len(list(tmp_path.glob("*.npz"))) == 15
+    assert len(list(tmp_path.glob("*.sums"))) == 15
 
 
 def test_memory_does_not_grow_with_the_rooms() -> None:

@@ -1,12 +1,13 @@
-"""Sums over realisations that scores, standard errors and box plots need; they add.
+"""Sums over realisations, from which scores, standard errors and box plots are calculated.
 
 Their size does not depend on the number of rooms, so neither does the study's memory.
 """
 
 from __future__ import annotations
 
-import io
+import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from rtcal.support.types import Array
 SAMPLED = METHODS + tuple(f"{m} bounded" for m in CALIBRATIONS)
 ANALYTIC = tuple(f"{m} analytic" for m in METHODS)
 SERIES = SAMPLED + ANALYTIC
-"""The EMSE of one realisation, eleven ways."""
+"""Names of the eleven EMSE that each realisation has."""
 
 EDGES = np.linspace(0.0, 0.5, 4001)  # of sqrt(EMSE); the last bin takes what is beyond
 
@@ -65,17 +66,24 @@ class Moments:
         )
 
     def to_bytes(self) -> bytes:
-        """Return the sums as the content of an .npz file."""
-        stream = io.BytesIO()
-        np.savez_compressed(stream, **{f.name: getattr(self, f.name) for f in fields(self)})
-        return stream.getvalue()
+        """Return the sums as bytes: always the same number of them, little-endian floats."""
+        values = [np.ravel(getattr(self, f.name)).astype("<f8") for f in fields(self)]
+        return np.concatenate(values).tobytes()
 
     @classmethod
     def from_bytes(cls, content: bytes) -> Moments:
-        """Read what `to_bytes` wrote; ValueError, KeyError or OSError if it is something else."""
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            values = {f.name: stored[f.name] for f in fields(cls)}
-        return cls(**{**values, "count": int(values["count"])})
+        """Return what `to_bytes` wrote; ValueError if it is something else."""
+        values = np.frombuffer(content, "<f8")
+        if values.size != sum(math.prod(shape) for shape in _SHAPES.values()):
+            raise ValueError("not the size of a piece")
+        if not np.isfinite(values).all() or values[0] < 1 or values[0] % 1:
+            raise ValueError("not the values of a piece")
+        arrays: dict[str, Any] = {}
+        start = 0
+        for name, shape in _SHAPES.items():
+            end = start + math.prod(shape)
+            arrays[name], start = values[start:end].reshape(shape).astype(float), end
+        return cls(**{**arrays, "count": int(arrays["count"])})
 
     def mean(self, weights: dict[str, float]) -> float:
         """Return the mean over realisations of a weighted sum of series."""
@@ -106,6 +114,17 @@ class Moments:
         """Return a quantile of sqrt(EMSE) of a sampled series, to a histogram bin (1.25e-4)."""
         running = np.cumsum(self.histogram[series])
         return float(np.interp(share * running[-1], np.concatenate([[0.0], running]), EDGES))
+
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "count": (),
+    "sums": (len(SERIES),),
+    "products": (len(SERIES), len(SERIES)),
+    "active": (len(CALIBRATIONS),),
+    "histogram": (len(SAMPLED), EDGES.size - 1),
+    "least": (len(SAMPLED),),
+    "most": (len(SAMPLED),),
+}
 
 
 def _vector(weights: dict[str, float]) -> Array:

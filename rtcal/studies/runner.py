@@ -1,29 +1,37 @@
-"""Pieces of a study on many workers: in order, resumable, the same whoever computes them.
+"""Pieces of a study on many workers: added in order, kept in a folder, resumed from there.
 
-A piece is known by its number and draws from a generator seeded by (seed, number), so nothing depends
-on how many workers there are or which of them does what. Finished pieces may be kept in a folder;
-a study that stops, for whatever reason, starts from there.
+A piece draws from a generator seeded by (seed, number). The result does not depend on the number of
+workers, nor on which of them computes what. A kept piece states its study and its number, and has a
+checksum; one that does not fit is computed again.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
-import zipfile
+import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rtcal.errors import DataError
 from rtcal.studies.moments import Moments
-from rtcal.support import checks
-from rtcal.support.files import write_bytes, write_text
+from rtcal.support import checks, transaction
+from rtcal.support.decode import json_object
+from rtcal.support.files import make_folder, read_text, write_bytes, write_text
 from rtcal.support.progress import bar as progress_bar
 
-IN_FLIGHT = 64  # pieces handed out and not yet taken back: bounds the memory
+IN_FLIGHT = 64
+"""Pieces that are handed out and not yet taken back: this bounds the memory."""
+MAX_RECORD = 2**24
+"""Bytes that study.json may have."""
+_MAX_PIECE = 2**20
+_MAX_SUMS = 2**20  # bytes, unpacked; a piece has 226 kB
 
 
 def run_pieces(
@@ -58,8 +66,8 @@ def run_pieces(
     Raises
     ------
     DataError
-        If the folder cannot be written, is damaged or holds another study, or ``workers``,
-        ``executor`` or ``folder`` is of the wrong kind.
+        If the folder cannot be written, is damaged, holds another study or one that is running, or
+        if ``workers``, ``executor`` or ``folder`` is of the wrong kind.
     MissingDependencyError
         With ``progress`` where tqdm is not installed.
     """
@@ -69,16 +77,19 @@ def run_pieces(
         isinstance(executor, type) or not callable(getattr(executor, "submit", None))
     ):
         raise DataError(f"executor = {executor!r} is not a concurrent.futures.Executor")
-    store = None if folder is None else _open(checks.path("folder", folder), identity)
     total: Moments | None = None
-    own = ThreadPoolExecutor(workers or os.cpu_count() or 1) if executor is None else None
-    with own or nullcontext(), progress_bar(count, "piece", progress) as bar:
-        pool = own if own is not None else executor
-        assigned = _hand_out(pool, compute, range(count), store)
-        for number, piece in assigned:
+    threads = ThreadPoolExecutor(workers or os.cpu_count() or 1) if executor is None else None
+    with ExitStack() as stack:
+        store = None
+        if folder is not None:
+            store = _open(checks.path("folder", folder), identity)
+            stack.enter_context(transaction.held(store.record))
+        pool = stack.enter_context(threads or nullcontext(executor))
+        bar = stack.enter_context(progress_bar(count, "piece", progress))
+        for number, piece in _hand_out(pool, compute, range(count), store):
             result = piece if isinstance(piece, Moments) else piece.result()
             if store is not None and not isinstance(piece, Moments):
-                write_bytes(_file(store, number), result.to_bytes())
+                store.write(number, result)
             total = result if total is None else total + result
             bar.update(1)
     if total is None:
@@ -87,13 +98,13 @@ def run_pieces(
 
 
 def _hand_out(
-    pool: Any, compute: Callable[[int], Moments], numbers: Iterable[int], store: Path | None
+    pool: Any, compute: Callable[[int], Moments], numbers: Iterable[int], store: _Store | None
 ) -> Iterator[tuple[int, Moments | Future[Moments]]]:
     """Yield each number with its stored piece or its future, a bounded number of them ahead."""
     waiting: deque[tuple[int, Moments | Future[Moments]]] = deque()
     try:
         for number in numbers:
-            stored = None if store is None else _read(_file(store, number))
+            stored = None if store is None else store.read(number)
             waiting.append((number, stored or pool.submit(compute, number)))
             if len(waiting) >= IN_FLIGHT:
                 yield waiting.popleft()
@@ -105,36 +116,61 @@ def _hand_out(
                 piece.cancel()
 
 
-def _open(folder: Path, identity: dict[str, Any]) -> Path:
+@dataclass(frozen=True)
+class _Store:
+    """The folder of a study's finished pieces; ``study`` is a digest of what they are of."""
+
+    folder: Path
+    study: str
+
+    @property
+    def record(self) -> Path:
+        return self.folder / "study.json"
+
+    def write(self, number: int, piece: Moments) -> None:
+        packed = zlib.compress(piece.to_bytes())
+        write_bytes(self._file(number), self._head(number, packed) + packed)
+
+    def read(self, number: int) -> Moments | None:
+        """Return a finished piece, or None where there is none, or another than it should be."""
+        path = self._file(number)
+        try:
+            if not path.is_file():  # a pipe would be waited for
+                return None
+            with open(path, "rb") as stream:
+                head, _, packed = stream.read(_MAX_PIECE).partition(b"\n")
+            if head + b"\n" != self._head(number, packed):
+                return None
+            return Moments.from_bytes(zlib.decompressobj().decompress(packed, _MAX_SUMS))
+        except (OSError, ValueError, zlib.error):
+            return None
+
+    def _file(self, number: int) -> Path:
+        return self.folder / f"piece-{number:08d}.sums"
+
+    def _head(self, number: int, packed: bytes) -> bytes:
+        """Return a piece's first line, which says what it is and has its checksum."""
+        said = f"rtcal piece {number} of study {self.study}, sha256 "
+        return f"{said}{hashlib.sha256(said.encode() + packed).hexdigest()}\n".encode()
+
+
+def _open(folder: Path, identity: dict[str, Any]) -> _Store:
+    make_folder(folder)
+    text = json.dumps(identity, sort_keys=True, indent=1) + "\n"
+    store = _Store(folder, hashlib.sha256(text.encode()).hexdigest()[:16])
+    transaction.recover([folder])
+    if not store.record.exists():
+        write_text(store.record, text)
+        return store
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder}: {error.strerror or error}") from error
-    record, text = folder / "study.json", json.dumps(identity, sort_keys=True, indent=1) + "\n"
-    if not record.exists():
-        write_text(record, text)
-        return folder
-    try:
-        known = json.loads(record.read_bytes())
-    except OSError as error:
-        raise DataError(f"{record}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
+        stored = json_object(read_text(store.record, MAX_RECORD))
+    except DataError as error:
         raise DataError(
-            f"{record} is damaged, so it does not tell what the pieces beside it are of: remove the "
-            "folder, or choose another"
+            f"{store.record} is damaged, so it does not tell what the pieces beside it are of: remove "
+            "the folder, or choose another"
         ) from error
-    if known != json.loads(text):
-        raise DataError(f"{folder} holds another study (see {record.name}); choose another folder")
-    return folder
-
-
-def _file(folder: Path, number: int) -> Path:
-    return folder / f"piece-{number:08d}.npz"
-
-
-def _read(path: Path) -> Moments | None:
-    """Return a finished piece, or None where there is none or it is damaged: computed again then."""
-    try:
-        return Moments.from_bytes(path.read_bytes())
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None
+    if stored != json.loads(text):
+        raise DataError(
+            f"{folder} holds another study (see {store.record.name}); choose another folder"
+        )
+    return store

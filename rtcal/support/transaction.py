@@ -40,7 +40,10 @@ _locked: dict[Path, int] = {}  # folders that this process has locked, and how o
 
 @contextmanager
 def locked(*folders: Path) -> Iterator[None]:
-    """Hold folders for this process; wait while another process holds one of them."""
+    """Hold folders for this process; wait while another process holds one of them.
+
+    Raises DataError after `LONGEST_WAIT`, or where a folder cannot be opened.
+    """
     with _thread_lock, ExitStack() as stack:
         for folder in sorted({Path(os.path.realpath(folder)) for folder in folders}):
             stack.enter_context(_folder_lock(folder))
@@ -51,7 +54,7 @@ def locked(*folders: Path) -> Iterator[None]:
 def _folder_lock(folder: Path) -> Iterator[None]:
     handle = None
     if fcntl is not None and not _locked.get(folder):
-        handle = os.open(folder, os.O_RDONLY)
+        handle = _opened(folder)
     try:
         if handle is not None:
             _wait_for(handle, folder)
@@ -65,6 +68,13 @@ def _folder_lock(folder: Path) -> Iterator[None]:
             os.close(handle)
 
 
+def _opened(path: Path) -> int:
+    try:
+        return os.open(path, os.O_RDONLY)
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror or error}") from error
+
+
 def _wait_for(handle: int, folder: Path) -> None:
     for _ in range(int(LONGEST_WAIT / _PAUSE)):
         try:
@@ -74,7 +84,26 @@ def _wait_for(handle: int, folder: Path) -> None:
             time.sleep(_PAUSE)
         except OSError:
             return  # a file system without locks
-    raise OSError(f"another process is writing into {folder}")
+    raise DataError(f"{folder}: another process is writing here")
+
+
+@contextmanager
+def held(file: Path) -> Iterator[None]:
+    """Hold a file for as long as something is at work on it; DataError if another process does."""
+    handle = _opened(file)
+    try:
+        try:
+            if fcntl is not None:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise DataError(
+                f"{file.parent} is in use: another process works on {file.name}"
+            ) from error
+        except OSError:
+            pass  # a file system without locks
+        yield
+    finally:
+        os.close(handle)
 
 
 def recover(folders: Iterable[Path]) -> None:

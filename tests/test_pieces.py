@@ -1,0 +1,116 @@
+"""A study's folder: a piece of another is computed again, and no other study works there."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import tracemalloc
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from rtcal import studies
+from rtcal.errors import DataError
+from rtcal.studies.runner import _open
+from rtcal.support import transaction
+from tests import faults
+
+SHOEBOX = [35, 35, 21, 21, 15, 15]
+
+
+def run(folder: Path | None, seed: int = 3) -> list[object]:
+    table: list[object] = studies.run(SHOEBOX, 0.05, 250, 20, seed, folder=folder).scores().tolist()
+    return table
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A finished study of three pieces."""
+    run(tmp_path / "study")
+    return tmp_path / "study"
+
+
+def test_a_piece_with_any_bit_turned_is_computed_again(folder: Path) -> None:
+    """697 of 6,278 such pieces ended in a traceback, others changed the table."""
+    store = _open(folder, json.loads((folder / "study.json").read_text()))
+    piece = folder / "piece-00000001.sums"
+    good = piece.read_bytes()
+    assert store.read(1) is not None
+    rng = random.Random(0)
+    for bit in rng.sample(range(8 * len(good)), 300):
+        damaged = bytearray(good)
+        damaged[bit // 8] ^= 1 << bit % 8
+        piece.write_bytes(damaged)
+        assert store.read(1) is None
+
+
+def copied(folder: Path) -> None:
+    shutil.copy(folder / "piece-00000000.sums", folder / "piece-00000001.sums")
+
+
+def of_another_study(folder: Path) -> None:
+    run(folder / "other", seed=4)
+    shutil.copy(folder / "other" / "piece-00000001.sums", folder / "piece-00000001.sums")
+
+
+def doubled(folder: Path) -> None:
+    piece = folder / "piece-00000001.sums"
+    piece.write_bytes(2 * piece.read_bytes())
+
+
+def missing(folder: Path) -> None:
+    (folder / "piece-00000002.sums").unlink()
+
+
+def large(folder: Path) -> None:
+    """100 kB that unpack to 100 MB."""
+    packer = zlib.compressobj(9)
+    zeros = bytes(2**20)
+    packed = b"".join(packer.compress(zeros) for _ in range(100)) + packer.flush()
+    (folder / "piece-00000001.sums").write_bytes(b"rtcal piece\n" + packed)
+
+
+@pytest.mark.parametrize("damage", [copied, of_another_study, doubled, large, missing])
+def test_a_piece_that_is_another_is_computed_again(
+    damage: Callable[[Path], None], folder: Path
+) -> None:
+    whole = run(None)
+    damage(folder)
+    tracemalloc.start()
+    assert run(folder) == whole
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
+
+
+def test_a_pipe_in_place_of_a_piece_does_not_hang(folder: Path) -> None:
+    (folder / "piece-00000001.sums").unlink()
+    os.mkfifo(folder / "piece-00000001.sums")
+    with pytest.raises(DataError, match="not a regular file"):
+        run(folder)
+
+
+def test_two_studies_in_one_folder_are_refused(folder: Path) -> None:
+    with (
+        transaction.held(folder / "study.json"),
+        pytest.raises(DataError, match="is in use: another process works"),
+    ):
+        run(folder)
+    run(folder)
+
+
+def test_a_study_goes_on_after_a_fault_at_any_event(tmp_path: Path) -> None:
+    whole = run(None)
+    with faults.faulty(None) as layer:
+        run(tmp_path / "counted")
+    for nth in range(1, layer.count + 1, 3):
+        place = tmp_path / f"fault {nth}"
+        with faults.faulty(nth), suppress(DataError):
+            assert run(place) == whole
+        faults.killed(lambda p=place: run(p), nth)
+        assert run(place) == whole
+        assert faults.left_over(place) == []
