@@ -1,6 +1,9 @@
 """`rtcal loop start` and `next`: a program run by hand, between runs of the command."""
 
 import json
+import os
+import signal
+import time
 import warnings
 
 import numpy as np
@@ -9,6 +12,7 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli, main
+from rtcal.support import transaction
 
 
 def unwrapped(output: str) -> str:
@@ -294,3 +298,63 @@ def test_a_warning_is_one_line(cr2, tmp_path, capsys):
         lines = capsys.readouterr().err.splitlines()
         assert len(lines) == (not more)
         assert all(line.startswith("rtcal: ") and "air" in line for line in lines)
+
+
+def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
+    """A table that belongs to the room of another step was taken in: "converged" at a wrong T."""
+    room, measured = cr2
+    _, runner, command, files = begun(room, measured, tmp_path)
+    first = (tmp_path / "next.toml").read_bytes()
+    table = simulate(tmp_path)
+    assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
+    state, second = (tmp_path / "loop.json").read_bytes(), (tmp_path / "next.toml").read_bytes()
+    line = next(x for x in second.decode().splitlines() if x.startswith("# Coefficients "))
+    assert line.split()[2].rstrip(".") in state.decode()
+    # The room of the first step is there again, and was simulated with other random numbers.
+    (tmp_path / "next.toml").write_bytes(first)
+    table = simulate(tmp_path, 1.41)
+    done = runner.invoke(cli, [*command, table, *files])
+    assert "it has other coefficients than" in str(done.exception)
+    assert (tmp_path / "loop.json").read_bytes() == state
+    # The table says whose it is.
+    (tmp_path / "next.toml").write_bytes(second)
+    content = (tmp_path / "s.csv").read_text()
+    old = next(x for x in first.decode().splitlines() if x.startswith("# Coefficients "))
+    (tmp_path / "s.csv").write_text(f"{old}\n{content}")
+    done = runner.invoke(cli, [*command, table, *files])
+    assert "it is of the coefficients" in str(done.exception)
+    (tmp_path / "s.csv").write_text(f"{line}\n{content}")
+    assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
+
+
+def test_a_state_that_asked_for_other_coefficients_is_refused(cr2, tmp_path):
+    room, measured = cr2
+    _, runner, command, files = begun(room, measured, tmp_path)
+    state = json.loads((tmp_path / "loop.json").read_text())
+    (tmp_path / "loop.json").write_text(json.dumps(state | {"coefficients": "0" * 12}))
+    done = runner.invoke(cli, [*command, simulate(tmp_path), *files])
+    assert "it asked for other coefficients" in str(done.exception)
+
+
+def test_two_commands_at_once_do_not_lose_a_step(cr2, tmp_path, monkeypatch):
+    room, measured = cr2
+    _, runner, command, files = begun(room, measured, tmp_path)
+    table = simulate(tmp_path)
+    monkeypatch.setattr(transaction, "LONGEST_WAIT", 0.1)
+    child = os.fork()
+    if child == 0:  # another command is at work
+        with transaction.locked(tmp_path):
+            time.sleep(30)
+        os._exit(0)
+    try:
+        for _ in range(100):
+            done = runner.invoke(cli, ["loop", "back", *command[2:], *files])
+            if "another process is writing here" in str(done.exception):
+                break
+            time.sleep(0.02)
+        done = runner.invoke(cli, [*command, table, *files])
+        assert "another process is writing here" in str(done.exception)
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    assert runner.invoke(cli, [*command, table, *files]).exit_code == 0

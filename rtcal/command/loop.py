@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import re
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,9 +21,23 @@ from rtcal.command.console import (
 )
 from rtcal.errors import DataError
 from rtcal.support.files import spare
+from rtcal.support.transaction import locked
 
 if TYPE_CHECKING:
     from rtcal.loop.state import Loop
+    from rtcal.support.types import Array
+
+
+def _holding_state(command: Callable[..., None]) -> Callable[..., None]:
+    """Hold the state's folder from reading to writing: two commands at once would lose a step."""
+
+    @functools.wraps(command)
+    def held(*, state: str, **arguments: Any) -> None:
+        folder = Path(state).resolve().parent
+        with locked(folder) if folder.is_dir() else nullcontext():
+            command(state=state, **arguments)
+
+    return held
 
 
 @click.group(short_help="The closed loop with a program that is run by hand.")
@@ -46,6 +64,7 @@ def loop() -> None:
 )
 @json_option
 @quiet_option
+@_holding_state
 def start(
     room: str,
     measured: str,
@@ -101,6 +120,7 @@ def start(
 )
 @json_option
 @quiet_option
+@_holding_state
 def next_(
     room: str, simulated: str, state: str, out: str, again: bool, as_json: bool, quiet: bool
 ) -> None:
@@ -125,6 +145,7 @@ def next_(
         )
     found = Measurement.from_file(simulated)
     alpha = going.next_alpha
+    _refuse_other_coefficients(alpha, simulated, state, out)
     if not again and going.repeats(alpha, found):
         raise DataError(
             f"{simulated}: the table is the last step's, though alpha changed: was the room that was "
@@ -163,6 +184,7 @@ def next_(
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
 @json_option
 @quiet_option
+@_holding_state
 def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
     """Forget the table that `next` took in last, and write what it should have been simulated with.
 
@@ -177,6 +199,38 @@ def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
     record = {"simulations": len(going.steps), "state": state, "simulate": out}
     text = f"{len(going.steps)} simulations left in {state}. Simulate {out} next."
     tell(text, record, quiet=quiet, as_json=as_json)
+
+
+def _refuse_other_coefficients(alpha: Array, simulated: str, state: str, out: str) -> None:
+    """Raise DataError where what was simulated belongs to other coefficients, as far as is known.
+
+    The state says what it asked for, the room at ``out`` what was to be simulated, and a table may
+    repeat the room's line "# Coefficients ...".
+    """
+    from rtcal.acoustics.room import Room
+    from rtcal.loop import files
+    from rtcal.support.files import read_text
+
+    asked = files.coefficients_digest(alpha)
+    if files.read(state).get("coefficients", asked) != asked:
+        raise DataError(
+            f"{state}: it asked for other coefficients than this version of rtcal does: take the last "
+            "table back (rtcal loop back) and in again, or begin anew"
+        )
+    stated = re.search(r"^#\s*Coefficients ([0-9a-f]{12})\b", read_text(simulated, 2**21), re.M)
+    if stated is not None and stated[1] != asked:
+        raise DataError(
+            f"{simulated}: it is of the coefficients {stated[1]}; {state} asks for {asked}"
+        )
+    try:
+        there = Room.from_file(out)
+    except DataError:
+        return  # another name than last time, or no room: nothing is known
+    if files.coefficients_digest(there.alpha) != asked:
+        raise DataError(
+            f"{out}: it has other coefficients than {state} asks for, so {simulated} may be of those: "
+            f"rtcal loop back writes what to simulate; or delete {out} if it was not simulated"
+        )
 
 
 def _refuse_progress(state: str) -> None:
@@ -202,11 +256,15 @@ def _end(going: Loop, out: str) -> str:
 
 def _write(going: Loop, state: str, out: str) -> None:
     """Both files or none: a state without its room would take in what was not simulated."""
+    from rtcal.loop import files
     from rtcal.support.files import write_all
 
     room = going.room.replace(alpha=going.next_alpha, calibration=None)
+    digest = files.coefficients_digest(room.alpha)
     n, of = len(going.steps), f"of the loop in {Path(state).name!r}"
     note = f"# To simulate: run {n + 1} {of}.\n"
     if n and going.finished:
         note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
-    write_all({out: (note + room.to_text()).encode(), state: going.to_json().encode()})
+    note += f"# Coefficients {digest}.\n"
+    content = files.text({**going.to_dict(), "coefficients": digest})
+    write_all({out: (note + room.to_text()).encode(), state: content.encode()})

@@ -69,7 +69,7 @@ def attributes(
     ``equation`` takes the place of the dict's. Raises DataError or ModelError for an entry that
     breaks a rule.
     """
-    state = Entries("", data, _KEYS, ("result",))
+    state = Entries("", data, _KEYS, ("result", "coefficients"))
     room = Room.from_text(state.text("room"), "room")
     method = state.text("method")
     preset(method, room)
@@ -111,6 +111,15 @@ def checked_decimals(decimals: Any) -> int | None:
     if (number := checks.whole("decimals", decimals, 1)) > MAX_DECIMALS:
         raise DataError(f"decimals = {number} is more than {MAX_DECIMALS}")
     return number
+
+
+def coefficients_digest(alpha: Array) -> str:
+    """Return a short name of absorption coefficients, (n_materials, n_bands), to nine decimals.
+
+    The state and the room to simulate carry it: T that belongs to other coefficients is refused.
+    """
+    rounded = np.round(alpha, 9) + 0.0  # no -0
+    return hashlib.sha256(repr(rounded.shape).encode() + rounded.tobytes()).hexdigest()[:12]
 
 
 def fingerprint(room: Room) -> str:
