@@ -125,6 +125,11 @@ def test_a_hidden_folder_that_rtcal_did_not_write_touches_nothing(tmp_path: Path
     assert (precious / "file").read_text() == "kept"
 
 
+def test_no_files_are_no_error(tmp_path: Path) -> None:
+    write_all({})
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_links_are_followed_and_modes_kept(tmp_path: Path) -> None:
     target = tmp_path / "data" / "room.toml"
     target.parent.mkdir()

@@ -29,7 +29,7 @@ _LARGEST = 1e30  # no quantity of a room comes near; squares of larger ones over
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Saved:
-    """What `rtcal.calibration.record` writes, with its numbers as arrays.
+    """A saved calibration, as `CalibrationResult.to_dict` has it, with its numbers as arrays.
 
     Attributes
     ----------

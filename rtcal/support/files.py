@@ -79,7 +79,8 @@ def write_all(contents: Mapping[Any, bytes]) -> None:
         targets = {}
         for path, content in contents.items():
             targets[transaction.target(Path(path))] = content
-        transaction.write(targets)
+        if targets:
+            transaction.write(targets)
     except OSError as error:
         place = error.filename if len(contents) > 1 and error.filename else path
         raise DataError(f"{place}: cannot be written: {error.strerror or error}") from error

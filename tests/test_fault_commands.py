@@ -1,0 +1,145 @@
+"""Every command that writes, with a fault: old or new as a whole, and the next one goes on."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import rtcal as rt
+from rtcal.command import gap
+from rtcal.command.main import main
+from rtcal.discrepancy import find
+from tests import faults
+from tests.test_discrepancy import controls_of, opened
+
+BETWEEN = 20
+"""Of the quick commands, every so many events in the suite; `make study` tries all of all commands."""
+
+
+class Writer(NamedTuple):
+    prepare: Callable[[Path], None]
+    command: str
+
+
+def call(command: str, folder: Path) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([part.replace("@", f"{folder}/") for part in [*command.split(), "-q"]])
+    assert stopped.value.code in (0, 2), command
+    return int(stopped.value.code)
+
+
+def inputs(folder: Path) -> None:
+    room, measured = rt.datasets.bras_cr2()
+    room.save(str(folder / "room.toml"))
+    measured.save(str(folder / "t.csv"))
+
+
+def calibrated(folder: Path) -> None:
+    inputs(folder)
+    assert call("calibrate @room.toml @t.csv --method lse --out @made", folder) == 0
+
+
+def started(folder: Path) -> None:
+    inputs(folder)
+    assert call("loop start @room.toml @t.csv --state @loop.json --out @next.toml", folder) == 0
+    simulated = rt.Room.from_file(str(folder / "next.toml"))
+    t20 = 1.4 * rt.Eyring().reverberation_time(simulated)
+    rt.Measurement.from_values(simulated.centre_frequencies, t20=t20).save(str(folder / "s.csv"))
+
+
+def stepped(folder: Path) -> None:
+    started(folder)
+    call("loop next @room.toml @s.csv --state @loop.json --out @next.toml", folder)
+
+
+def materials(folder: Path) -> None:
+    inputs(folder)
+    room = rt.Room.from_file(str(folder / "room.toml"))
+    lines = [f"ABS {name} = <10 10 10 10 10 10>\n" for name in room.materials]
+    (folder / "hall.geo").write_text("".join(lines))
+
+
+def table(folder: Path) -> None:
+    (folder / "table.csv").write_text("Frequency;T20 [s]\n500;1.5\n1000;1.4\n")
+
+
+def case(folder: Path) -> None:
+    opened().save(str(folder / "case.json"))
+
+
+WRITERS = {
+    "calibrate": Writer(calibrated, "calibrate @room.toml @t.csv --out @made"),
+    "report": Writer(calibrated, "report @made"),
+    "loop start": Writer(
+        started, "loop start @room.toml @t.csv --method lse --state @loop.json --out @next.toml"
+    ),
+    "loop next": Writer(started, "loop next @room.toml @s.csv --state @loop.json --out @next.toml"),
+    "loop back": Writer(stepped, "loop back @room.toml --state @loop.json --out @next.toml"),
+    "export": Writer(materials, "export catt @room.toml @hall.geo"),
+    "table": Writer(table, "table @table.csv --out @t.csv"),
+    "study": Writer(
+        lambda folder: None,
+        "study --room shoebox --sigma-r 0.05 --realisations 20 --trials 0 --out @made",
+    ),
+    "gap apply": Writer(case, "gap apply @case.json --out @new.json --room @new.toml"),
+    "gap report": Writer(case, "gap report @case.json --out @gap"),
+}
+
+
+@pytest.fixture
+def one_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The finder runs once: it writes nothing."""
+    finding = find(opened(), controls=controls_of(opened()))
+    monkeypatch.setattr(gap, "_find", lambda *_: finding)
+
+
+def attempt(name: str, tmp_path: Path, between: int) -> tuple[int, int]:
+    """Return how many events were tried, and how many left something that is neither old nor new."""
+    writer = WRITERS[name]
+    good, work = tmp_path / "good", tmp_path / "work"
+    good.mkdir()
+    writer.prepare(good)
+    before = faults.snapshot(good)
+    shutil.copytree(good, work)
+    with faults.faulty(None) as layer:
+        assert call(writer.command, work) == 0
+    after = set(faults.snapshot(work))
+    tried = lost = 0
+    for nth in range(1, layer.count + 1, between):
+        for kill in (False, True):
+            shutil.rmtree(work)
+            shutil.copytree(good, work)
+            if kill:
+                faults.killed(lambda: call(writer.command, work), nth)
+            else:
+                with faults.faulty(nth):
+                    call(writer.command, work)
+            for folder in {work, *(p.parent for p in work.rglob("*"))}:
+                faults.transaction.recover([folder])
+            now = faults.snapshot(work)
+            whole = now == before or (set(now) == after and now != before)
+            tried, lost = tried + 1, lost + (not whole) + bool(faults.left_over(work))
+            code = call(writer.command, work)
+            assert code == 0 or now != before, f"{name} does not go on after event {nth}"
+    return tried, lost
+
+
+@pytest.mark.parametrize("name", ["loop start", "loop next", "loop back", "export", "table"])
+def test_a_command_writes_all_or_nothing(name: str, tmp_path: Path) -> None:
+    tried, lost = attempt(name, tmp_path, BETWEEN)
+    assert tried >= 2
+    assert lost == 0
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.usefixtures("one_finding")
+def test_a_command_writes_all_or_nothing_at_every_event(name: str, tmp_path: Path) -> None:
+    tried, lost = attempt(name, tmp_path, 1)
+    print(f"{name}: {tried} events tried, {lost} states lost")
+    assert tried > 20
+    assert lost == 0
