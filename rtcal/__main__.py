@@ -1,5 +1,19 @@
-"""``python -m rtcal``: the command `rtcal`."""
+"""The script ``rtcal`` and ``python -m rtcal``: the command. Ctrl-C is quiet while it loads, too."""
 
-from rtcal.command.main import main
+from __future__ import annotations
 
-main()
+import sys
+
+
+def main() -> None:
+    """Load and run the command; exit with 130 where it is interrupted."""
+    try:
+        from rtcal.command.main import main as command
+
+        command()
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""Ctrl-C at random moments of a study that keeps its pieces: no traceback, and the study goes on."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rtcal import studies
+
+STARTED = "import rtcal.__main__ as m; print('started', flush=True); m.main()"
+SHOEBOX = [35, 35, 21, 21, 15, 15]
+
+
+def interrupted(folder: Path, seconds: float) -> int:
+    """Return the exit code of a study that is interrupted after some seconds."""
+    size = ["--realisations", "300", "--trials", "100", "--sigma-r", "0.05"]
+    places = ["--folder", str(folder / "pieces"), "--out", str(folder / "made")]
+    process = subprocess.Popen(
+        [sys.executable, "-c", STARTED, "study", "--room", "shoebox", *size, *places],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "started\n"
+    time.sleep(seconds)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert "Traceback" not in said, said
+    assert process.returncode in (0, 130), (process.returncode, said)
+    written = sorted(p.name for p in (folder / "made").glob("*")) if process.returncode else None
+    assert written in (None, []) or len(written) == 7, written
+    return process.returncode
+
+
+def check(tmp_path: Path, times: int, longest: float) -> list[int]:
+    rng = random.Random(5)
+    codes = [interrupted(tmp_path, rng.uniform(0, longest)) for _ in range(times)]
+    folder = tmp_path / "pieces" / "shoebox-0.05"
+    again = studies.run(SHOEBOX, 0.05, 300, 100, folder=folder).scores().tolist()
+    assert again == studies.run(SHOEBOX, 0.05, 300, 100).scores().tolist()
+    return codes
+
+
+def test_interrupts_at_random_moments(tmp_path: Path) -> None:
+    assert 130 in check(tmp_path, 3, 0.8)
+
+
+@pytest.mark.study
+def test_200_interrupts_at_random_moments(tmp_path: Path) -> None:
+    codes = check(tmp_path, 200, 3.0)
+    print({code: codes.count(code) for code in set(codes)})
+    assert codes.count(130) > 50
