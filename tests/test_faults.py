@@ -125,6 +125,15 @@ def test_a_hidden_folder_that_rtcal_did_not_write_touches_nothing(tmp_path: Path
     assert (precious / "file").read_text() == "kept"
 
 
+def test_a_failure_names_the_file_or_the_folder_of_a_set(tmp_path: Path) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    for contents, place in (({one: b"x"}, one), ({one: b"x", two: b"y"}, tmp_path)):
+        with faults.faulty(2), pytest.raises(DataError) as caught:
+            write_all(contents)
+        assert str(caught.value).startswith(f"{place}: cannot be written: No space left on device")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_no_files_are_no_error(tmp_path: Path) -> None:
     write_all({})
     assert list(tmp_path.iterdir()) == []

@@ -79,11 +79,12 @@ def write_all(contents: Mapping[Any, bytes]) -> None:
         targets = {}
         for path, content in contents.items():
             targets[transaction.target(Path(path))] = content
+        if len(targets) > 1:
+            path = os.path.commonpath([target.parent for target in targets])
         if targets:
             transaction.write(targets)
     except OSError as error:
-        place = error.filename if len(contents) > 1 and error.filename else path
-        raise DataError(f"{place}: cannot be written: {error.strerror or error}") from error
+        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
     except (ValueError, TypeError) as error:
         if isinstance(error, DataError):
             raise
