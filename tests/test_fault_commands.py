@@ -10,14 +10,12 @@ from typing import NamedTuple
 import pytest
 
 import rtcal as rt
-from rtcal.command import gap
 from rtcal.command.main import main
-from rtcal.discrepancy import find
 from tests import faults
-from tests.test_discrepancy import controls_of, opened
+from tests.test_discrepancy import opened
 
 BETWEEN = 20
-"""Of the quick commands, every so many events in the suite; `make study` tries all of all commands."""
+"""Every so many events of the quick commands in the suite; test_every_fault tries all of all."""
 
 
 class Writer(NamedTuple):
@@ -90,13 +88,6 @@ WRITERS = {
 }
 
 
-@pytest.fixture
-def one_finding(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The finder runs once: it writes nothing."""
-    finding = find(opened(), controls=controls_of(opened()))
-    monkeypatch.setattr(gap, "_find", lambda *_: finding)
-
-
 def attempt(name: str, tmp_path: Path, between: int) -> tuple[int, int]:
     """Return how many events were tried, and how many left something that is neither old nor new."""
     writer = WRITERS[name]
@@ -132,14 +123,4 @@ def attempt(name: str, tmp_path: Path, between: int) -> tuple[int, int]:
 def test_a_command_writes_all_or_nothing(name: str, tmp_path: Path) -> None:
     tried, lost = attempt(name, tmp_path, BETWEEN)
     assert tried >= 2
-    assert lost == 0
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("name", WRITERS)
-@pytest.mark.usefixtures("one_finding")
-def test_a_command_writes_all_or_nothing_at_every_event(name: str, tmp_path: Path) -> None:
-    tried, lost = attempt(name, tmp_path, 1)
-    print(f"{name}: {tried} events tried, {lost} states lost")
-    assert tried > 20
     assert lost == 0
