@@ -1,4 +1,4 @@
-"""Traced paths: the twin kernels, conservation of energy, image sources, Kuttruff's equation."""
+"""Traced paths: both kernels, conservation of energy, image sources, Kuttruff's equation."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def diffuse():
 
 
 @pytest.mark.parametrize("scattering_model", ["random", "vector"])
-def test_the_numpy_twin_makes_the_same_paths(scattering_model, monkeypatch):
+def test_numba_and_numpy_trace_the_same_paths(scattering_model, monkeypatch):
     hall = halls.lecture_hall()
     alpha = np.random.default_rng(0).uniform(0, 1, (9, 3))
     alpha[2, 1] = 1.0  # nothing comes back from it

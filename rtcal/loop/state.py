@@ -207,18 +207,22 @@ class Loop:
 
         Bands that are done keep the coefficients of their best step.
         """
-        alpha = self.calibrated(self.next_target).alpha
-        if self.decimals is not None:
-            alpha = np.round(alpha, self.decimals)
-        if not self.steps:
-            return alpha.copy()
-        return np.where(self._moving, alpha, self.best_alpha)
+        alpha = self._rounded(self.calibrated(self.next_target).alpha)
+        return np.where(self._moving, alpha, self.best_alpha) if self.steps else alpha
 
     def prior_alpha(self) -> Array:
         """Return the room's coefficients, (n_materials, n_bands), as the program reads them."""
-        return (
-            self.room.alpha if self.decimals is None else np.round(self.room.alpha, self.decimals)
-        )
+        return self._rounded(self.room.alpha)
+
+    def _rounded(self, alpha: Array) -> Array:
+        """Return a copy with ``decimals`` decimals, rounded up if it would fall below alpha_min."""
+        if self.decimals is None:
+            return alpha.copy()
+        rounded = np.round(alpha, self.decimals)
+        if self.room.alpha_min is None:
+            return rounded
+        up = np.round(rounded + 10.0**-self.decimals, self.decimals)
+        return np.where(rounded < self.room.alpha_min, up, rounded)
 
     def repeats(self, alpha: Array, simulated: Measurement) -> bool:
         """Whether T20 is that of the last step in every band, although alpha is not.
