@@ -53,6 +53,9 @@ def large() -> dict[str, tuple[str, bytes]]:
         "obj face": ("obj", b"v 0 0 0\nusemtl a\nf " + b"1 " * (mb // 2 - 100)),
         "table pairs": ("tables", ("source,receiver,parameter,band,value\n" + pairs).encode()),
         "table cells": ("tables", b"T20,125\n" + b"," * (mb - 20)),
+        "table digits": ("tables", b"f;T20\n500;" + b"9" * (mb - 20)),
+        "table header": ("tables", b"f;" + b"T20 " * (mb // 4 - 20) + b"\n500;1\n"),
+        "table blanks": ("tables", b'f;T20\n500;"1' + b" " * (mb - 30) + b'1"\n'),
         "measurement": ("measurement", ("source,receiver,parameter,band,value\n" + pairs).encode()),
         "measurement cells": ("measurement", fuzz.MEASURED[0] + b"," * (mb - 5000)),
         "room surfaces": (
@@ -82,6 +85,9 @@ IN_THE_SUITE = (
     "measurement",
     "room depth",
     "room surfaces",
+    "table blanks",
+    "table digits",
+    "table header",
     "wav",
 )
 

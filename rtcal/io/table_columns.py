@@ -17,6 +17,9 @@ from rtcal.errors import DataError
 from rtcal.io.text import shown
 from rtcal.support.types import Array
 
+MAX_HEADER = 200
+"""Characters. Patterns that take a header apart are slow in longer ones."""
+
 LEAST_BAND = 10.0
 """Hz. A smaller number in a header is a value: the header line is missing."""
 
@@ -247,6 +250,8 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
     DataError
         If the header is known but not enough: an unknown unit, "RT60", a frequency that is no band.
     """
+    if len(header) > MAX_HEADER:
+        return None
     name, unit = _name_and_unit(header)
     frequency = frequency_of(name if unit.lower() in ("", "hz", "khz") else header)
     if frequency is not None:

@@ -110,7 +110,7 @@ def _rows(characters: str, separator: str, path: str) -> list[Row]:
             break
         except csv.Error as error:
             raise DataError(f"{path}, line {line}: not a row of cells: {error}") from error
-        cells = [re.sub(r"\s*\n\s*", " ", cell.strip()) for cell in cells]
+        cells = [" ".join(part.strip() for part in c.strip().split("\n")) for c in cells]
         if any(cells):
             rows.append((line, cells))
     if len(rows) < 2:

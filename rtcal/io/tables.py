@@ -31,6 +31,8 @@ from rtcal.support import checks
 from rtcal.support.files import read_bytes
 
 MAX_PAIRS = 5000
+MAX_CELL = 60
+"""Characters of a number with its unit. A pattern that takes both apart is slow in longer cells."""
 
 _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
@@ -317,8 +319,8 @@ class _Reader:
 
     def _number(self, cell: str, parameter: str, unit: str, place: str) -> float:
         """Return a cell's number in the unit of its parameter."""
-        match = _WITH_UNIT.fullmatch(cell)
-        if match:
+        match = _WITH_UNIT.fullmatch(cell[: MAX_CELL + 1])
+        if match and len(cell) <= MAX_CELL:
             cell, unit = match[1].strip(), match[2]
         scale = scale_of(parameter, unit, place)
         return scale * number(cell.replace(",", ".") if self.comma else cell, place)
@@ -329,7 +331,7 @@ class _Reader:
         for line, cells in self.layout.rows:
             for column, cell in zip(self.layout.columns, cells, strict=True):
                 if column.kind in ("of", "value"):
-                    match = _WITH_UNIT.fullmatch(cell)
+                    match = _WITH_UNIT.fullmatch(cell[: MAX_CELL + 1])
                     digits = match[1].strip() if match else cell
                     if _NUMBER.fullmatch(digits):
                         commas += "," in digits
