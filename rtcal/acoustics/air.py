@@ -9,6 +9,7 @@ import numpy as np
 
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _REFERENCE_PRESSURE = 101.325  # kPa
@@ -74,6 +75,7 @@ class Air:
         """c = 331.3 sqrt(1 + t / 273.15) in m/s, t the temperature in °C."""
         return float(331.3 * np.sqrt(1 + self.temperature / 273.15))
 
+    @checked
     def attenuation_db(self, frequencies: Iterable[float]) -> Array:
         """Return the pure-tone attenuation in dB/m at ``frequencies`` (Hz), (n_bands,).
 
@@ -94,6 +96,7 @@ class Air:
         )
         return np.asarray(8.686 * f**2 * (classical + relaxation))
 
+    @checked
     def attenuation(self, frequencies: Iterable[float]) -> Array:
         """Return the energy attenuation m in 1/m at ``frequencies`` (Hz), (n_bands,).
 

@@ -30,6 +30,7 @@ from rtcal.acoustics.parameters import DECAY_TIMES
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 
@@ -163,6 +164,7 @@ def absorption(values: Array, frequencies: Iterable[float], wanted: Iterable[flo
     return _averaged(_LINEAR, values, _Columns(frequencies, wanted))
 
 
+@checked
 def parameter(
     values: Array, frequencies: Iterable[float], wanted: Iterable[float], name: str = "t20"
 ) -> Array:
@@ -194,6 +196,7 @@ def parameter(
     return _averaged(scale, values, _Columns(frequencies, wanted))
 
 
+@checked
 def parameter_uncertainty(
     uncertainty: Array,
     values: Array,
@@ -284,6 +287,7 @@ def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
     )
 
 
+@checked
 def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) -> Measurement:
     """Return the measurement in exactly the ``wanted`` bands, with missing values where it has none.
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from rtcal.errors import DataError
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 OCTAVES: tuple[float, ...] = (31.5, 63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000)
@@ -54,6 +55,7 @@ _TOLERANCE = 0.015
 _LOWEST = 20.0  # Hz; the lowest band that is heard, and above the highest one in kHz
 
 
+@checked
 def nominal(frequency: float) -> float:
     """Return the nominal third-octave centre within 1.5 % of ``frequency`` (Hz), else itself.
 
@@ -66,6 +68,7 @@ def nominal(frequency: float) -> float:
     return float(nearest) if abs(frequency / nearest - 1) <= _TOLERANCE else float(frequency)
 
 
+@checked
 def octaves(lowest: float = 125, highest: float = 4000) -> tuple[float, ...]:
     """Return the nominal octave centres from ``lowest`` to ``highest`` (Hz).
 
@@ -77,6 +80,7 @@ def octaves(lowest: float = 125, highest: float = 4000) -> tuple[float, ...]:
     return tuple(f for f in OCTAVES if lowest <= f <= highest)
 
 
+@checked
 def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ...]:
     """Return the nominal third-octave centres from ``lowest`` to ``highest`` (Hz).
 
@@ -88,6 +92,7 @@ def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ..
     return tuple(f for f in THIRD_OCTAVES if lowest <= f <= highest)
 
 
+@checked
 def label(frequency: float) -> str:
     """Return the band's name as it stands in tables and messages.
 
@@ -99,6 +104,7 @@ def label(frequency: float) -> str:
     return f"{frequency:g} Hz"
 
 
+@checked
 def span(frequencies: Sequence[float] | Array) -> str:
     """Return how many bands there are and from where to where, for a sentence.
 
@@ -148,6 +154,7 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
     return f
 
 
+@checked
 def index(frequencies: Array, frequency: float) -> int | None:
     """Return where ``frequency`` (Hz) stands in ``frequencies`` (within 1.5 %), or None.
 
@@ -160,6 +167,7 @@ def index(frequencies: Array, frequency: float) -> int | None:
     return int(near[0]) if near.size else None
 
 
+@checked
 def correlation(frequencies: Array, per_octave: float) -> Array:
     """Return the correlation of errors between bands, (n_bands, n_bands): per_octave ** octaves.
 
@@ -182,6 +190,7 @@ def correlation(frequencies: Array, per_octave: float) -> Array:
     return np.asarray(np.where(apart == 0, 1.0, per_octave**apart))
 
 
+@checked
 def bandwidth_factor(frequencies: Array) -> float:
     """Return bandwidth / centre frequency: 0.71 for octaves, 0.23 for third-octaves.
 

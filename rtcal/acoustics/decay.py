@@ -16,6 +16,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, TooShortError, of_bands
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 RANGES: dict[str, tuple[float, float]] = {
@@ -73,6 +74,7 @@ def cut_off_db(energy: Array) -> Array:
         return np.asarray(10 * np.log10(beyond / energy.sum(axis=-1)))
 
 
+@checked
 def decay_time(energy: Array, bin_width: float, parameter: str = "t20") -> Array:
     """Return a decay time in s, (...): -60 dB over the slope of the decay curve within its range.
 
@@ -108,6 +110,7 @@ def decay_time(energy: Array, bin_width: float, parameter: str = "t20") -> Array
     return np.where(too_short(energy, parameter), np.nan, time)
 
 
+@checked
 def slope_time(level: Array, bin_width: float, parameter: str = "t20") -> Array:
     """Return -60 dB over the slope of a decay curve within a parameter's range, in s, (...).
 
@@ -146,6 +149,7 @@ def slope_time(level: Array, bin_width: float, parameter: str = "t20") -> Array:
     return np.where(holds, 60 * width * spread / np.where(holds, fall, 1.0), np.nan)
 
 
+@checked
 def too_short(energy: Array, parameter: str = "t20") -> NDArray[np.bool_]:
     """Return whether the decay is cut off too early to hold a decay time, (...)."""
     return np.asarray(cut_off_db(energy) > RANGES[parameter][1] - MARGIN_DB)
@@ -178,6 +182,7 @@ def centre_time(energy: Array, bin_width: float) -> Array:
     return _share(energy @ middle, total)
 
 
+@checked
 def parameters(
     energy: Array,
     bin_width: float,
@@ -200,6 +205,7 @@ def parameters(
     return values
 
 
+@checked
 def measurement(
     energy: Array,
     bin_width: float,

@@ -11,6 +11,7 @@ import numpy as np
 
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 AXES = ("x", "y", "z")
@@ -43,6 +44,7 @@ class Material:
     source: str = ""
 
 
+@checked
 @dataclass(frozen=True)
 class Surface:
     """One surface of a room: its material, its area in m² and the axis it stands across.

@@ -13,6 +13,7 @@ from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.parameters import DECAY_TIMES, LIMITS, SUMMARY, UNITS
 from rtcal.errors import DataError
 from rtcal.support import checks, html
+from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
 from rtcal.support.files import json_numbers, write_text
 from rtcal.support.types import Array
@@ -207,6 +208,7 @@ class Measurement:
             },
         )
 
+    @checked
     def mean(self, parameter: str) -> Array:
         """Return the arithmetic mean over the pairs that have a value, (n_bands,), NaN if none has.
 
@@ -220,6 +222,7 @@ class Measurement:
         total = np.nansum(values, axis=0)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
+    @checked
     def mean_uncertainty(self, parameter: str) -> Array:
         """Return the standard uncertainty u of `mean`, (n_bands,), NaN where nothing is known.
 
@@ -359,6 +362,7 @@ class Measurement:
         """Return the measurement as the text of its CSV file; reading it gives the same numbers."""
         return measurement_files.text(self.to_dict())
 
+    @checked
     def save(self, path: str) -> None:
         """Write the measurement to CSV, whole or not at all."""
         write_text(path, self.to_text())

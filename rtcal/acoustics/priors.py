@@ -19,6 +19,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array, read_only
 
 TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}
@@ -108,6 +109,7 @@ class TruncatedNormal:
         if not np.all(np.asarray(self.lower) < np.asarray(self.upper)):
             raise DataError("truncated normal: lower must be below upper")
 
+    @checked
     def log_pdf(self, x: Array) -> Array:
         """Return the natural logarithm of the density at ``x``; -inf outside [lower, upper]."""
         x = np.asarray(x, dtype=float)
@@ -117,6 +119,7 @@ class TruncatedNormal:
         inside = -slope * offset - offset**2 / 2 - np.log(scale * self.sigma)
         return np.where((x < self.lower) | (x > self.upper), -np.inf, inside)
 
+    @checked
     def pdf(self, x: Array) -> Array:
         """Return the density at ``x`` (Eq. 13)."""
         return np.asarray(np.exp(self.log_pdf(x)))
@@ -131,6 +134,7 @@ class TruncatedNormal:
         *_, second = self._moments()
         return np.asarray(np.asarray(self.sigma) ** 2 * second)
 
+    @checked
     def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         """Return draws of shape ``size`` + the parameters' shape, by inversion of the distribution.
 

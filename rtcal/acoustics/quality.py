@@ -14,6 +14,7 @@ from rtcal.acoustics.parameters import DECAY_TIMES
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 # ISO 3382-1:2009, Table A.1: relative for decay times, absolute for the others.
@@ -30,6 +31,7 @@ JND: dict[str, float] = {
 """One JND: 5 % of the measured decay time; 1 dB; 0.05 for D50; 10 ms for Ts."""
 
 
+@checked
 def gap_jnd(model: Array, measured: Array, parameter: str = "t20") -> Array:
     """Return (model - measured) in JND, signed, same shape; NaN where either is missing.
 
@@ -40,7 +42,7 @@ def gap_jnd(model: Array, measured: Array, parameter: str = "t20") -> Array:
     """
     if parameter not in JND:
         raise DataError(f'parameter "{parameter}" has no JND; known are {", ".join(JND)}')
-    model, measured = np.asarray(model, dtype=float), np.asarray(measured, dtype=float)
+    model, measured = checks.array("model", model), checks.array("measured", measured)
     unit = JND[parameter] * measured if parameter in DECAY_TIMES else JND[parameter]
     return np.asarray((model - measured) / unit)
 
@@ -82,6 +84,7 @@ class Plausibility:
 Agreement = Literal["contradicts", "agrees", "too good"]
 
 
+@checked
 def agreement(p_value: float | None) -> Agreement | None:
     """Return whether measurement and prior contradict, agree, or agree too well to be true.
 
@@ -100,6 +103,7 @@ def agreement(p_value: float | None) -> Agreement | None:
     return "too good" if p_value > P_TOO_GOOD else "agrees"
 
 
+@checked
 def plausibility(difference: Array, covariance: Array, bound_active: bool) -> Plausibility:
     """Return z per band and Q over bands.
 
@@ -248,6 +252,7 @@ _WIDE_SIGMA = 0.5
 """The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
 
 
+@checked
 def schroeder_frequency(t: Array, volume: float) -> Array:
     """Return 2000 sqrt(T / V) in Hz, T in s and V in m³ (Schroeder & Kuttruff 1962).
 
@@ -259,6 +264,7 @@ def schroeder_frequency(t: Array, volume: float) -> Array:
     return np.asarray(2000 * np.sqrt(np.asarray(t, dtype=float) / volume))
 
 
+@checked
 def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
     """Return the mean of T over the octaves 500 and 1000 Hz, or their thirds; else over all bands.
 
@@ -276,6 +282,7 @@ def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
     return float(np.mean(t[used])) if used.any() else float("nan")
 
 
+@checked
 def trust_marks(
     room: Room,
     measured: Array,
@@ -363,11 +370,13 @@ def trust_marks(
     return tuple(marks)
 
 
+@checked
 def letters(marks: Sequence[TrustMark], frequency: float) -> str:
     """Return the letters of a band's marks, each once; empty where there is none."""
     return "".join(dict.fromkeys(m.letter for m in marks if m.frequency == frequency))
 
 
+@checked
 def explained(marks: Sequence[TrustMark]) -> list[str]:
     """Return the marks as lines of text: those with the same advice together, then the advice."""
     lines = []

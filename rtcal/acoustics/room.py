@@ -23,6 +23,7 @@ from rtcal.acoustics.materials import (
 )
 from rtcal.errors import DataError
 from rtcal.support import checks, html
+from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers, read_text, write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
@@ -34,6 +35,7 @@ _LARGEST_LABORATORY_ALPHA = 2.0
 """ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Room:
     """A room: volume, materials with their areas, absorption coefficients and their uncertainty.
@@ -318,11 +320,13 @@ class Room:
         """
         return self.replace(air=air)
 
+    @checked
     def place(self, name: str, material: int, band: int) -> str:
         """Return how messages name one value: ``alpha["carpet", 500 Hz]``."""
         frequency = bands.label(self.centre_frequencies[band])
         return f'{name}["{self.materials[material]}", {frequency}]'
 
+    @checked
     def material_index(self, name: str) -> int:
         """Return the row of the material ``name``; DataError if the room has none of that name."""
         if name not in self.materials:
@@ -342,6 +346,7 @@ class Room:
             raise DataError(f"a room cannot be changed so: {error}") from error
 
     @classmethod
+    @checked
     def from_surfaces(
         cls,
         *,
@@ -409,6 +414,7 @@ class Room:
         }
 
     @classmethod
+    @checked
     def from_dict(cls, data: Mapping[str, Any], place: str = "room") -> Room:
         """Return the room of plain values, as `to_dict` gives them.
 
@@ -423,6 +429,7 @@ class Room:
         return cls.from_text(read_text(path, room_files.MAX_BYTES), os.fspath(path))
 
     @classmethod
+    @checked
     def from_text(cls, text: str, place: str) -> Room:
         """Return the room of a TOML text; messages begin with ``place``."""
         try:
@@ -434,6 +441,7 @@ class Room:
         """Return the room as the text of its TOML file; reading it gives the same numbers."""
         return room_files.text(self.to_dict())
 
+    @checked
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""
         write_text(path, self.to_text())

@@ -19,6 +19,7 @@ from rtcal.calibration.terms import (
     SoftMatch,
 )
 from rtcal.errors import DataError, ModelError
+from rtcal.support.arguments import checked
 
 _RELATIVE = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""
@@ -87,6 +88,7 @@ def calibrate(
 ) -> JointResult: ...
 
 
+@checked
 def calibrate(
     room: Room | Configurations,
     measured: Any,

@@ -30,6 +30,7 @@ from rtcal.calibration.terms import (
     lacking,
 )
 from rtcal.errors import DataError, MissingAirWarning, ModelError
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 Constraint = RowConstraint | BoundConstraint | SharedMaterials
@@ -99,6 +100,7 @@ class Calibration:
     @overload
     def build(self, room: Configurations, equation: Equation | None = None) -> JointProblem: ...
 
+    @checked
     def build(
         self, room: Room | Configurations, equation: Equation | None = None
     ) -> CalibrationProblem | JointProblem:
@@ -187,6 +189,7 @@ def _measured_times(given: Configurations, measured: Sequence[Times]) -> list[Me
     return [times_in_room(r, t) for r, t in zip(given.rooms, measured, strict=True)]
 
 
+@checked
 class CalibrationProblem:
     """A calibration that is compiled for a room's shape: solve it for many measurements."""
 
@@ -248,6 +251,7 @@ class CalibrationProblem:
         return self._joint.whitened([measured], given)
 
 
+@checked
 class JointProblem:
     """A calibration that is compiled for several configurations of one room."""
 
@@ -261,6 +265,7 @@ class JointProblem:
     def __repr__(self) -> str:
         return f"<JointProblem with {self.equation.name}'s equation for {self.configurations!r}>"
 
+    @checked
     def solve(
         self,
         measured: Sequence[Times],
@@ -299,6 +304,7 @@ class JointProblem:
             assemble=lambda new: assembler.problem_data(given, new, weights),
         )
 
+    @checked
     def whitened(
         self, measured: Sequence[Times], configurations: Configurations | None = None
     ) -> WhitenedQP:

@@ -8,6 +8,7 @@ import numpy as np
 
 from rtcal.errors import DataError
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.arguments import checked
 
 Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 """(x from, to), (y from, to), (z from, to) in m."""
@@ -15,6 +16,7 @@ Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 Rectangle = tuple[tuple[int, int], tuple[int, int]]
 
 
+@checked
 def polyhedron(
     air: Sequence[Box], solid: Sequence[Box], paint: Sequence[tuple[str, str, Box]]
 ) -> Polyhedron:

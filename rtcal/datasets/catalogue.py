@@ -22,6 +22,7 @@ from rtcal.acoustics.room import Material
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import pyroomacoustics
 from rtcal.io.material_list import MaterialList
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _TABLE = "pyroomacoustics"
@@ -37,6 +38,7 @@ def names() -> dict[str, str]:
     return {name: str(entry["description"]) for name, entry in _entries()[1].items()}
 
 
+@checked
 def material(
     name: str, centre_frequencies: Sequence[float] | Array, in_situ_factor: float = 1.5
 ) -> Material:
@@ -111,6 +113,7 @@ def material_list() -> MaterialList:
     )
 
 
+@checked
 def similar(name: str, most: int = 5) -> list[str]:
     """Return the names of entries whose name or description resembles a material's name.
 

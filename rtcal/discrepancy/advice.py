@@ -18,6 +18,7 @@ from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
 from rtcal.discrepancy.model import FEATURES
 from rtcal.errors import DataError
 from rtcal.support import checks, text
+from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -226,6 +227,7 @@ GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
 
 
 @single_threaded_blas()
+@checked
 def plan(
     case: Case,
     effects: Sequence[Effect] | None = None,

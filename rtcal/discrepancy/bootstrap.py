@@ -34,6 +34,7 @@ from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -61,6 +62,7 @@ class Threshold:
 
 
 @single_threaded_blas()
+@checked
 def control_rooms(
     case: Case,
     seed: int = 0,

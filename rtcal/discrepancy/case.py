@@ -19,6 +19,7 @@ from rtcal.discrepancy.configuration import Configuration, checked_uncertainty
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
 from rtcal.support.files import write_text
 from rtcal.support.text import shortened
@@ -28,6 +29,7 @@ NORMAL_90 = 1.6449
 """Standard deviations on each side that hold 90 % of a normal distribution."""
 
 
+@checked
 @dataclass(frozen=True)
 class AppliedEffect:
     """An effect that was added to the model.
@@ -88,6 +90,7 @@ class AppliedEffect:
         return cls(entry.text("effect"), {k: numbers.number(k) for k in parameters}, ends)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
     """A room, its equation and the configurations in which it was measured.
@@ -203,6 +206,7 @@ class Case:
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
 
+    @checked
     def save(self, path: str) -> None:
         """Write the case as JSON, whole or not at all; DataError as `to_dict`."""
         write_text(path, self.to_json())
@@ -225,6 +229,7 @@ class Case:
             if np.isfinite(c.measured.decay_time().mean).any():
                 refuse_repeated_data(self.room, times_in_room(self.room, c.measured))
 
+    @checked
     def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:
         """Return the case with some of its parameters, and some of its configurations."""
         kept = []

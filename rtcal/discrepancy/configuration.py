@@ -14,6 +14,7 @@ from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array, read_only
@@ -28,6 +29,7 @@ _KEYS = ("name", "changes", "suspect_removed", "air", "distances", "distance", "
 _OF_MEASUREMENT = ("pairs", "uncertainty", "standard_deviation", "n_sources", "n_receivers")
 
 
+@checked
 @dataclass(frozen=True)
 class Change:
     """Coefficients of one material in one configuration: alpha and sigma, (n_bands,)."""
@@ -38,9 +40,12 @@ class Change:
     def __post_init__(self) -> None:
         for name in ("alpha", "sigma"):
             value = checks.array(f"change: {name}", getattr(self, name))
+            if value.ndim != 1:
+                raise DataError(f"change: {name} has shape {value.shape}; it is (n_bands,)")
             object.__setattr__(self, name, read_only(value))
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Configuration:
     """One measurement of the room, and what was changed for it.
@@ -118,6 +123,7 @@ class Configuration:
         }
 
     @classmethod
+    @checked
     def from_dict(cls, data: Mapping[str, Any], centre_frequencies: Array) -> Configuration:
         """Return the configuration of plain values, measured in these bands in Hz.
 

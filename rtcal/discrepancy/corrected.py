@@ -25,12 +25,14 @@ from rtcal.discrepancy.states import distances, state, with_applied
 from rtcal.discrepancy.wording import amount
 from rtcal.errors import DataError
 from rtcal.simulators.base import Simulator, check_alpha, run
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _LARGEST_SHARE = 0.5
 """Of the walls, that an absorber takes so that more of it may be found."""
 
 
+@checked
 def corrected_room(case: Case) -> Room:
     """Return the case's room with the effects in it, as stated: not calibrated yet.
 
@@ -51,6 +53,7 @@ def not_in_room(case: Case) -> list[str]:
     return out
 
 
+@checked
 def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Simulator:
     """Return a simulator of the corrected room; the rows of alpha are `corrected_room`'s.
 

@@ -15,6 +15,7 @@ from rtcal.discrepancy.evidence import UNKNOWN, ModelDiscrepancy
 from rtcal.discrepancy.wording import NATS, amount, listed
 from rtcal.errors import DataError
 from rtcal.support import html, text
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
@@ -87,6 +88,7 @@ class Finding:
     discrepancy: ModelDiscrepancy
     effects: Mapping[str, Effect]
 
+    @checked
     def apply(self, case: Case | None = None) -> Case:
         """Return the case with the named effect in its model.
 

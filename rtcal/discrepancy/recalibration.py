@@ -37,6 +37,7 @@ from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import amount
 from rtcal.errors import MissingAirWarning
 from rtcal.support import text
+from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
@@ -202,6 +203,7 @@ def plain(case: Case) -> Recalibrated:
 
 
 @single_threaded_blas()
+@checked
 def recalibrate(case: Case, discrepancy: ModelDiscrepancy | None = None) -> Recalibrated:
     """Calibrate the case with its effects, to T20 of every configuration.
 

@@ -32,6 +32,7 @@ from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
 from rtcal.discrepancy.size import estimate_size
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 
 CANDIDATE_NATS = 1.1
@@ -40,6 +41,7 @@ holds the truth more often, in sets half as large again: docs/discrepancy.md."""
 
 
 @single_threaded_blas()
+@checked
 def find(
     case: Case,
     effects: Sequence[Effect] | None = None,

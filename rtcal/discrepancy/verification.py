@@ -26,6 +26,7 @@ from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, ta
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import listed
 from rtcal.support import html, text
+from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
@@ -187,6 +188,7 @@ class Verification:
 
 
 @single_threaded_blas()
+@checked
 def verify(finding: Finding, case: Case | None = None) -> Verification:
     """Compare the plainly calibrated model with the one that has the named effect.
 

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support import checks, jit
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 OK, BELOW, ABOVE, BAD_INPUT = 0, 1, 2, 3
@@ -41,6 +42,7 @@ class Answer(NamedTuple):
     status: NDArray[np.int8]
 
 
+@checked
 def solve(
     mu: ArrayLike,
     sigma: ArrayLike,

@@ -33,6 +33,7 @@ from rtcal.io.material_export import ExportReport, write_list
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import nearest_band
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
+from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 
@@ -43,6 +44,7 @@ Cell = tuple[str, int, int]
 """The characters of a cell, and the positions of its start and end in the text."""
 
 
+@checked
 def read(path: str | os.PathLike[str], *, where: Mapping[str, str] | None = None) -> MaterialList:
     """Return one material, or those of a table's rows; DataError names file, line and rule.
 
@@ -51,6 +53,7 @@ def read(path: str | os.PathLike[str], *, where: Mapping[str, str] | None = None
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path), where=where)
 
 
+@checked
 def write(
     room: Room,
     path: str | os.PathLike[str],
@@ -75,6 +78,7 @@ def write(
     )
 
 
+@checked
 def parse(
     content: bytes, path: str = "BRAS file", *, where: Mapping[str, str] | None = None
 ) -> MaterialList:

@@ -26,6 +26,7 @@ from rtcal.io import material_list
 from rtcal.io.material_export import ExportReport, write_list
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
+from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 
@@ -44,6 +45,7 @@ def read(path: str | os.PathLike[str]) -> MaterialList:
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
 
 
+@checked
 def write(
     room: Room,
     path: str | os.PathLike[str],
@@ -92,6 +94,7 @@ def write(
     )
 
 
+@checked
 def parse(content: bytes, path: str = "CATT file") -> MaterialList:
     """Return the materials of a file's content; see `read`."""
     text = decode(content, path)

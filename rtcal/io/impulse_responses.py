@@ -36,6 +36,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.wav import MAX_CHANNEL_SAMPLES, check_header
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 MINIMUM_RANGE: dict[str, float] = {
@@ -84,6 +85,7 @@ class Analysis:
         return "\n".join(lines)
 
 
+@checked
 def read(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
@@ -156,6 +158,7 @@ def _channels(
     return [(receiver, signal[number - 1])]
 
 
+@checked
 def analyse(
     signals: Any,
     *,
@@ -238,6 +241,7 @@ def analyse(
     )
 
 
+@checked
 def of_energy(
     energy: Array,
     sampling_rate: float,

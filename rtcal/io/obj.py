@@ -22,6 +22,7 @@ from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes, write_text
 
 MAX_FACES = 1500
@@ -66,6 +67,7 @@ _IGNORED = {
 }
 
 
+@checked
 def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
     """Return a room; DataError names file, line and rule, or says where the walls do not close.
 
@@ -74,6 +76,7 @@ def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path), unit=unit)
 
 
+@checked
 def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyhedron:
     """Return the room of a file's content; see `read`."""
     if not 0 < unit < float("inf"):
@@ -143,6 +146,7 @@ def _check_volume(volume: float, unit: float, path: str) -> None:
     )
 
 
+@checked
 def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
     """Write a room as OBJ in m, whole or not at all; reading it back gives the same room."""
     for material in polyhedron.materials:

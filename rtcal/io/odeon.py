@@ -28,6 +28,7 @@ from rtcal.io import material_list
 from rtcal.io.material_export import ExportReport, write_list
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, Text, decode, lines, number, shown
+from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 
 BANDS = (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
@@ -42,6 +43,7 @@ def read(path: str | os.PathLike[str]) -> MaterialList:
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
 
 
+@checked
 def write(
     room: Room,
     path: str | os.PathLike[str],
@@ -71,6 +73,7 @@ def write(
     )
 
 
+@checked
 def parse(content: bytes, path: str = "ODEON file") -> MaterialList:
     """Return the materials of a library's content; see `read`."""
     text = decode(content, path)

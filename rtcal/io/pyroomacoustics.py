@@ -30,6 +30,7 @@ from rtcal.io import material_list
 from rtcal.io.material_export import ExportReport, write_list
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, decode, line_of, number, shown
+from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 
 MAX_DEPTH = 32
@@ -44,6 +45,7 @@ def read(path: str | os.PathLike[str]) -> MaterialList:
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
 
 
+@checked
 def write(
     room: Room,
     path: str | os.PathLike[str],
@@ -68,6 +70,7 @@ def write(
     )
 
 
+@checked
 def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
     """Return the arguments of ``pyroomacoustics.Material`` by material.
 
@@ -92,6 +95,7 @@ def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
     return result
 
 
+@checked
 def parse(content: bytes, path: str = "JSON file") -> MaterialList:
     """Return the materials of a JSON file's content; see `read`."""
     text = decode(content, path)

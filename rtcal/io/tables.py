@@ -28,6 +28,7 @@ from rtcal.io.table_columns import frequency_of, nominal_band, parameter_of, sca
 from rtcal.io.table_layout import Layout, Row, layout_of
 from rtcal.io.text import MAX_TEXT, decode, number, shown
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 
 MAX_PAIRS = 5000
@@ -83,6 +84,7 @@ class Table:
         return "\n".join(self.columns)
 
 
+@checked
 def read(
     path: str | os.PathLike[str],
     *,
@@ -126,11 +128,13 @@ def read(
     )
 
 
+@checked
 def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
     """Write the native CSV: one value per row."""
     measurement.save(os.fspath(path))
 
 
+@checked
 def parse(
     content: bytes,
     path: str = "table",

@@ -20,9 +20,11 @@ from rtcal.loop.rules import Rule
 from rtcal.loop.state import Loop, start
 from rtcal.simulators.base import Simulator, run
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 
+@checked
 def calibrate_simulator(
     simulator: Simulator,
     room: Room,

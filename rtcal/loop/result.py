@@ -16,6 +16,7 @@ from rtcal.acoustics.room import Room
 from rtcal.loop import files
 from rtcal.loop.state import Loop
 from rtcal.support import html, text
+from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers, write_text
 from rtcal.support.types import Array
 
@@ -109,6 +110,7 @@ class LoopResult:
         """
         return files.text({**self.loop.to_dict(), "result": self.ends()})
 
+    @checked
     def save(self, path: str) -> None:
         """Write the text of `to_json` to a file; a failure leaves no part of it."""
         write_text(path, self.to_json())

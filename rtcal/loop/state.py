@@ -37,11 +37,13 @@ from rtcal.loop.steps import Step, simulated_t20, t20_noise
 from rtcal.loop.targets import next_targets, target_limits, target_without_t20
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers, write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Loop:
     """A closed loop between two simulations.
@@ -172,6 +174,7 @@ class Loop:
         """Whether another simulation would bring no band nearer."""
         return bool(self.steps) and "not converging" not in self.status
 
+    @checked
     def confirmed(self, measurement: Measurement) -> tuple[str, ...]:
         """Return the status of each band after a simulation of `best_alpha` with another seed.
 
@@ -239,6 +242,7 @@ class Loop:
             raise DataError("the loop has no simulation yet: there is none to take back")
         return replace(self, steps=self.steps[:-1])
 
+    @checked
     def record(self, alpha: Array, simulated: Measurement, without_t20: Sequence[int] = ()) -> Loop:
         """Return the loop after a simulation of `next_alpha`.
 
@@ -335,6 +339,7 @@ class Loop:
         """Return the loop and its room as JSON text, which `load` reads."""
         return files.text(self.to_dict())
 
+    @checked
     def save(self, path: str) -> None:
         """Write the loop and its room to a JSON file; a failure leaves no part of it."""
         write_text(path, self.to_json())

@@ -11,9 +11,11 @@ from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array, read_only
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
     """One simulation.

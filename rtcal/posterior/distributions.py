@@ -18,6 +18,7 @@ from rtcal.posterior.integration import POINTS, Marginals
 from rtcal.posterior.marginals import marginals, unmatched
 from rtcal.posterior.sampler import sample
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 Rows = NDArray[np.intp]
@@ -100,6 +101,7 @@ class Calibrated(Protocol):
         """Return the density of the coefficients given the measurement."""
 
 
+@checked
 def posterior(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Posterior:
     """Return the posterior distribution of a calibration's coefficients.
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rtcal.errors import DataError
 from rtcal.support import kkt
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 
@@ -79,6 +80,7 @@ class Optimal(Protocol):
         """Return the optimality conditions at the answer."""
 
 
+@checked
 def sensitivity(result: Optimal) -> Array:
     """Return d alpha / d T in 1/s, (n_materials, n_bands, n_configurations, n_bands).
 

@@ -16,6 +16,7 @@ import numpy as np
 from rtcal.acoustics.quality import JND, letters
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.report.saved import Saved, saved
+from rtcal.support.arguments import checked
 from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
 
@@ -27,6 +28,7 @@ _LONGEST_NAME = 40
 _MANY_BANDS = 10
 
 
+@checked
 def new_figure(
     width: float = 7.0, height: float = 4.2, rows: int = 1, columns: int = 1
 ) -> tuple[Any, Any]:
@@ -45,6 +47,7 @@ def new_figure(
     return figure, figure.subplots(rows, columns)
 
 
+@checked
 def shown(name: str, longest: int = _LONGEST_NAME) -> str:
     r"""Return a name as a figure shows it: one short line, and dollars are dollars, not formulae.
 
@@ -58,6 +61,7 @@ def shown(name: str, longest: int = _LONGEST_NAME) -> str:
     return line.replace("$", r"\$")
 
 
+@checked
 def band_axis(axes: Any, frequencies: Array, below: list[str] | None = None) -> None:
     """Make x a logarithmic axis with the bands' centres, and a text below each where given."""
     many = len(frequencies) > _MANY_BANDS
@@ -70,6 +74,7 @@ def band_axis(axes: Any, frequencies: Array, below: list[str] | None = None) -> 
     axes.set_xlabel("Band centre frequency / Hz")
 
 
+@checked
 def jnd_band(axes: Any, frequencies: Array, measured: Array) -> None:
     """Draw T ± one JND in grey; bands without T interrupt it."""
     low, high = (1 - JND["t20"]) * measured, (1 + JND["t20"]) * measured
@@ -77,6 +82,7 @@ def jnd_band(axes: Any, frequencies: Array, measured: Array) -> None:
     axes.vlines(frequencies, low, high, color="0.85", linewidth=8)  # also of a band on its own
 
 
+@checked
 def reverberation_time(result: CalibrationResult | Saved) -> Any:
     """Return the figure of T(f): measured with its band of one JND, before and after.
 
@@ -122,6 +128,7 @@ def reverberation_time(result: CalibrationResult | Saved) -> Any:
     return figure
 
 
+@checked
 def gap(result: CalibrationResult | Saved) -> Any:
     """Return the figure of the gap to the measured T, before and after, in JND by band."""
     calibration = saved(result)
@@ -158,6 +165,7 @@ def gap(result: CalibrationResult | Saved) -> Any:
     return figure
 
 
+@checked
 def rendered(figure: Any, kind: str) -> bytes:
     """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file, the same each time."""
     import matplotlib
@@ -171,6 +179,7 @@ def rendered(figure: Any, kind: str) -> bytes:
     return stream.getvalue()
 
 
+@checked
 def save(figure: Any, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG, SVG or PDF by the path's ending, whole or not at all."""
     kind = os.path.splitext(os.fspath(path))[1].lstrip(".").lower()

@@ -11,6 +11,7 @@ from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
 from rtcal.discrepancy.states import state
 from rtcal.discrepancy.verification import Verification, residual_map, reverberation_times
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 MOST_PANELS = 12
@@ -21,6 +22,7 @@ _BENT = 0.01
 """The least change of ln EDT/T20 or ln T30/T20 that a drawn decay shows."""
 
 
+@checked
 def reverberation_time(verification: Verification) -> Any:
     """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
     finding = verification.finding
@@ -51,6 +53,7 @@ def reverberation_time(verification: Verification) -> Any:
     return figure
 
 
+@checked
 def residuals(finding: Finding, verification: Verification | None = None) -> Any:
     """Return the residual map: feature by band and configuration; before, and after the effect."""
     maps = [("the model as stated", finding.residuals)]
@@ -99,6 +102,7 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
     return figure
 
 
+@checked
 def evidence(finding: Finding) -> Any:
     """Return the evidence of every effect as bars, with the threshold."""
     names = list(finding.evidence)
@@ -141,12 +145,14 @@ def evidence(finding: Finding) -> Any:
     return figure
 
 
+@checked
 def bends(verification: Verification) -> bool:
     """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change by what one can see."""
     shapes = [found.features[:, 1:3] for found in (verification.plain, verification.corrected)]
     return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
 
 
+@checked
 def decay(verification: Verification) -> Any:
     """Return the decay of the band whose shape is most off: measured slopes, plain and corrected."""
     finding = verification.finding
@@ -203,6 +209,7 @@ def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
     return np.asarray(10 * np.log10(np.maximum(left / total, 1e-9)))
 
 
+@checked
 def shifts(verification: Verification) -> Any:
     """Return each material's shift of alpha by band, plain and corrected, with 90 % intervals.
 

@@ -18,6 +18,7 @@ from rtcal.report import gap_figures
 from rtcal.report.figures import rendered
 from rtcal.report.page import page
 from rtcal.report.rows import material_rows
+from rtcal.support.arguments import checked
 from rtcal.support.encode import json_text
 from rtcal.support.files import make_folder, write_all
 
@@ -35,6 +36,7 @@ class Reproduction:
     seed: int
 
 
+@checked
 def figures(finding: Finding, verification: Verification | None) -> dict[str, tuple[Any, str]]:
     """Return the figures by name, each with its caption."""
     drawn = {
@@ -73,6 +75,7 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
     return drawn
 
 
+@checked
 def write(finding: Finding, folder: Path, reproduction: Reproduction | None = None) -> list[Path]:
     """Write finding.json, the figures (PNG) and report.html; return their paths.
 
@@ -106,6 +109,7 @@ def write(finding: Finding, folder: Path, reproduction: Reproduction | None = No
     return list(contents)
 
 
+@checked
 def summary(
     finding: Finding, verification: Verification | None, reproduction: Reproduction | None = None
 ) -> dict[str, Any]:

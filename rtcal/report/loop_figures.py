@@ -9,6 +9,7 @@ import numpy as np
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, jnd_band, new_figure, shown
+from rtcal.support.arguments import checked
 
 if TYPE_CHECKING:
     from rtcal.loop.state import Loop
@@ -17,6 +18,7 @@ _MARKERS = "o^vDPX<>"
 _STYLES = ("-", "--", "-.", ":")
 
 
+@checked
 def path(loop: Loop) -> Any:
     """Return the figure of a loop's path, like Fig. 7 of Bellows & Katz (2025).
 

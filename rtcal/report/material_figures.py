@@ -9,6 +9,7 @@ import numpy as np
 from rtcal.errors import DataError
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, new_figure, shown
 from rtcal.report.saved import Saved, saved
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ _SHARES = (
 )
 
 
+@checked
 def coefficients(result: CalibrationResult | Saved) -> Any:
     """Return the figure of alpha by material and band: prior and calibrated, with 90 % intervals.
 
@@ -120,6 +122,7 @@ def intervals(calibration: Saved) -> tuple[Array, Array]:
     )
 
 
+@checked
 def shares(result: CalibrationResult | Saved) -> Any:
     """Return the figure of who absorbs, after calibration: parts of the whole by band in %.
 
@@ -181,6 +184,7 @@ def absorption_shares(calibration: Saved, most: int) -> tuple[list[str], Array]:
     )
 
 
+@checked
 def plane_of(
     result: CalibrationResult | Saved,
     pair: tuple[str, str] | None = None,
@@ -244,6 +248,7 @@ def _band(calibration: Saved, frequency: float | None) -> int:
     return int(found[0])
 
 
+@checked
 def plane(
     mu: Array,
     sigma: Array,

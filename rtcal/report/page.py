@@ -23,6 +23,7 @@ from rtcal.loop.state import Loop
 from rtcal.report import figures, loop_figures, loop_words, material_figures, words
 from rtcal.report.rows import material_rows
 from rtcal.report.saved import Saved, from_dict, read_json, saved
+from rtcal.support.arguments import checked
 from rtcal.support.files import write_text
 from rtcal.support.version import __version__
 
@@ -36,6 +37,7 @@ MOST_MATERIALS = 100
 _BANDS_ABREAST = 7
 
 
+@checked
 def page(
     result: CalibrationResult | Saved,
     *,
@@ -117,6 +119,7 @@ def page(
     )
 
 
+@checked
 def loop_page(
     result: Loop | LoopResult,
     ends: Any = None,
@@ -162,6 +165,7 @@ def loop_page(
     )
 
 
+@checked
 def page_of(path: str | os.PathLike[str], progress: Callable[[], None] | None = None) -> str:
     """Return the page of what rtcal saved: ``result.json``, its folder, a loop's state or result."""
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
@@ -172,6 +176,7 @@ def page_of(path: str | os.PathLike[str], progress: Callable[[], None] | None = 
     return page(from_dict(record, os.fspath(place)), progress=progress)
 
 
+@checked
 def write(path: str | os.PathLike[str], text: str) -> None:
     """Write a page, whole or not at all."""
     write_text(path, text)

@@ -10,11 +10,13 @@ import numpy as np
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.report.figures import new_figure
 from rtcal.studies.study import Table
+from rtcal.support.arguments import checked
 
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1)), (0, (1, 1)))
 NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 
+@checked
 def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
     """Return the figure of truncated normal densities on [0, 1] (Figs. 2 and 4a)."""
     figure, axes = new_figure()
@@ -32,6 +34,7 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
     return figure
 
 
+@checked
 def spread(table: Table, aace: Sequence[float], title: str) -> Any:
     """Return the box plot of the root of EMSE over realisations (Fig. 4b).
 

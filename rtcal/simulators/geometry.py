@@ -18,6 +18,7 @@ from rtcal.acoustics.room import AXES, Surface
 from rtcal.errors import DataError
 from rtcal.simulators import triangles as _triangles
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 SHOEBOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")
@@ -152,6 +153,7 @@ class Polyhedron:
         return face
 
     @classmethod
+    @checked
     def shoebox(cls, dimensions: Sequence[float], materials: str | Mapping[str, str]) -> Polyhedron:
         """Return the box from the origin to ``dimensions`` (x, y, z) in m.
 
@@ -176,6 +178,7 @@ class Polyhedron:
         )
 
     @classmethod
+    @checked
     def from_polygons(cls, polygons: Iterable[tuple[str, str, Any]]) -> Polyhedron:
         """Return the polyhedron of faces (name, material, points), with points (n, 3) in m."""
         polygons = checks.listed("polygons", polygons)

@@ -19,6 +19,7 @@ from rtcal.errors import DataError, TooShortError
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.support import checks, jit
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _NODES = 6
@@ -141,6 +142,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         """Mean free path 4V/S in m."""
         return 4 * self.room.volume / self.room.total_area
 
+    @checked
     def impulse_responses(self, alpha: Array, duration: float) -> Array:
         """Return the pressure responses, (n_pairs, n_bands, n_samples), from the emission on.
 

@@ -26,6 +26,7 @@ from rtcal.studies.moments import SAMPLED, Moments
 from rtcal.studies.runner import run_pieces
 from rtcal.studies.sampling import SIGMA_LIMIT
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _LEAST, _MOST = 1e-9, 10.0
@@ -244,6 +245,7 @@ def analytic_scores(areas: ArrayLike, sigma_r: float, realisations: int, seed: i
     return _table(study.controlled_scores().tolist()[: len(METHODS)], _SCORES)
 
 
+@checked
 def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
     """Return EMSE of no calibration, scaling, LSE and MLE, (..., 4), in closed form.
 

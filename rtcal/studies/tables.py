@@ -11,9 +11,11 @@ import numpy as np
 
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.files import write_bytes
 
 
+@checked
 def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> None:
     """Write a table as .csv or .parquet, whole or not at all; numbers keep all their digits.
 

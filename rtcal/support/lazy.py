@@ -34,7 +34,7 @@ def exports(
         else:
             __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
     """
-    modules = _modules_by_name(Path(file).read_text(encoding="utf-8"))
+    modules = typing_imports(Path(file).read_text(encoding="utf-8"))
 
     def load(name: str) -> Any:
         if name not in modules:
@@ -49,7 +49,7 @@ def exports(
     return load, lambda: [*names], names
 
 
-def _modules_by_name(source: str) -> dict[str, str]:
+def typing_imports(source: str) -> dict[str, str]:
     """Return for each name imported under ``if TYPE_CHECKING:`` the module it comes from."""
     return {
         alias.asname or alias.name: node.module or ""

@@ -9,6 +9,7 @@ import numpy as np
 
 from rtcal.acoustics.equations.base import register
 from rtcal.acoustics.equations.mean import LinearEquation
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 # At an exponent of about 36, 1 - exp(-a) rounds to 1 and the mean coefficient does not determine T.
@@ -38,17 +39,20 @@ class Eyring(LinearEquation):
         """1 - exp(-25): above it, the mean coefficient determines T only to rounding."""
         return float(-np.expm1(-_LARGEST_EXPONENT))
 
+    @checked
     def exponent(self, mean: Array) -> Array:
         """Return -ln(1 - mean alpha), infinite at 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-np.minimum(mean, 1.0)))
 
+    @checked
     def inverse(self, exponent: Array) -> Array:
         """Return 1 - exp(-exponent); NaN above 25, where it would lose T to rounding."""
         with np.errstate(over="ignore"):
             mean = -np.expm1(-np.asarray(exponent, dtype=float))
         return np.asarray(np.where(np.asarray(exponent) > _LARGEST_EXPONENT, np.nan, mean))
 
+    @checked
     def slope(self, mean: Array) -> Array:
         """Return 1 / (1 - mean alpha)."""
         with np.errstate(divide="ignore"):

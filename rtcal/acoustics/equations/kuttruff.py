@@ -11,6 +11,7 @@ from rtcal.acoustics.equations.base import register
 from rtcal.acoustics.equations.mean import LinearEquation
 from rtcal.errors import DataError, ModelError, of_bands
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 
@@ -58,6 +59,7 @@ class Kuttruff(LinearEquation):
         """1 - exp(-1 / gamma²), where T is shortest."""
         return float(-np.expm1(-1 / self.path_variance))
 
+    @checked
     def exponent(self, mean: Array) -> Array:
         """Return a' (1 - gamma² a' / 2); ModelError beyond the peak, where it does not hold."""
         beyond = np.atleast_1d(mean) > self.largest_mean * (1 + 1e-12)
@@ -70,6 +72,7 @@ class Kuttruff(LinearEquation):
         eyring = -np.log1p(-np.asarray(mean, dtype=float))
         return np.asarray(eyring * (1 - self.path_variance * eyring / 2))
 
+    @checked
     def inverse(self, exponent: Array) -> Array:
         """Return the mean coefficient below the peak; NaN for an exponent above the peak's."""
         # The quotient keeps the digits of small exponents. Up to 1e-14 is rounding at the peak.
@@ -78,6 +81,7 @@ class Kuttruff(LinearEquation):
         eyring = 2 * np.asarray(exponent, dtype=float) / (1 + np.sqrt(inside))
         return np.asarray(-np.expm1(-eyring))
 
+    @checked
     def slope(self, mean: Array) -> Array:
         """Return (1 - gamma² a') / (1 - mean alpha), 0 at the peak."""
         eyring = -np.log1p(-np.asarray(mean, dtype=float))

@@ -19,6 +19,7 @@ from rtcal.acoustics.equations.base import EQUATIONS, ReverberationEquation, equ
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, InfeasibleError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 
@@ -38,26 +39,32 @@ class MeanEquation(ReverberationEquation, ABC):
         """The mean up to which the exponent rises and can be inverted."""
         return np.inf
 
+    @checked
     def contribution(self, alpha: Array) -> Array:
         """Return h(alpha), what a wall contributes to the mean."""
         return np.asarray(alpha)
 
+    @checked
     def coefficient(self, contribution: Array) -> Array:
         """Return the alpha that contributes this much: the inverse of `contribution`."""
         return np.asarray(contribution)
 
+    @checked
     def contribution_slope(self, alpha: Array) -> Array:
         """Return dh / d alpha."""
         return np.ones_like(alpha)
 
+    @checked
     def exponent(self, mean: Array) -> Array:
         """Return the absorption exponent a = E(mean)."""
         return np.asarray(mean)
 
+    @checked
     def inverse(self, exponent: Array) -> Array:
         """Return the mean that has this exponent, NaN where none has: the inverse of `exponent`."""
         return np.asarray(exponent)
 
+    @checked
     def slope(self, mean: Array) -> Array:
         """Return d exponent / d mean."""
         return np.ones_like(mean)
@@ -104,12 +111,14 @@ class LinearEquation(MeanEquation):
         """Return the equation itself."""
         return self
 
+    @checked
     def time(self, room: Room, absorption_area: Array) -> Array:
         """Return T in s for the surfaces' absorption area S'alpha in m², both (..., n_bands)."""
         checks.instance("room", room, Room)
         exponent = self.exponent(absorption_area / room.total_area)
         return self._time(room, room.total_area * exponent)
 
+    @checked
     def target(self, room: Room, t: Array) -> Array:
         """Return b in m², (..., n_bands), for T in s, without a check of what can be reached.
 
@@ -121,6 +130,7 @@ class LinearEquation(MeanEquation):
         exponent = (total - 4 * room.air_attenuation * room.volume) / room.total_area
         return np.asarray(room.total_area * self.inverse(exponent))
 
+    @checked
     def target_sensitivity(self, room: Room, t: Array) -> Array:
         """Return db/dT in m²/s, (n_bands,): negative, since a longer T needs less absorption."""
         t = np.asarray(t, dtype=float)
@@ -128,6 +138,7 @@ class LinearEquation(MeanEquation):
             total_slope = -self._constant(room) * room.volume / t**2
             return np.asarray(total_slope / self.slope(self.target(room, t) / room.total_area))
 
+    @checked
     def air_share(self, room: Room, absorption_area: Array) -> Array:
         """Return the air's share 4mV / (S a + 4mV) of the whole absorption, (n_bands,)."""
         air = 4 * room.air_attenuation * room.volume

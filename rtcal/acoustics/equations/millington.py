@@ -10,6 +10,7 @@ import numpy as np
 from rtcal.acoustics.equations.base import register
 from rtcal.acoustics.equations.eyring import Eyring
 from rtcal.acoustics.equations.mean import LinearEquation, MeanEquation
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 
@@ -40,15 +41,18 @@ class Millington(MeanEquation):
     # An opening has alpha = 1 and would make T zero; 0.999 counts it as 6.9 times its area.
     largest_alpha: ClassVar[float] = 0.999
 
+    @checked
     def contribution(self, alpha: Array) -> Array:
         """Return the wall's own exponent -ln(1 - alpha), infinite at 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-np.asarray(alpha, dtype=float)))
 
+    @checked
     def coefficient(self, contribution: Array) -> Array:
         """Return 1 - exp(-contribution)."""
         return np.asarray(-np.expm1(-np.asarray(contribution, dtype=float)))
 
+    @checked
     def contribution_slope(self, alpha: Array) -> Array:
         """Return 1 / (1 - alpha)."""
         with np.errstate(divide="ignore"):

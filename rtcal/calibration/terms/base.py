@@ -15,6 +15,7 @@ from rtcal.calibration.layout import Integers, Layout
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.errors import ModelError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 
@@ -86,6 +87,7 @@ def as_objective(term: ObjectiveTerm | Objective) -> Objective:
     raise ModelError(f"{term!r} is not an objective term{lacking(term, ObjectiveTerm)}")
 
 
+@checked
 def lacking(thing: object, *protocols: type) -> str:
     """Return what ``thing`` lacks of the protocol that it comes nearest to, as ": it lacks ...".
 

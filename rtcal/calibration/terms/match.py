@@ -16,6 +16,7 @@ from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited, reciprocal
 from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 
@@ -310,6 +311,7 @@ def match_values(data: ProblemData) -> Array:
     )
 
 
+@checked
 def match_matrix(data: ProblemData) -> Any:
     """Return S' as a sparse matrix, one row per configuration and band, over the unknowns."""
     layout = data.layout

@@ -1,0 +1,403 @@
+"""Call every public function with wrong arguments: `python benchmarks/wrong_arguments.py [--list]`.
+
+Each function gets valid arguments, then one of them is replaced by each of `WRONG`: None, texts, empty
+and object arrays, NaN, wrong shapes. A call may work or raise a typed error (`rtcal.errors`). Counted
+are the untyped exceptions (asked: at most 1 %) and the calls without an end within `LIMIT` (asked: 0).
+Public are the names that the packages list, the functions of the modules among them, and the methods
+of the classes for which `instances` has an example. ``--list`` prints each untyped call.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import io
+import os
+import resource
+import signal
+import sys
+import tempfile
+import traceback
+import types
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rtcal as rt
+from rtcal.calibration.problem import CalibrationProblem, JointProblem
+from rtcal.discrepancy import AppliedEffect, Case, Change, Configuration, find, plan, verify
+from rtcal.errors import RtcalError
+from rtcal.loop.state import start
+from rtcal.posterior.distributions import posterior
+from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.image_source import ImageSource
+from rtcal.simulators.path_tracing import PathTracing
+
+LIMIT = 10.0
+"""s of processor time per call, so that a busy machine changes nothing. `find` takes some 3 s."""
+MEMORY = 6 * 2**30
+"""Bytes of address space: a call that needs more raises MemoryError, which counts as untyped."""
+
+WRONG: tuple[Any, ...] = (
+    None,
+    True,
+    -1,
+    0,
+    2.5,
+    1e300,
+    10**400,
+    float("nan"),
+    float("inf"),
+    1j,
+    "text",
+    "",
+    "nul\0",
+    b"bytes",
+    [],
+    ["a", "b"],
+    [[1.0], [1.0, 2.0]],
+    [None, None],
+    {},
+    {"a": 1},
+    {1: None},
+    set(),
+    object(),
+    len,
+    float,
+    np.array([]),
+    np.array([None, "a"], dtype=object),
+    np.full(3, np.nan),
+    np.full((3, 7), 0.1),
+    np.full((2, 2, 2), 0.1),
+    np.full((2, 2), np.nan),
+    np.array([1j, 2j]),
+    np.array(["a", "b"]),
+)
+
+
+def public(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
+    """Yield every public function, class and method under a name."""
+    if isinstance(thing, types.ModuleType):
+        if not thing.__name__.startswith("rtcal"):
+            return
+        names = getattr(thing, "__all__", None) or [
+            n
+            for n, v in vars(thing).items()
+            if not n.startswith("_") and getattr(v, "__module__", None) == thing.__name__
+        ]
+        for n in names:
+            yield from public(f"{name}.{n}", getattr(thing, n))
+    elif inspect.isclass(thing):
+        if issubclass(thing, Exception) or inspect.isabstract(thing):
+            return
+        if getattr(thing, "_is_protocol", False):
+            return
+        yield name, thing
+        for n, member in inspect.getmembers(thing):
+            if not n.startswith("_") and (inspect.isfunction(member) or inspect.ismethod(member)):
+                yield f"{name}.{n}", member
+    elif inspect.isfunction(thing) and thing.__module__.startswith("rtcal"):
+        yield name, thing
+
+
+def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return examples by the name of their class, and by the name of a parameter."""
+    f = [500.0, 1000.0]
+    walls = zip(SHOEBOX_WALLS, (12.0, 12.0, 15.0, 15.0, 20.0, 20.0), "xxyyzz", strict=True)
+    surfaces = [rt.Surface(w, "floor" if x == "z" else "wall", a, x) for w, a, x in walls]
+    materials = [
+        rt.Material("wall", [0.1, 0.2], [0.02, 0.02]),
+        rt.Material("floor", [0.3, 0.3], [0.1, 0.1]),
+    ]
+    room = rt.Room.from_surfaces(
+        name="room",
+        volume=60,
+        surfaces=surfaces,
+        materials=materials,
+        centre_frequencies=f,
+        air=rt.Air(),
+        dimensions=(5, 4, 3),
+    )
+    measured = rt.Measurement(
+        centre_frequencies=f,
+        values={"t20": [[0.5, 0.48]], "c80": [[5.0, 5.0]]},
+        uncertainty={"t20": [[0.02, 0.02]], "c80": [[0.3, 0.3]]},
+        pairs=[("S", "R")],
+    )
+    configurations = rt.Configurations([room])
+    calibration = rt.Calibration(rt.terms.PriorDeviation() + rt.terms.SoftMatch())
+    result = rt.calibrate(room, measured)
+    geometry = Polyhedron.shoebox(
+        (5, 4, 3), {w: "floor" if w in ("floor", "ceiling") else "wall" for w in SHOEBOX_WALLS}
+    )
+    change = Change(np.array([0.2, 0.2]), np.array([0.02, 0.02]))
+    configuration = Configuration(name="A", measured=measured, distances=np.array([2.0]))
+    case = Case(room=room, configurations=[configuration])
+    finding = find(rt.datasets.hidden_room()[0])
+    verification = verify(finding)
+    simulator = EquationSimulator(rt.Eyring(), room)
+    loop = start(room, measured)
+    point = {"S": (1.0, 1.0, 1.0)}
+    receivers = {"R": (3.0, 2.0, 1.5)}
+    by_class: dict[str, Any] = {
+        "Room": room,
+        "Measurement": measured,
+        "Air": rt.Air(),
+        "Material": materials[0],
+        "Surface": surfaces[0],
+        "Configurations": configurations,
+        "Calibration": calibration,
+        "CalibrationResult": result,
+        "JointResult": result.joint,
+        "Equation": rt.Eyring(),
+        "LinearEquation": rt.Eyring(),
+        "Polyhedron": geometry,
+        "Change": change,
+        "Configuration": configuration,
+        "Case": case,
+        "Finding": finding,
+        "Verification": verification,
+        "Simulator": simulator,
+        "EquationSimulator": simulator,
+        "Loop": loop,
+        "LoopResult": rt.calibrate_simulator(simulator, room, measured),
+        "CalibrationProblem": CalibrationProblem(calibration, room, rt.Eyring()),
+        "JointProblem": JointProblem(calibration, configurations, rt.Eyring()),
+        "Posterior": posterior(result),
+        "Calibrated": result,
+        "Optimal": result,
+        "ImageSource": ImageSource(room=room, sources=point, receivers=receivers, duration=0.2),
+        "PathTracing": PathTracing(
+            geometry=geometry,
+            room=room,
+            sources=point,
+            receivers=receivers,
+            n_paths=50,
+            n_batches=2,
+            workers=1,
+            scattering=0.5,
+        ),
+        "ScatteringDelayNetwork": rt.ScatteringDelayNetwork(
+            room=room, sources=point, receivers=receivers, sampling_rate=4000.0
+        ),
+        "Eyring": rt.Eyring(),
+        "Sabine": rt.Sabine(),
+        "Kuttruff": rt.Kuttruff(),
+        "Millington": rt.Millington(),
+        "Fitzroy": rt.Fitzroy(),
+        "ArauPuchades": rt.ArauPuchades(),
+        "TruncatedNormal": rt.priors.TruncatedNormal(np.array([0.2]), np.array([0.1])),
+        "AppliedEffect": AppliedEffect("opening", {"area": 2.0}),
+        "Plan": plan(case),
+        "Recalibrated": rt.discrepancy.recalibrate(case),
+        "Generator": np.random.default_rng(1),
+        "ObjectiveTerm": rt.terms.PriorDeviation(),
+        "ModelDiscrepancy": finding.discrepancy,
+    }
+    room.save(str(folder / "room.toml"))
+    measured.save(str(folder / "t.csv"))
+    by_name: dict[str, Any] = {
+        "alpha": room.alpha,
+        "sigma": room.sigma,
+        "mu": room.alpha,
+        "areas": room.areas,
+        "target": np.array([12.0, 13.0]),
+        "t": np.array([0.5, 0.5]),
+        "mean": np.array([0.1, 0.2]),
+        "centre_frequencies": f,
+        "frequencies": f,
+        "wanted": f,
+        "values": np.array([0.3, 0.2]),
+        "uncertainty": np.array([0.1, 0.1]),
+        "energy": 10 ** (-6 * np.arange(4000) * 1e-3 / 0.5)[None, None],
+        "bin_width": 1e-3,
+        "limit": 0.05,
+        "name": "t20",
+        "parameter": "t20",
+        "path": str(folder / "x.txt"),
+        "absorption_area": np.array([12.0, 13.0]),
+        "exponent": np.array([0.1, 0.2]),
+        "contribution": np.array([0.1, 0.2]),
+        "rng": np.random.default_rng(1),
+        "room": room,
+        "stated": room,
+        "measured": measured,
+        "volume": 60.0,
+        "x": np.array([0.1]),
+        "frequency": 500.0,
+        "seed": 0,
+        "sources": point,
+        "receivers": receivers,
+        "geometry": geometry,
+        "duration": 0.2,
+        "seconds": 0.2,
+        "materials": materials,
+        "surfaces": surfaces,
+        "fraction": 0.3,
+        "factor": 2.0,
+        "model": np.array([0.5, 0.5]),
+        "difference": np.array([1.0, 2.0]),
+        "covariance": np.eye(2),
+        "bound_active": False,
+        "air_share": np.array([0.1, 0.1]),
+        "active": np.zeros((2, 2)),
+        "z": np.zeros(2),
+        "marks": result.trust_marks,
+        "per_octave": 0.5,
+        "lowest": 125.0,
+        "highest": 4000.0,
+        "content": b"",
+        "polyhedron": geometry,
+        "case": case,
+        "finding": finding,
+        "loop": loop,
+        "verification": verification,
+        "result": result,
+        "simulator": simulator,
+        "equation": rt.Eyring(),
+        "calibration": calibration,
+        "configurations": configurations,
+        "rooms": [room],
+        "sigma_r": 0.05,
+        "realisations": 10,
+        "trials": 2,
+        "text": "text",
+        "place": "place",
+        "probability": 0.5,
+        "level": np.array([0.0, -10.0, -30.0]),
+        "objective": rt.terms.PriorDeviation(),
+        "material": "wall",
+        "band": 0,
+        "points": [[1.0, 1.0, 1.0]],
+        "dimensions": (5.0, 4.0, 3.0),
+        "pairs": [("S", "R")],
+        "signals": np.random.default_rng(1).standard_normal(8000) * np.exp(-np.arange(8000) / 500),
+        "sampling_rate": 8000.0,
+        "distances": np.array([2.0]),
+        "make": lambda r: EquationSimulator(rt.Eyring(), r),
+        "effects": None,
+        "data": room.to_dict(),
+        "simulated": measured,
+        "measurement": measured,
+        "lower": 0.0,
+        "upper": 1.0,
+        "gain": [1.0, 1.0],
+        "names": ["a"],
+        "folder": folder / "out",
+        "changes": {"wall": change},
+        "parameters": {"area": 2.0},
+        "temperature": 20.0,
+        "humidity": 50.0,
+        "run": lambda alpha, seed: np.array([0.5, 0.5]),
+        "width": 7.0,
+        "title": "title",
+        "p_value": 0.3,
+        "vertices": geometry.vertices,
+        "faces": geometry.faces,
+        "area": 2.0,
+        "key": "eyring",
+    }
+    return by_class, by_name
+
+
+class _Endless(BaseException):
+    pass
+
+
+def _stop(*_: object) -> None:
+    raise _Endless
+
+
+def call(function: Callable[..., Any], keywords: dict[str, Any]) -> tuple[str, str]:
+    """Return how a call ended (works, typed, untyped or endless), and where and why."""
+    signal.signal(signal.SIGPROF, _stop)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            function(**keywords)
+        return "works", ""
+    except RtcalError as error:
+        return "typed", str(error)
+    except _Endless:
+        return "endless", ""
+    except BaseException as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        return "untyped", f"{type(error).__name__} in {Path(last.filename).name}:{last.lineno}"
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+
+
+def arguments(
+    name: str, function: Callable[..., Any], by_class: dict[str, Any], by_name: dict[str, Any]
+) -> dict[str, Any]:
+    """Return valid arguments for what has no default: by the parameter's class, else its name."""
+    out = {}
+    for p in inspect.signature(function).parameters.values():
+        if (
+            p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL)
+            or p.default is not p.empty
+            or p.name == "self"
+        ):
+            continue
+        kind = str(p.annotation).split(" | ")[0].strip()
+        if kind in by_class:
+            out[p.name] = by_class[kind]
+        else:
+            out[p.name] = by_name.get(p.name, "text" if kind == "str" else 1)
+    return out
+
+
+def main(verbose: bool) -> None:
+    """Print the counts, and the functions that raise untyped errors."""
+    warnings.simplefilter("ignore")
+    np.seterr(all="ignore")
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    counts: Counter[str] = Counter()
+    untyped: Counter[str] = Counter()
+    seen: set[Any] = set()
+    bare = []
+    with tempfile.TemporaryDirectory() as made:
+        os.chdir(made)
+        by_class, by_name = instances(Path(made))
+        for name, thing in public("rt", rt):
+            function = thing
+            if inspect.isfunction(thing) and "self" in inspect.signature(thing).parameters:
+                owner = by_class.get(name.split(".")[-2])
+                if owner is None:
+                    continue
+                function = getattr(owner, thing.__name__)
+            key = getattr(thing, "__func__", thing)
+            if key in seen or not inspect.signature(function).parameters:
+                continue
+            seen.add(key)
+            valid = arguments(name, function, by_class, by_name)
+            if call(function, valid)[0] == "untyped":
+                bare.append(name)
+            for p in inspect.signature(function).parameters.values():
+                if p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL):
+                    continue
+                for wrong in WRONG:
+                    if p.default is wrong and not isinstance(wrong, float):
+                        continue
+                    end, why = call(function, valid | {p.name: wrong})
+                    counts[end] += 1
+                    if end in ("untyped", "endless"):
+                        untyped[name] += 1
+                        if verbose:
+                            print(f"{name}({p.name}={str(wrong)[:30]!r}): {end} {why}", flush=True)
+    total = counts.total()
+    print(
+        f"{len(seen)} functions, {total} calls: " + ", ".join(f"{v} {k}" for k, v in counts.items())
+    )
+    print(f"untyped {100 * counts['untyped'] / total:.2f} %, without an end {counts['endless']}")
+    print("by function:", ", ".join(f"{n} {c}" for n, c in untyped.most_common()))
+    print("valid arguments raise an untyped error:", ", ".join(bare) or "none")
+
+
+if __name__ == "__main__":
+    main("--list" in sys.argv)
