@@ -65,7 +65,7 @@ def _folder_lock(folder: Path) -> Iterator[None]:
             _locked[folder] -= 1
     finally:
         if handle is not None:
-            os.close(handle)
+            _let_go(handle)
 
 
 def _opened(path: Path) -> int:
@@ -73,6 +73,11 @@ def _opened(path: Path) -> int:
         return os.open(path, os.O_RDONLY)
     except OSError as error:
         raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _let_go(handle: int) -> None:
+    with suppress(OSError):  # nothing was written to it: there is nothing to lose
+        os.close(handle)
 
 
 def _wait_for(handle: int, folder: Path) -> None:
@@ -103,7 +108,7 @@ def held(file: Path) -> Iterator[None]:
             pass  # a file system without locks
         yield
     finally:
-        os.close(handle)
+        _let_go(handle)
 
 
 def recover(folders: Iterable[Path]) -> None:
