@@ -3,7 +3,7 @@
 mutmut makes some 8,000 mutants of the modules that decide an answer (see ``[tool.mutmut]`` in
 pyproject.toml). A fixed sample of them is run: the N names (300 if not given) with the smallest
 SHA-256. A mutant that only rewords a message is not drawn: it changes nothing but the letters of a
-string literal that has a space in it, and no key, name or format of rtcal has one.
+string literal that has a space in it and is not compared with anything.
 
 A mutant is killed if a test fails, the tests crash or take 15 times as long. Every other mutant of
 the sample is listed. `SURVIVORS` has the reason for those that may survive: an equivalent mutant,
@@ -28,7 +28,10 @@ SURVIVORS: dict[str, str] = {}
 
 
 class WithoutWording(ast.NodeTransformer):
-    """Replaces every string literal that has a space in it by an empty one."""
+    """Replaces every string literal that has a space in it by an empty one, unless it is compared."""
+
+    def visit_Compare(self, node: ast.Compare) -> ast.Compare:
+        return node
 
     def visit_Constant(self, node: ast.Constant) -> ast.Constant:
         message = isinstance(node.value, str) and " " in node.value
