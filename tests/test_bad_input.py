@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.calibration.feasibility import Unreachable
 from rtcal.command import main as cli
 from rtcal.errors import DataError, InfeasibleError, MissingDependencyError, ModelError
 
@@ -274,3 +275,63 @@ def test_a_write_that_fails_leaves_nothing(tmp_path: Path, monkeypatch) -> None:
         rt.Room(**GOOD).save(target)
     assert target.read_text() == "what was there before"
     assert [p.name for p in tmp_path.iterdir()] == ["room.toml"]
+
+
+def test_terms_that_set_contradicting_bounds_are_named() -> None:
+    floor = rt.Room(**GOOD, alpha_min=[[0.05, 0.05], [0.1, 0.1]])
+    tight = rt.terms.Bounds(0, 0.04, material="wall")
+    loose = rt.terms.Bounds(0, 0.9)
+    problem = rt.Calibration(rt.terms.PriorDeviation(), [loose, tight]).build(floor)
+    with pytest.raises(DataError) as error:
+        problem.solve([0.5, 0.5])
+    rule, _, names = str(error.value).partition("; they come from ")
+    assert rule.endswith("bounds 0.05 to 0.04: the bounds contradict each other")
+    assert names == f"the room's alpha_min and {tight!r}"
+
+
+def test_an_unreachable_band_is_told_by_what_it_asks_for() -> None:
+    where = {"configuration": 0, "frequency": 500.0, "shortest": 0.2, "longest": 3.0}
+    would_do = "the bounds allow 1 to 9 m²{}; T from 0.2 to 3 s would do"
+    for t, target, asked, off in (
+        (0.1, np.nan, "more absorption than any", ""),
+        (0.1, 10.5, "10.5 m²", ", 1.5 m² too much"),
+        (5, 0.75, "0.75 m²", ", 0.25 m² too little"),
+    ):
+        band = Unreachable(reverberation_time=t, target=target, lowest=1.0, highest=9.0, **where)
+        assert str(band) == (
+            f"T[500 Hz] = {t} s is beyond reach: it asks the surfaces for {asked}, "
+            + would_do.format(off)
+        )
+
+
+def test_closed_forms_refuse_what_they_cannot_meet() -> None:
+    closed = rt.closed_form
+    for compute, message in (
+        (lambda: closed.scaling([0.0, 0.0], [1, 1], 1.0), "S'mu = 0: scaling cannot reach any"),
+        (lambda: closed.scaling([0.1, 0.1], [1, 1, 1], 1.0), r"mu \(2,\), areas \(3,\) and target"),
+        (lambda: closed.least_squares([0.1], [0], 1.0), "areas has 0 m², which is not above 0"),
+        (lambda: closed.least_squares([np.nan], [1], 1.0), "mu has a value that is not finite"),
+        (lambda: closed.least_squares([0.1], [np.inf], 1.0), "areas has a value that is not"),
+        (lambda: closed.least_squares([0.1], [1], np.nan), "target has a value that is not"),
+        (lambda: closed.maximum_likelihood([0.1], [0.0], [1], 1.0), "all sigma of a band are 0"),
+        (lambda: closed.maximum_likelihood([0.1], [-1], [1], 1.0), "sigma has -1, which is not 0"),
+        (lambda: closed.maximum_likelihood([0.1], [1, 1], [1], 1.0), r"sigma has shape \(2,\); mu"),
+        (lambda: closed.maximum_likelihood([0.1], [np.nan], [1], 1.0), "sigma has a value that"),
+        (lambda: closed.multiplier([0.1], [0.0], [1], 1.0), "all sigma of a band are 0"),
+        (
+            lambda: closed.multiplier([0.1], [-1], [1], 1.0),
+            r"sigma has not the shape \(1,\) of mu, or",
+        ),
+        (lambda: closed.multiplier([0.1], [1, 1], [1], 1.0), r"sigma has not the shape \(1,\)"),
+    ):
+        with pytest.raises(DataError, match=f"^{message}"):
+            compute()
+
+
+def test_a_solver_is_named_where_it_refuses_its_settings() -> None:
+    room = rt.Room(**GOOD)
+    for name in ("osqp", "scs"):
+        with pytest.raises(
+            ModelError, match=f'^solver "{name}" refuses the settings .*no_such=1: '
+        ):
+            rt.calibrate(room, [0.5, 0.5], solver=name, settings={"no_such": 1})

@@ -12,6 +12,7 @@ from rtcal import terms
 from rtcal.calibration.assemble import Assembler, layout_of
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.context import Context
+from rtcal.calibration.feasibility import reach
 from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.problem_data import ProblemData
 from tests.conftest import random_room, true_times
@@ -219,3 +220,93 @@ def test_correlations_that_are_none_are_refused(term, error: str, says: str) -> 
     room = random_room(np.random.default_rng(0), 4, 4)
     with pytest.raises(getattr(rt.errors, error), match=says):
         rt.Calibration(term).build(room)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: terms.Bounds(material=5), "Bounds: 5 is not the name of a material"),
+        (lambda: terms.Bounds(band=-1), "Bounds: band = -1 Hz is not finite and above 0"),
+        (lambda: terms.Fixed(5), "Fixed: 5 is not the name of a material"),
+        (lambda: terms.Fixed("a", band=0), "Fixed: band = 0 Hz is not finite and above 0"),
+        (lambda: terms.Shared("a", 5), "Shared: 5 is not the name of a material"),
+        (lambda: terms.AtMost(5, "a"), "AtMost: 5 is not the name of a material"),
+        (lambda: terms.AtMost("a", 5), "AtMost: 5 is not the name of a material"),
+        (lambda: terms.AtMost("a", "b", band=0), "AtMost: band = 0 Hz is not finite and above 0"),
+        (
+            lambda: terms.GroupAbsorption(["a", 5], most=1),
+            "GroupAbsorption: 5 is not the name of a material",
+        ),
+        (
+            lambda: terms.GroupAbsorption(["a"], most=1, band=0),
+            "GroupAbsorption: band = 0 Hz is not finite and above 0",
+        ),
+    ],
+)
+def test_names_and_bands_of_terms_are_checked(make, says: str) -> None:
+    with pytest.raises(rt.errors.DataError) as error:
+        make()
+    assert str(error.value) == says
+
+
+def test_a_soft_match_names_its_argument() -> None:
+    with pytest.raises(rt.errors.ModelError, match=r"^SoftMatch: relative\b"):
+        terms.SoftMatch("much")
+
+
+def test_target_limits_are_those_of_the_longest_and_the_shortest_time() -> None:
+    _, data, room = made(0)
+    low, high = terms.MatchWithin(2.0).target_limits(data)
+    matched = [0, 1, 3]
+    t = data.time[0]
+    np.testing.assert_allclose(low[0, matched], EYRING.target(room, 1.1 * t)[matched], rtol=1e-12)
+    np.testing.assert_allclose(high[0, matched], EYRING.target(room, 0.9 * t)[matched], rtol=1e-12)
+
+
+def made_with_effects(gains: dict[str, list[float]]) -> ProblemData:
+    """Problem data with further unknowns, whose prior sigma is 3."""
+    room = random_room(np.random.default_rng(2), 4, 4)
+    effects = tuple(terms.AddedAbsorption(name, gain, sigma=3.0) for name, gain in gains.items())
+    objective = terms.Objective((terms.PriorDeviation(), *effects), (1.0,) * (1 + len(effects)))
+    configurations = Configurations([room])
+    layout = layout_of(configurations, objective, [])
+    t = EYRING.time(room, room.areas @ room.alpha)
+    assembler = Assembler(layout, EYRING, objective, (), 0, None)
+    return assembler.problem_data(configurations, [times_in_room(room, t)], None)
+
+
+def test_effects_widen_the_reach_of_their_own_band_and_side() -> None:
+    data = made_with_effects({"opening": [1.0, 0, 0, 0], "correction": [0, 0, -2.0, 0]})
+    least, most = reach(data)
+    total = data.areas[0].sum()
+    np.testing.assert_allclose(least[0], [0, 0, -np.inf, 0])
+    np.testing.assert_allclose(most[0], [np.inf, total, total, total])
+
+
+def test_a_row_is_scaled_by_all_that_can_move_in_it() -> None:
+    data = made_with_effects({"opening": GAIN})
+    variance = data.areas[0] ** 2 @ data.alpha(data.sigma) ** 2 + np.square(GAIN) * 3.0**2
+    np.testing.assert_allclose(terms.ExactMatch().row_scale(data), variance**-0.5, rtol=1e-12)
+
+
+def test_the_huber_prior_is_not_convex_in_what_it_does_not_weigh() -> None:
+    data = made_with_effects({"opening": GAIN})
+    convexity = terms.HuberDeviation(convex=0.2).convexity(data)
+    np.testing.assert_array_equal(convexity, [0.2] * data.layout.n_alpha + [0.0])
+
+
+def test_a_pinned_unknown_has_its_value_as_centre() -> None:
+    _, data, _ = made(0)
+    where = np.arange(data.layout.size) == 7
+    pinned = data.pin(where, np.full(data.layout.size, 0.25))
+    np.testing.assert_array_equal(pinned.centre, np.where(where, 0.25, data.centre))
+    np.testing.assert_array_equal(pinned.pinned, where | data.pinned)
+
+
+def test_groups_of_shared_materials_stay_apart() -> None:
+    room = random_room(np.random.default_rng(0), 5, 2)
+    objective = terms.as_objective(terms.PriorDeviation())
+    shared = [terms.Shared("m1", "m3"), terms.Shared("m4", "m0")]
+    assert layout_of(Configurations([room]), objective, shared).rows == (0, 1, 2, 1, 0)
+    joined = [*shared, terms.Shared("m3", "m0")]
+    assert layout_of(Configurations([room]), objective, joined).rows == (0, 0, 1, 0, 0)
