@@ -33,9 +33,10 @@ def interrupted(folder: Path, seconds: float) -> int:
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert "Traceback" not in said, said
-    assert process.returncode in (0, 130), (process.returncode, said)
-    written = sorted(p.name for p in (folder / "made").glob("*")) if process.returncode else None
-    assert written in (None, []) or len(written) == 7, written
+    # The signal itself where Python is already on its way out.
+    assert process.returncode in (0, 130, -signal.SIGINT), (process.returncode, said)
+    written = sorted(p.name for p in (folder / "made").glob("*"))
+    assert len(written) in (0, 7), written
     return process.returncode
 
 
