@@ -60,7 +60,7 @@ E = TypeVar("E", bound=RtcalError)
 
 
 def of_bands(error: E, bands: Iterable[int]) -> E:
-    """Return the error with the columns of alpha that it is about: the closed loop goes on without.
+    """Attach the indices of the bands concerned; the closed loop continues without these bands.
 
     Examples
     --------

@@ -27,12 +27,12 @@ RANGES: dict[str, tuple[float, float]] = {
 """Levels in dB between which each decay time is fitted (ISO 3382-1:2009, 5.3 and A.2.2)."""
 
 MARGIN_DB = 15.0
-"""How far below a range's lower end the energy that was cut off has to be. Cutting an exponential
-off there lowers T20 by 0.4 %."""
+"""Least distance in dB from a range's lower end down to the truncation. Truncating an exponential decay
+there lowers T20 by 0.4 %."""
 
 
 MAX_BIN = 0.01
-"""s; the widest bins that a simulator may be built with: five fill C50's 50 ms."""
+"""Largest bin width of a simulator in s; five such bins fill the 50 ms of C50."""
 
 
 def bins(bin_width: float) -> float:

@@ -1,4 +1,4 @@
-"""Materials and surfaces, what a room is put together from; and checks of what is put in."""
+"""Materials and surfaces of a room, and checks of their input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The room-acoustic parameters of ISO 3382-1: names, units and what any room keeps to."""
+"""The room-acoustic parameters of ISO 3382-1: names, units and plausible ranges."""
 
 from __future__ import annotations
 

@@ -167,7 +167,7 @@ class Room:
         self._check_correlation()
 
     def _check_surfaces(self) -> None:
-        """The surfaces, where they are known, are what the areas are the sums of."""
+        """Check that the surfaces, if stated, add up to the stated areas."""
         drawn = dict.fromkeys(self.materials, 0.0)
         for surface in self.surfaces:
             if surface.material not in drawn:

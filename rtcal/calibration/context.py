@@ -1,8 +1,10 @@
-"""What a term is handed to express itself in cvxpy, and the derived parameters that keep it DPP.
+"""The interface through which terms build cvxpy expressions.
+
+Its derived parameters keep the problem DPP (disciplined parametrized programming).
 
 In the whitened unknowns x (u = centre + scale x) most products that a term wants, such as
 area times sigma, would be products of two parameters, which cvxpy cannot compile once. So a term
-never multiplies parameters: it says how to compute its coefficients of alpha from an `ProblemData`, and
+never multiplies parameters: it says how to compute its coefficients of alpha from a `ProblemData`, and
 the context computes the coefficients of x and the constant outside cvxpy.
 """
 

@@ -15,7 +15,7 @@ from rtcal.errors import InfeasibleError, ModelError
 from rtcal.support.types import Array
 
 _MARGIN = 1e-9
-"""How far beyond the equation's largest b, relatively, the bounds are still taken to reach it: the
+"""Relative tolerance within which the bounds count as reaching the equation's largest b. It equals the
 primal residual that an answer may have."""
 
 
@@ -93,7 +93,7 @@ def reach(data: ProblemData) -> tuple[Array, Array]:
 
 
 def _box(data: ProblemData) -> tuple[Array, Array]:
-    """The box, closed around what cannot move."""
+    """Return the bounds; unknowns that cannot move have their centre as both bounds."""
     moves = data.scale > 0
     return (
         np.where(moves, data.lower, data.centre),

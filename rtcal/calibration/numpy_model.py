@@ -96,7 +96,7 @@ class NumpyModel:
 
     @cached_property
     def convexity(self) -> Array:
-        """Lower limits m of the curvature, (size,): it is at least diag(m / sigma²)."""
+        """Lower limits m of the curvature, (size,), such that curvature >= diag(m / sigma²)."""
         pairs = zip(self.objective.terms, self.data.weights, strict=True)
         return np.asarray(sum(w * t.convexity(self.data) for t, w in pairs))
 

@@ -120,7 +120,7 @@ def polish(
 
 
 def _active_rows(model: NumpyModel, alpha: Array, rows: Array) -> Array:
-    """Multiplier of an inequality row where it outweighs the slack, else 0."""
+    """Multiplier of each inequality row judged active (scaled multiplier above scaled slack), else 0."""
     if np.array_equal(model.row_lower, model.row_upper):
         return np.zeros(len(rows))
     values = np.asarray(model.matrix @ alpha)
@@ -171,10 +171,10 @@ def _released(
     at_lower: Flags,
     at_upper: Flags,
 ) -> Flags:
-    """Coefficients to let go, one for each active row that is missed and has none free.
+    """Choose a coefficient at a bound to release, for each unmet active row without a free one.
 
-    Near an end of its reach a row's last free coefficient is easily taken for one at its bound. The
-    one to let go is the first to move as the row's multiplier leaves its interval.
+    Near an end of the row's range its last free coefficient is easily mistaken for one at a bound.
+    The coefficient released is the first to move as the row's multiplier leaves its interval.
     """
     release = np.zeros(len(alpha), dtype=bool)
     residual = limit - np.asarray(model.matrix @ alpha)

@@ -38,7 +38,8 @@ Times = Measurement | Sequence[float] | Array
 
 
 _MOST_PAIRS = 20_000_000
-"""Entries of a soft match's curvature. Polishing holds some six copies of 12 bytes each: 1.5 GB."""
+"""Largest number of curvature entries of a soft match. Polishing holds six copies of them; at 12 bytes
+each these take 1.5 GB."""
 
 
 @dataclass(frozen=True, eq=False)

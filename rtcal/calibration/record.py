@@ -35,7 +35,7 @@ def versions() -> dict[str, str]:
 
 
 def inputs(room: Room, measured: MeasuredTimes) -> dict[str, Any]:
-    """Return the room and the mean T as the texts of their files: enough to calibrate again."""
+    """Return the room as TOML and the mean T as CSV; the two suffice to repeat the calibration."""
     return {
         "room": room.to_text(),
         "measured": _mean_measurement(room, measured).to_text(),

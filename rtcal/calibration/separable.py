@@ -23,7 +23,7 @@ so that the error of 100,000 summands is below 27 eps (Higham 1993, SIAM J. Sci.
 
 
 _BEYOND = 1e280
-"""In 1/m²: a multiplier beyond that of every bound, whose products still are finite."""
+"""Multiplier in 1/m², larger than any multiplier at a bound; yet its products do not overflow."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """One table of solvers, and how each is called on the compiled problem.
 
-``"clarabel"`` and ``"osqp"`` are called on cvxpy's compiled matrices by their own interfaces: that
-halves cvxpy's share of a re-solve, and only so can OSQP be started from a given point (cvxpy ignores
-``variable.value``; Clarabel has no warm start at all). ``"qpsolvers:NAME"`` calls any solver of
+``"clarabel"`` and ``"osqp"`` are called directly on cvxpy's compiled matrices. Direct calls halve
+cvxpy's overhead per re-solve, and only they can warm-start OSQP: cvxpy ignores ``variable.value``.
+Clarabel has no warm start. ``"qpsolvers:NAME"`` calls any solver of
 qpsolvers' on the same matrices. Any other name is a solver of cvxpy's, called through cvxpy.
 """
 

@@ -13,7 +13,7 @@ from rtcal.support import html, text
 from rtcal.support.types import Array
 
 _STRONG_SHIFT = 3.0
-"""The shift in sigmas, and the gap in JND, that a notebook's table shades most strongly."""
+"""Shift (in sigmas) and gap (in JND) at which the notebook's shading saturates."""
 
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 
@@ -204,7 +204,7 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
-    """The bands whose T before is missing, though the surfaces absorb."""
+    """Return the bands where the equation gives no prior T although the surfaces absorb."""
     alpha = np.array([material["alpha_before"] for material in record["materials"]])
     return [
         bands.label(f)

@@ -1,4 +1,4 @@
-"""Options: those of the form NAME=VALUE, given several times, and their names in messages."""
+"""Repeatable NAME=VALUE options, and option names in error messages."""
 
 from __future__ import annotations
 

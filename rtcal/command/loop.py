@@ -234,7 +234,7 @@ def _refuse_other_coefficients(alpha: Array, simulated: str, state: str, out: st
 
 
 def _refuse_progress(state: str) -> None:
-    """Raise DataError where a state would be written over that someone simulated for."""
+    """Raise DataError instead of overwriting a state that already holds simulations."""
     from rtcal.loop.state import Loop
 
     if Path(state).exists() and (n := len(Loop.load(state).steps)):

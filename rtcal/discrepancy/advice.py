@@ -29,9 +29,9 @@ _USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
 def separation(
     predicted: Hypotheses, covariance: Array, mask: Array, first: int, second: str
 ) -> float:
-    """Return how far the nearest hypothesis of an effect is from one hypothesis, in nats.
+    """Return the expected evidence in nats against effect ``second`` if ``first`` is true.
 
-    ½ min over theta of d' C⁻¹ d over the masked features: the evidence to expect against it.
+    It is ½ min d' C⁻¹ d over the parameters of ``second``, with the masked features.
     """
     rows = [i for i, n in enumerate(predicted.names) if n == second]
     inverse = np.linalg.inv(covariance[np.ix_(mask, mask)])
@@ -211,7 +211,7 @@ def _paired(pairs: Pairs, between: str) -> str:
 
 
 def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[Pairs, Pairs]:
-    """Pairs that are not told apart, and those where only the first is taken for the second."""
+    """Pairs indistinguishable both ways, and pairs where only the first can pass for the second."""
     both, one_way = [], []
     for a, b in pairs:
         weak = (separations[a, b] < MINIMUM_NATS, separations[b, a] < MINIMUM_NATS)

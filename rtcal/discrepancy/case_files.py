@@ -44,7 +44,7 @@ from rtcal.support.files import read_text
 MAX_BYTES = 50_000_000
 MAX_POSITIONS = 1000
 PLANNED_UNCERTAINTY = {"time": 0.02, "level": 0.3}
-"""Of what is planned, not measured: 2 % of a decay time, 0.3 dB of C80 and G."""
+"""Uncertainty assumed for planned measurements: 2 % of a decay time, 0.3 dB of C80 and G."""
 
 _KEYS = ("uncertainty", "equation", "configuration")
 
@@ -79,7 +79,7 @@ def read(path: str) -> dict[str, Any]:
 
 
 def files(path: str) -> list[Path]:
-    """Return the files that a case is read from, of one that can be read."""
+    """Return the paths that a valid case file refers to, itself included."""
     case = Path(path)
     if path.endswith(".json"):
         return [case]

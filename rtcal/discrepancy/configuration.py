@@ -175,7 +175,7 @@ def checked_uncertainty(stated: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _in_order(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """In the order in which a reader of the file puts them: to save again gives the same bytes."""
+    """Keep the reader's key order, so that saving a loaded case reproduces the same bytes."""
     return {p: tables[p] for p in PARAMETERS if p in tables}
 
 

@@ -1,10 +1,10 @@
 """The corrected room in the rest of the package: as a `Room`, and as a `Simulator`.
 
-What absorbs stands in the room as a further material, in place of walls, all of them in proportion:
-as many m² as would absorb everything, in the band where it absorbs most, if it were as large as its
-size's 90 % interval allows. So a calibration may find more of it as well as less: at alpha = 1 it
-could only find less. Volume, areas and air are what was found. A decay's shape and noise are no
-room's: only the simulator has them.
+Each absorber becomes a further material, which replaces every wall in proportion to its area. Its
+area equals its largest absorption area over the bands, with its size at the upper end of the 90 %
+interval. So a calibration can find more of the absorber as well as less; at alpha = 1 it could only
+find less. Volume, areas and air are those of the finding. A `Room` cannot represent the decay's shape
+or noise; only the `Simulator` does.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _LARGEST_SHARE = 0.5
-"""Of the walls, that an absorber takes so that more of it may be found."""
+"""Largest share of the wall area that an absorber may replace."""
 
 
 @checked

@@ -27,10 +27,10 @@ from rtcal.support.types import Array
 UNKNOWN = "unknown"
 
 COMMON_UNCERTAINTY: Mapping[str, float] = {"edt": 0.018, "t30": 0.006, "c80": 0.5, "g": 0.5}
-"""Standard uncertainty of theory in all bands and configurations alike, in ln and dB: what one
-engine's scatter does not show, since others see another field (`hidden_effects engines`)."""
+"""Standard uncertainty of the model common to all bands and configurations, in ln and dB. The scatter
+of one engine does not show it; that between engines does (`hidden_effects engines`)."""
 SHRINKAGE = 0.4
-"""Weight of the diagonal in the model's covariance, which few control rooms estimate."""
+"""Weight of the diagonal in the model's covariance, which is estimated from few control rooms."""
 INFLATION = 1.2
 """Factor on the model's covariance."""
 UNKNOWN_SIZES = (0.03, 0.08, 0.2)

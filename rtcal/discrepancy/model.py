@@ -20,7 +20,7 @@ FEATURES = ("t20", "edt", "t30", "c80", "g")
 _LN6 = 6 * np.log(10)
 _STEPS = 12
 _FROM_ENDS = 1e-6
-"""Distance that the mean over the walls keeps from 0, and in relation from the equation's largest."""
+"""Distance of the mean over the walls from 0 (absolute) and the equation's largest mean (relative)."""
 STEEPEST = 0.98
 """Coefficient up to which a slope is taken: beyond it, ln T is far from linear in alpha."""
 
@@ -85,7 +85,7 @@ class State:
 
     @cached_property
     def _wall(self) -> Array:
-        """Mean alpha of the materials; kept, since a grid covers one state in many ways."""
+        """Mean alpha of the materials; cached, since every grid point covers part of one state."""
         return np.asarray(self.areas @ self.alpha / self.total_area)
 
     def decay(self) -> Decay:
@@ -206,9 +206,9 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
 
 
 def _alike(states: Sequence[State]) -> list[tuple[list[int], Decay]]:
-    """Which states have decays of as many terms, all with a noise floor or all without; and these.
+    """Group the states by their number of decay terms and by the presence of a noise floor.
 
-    The decays are (n, n_bands, n_terms).
+    Return the indices of each group and its decays, (n, n_bands, n_terms).
     """
     groups: dict[tuple[object, bool], list[int]] = {}
     alone: dict[int, Decay] = {}

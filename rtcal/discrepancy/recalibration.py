@@ -2,9 +2,9 @@
 
 The QP is rtcal's own: the prior's deviation, T matched as closely as its uncertainty (the
 measurement's and the model's) deserves, alpha from 0 to 1, coefficients shared between
-configurations, and for each effect that adds absorption a further unknown, 0 or more. What cannot
-stand in the QP (a decay's shape, another equation, a noise floor) moves the target: the QP matches
-what its own equation must give for the whole model to give the measured T, in Gauss-Newton steps.
+configurations, and for each effect that adds absorption a further unknown, 0 or more. The QP has no
+place for a decay's shape, another equation or a noise floor. For these, its target T is corrected in
+Gauss-Newton steps until the whole model gives the measured T.
 """
 
 from __future__ import annotations
@@ -346,7 +346,7 @@ def _size(p: AppliedEffect) -> float:
 
 
 def _spread(p: AppliedEffect) -> float:
-    """As wide as the size itself: the data decide it, not what they were found by."""
+    """Return the prior standard deviation of the size: the size itself, so that T decides it."""
     return max(_size(p), _SMALLEST)
 
 

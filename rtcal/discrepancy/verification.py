@@ -1,7 +1,7 @@
-"""Did the gap shrink, where alpha could not make it: what supports a finding, or withdraws it.
+"""Verify a finding: compare the gaps in quantities that alpha cannot fit.
 
-Plain calibration bends alpha until T20 fits, whatever is missing: a smaller gap in what was fitted
-proves nothing. So the two models are compared in what alpha cannot absorb: the decay's shape (EDT,
+Plain calibration changes alpha until T20 fits, whatever effect is missing. So a smaller gap in T20
+proves nothing. The two models are compared in quantities that alpha cannot fit: the decay's shape (EDT,
 T30), the level (C80, G), and T20 of every configuration but the first (another absorber, another
 humidity, the suspect removed). A gap that shrinks there proves that the model is better, not that
 the name is right: a rival that does the same would shrink it too.

@@ -2,12 +2,13 @@
 
 One band of one room: minimise ½ sum ((alpha - mu)/sigma)² subject to S'alpha = b and
 lower <= alpha <= upper. That is a continuous quadratic knapsack: alpha = clip(mu - D S sigma², lower,
-upper) with one multiplier D. The closed form comes first; where it leaves the box, variable fixing
-(Bitran & Hax 1981; Kiwiel 2008): peg the violators on the side that must be pegged, solve for the
-rest, repeat, two or three rounds as a rule. No solver, no iteration to a tolerance.
+upper) with one multiplier D. The closed form comes first. Where it leaves the box, variable fixing
+follows (Bitran & Hax 1981; Kiwiel 2008): fix the violators of the dominant side at their bounds, solve
+for the other coefficients, repeat; usually two or three rounds. No solver runs, and nothing iterates
+to a tolerance.
 
-A tolerance band and a soft match keep that shape and are offered; coupling between bands and several
-configurations of a room do not: those are `rtcal.Calibration`'s.
+Tolerances and soft matches are supported. For coupled bands or several configurations of a room use
+`rtcal.Calibration`.
 """
 
 from __future__ import annotations
@@ -272,7 +273,7 @@ def _fix(
 
 
 def _meeting(m: Array, w: Array, low: Array, high: Array, a: Array) -> Array:
-    """Return D where all are pegged: of the interval that keeps them so, the end nearest 0."""
+    """Return D where all coefficients are at bounds: the end of D's interval that is nearest 0."""
     bound, safe = (w > 0) & (low < high), np.where(w > 0, w, 1.0)
     start = np.where(bound & (a == low), (m - low) / safe, -np.inf).max(axis=-1)
     stop = np.where(bound & (a != low), (m - high) / safe, np.inf).min(axis=-1)

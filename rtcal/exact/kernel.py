@@ -256,7 +256,7 @@ def fix(
 
 @compiled(reorder=False)
 def meeting(m: Array, w: Array, low: Array, high: Array, a: Array) -> float:
-    """Return D where all are pegged: of the interval that keeps them so, the end nearest 0."""
+    """Return D where all coefficients are at bounds: the end of D's interval that is nearest 0."""
     start, stop = -np.inf, np.inf
     for i in range(m.size):
         if w[i] > 0 and low[i] < high[i]:

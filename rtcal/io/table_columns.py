@@ -18,10 +18,10 @@ from rtcal.io.text import shown
 from rtcal.support.types import Array
 
 MAX_HEADER = 200
-"""Characters. Patterns that take a header apart are slow in longer ones."""
+"""Largest length of a header in characters; the patterns are slow on longer ones."""
 
 LEAST_BAND = 10.0
-"""Hz. A smaller number in a header is a value: the header line is missing."""
+"""Least centre frequency in Hz. A smaller number in a header is a value: the header line is missing."""
 
 BAND_TOLERANCE = 0.03
 """A stated frequency may miss the exact centre of its band by this share; neighbouring thirds are 26 %

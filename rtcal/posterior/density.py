@@ -1,4 +1,4 @@
-"""What was solved, as plain arrays: the densities whose marginals or samples are asked for."""
+"""Posterior densities as plain arrays: the input of the marginals and the sampler."""
 
 from __future__ import annotations
 

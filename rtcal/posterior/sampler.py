@@ -26,13 +26,13 @@ _WARM_UP = 32
 _SWEEPS = 3
 """Sweeps per sample: at the slowest of those rooms a third of the samples are independent."""
 _LARGEST = 2_000
-"""Unknowns; a sweep's cost rises with their square."""
+"""Largest number of unknowns; a sweep's cost rises with its square."""
 _TIGHT = 1e-6
 """Inequalities that leave less room than this, in standard deviations, are taken as equalities. It is
 ten times the tolerance of the linear program that looks for room."""
 _UNREACHED = 100.0
-"""Walls further away than this, in standard deviations, are left out. A log-concave density has at most
-exp(-49) of its mass there if one of those deviations is really two."""
+"""Distance in standard deviations beyond which walls are ignored. The mass of a log-concave density
+beyond it is at most exp(-49), even if the standard deviation is underestimated twofold."""
 _LEAST = 1e-300
 """Stands for a distance of 0, so that nothing is divided by 0."""
 _FAR = 25.0
@@ -143,7 +143,7 @@ def _region(density: TruncatedNormal, free: Integers) -> tuple[_Region, Array]:
 def _coordinates(
     density: TruncatedNormal, free: Integers, equalities: Array, wanted: Array
 ) -> tuple[Array, Array]:
-    """Centre c and basis B: c + B w, with w standard normal, is the density where ``equalities`` hold.
+    """Return c and B such that c + B w, w standard normal, has the density on the equalities.
 
     c is the mode without inequalities: one Newton step within the equalities.
     """
@@ -165,7 +165,7 @@ def _coordinates(
 
 
 def _inside(walls: Array, offset: Array) -> tuple[Array, float, Integers]:
-    """Return a point inside the walls, its distance to them (at most 1), and walls that leave none.
+    """Return an interior point, its distance to the walls (at most 1), and walls without room between.
 
     The point is the centre of the largest ball. Where that has no radius, the walls with a multiplier
     hold with equality everywhere.

@@ -29,7 +29,7 @@ WRITTEN = ("finding.json", "report.html", *(f"{name}.png" for name in FIGURES))
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What the same finding comes from: shell command, the case's files, seed."""
+    """The data that reproduce a finding: shell command, the case's files, seed."""
 
     command: str
     files: Sequence[str]

@@ -1,4 +1,4 @@
-"""The page: one HTML file that needs nothing else, for people who would rather look than read.
+"""A self-contained HTML page of a result, for readers without Python.
 
 The one module that imports jinja2, with autoescaping: whatever a material is called, it is text.
 """

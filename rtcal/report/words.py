@@ -15,10 +15,10 @@ from rtcal.calibration.presets import METHODS
 from rtcal.report.saved import Saved
 
 LARGE_SHIFT = 2.0
-"""Standard deviations of the prior: a larger shift contradicts what was stated of a material."""
+"""Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""
 _MOST_SHIFTS = 20
 _MET = 0.05
-"""JND: a band this near is said to have been met."""
+"""Gap in JND below which a band is reported as met."""
 
 _AGAINST = "The measurement contradicts what was stated of the materials"
 

@@ -21,7 +21,7 @@ from rtcal.support import checks
 from rtcal.support.types import Array, read_only
 
 LONGEST = 60.0
-"""s; a tracer follows no decay for longer. A decay that then holds no T20 is a `TooShortError`."""
+"""Longest decay in s that a tracer follows. A decay that then holds no T20 is a `TooShortError`."""
 
 RADIUS_SHARE = 0.075
 """A receiver's default radius over the cube root of the volume: 0.5 m in 300 m³, 1.6 m in 10,000 m³."""

@@ -29,7 +29,7 @@ def directions(mu: Array, sigma: Array, areas: Array) -> Array:
 
 
 _ROUNDING = 64 * float(np.finfo(float).eps)
-"""Of the terms that an EMSE is the sum of: what is left of them below that is rounding, and 0.
+"""Share of its summed terms below which an EMSE is rounding error, and is set to 0.
 
 A room of one surface has one unknown and one equation, so every calibration is exact there.
 """

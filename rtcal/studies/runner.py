@@ -118,7 +118,7 @@ def _hand_out(
 
 @dataclass(frozen=True)
 class _Store:
-    """The folder of a study's finished pieces; ``study`` is a digest of what they are of."""
+    """The folder of a study's finished pieces; ``study`` is a digest of its parameters."""
 
     folder: Path
     study: str
@@ -132,7 +132,7 @@ class _Store:
         write_bytes(self._file(number), self._head(number, packed) + packed)
 
     def read(self, number: int) -> Moments | None:
-        """Return a finished piece, or None where there is none, or another than it should be."""
+        """Return a finished piece; None if it is missing, damaged or from another study."""
         path = self._file(number)
         try:
             if not path.is_file():  # a pipe would be waited for

@@ -1,4 +1,4 @@
-"""Checks of what is handed in: a thing of the wrong kind is named, with the rule it breaks."""
+"""Argument checks; errors name the argument and the rule it breaks."""
 
 from __future__ import annotations
 

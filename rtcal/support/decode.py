@@ -16,11 +16,11 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 MAX_DEPTH = 20
-"""Objects and lists within one another that a file may have; no format of rtcal has more than 6."""
+"""Largest nesting depth of a file; rtcal's formats need at most 6."""
 MAX_DIGITS = 400
-"""Digits that an integer may have; the largest float has 309."""
+"""Largest number of digits of an integer; the largest float has 309."""
 MAX_DOTS = 500
-"""Parts of a dotted key in TOML. tomllib's time grows with their square."""
+"""Largest number of parts of a dotted TOML key; tomllib's time grows with its square."""
 
 
 def json_object(text: str) -> dict[str, Any]:
@@ -144,7 +144,7 @@ class Entries:
 
     @property
     def name(self) -> str:
-        """The object in a message: its place, without what stands before a key."""
+        """The object's name in error messages."""
         return self.place.rstrip(": .") or "the file"
 
     def __contains__(self, key: str) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 from rtcal.errors import MissingDependencyError
 
 DELAY = 2.0
-"""Seconds before a bar shows: what is done by then needs none."""
+"""Delay in seconds; shorter tasks show no bar."""
 
 
 def bar(count: int, unit: str, wanted: bool) -> Any:

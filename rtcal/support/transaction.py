@@ -1,9 +1,9 @@
 """Several files written as one: all of them new, or all of them as they were.
 
-The new files and links to the old ones are put into a hidden folder ``.rtcal-*`` beside the files, then
-a journal, then the new files are moved into place, and removing the journal makes them stay. Whoever
-finds a journal, here after an error or in the next command after a kill or a power cut, puts the old
-files back. Writers hold a lock on the folders, so an unlocked ``.rtcal-*`` belongs to nobody.
+The new files and links to the old ones are staged in a hidden folder ``.rtcal-*`` beside the files.
+Then a journal is written and the new files are moved into place. Deleting the journal commits them.
+A journal that remains after an error, a kill or a power cut restores the old files: at once, or in the
+next command. Writers lock the folders, so an unlocked ``.rtcal-*`` is left from a command that ended.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ except (
 
 PREFIX = ".rtcal-"
 LONGEST_WAIT = 10.0
-"""s that a command waits for another that writes into the same folder."""
+"""Longest wait in s for another command that writes into the same folder."""
 _PAUSE = 0.02
 _FOLDERS, _JOURNAL = "folders", "journal"
 

@@ -27,7 +27,7 @@ class ObjectiveTerm(Protocol):
     """Whether it is the prior that makes alpha unique; a calibration has exactly one."""
 
     def expression(self, context: Context, weight: int) -> Any:
-        """Return the cvxpy expression, with its weight, number ``weight`` of the data's.
+        """Return the weighted cvxpy expression; ``weight`` is the index of its weight in the data.
 
         A prior's weight is 1: the whole objective is scaled so.
         """
@@ -89,7 +89,7 @@ def as_objective(term: ObjectiveTerm | Objective) -> Objective:
 
 @checked
 def lacking(thing: object, *protocols: type) -> str:
-    """Return what ``thing`` lacks of the protocol that it comes nearest to, as ": it lacks ...".
+    """Return the members that ``thing`` lacks of the most similar protocol, as ": it lacks ...".
 
     Empty where it has nothing of any of them.
     """
@@ -146,7 +146,7 @@ class RowConstraint(Protocol):
         ...
 
     def row_scale(self, data: ProblemData) -> Array:
-        """Return by what each row is multiplied in the cvxpy constraint, (n_rows,)."""
+        """Return the scale factor of each row in the cvxpy constraint, (n_rows,)."""
         ...
 
     def rows(self, data: ProblemData) -> Rows:
@@ -238,7 +238,7 @@ class LimitedRows(Protocol):
         ...
 
     def row_scale(self, data: ProblemData) -> Array:
-        """Return by what each row is multiplied, (n_rows,)."""
+        """Return the scale factor of each row, (n_rows,)."""
         ...
 
 

@@ -300,7 +300,7 @@ class GroupAbsorption:
 
     @property
     def sides(self) -> tuple[bool, bool]:
-        """Those that were given."""
+        """Which of ``least`` and ``most`` are stated."""
         return self.least is not None, self.most is not None
 
     def constraints(self, context: Context) -> list[tuple[Any, int]]:

@@ -53,7 +53,7 @@ class ExactMatch:
         return Rows(match_matrix(data), low, high)
 
     def target_limits(self, data: ProblemData) -> tuple[Array, Array]:
-        """Return b twice."""
+        """Return b as lower and upper limit: an equality."""
         return data.target, data.target
 
     def label(self, row: int, layout: Layout) -> str:
@@ -84,7 +84,7 @@ class MatchWithin:
 
     @property
     def sides(self) -> tuple[bool, bool]:
-        """Both."""
+        """There is both a lower and an upper limit."""
         return True, True
 
     def constraints(self, context: Context) -> list[tuple[Any, int]]:

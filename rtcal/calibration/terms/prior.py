@@ -183,7 +183,7 @@ class PriorDeviation(BaseTerm):
 
 
 def _held(data: ProblemData) -> Array:
-    """1 where a coefficient is pinned though its sigma is above 0."""
+    """Return the mask of the pinned coefficients with sigma > 0, as floats."""
     n = data.layout.n_alpha
     return np.asarray((data.pinned[:n] & (data.sigma[:n] > 0)).astype(float))
 
