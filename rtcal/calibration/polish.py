@@ -120,7 +120,7 @@ def polish(
 
 
 def _active_rows(model: NumpyModel, alpha: Array, rows: Array) -> Array:
-    """Multiplier of each inequality row judged active (scaled multiplier above scaled slack), else 0."""
+    """Multiplier of each inequality row judged active (scaled multiplier > scaled slack), else 0."""
     if np.array_equal(model.row_lower, model.row_upper):
         return np.zeros(len(rows))
     values = np.asarray(model.matrix @ alpha)
