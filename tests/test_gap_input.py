@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,10 @@ from rtcal.discrepancy import (
     Absorber,
     AppliedEffect,
     Case,
+    Change,
+    Configuration,
     Effect,
+    control_rooms,
     corrected_room,
     find,
     library,
@@ -28,7 +32,10 @@ from rtcal.discrepancy import (
     simulator,
     verify,
 )
+from rtcal.discrepancy.cache import cached_control_rooms
 from rtcal.discrepancy.effects.opening import Opening
+from rtcal.discrepancy.engines import ControlRooms, Engine
+from rtcal.discrepancy.evidence import ModelDiscrepancy
 from rtcal.discrepancy.model import Decay, State
 from rtcal.discrepancy.states import state
 from rtcal.errors import DataError, OtherBandsWarning, RtcalError
@@ -462,3 +469,118 @@ def test_a_saved_case_keeps_what_its_measurement_is(tmp_path: Path) -> None:
     planned.save(str(tmp_path / "planned.json"))
     loaded = Case.from_file(str(tmp_path / "planned.json"))
     refused(lambda: find(loaded, controls=controls_of(case)), "it can only be planned")
+
+
+# Control rooms that were simulated before.
+
+
+def test_commands_simulate_a_case_s_control_rooms_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened().save(str(tmp_path / "case.json"))
+    runs: list[str] = []
+
+    def run(self: Engine, case: Case, seed: int, report: Any = None) -> ControlRooms:
+        runs.append(self.name)
+        (rooms,) = (c for c in controls_of(case) if c.engine == "one")
+        return ControlRooms(self.name, rooms.errors)
+
+    monkeypatch.setattr(Engine, "run", run)
+    path = str(tmp_path / "case.json")
+
+    def command(*words: str) -> str:
+        done = CliRunner().invoke(cli, ["gap", *words, "--quiet", "--json"])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    said = command("find", path)
+    assert runs == ["path tracing", "network"]
+    assert command("find", path) == said
+    command("verify", path)
+    command("apply", path, "--out", str(tmp_path / "out.json"))
+    assert runs == ["path tracing", "network"]
+    command("find", path, "--seed", "1")
+    assert runs == ["path tracing", "network"] * 2
+    # Another case in the same folder has rooms of its own.
+    command("find", str(tmp_path / "out.json"))
+    assert len(runs) == 6
+    # Damaged files and a deleted folder only cost the time to simulate again.
+    (folder,) = (f for f in tmp_path.iterdir() if f.is_dir())
+    for file in folder.iterdir():
+        file.write_bytes(file.read_bytes()[:50])
+    assert command("find", path) == said
+    assert len(runs) == 8
+    shutil.rmtree(folder)
+    assert command("find", path) == said
+    assert len(runs) == 10
+
+
+def test_a_folder_that_cannot_be_written_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = opened()
+    monkeypatch.setattr(Engine, "run", lambda self, *_: ControlRooms(self.name, ERRORS))
+    (tmp_path / "file").write_text("")
+    rooms = cached_control_rooms(case, tmp_path / "file")
+    assert [c.engine for c in rooms] == ["path tracing", "network"]
+    assert (tmp_path / "file").read_text() == ""
+
+
+ERRORS = np.zeros((4, 1, 5, 7))
+
+# Arguments of the wrong kind.
+
+
+@pytest.mark.parametrize("wrong", [None, "text", object(), np.array([]), np.array([None])])
+def test_arguments_of_the_wrong_kind_are_named(wrong: Any) -> None:
+    case = opened()
+    (c,) = case.configurations
+    fine = np.full(7, 0.1)
+    stated = {"name": "A", "measured": c.measured}
+    calls: list[tuple[Callable[[], object], str]] = [
+        (lambda: Change(wrong, fine), "change: alpha"),
+        (lambda: Change(fine, wrong), "change: sigma"),
+        (lambda: Configuration(name="A", measured=wrong), "measured"),
+        (lambda: Configuration(**stated | {"changes": wrong}), "changes"),
+        (lambda: Configuration(**stated | {"changes": {"a": wrong}}), "changes['a']"),
+        (lambda: Configuration(**stated | {"suspect_removed": wrong}), "suspect_removed"),
+        (lambda: Configuration(**stated | {"planned": wrong}), "planned"),
+        (lambda: replace(case, room=wrong), "room"),
+        (lambda: replace(case, configurations=wrong), "configurations"),
+        (lambda: replace(case, applied=[wrong]), "applied[0]"),
+        (lambda: AppliedEffect("opening", wrong), "parameters"),
+        (lambda: AppliedEffect("opening", {"area": wrong}), "parameters['area']"),
+        (lambda: find(wrong), "case"),
+        (lambda: plan(wrong), "case"),
+        (lambda: plan(case, change=wrong), "change"),
+        (lambda: recalibrate(wrong), "case"),
+        (lambda: verify(wrong), "finding"),
+        (lambda: corrected_room(wrong), "case"),
+        (lambda: simulator(wrong), "case"),
+        (lambda: control_rooms(wrong), "case"),
+        (lambda: control_rooms(case, seed=wrong), "seed"),
+        (lambda: control_rooms(case, engines=wrong), "engine"),
+        (lambda: cached_control_rooms(wrong, "folder"), "case"),
+    ]
+    if wrong is not None:
+        calls += [
+            (lambda: Configuration(**stated | {"air": wrong}), "air"),
+            (lambda: AppliedEffect("opening", {"area": 1.0}, wrong), "size_interval"),
+            (lambda: AppliedEffect("mine", {}, None, wrong), "custom"),
+            (lambda: plan(case, discrepancy=wrong), "discrepancy"),
+            (lambda: recalibrate(case, wrong), "discrepancy"),
+            (lambda: simulator(case, wrong), "make"),
+        ]
+        calls.append((lambda: Configuration(**stated | {"distances": wrong}), "distances"))
+    for call, word in calls:
+        refused(call, word)
+
+
+def test_the_discrepancy_of_another_case_is_refused() -> None:
+    case = opened()
+    finding = find(case, effects=[Opening()], controls=controls_of(case))
+    for shape in (6, 70):
+        other = ModelDiscrepancy(np.zeros(shape), np.eye(shape))
+        refused(lambda d=other: recalibrate(case, d), "another case")
+        refused(lambda d=other: plan(case, discrepancy=d), "another case")
+    assert np.isfinite(plan(case, discrepancy=finding.discrepancy).change)

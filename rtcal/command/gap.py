@@ -80,7 +80,7 @@ def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: b
 
     Example: rtcal gap find case.toml
     """
-    finding = _find(_case(case), engines, seed, quiet)
+    finding = _find(case, _case(case), engines, seed, quiet)
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
@@ -116,7 +116,7 @@ def apply(
     from rtcal.support.files import write_all
 
     written = [out] if room is None else [out, room]
-    finding = _find(_case(case, written), engines, seed, quiet)
+    finding = _find(case, _case(case, written), engines, seed, quiet)
     correction = correct(finding, out, room)
     write_all(correction.files)
     tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
@@ -136,7 +136,7 @@ def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet:
     """
     from rtcal.discrepancy import verify as verified
 
-    finding = _find(_case(case), engines, seed, quiet)
+    finding = _find(case, _case(case), engines, seed, quiet)
     if (nothing := finding.reason_for_none) is not None:
         record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
         tell(nothing, record, quiet=quiet, as_json=as_json)
@@ -165,7 +165,7 @@ def report(
     if not out:
         raise DataError("--out is empty; it is a folder")
     read = _case(case, [str(Path(out) / name) for name in WRITTEN])
-    finding = _find(read, engines, seed, quiet)
+    finding = _find(case, read, engines, seed, quiet)
     chosen = [x for e in finding.engines for x in ("--engine", e)]
     command = shlex.join(
         ["rtcal", "gap", "report", case, "--seed", str(seed), *chosen, "--out", out]
@@ -188,8 +188,10 @@ def _case(path: str, written: Sequence[str] = ()) -> Case:
     return case
 
 
-def _find(case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Finding:
+def _find(path: str, case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Finding:
+    """Find what the case lacks; control rooms are kept beside its file."""
     from rtcal import discrepancy
+    from rtcal.discrepancy.cache import FOLDER, cached_control_rooms
 
     chosen = engines or ("path tracing", "network")
     with bar(0, "room", bar_wanted(quiet)) as shown:
@@ -200,4 +202,7 @@ def _find(case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Findi
                 shown.set_description(f"control rooms, {engine}")
             shown.update(1)
 
-        return discrepancy.find(case, seed=seed, engines=chosen, report=report)
+        folder = Path(path).parent / FOLDER
+        case.require_fresh()
+        controls = cached_control_rooms(case, folder, seed, chosen, report)
+        return discrepancy.find(case, seed=seed, controls=controls)

@@ -12,7 +12,13 @@ from rtcal.discrepancy.bootstrap import MINIMUM_NATS
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.effects.checks import checked_effects
-from rtcal.discrepancy.evidence import UNKNOWN, Evidence, ModelDiscrepancy, alpha_covariance
+from rtcal.discrepancy.evidence import (
+    UNKNOWN,
+    Evidence,
+    ModelDiscrepancy,
+    alpha_covariance,
+    checked_discrepancy,
+)
 from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
 from rtcal.discrepancy.model import FEATURES
@@ -262,6 +268,8 @@ def plan(
         shape = observed.used.shape
         spread = np.broadcast_to(np.array(GENERIC_UNCERTAINTY)[None, :, None] ** 2, shape).ravel()
         discrepancy = ModelDiscrepancy(np.zeros(spread.size), np.diag(spread))
+    else:
+        checked_discrepancy(case, discrepancy)
     variances = _variances(case, observed)
     base = predicted.features[0]
     names = [n for n in dict.fromkeys(predicted.names) if n != NONE]

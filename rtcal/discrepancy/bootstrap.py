@@ -69,21 +69,33 @@ def control_rooms(
     engines: Sequence[str] = ("path tracing", "network"),
     report: Report = no_report,
 ) -> tuple[ControlRooms, ...]:
-    """Run the case's control rooms through the engines; DataError for fewer than two."""
-    names = dict.fromkeys(map(str, checks.listed("engines", engines)))
+    """Simulate the case's control rooms with at least two engines.
+
+    Raises
+    ------
+    DataError
+        For fewer than two engines, or one that rtcal does not have.
+    """
+    checks.whole("seed", seed, 0)
+    return tuple(ENGINES[name].run(case, seed, report) for name in checked_engines(engines))
+
+
+def checked_engines(engines: object) -> list[str]:
+    """Return the names of at least two engines, each once; DataError otherwise."""
+    names = list(dict.fromkeys(map(str, checks.listed("engines", engines))))
     if unknown := sorted(set(names) - set(ENGINES)):
         raise DataError(f'engine "{unknown[0]}" is not one of {", ".join(ENGINES)}')
     if len(names) < 2:
-        raise DataError(f"engines = {list(names)}: a threshold needs at least two engines")
-    return tuple(ENGINES[name].run(case, seed, report) for name in names)
+        raise DataError(f"engines = {names}: a threshold needs at least two engines")
+    return names
 
 
-def checked_controls(case: Case, controls: object) -> tuple[ControlRooms, ...]:
-    """Return control rooms of at least two engines and of this case's shape; DataError otherwise."""
+def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[ControlRooms, ...]:
+    """Return control rooms of this case's shape and of ``least`` engines; DataError otherwise."""
     every = tuple(
         checks.instance("controls", c, ControlRooms) for c in checks.listed("controls", controls)
     )
-    if len({c.engine for c in every}) < 2:
+    if len({c.engine for c in every}) < least:
         raise DataError(
             f"controls are of {', '.join(c.engine for c in every) or 'no engine'}: a threshold needs "
             "at least two engines"

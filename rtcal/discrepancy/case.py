@@ -57,7 +57,18 @@ class AppliedEffect:
     custom: Effect | None = None
 
     def __post_init__(self) -> None:
-        if self.custom is None and self.name not in {e.name for e in library()}:
+        for name, value in checks.mapped("effect: parameters", self.parameters).items():
+            checks.number(f"effect: parameters[{name!r}]", value)
+        if self.size_interval is not None:
+            ends = checks.array("effect: size_interval", self.size_interval)
+            if ends.shape != (2,) or not ends[0] <= ends[1]:
+                raise DataError(
+                    f"effect: size_interval = {self.size_interval!r} is not two numbers in order"
+                )
+        if self.custom is not None:
+            if not isinstance(self.custom, Effect):
+                raise DataError(f"effect: custom = {self.custom!r} is no rtcal.discrepancy.Effect")
+        elif self.name not in {e.name for e in library()}:
             raise DataError(f'effect "{self.name}" is not in the library')
 
     @property
@@ -123,9 +134,13 @@ class Case:
     applied: Sequence[AppliedEffect] = ()
 
     def __post_init__(self) -> None:
+        checks.instance("room", self.room, Room)
         mean_equation(self.equation)
-        object.__setattr__(self, "configurations", tuple(self.configurations))
-        object.__setattr__(self, "applied", tuple(self.applied))
+        for name, kind in (("configurations", Configuration), ("applied", AppliedEffect)):
+            every = checks.listed(name, getattr(self, name))
+            for i, member in enumerate(every):
+                checks.instance(f"{name}[{i}]", member, kind)
+            object.__setattr__(self, name, every)
         if not self.configurations:
             raise DataError("configurations is empty; a case has at least one measurement")
         names = [c.name for c in self.configurations]

@@ -32,17 +32,23 @@ _OF_MEASUREMENT = ("pairs", "uncertainty", "standard_deviation", "n_sources", "n
 @checked
 @dataclass(frozen=True)
 class Change:
-    """Coefficients of one material in one configuration: alpha and sigma, (n_bands,)."""
+    """Coefficients of one material in one configuration: alpha and sigma, (n_bands,).
+
+    Raises
+    ------
+    DataError
+        If one of them is not an array of numbers from 0 to 1.
+    """
 
     alpha: Array
     sigma: Array
 
     def __post_init__(self) -> None:
         for name in ("alpha", "sigma"):
-            value = checks.array(f"change: {name}", getattr(self, name))
-            if value.ndim != 1:
-                raise DataError(f"change: {name} has shape {value.shape}; it is (n_bands,)")
-            object.__setattr__(self, name, read_only(value))
+            array = checks.array(f"change: {name}", getattr(self, name))
+            if array.ndim != 1 or not array.size or not ((array >= 0) & (array <= 1)).all():
+                raise DataError(f"change: {name} is not an array (n_bands,) of values from 0 to 1")
+            object.__setattr__(self, name, read_only(array))
 
 
 @checked
@@ -65,6 +71,11 @@ class Configuration:
         m from source to receiver; half the cube root of the volume if not given.
     planned : bool
         Not measured yet: ``measured`` holds placeholders for what will be.
+
+    Raises
+    ------
+    DataError
+        For a value of the wrong kind; the message names place and value.
     """
 
     name: str
@@ -76,14 +87,23 @@ class Configuration:
     planned: bool = False
 
     def __post_init__(self) -> None:
-        checks.instance("configuration: measured", self.measured, Measurement)
-        changes = checks.mapped("configuration: changes", self.changes)
+        where = f'configuration "{text_name("configuration: name", self.name)}"'
+        checks.instance(f"{where}: measured", self.measured, Measurement)
+        changes = checks.mapped(f"{where}: changes", self.changes)
         for material, change in changes.items():
-            checks.instance(f'configuration: changes["{material}"]', change, Change)
+            text_name(f"{where}: changes: material", material)
+            if not isinstance(change, Change):
+                raise DataError(f"{where}: changes[{material!r}] is not a rtcal.discrepancy.Change")
         object.__setattr__(self, "changes", changes)
+        for name in ("suspect_removed", "planned"):
+            checks.flag(f"{where}: {name}", getattr(self, name))
+        if self.air is not None:
+            checks.instance(f"{where}: air", self.air, Air)
         if self.distances is not None:
-            distances = read_only(checks.array("configuration: distances", self.distances))
-            object.__setattr__(self, "distances", distances)
+            distances = checks.array(f"{where}: distances", self.distances)
+            if distances.ndim != 1 or not distances.size or not np.isfinite(distances).all():
+                raise DataError(f"{where}: distances is not an array (n_pairs,) of finite values")
+            object.__setattr__(self, "distances", read_only(distances))
 
     def with_uncertainty(self, stated: Mapping[str, float]) -> Configuration:
         """Return the configuration with uncertainties for the values that state none.

@@ -75,6 +75,8 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     """
     if make is None:
         return CaseModel(case)
+    if not callable(make):
+        raise DataError(f"make = {make!r} is not a function of a room")
     for p in _settled(case)[1]:
         if p.effect.not_in_simulator is not None:
             raise DataError(f"{p.name}: {p.effect.not_in_simulator}")

@@ -22,6 +22,8 @@ from rtcal.discrepancy.engines import ControlRooms, bias_estimates
 from rtcal.discrepancy.features import Observed
 from rtcal.discrepancy.hypotheses import KAPPA, Hypotheses, misfit
 from rtcal.discrepancy.model import FEATURES
+from rtcal.errors import DataError
+from rtcal.support import checks
 from rtcal.support.types import Array
 
 UNKNOWN = "unknown"
@@ -48,6 +50,18 @@ class ModelDiscrepancy:
     bias: Array
     covariance: Array
     engines: tuple[str, ...] = ()
+
+
+def checked_discrepancy(case: Case, discrepancy: object) -> ModelDiscrepancy:
+    """Return a discrepancy of this case's shape; DataError otherwise."""
+    checked = checks.instance("discrepancy", discrepancy, ModelDiscrepancy)
+    n = len(case.configurations) * len(FEATURES) * case.room.n_bands
+    if checked.bias.shape != (n,) or checked.covariance.shape != (n, n):
+        raise DataError(
+            f"discrepancy has a bias of shape {checked.bias.shape}; this case's is ({n},): it is of "
+            "another case"
+        )
+    return checked
 
 
 def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelDiscrepancy:

@@ -29,7 +29,7 @@ from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
 from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
 from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.corrected import corrected_room
-from rtcal.discrepancy.evidence import ModelDiscrepancy
+from rtcal.discrepancy.evidence import ModelDiscrepancy, checked_discrepancy
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import KAPPA
 from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
@@ -216,8 +216,11 @@ def recalibrate(case: Case, discrepancy: ModelDiscrepancy | None = None) -> Reca
     Raises
     ------
     DataError
-        If the room was calibrated on one of the case's T already.
+        If the room was calibrated on one of the case's T already, or ``discrepancy`` is of another
+        case.
     """
+    if discrepancy is not None:
+        checked_discrepancy(case, discrepancy)
     return _calibrated(case, case, discrepancy, exact=False)
 
 

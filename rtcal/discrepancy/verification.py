@@ -192,7 +192,7 @@ class Verification:
 def verify(finding: Finding, case: Case | None = None) -> Verification:
     """Compare the plainly calibrated model with the one that has the named effect.
 
-    Raises DataError where there is no named effect (see `Finding.apply`).
+    Raises DataError where there is no named effect (see `Finding.apply`), or ``case`` differs in shape.
     """
     case = finding.case if case is None else case
     before, after = plain(case), recalibrate(finding.apply(case), finding.discrepancy)

@@ -1,0 +1,90 @@
+"""Control rooms kept in a folder, so that they are simulated once per case.
+
+A file holds the rooms of one engine. Its name is a hash of everything that they depend on: the case,
+the seed, the engine and the version of rtcal. The folder can be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from rtcal.discrepancy.bootstrap import checked_controls, checked_engines
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.engines import ENGINES, ControlRooms, Report, no_report
+from rtcal.errors import DataError
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.files import make_folder, write_bytes
+from rtcal.support.threads import single_threaded_blas
+from rtcal.support.version import __version__
+
+FOLDER = ".rtcal_cache"
+"""Name of the folder beside a case's file; `support.transaction` removes those named ``.rtcal-*``."""
+
+
+@checked
+@single_threaded_blas()
+def cached_control_rooms(
+    case: Case,
+    folder: str | os.PathLike[str],
+    seed: int = 0,
+    engines: Sequence[str] = ("path tracing", "network"),
+    report: Report = no_report,
+) -> tuple[ControlRooms, ...]:
+    """Return the case's control rooms: read from the folder, or simulated and written there.
+
+    A file that cannot be read or written is no error: the rooms are simulated.
+
+    Parameters
+    ----------
+    case : Case
+    folder : path
+    seed, engines, report
+        As for `rtcal.discrepancy.control_rooms`.
+
+    Raises
+    ------
+    DataError
+        For fewer than two engines, or one that rtcal does not have.
+    """
+    checks.whole("seed", seed, 0)
+    where, rooms = checks.path("folder", folder), []
+    for name in checked_engines(engines):
+        path = where / f"{_key(case, seed, name)}.npy"
+        controls = _read(path, case, name)
+        if controls is None:
+            controls = ENGINES[name].run(case, seed, report)
+            _write(path, controls)
+        rooms.append(controls)
+    return tuple(rooms)
+
+
+def _key(case: Case, seed: int, engine: str) -> str:
+    content = json.dumps([case.to_dict(), seed, engine, __version__], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:32]
+
+
+def _read(path: Path, case: Case, engine: str) -> ControlRooms | None:
+    try:
+        errors = np.load(path, allow_pickle=False)
+        return checked_controls(case, [ControlRooms(engine, errors)], least=1)[0]
+    except (OSError, ValueError, EOFError, BadZipFile, DataError, AttributeError):
+        return None
+
+
+def _write(path: Path, controls: ControlRooms) -> None:
+    content = io.BytesIO()
+    np.save(content, controls.errors, allow_pickle=False)
+    try:
+        make_folder(path.parent)
+        write_bytes(path, content.getvalue())
+    except (OSError, DataError):
+        return  # a folder that is read-only
