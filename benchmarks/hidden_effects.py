@@ -3,6 +3,7 @@
     python -m benchmarks.hidden_effects run --folder out      # an hour or so; can be resumed
     python -m benchmarks.hidden_effects table                 # of the stored run, or --folder out
     python -m benchmarks.hidden_effects engines --rooms 40    # leave one engine out
+    python -m benchmarks.hidden_effects numbers --folder out --step 4   # other numbers that decide
     python -m benchmarks.hidden_effects speed --rooms 20      # processor time of each step
     python -m benchmarks.hidden_effects bound --folder out    # what any test could detect at best
     python -m benchmarks.hidden_effects alpha --folder out --rooms 30   # do alpha's intervals hold it?
@@ -36,7 +37,9 @@ from rtcal.discrepancy import (
     Configuration,
     Finding,
     control_rooms,
+    evidence,
     find,
+    hypotheses,
     library,
     recalibrate,
     verify,
@@ -445,6 +448,75 @@ def engines(first: int, rooms: int) -> None:
         print(f"  {name:14} {rate(flags)}")
 
 
+def numbers(folder: str, step: int) -> None:
+    """What becomes of development rooms where a number that decides is another one.
+
+    Every so many rooms of population 0, T20, EDT and T30 in one configuration.
+    """
+    load(0)
+    common = evidence.COMMON_UNCERTAINTY
+    settings: list[tuple[Any, str, Any]] = [(evidence, "INFLATION", evidence.INFLATION)]
+    settings += [(evidence, "SHRINKAGE", x) for x in (0.2, 0.8)]
+    settings += [(evidence, "INFLATION", x) for x in (1.0, 1.5)]
+    settings += [(hypotheses, "KAPPA", hypotheses.KAPPA * x) for x in (0.5, 2.0)]
+    settings += [
+        (hypotheses, "SHAPE_CHANGE", tuple((f, x * s) for f, s in hypotheses.SHAPE_CHANGE))
+        for x in (0.5, 2.0)
+    ]
+    settings += [
+        (evidence, "COMMON_UNCERTAINTY", {k: x * v for k, v in common.items()}) for x in (0.5, 2.0)
+    ]
+    settings += [
+        (evidence, "UNKNOWN_SIZES", tuple(x * s for s in evidence.UNKNOWN_SIZES))
+        for x in (0.5, 2.0)
+    ]
+    settings += [
+        (evidence, "UNKNOWN_FEATURES", (1.0, *(x * s for s in evidence.UNKNOWN_FEATURES[1:])))
+        for x in (0.5, 2.0)
+    ]
+    settings += [(evidence, "UNKNOWN_SMOOTH", x) for x in (0.3, 0.9)]
+    settings += [(evidence, "UNKNOWN_CORRELATION", x) for x in (0.5, 0.9)]
+    rooms = []
+    for index in range(0, len(ROOMS[0]), step):
+        case = Case.from_dict(ROOMS[0][index])
+        controls = first_of(kept_controls(case, Path(folder) / "controls_0" / f"{index}.npz"))
+        rooms.append((TRUTHS[0][index]["seed"][1], one(case), controls))
+        print(f"\r{index}/{len(ROOMS[0])}", end="", flush=True)
+    print(
+        "\n                                flagged  detected  right name  among candidates  unknown"
+    )
+    for module, name, value in settings:
+        chosen = getattr(module, name)
+        setattr(module, name, value)
+        count: Counter[str] = Counter()
+        for kind, case, controls in rooms:
+            observed, _ = observe(case)
+            predicted = predict_hypotheses(case, library())
+            limit = bootstrap_threshold(case, observed, predicted, controls)
+            nats = evaluate(observed, predicted, limit.discrepancy).by_effect()
+            over = {k: float(v - nats[NONE]) for k, v in nats.items() if k != NONE}
+            best = max(over, key=lambda k: over[k])
+            group = "none" if kind == 0 else "unknown" if kind == 13 else "hidden"
+            group = group if kind <= 13 else "other"
+            count[group] += 1
+            if over[best] > limit.value:
+                count[f"{group} found"] += 1
+                count["right"] += group == "hidden" and best == NAMES[kind]
+                count["among"] += (
+                    group == "hidden" and over[NAMES[kind]] > over[best] - CANDIDATE_NATS
+                )
+        setattr(module, name, chosen)
+        cells = (
+            f"{count['none found']}/{count['none']}",
+            f"{count['hidden found']}/{count['hidden']}",
+            f"{count['right']}",
+            f"{count['among']}",
+            f"{count['unknown found']}/{count['unknown']}",
+        )
+        changed = "as chosen" if value == chosen else f"{name} = {value}"
+        print(f"{changed[:60]:60}" + "".join(f"{c:>9}" for c in cells), flush=True)
+
+
 def speed(first: int, rooms: int) -> None:
     """Processor time of each step, rooms with two configurations."""
     load(1)
@@ -674,7 +746,8 @@ def bras(folder: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "what", choices=("run", "table", "store", "engines", "speed", "bound", "alpha", "bras")
+        "what",
+        choices=("run", "table", "store", "engines", "numbers", "speed", "bound", "alpha", "bras"),
     )
     parser.add_argument("data", nargs="?", help="the folder of BRAS' tables")
     parser.add_argument("--folder")
@@ -695,6 +768,8 @@ def main() -> None:
         alpha(given.folder, given.rooms)
     elif given.what == "engines":
         engines(given.first, given.rooms)
+    elif given.what == "numbers":
+        numbers(given.folder, given.step)
     elif given.what == "speed":
         speed(given.first, given.rooms)
     else:

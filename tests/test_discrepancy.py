@@ -20,10 +20,12 @@ from rtcal.discrepancy import (
     Absorber,
     AppliedEffect,
     Case,
+    Change,
     Configuration,
     Effect,
     Threshold,
     find,
+    hypotheses,
     library,
     plan,
     recalibrate,
@@ -283,7 +285,6 @@ def test_the_bias_is_the_mean_of_those_who_can_tell_it_and_of_the_model() -> Non
 
 def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
     case = case_with(np.ones(7))
-    predicted = predict_hypotheses(case, [])
     rng = np.random.default_rng(3)
     lag = np.abs(np.subtract.outer(np.arange(7), np.arange(7)))
     z = rng.standard_normal((4000, 4, 7)) @ np.linalg.cholesky(0.7**lag).T
@@ -294,10 +295,8 @@ def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
             for one in z
         ]
     )
-    free = predict_hypotheses(replace(case, room=case.room.replace(air=rt.Air(20, 50))), [])
-    assert free.alpha_variance.shape == predicted.alpha_variance.shape
     dry = replace(case, room=case.room.replace(air=None))
-    variance = predict_hypotheses(dry, []).alpha_variance[0, 0, :, 0, :]
+    (variance,) = predict_hypotheses(dry, []).alpha_covariance.of(slice(0, 1))
     # 4,000 draws: a variance is known to 2.2 %.
     np.testing.assert_allclose(np.cov(drawn.T) / small**2, variance, rtol=0.12)
 
@@ -751,3 +750,52 @@ def test_the_search_holds_blas_to_one_thread() -> None:
         call()
         assert seen
         assert all(threads == {1} for threads in seen)
+
+
+def test_covariances_of_many_configurations_are_those_of_their_pairs() -> None:
+    # Alone, 3 configurations have their covariances stored; with 40 more, only the factors.
+    case = opened()
+    (c,) = case.configurations
+    change = Change(ALPHA[1] * 1.3, np.full(7, 0.02))
+    several = [replace(c, name=str(i), changes={"b": change} if i == 1 else {}) for i in range(43)]
+    few = predict_hypotheses(replace(case, configurations=several[:3]), [Opening()])
+    many = predict_hypotheses(replace(case, configurations=several), [Opening()])
+    part = slice(1, 4)
+    wanted = few.alpha_covariance.of(part)
+    got = many.alpha_covariance.of(part)
+    assert got.shape == (3, 43 * 7, 43 * 7)
+    np.testing.assert_allclose(got[:, :21, :21], wanted, rtol=1e-12, atol=1e-18)
+    # The changed material is independent of itself elsewhere.
+    assert (wanted[:, :7, 7:14] < wanted[:, :7, 14:]).all()
+    assert (wanted[:, 7:14, :7] < wanted[:, 14:, :7]).all()
+    np.testing.assert_allclose(wanted, wanted.swapaxes(1, 2), rtol=1e-12)
+
+
+def test_hypotheses_predicted_in_parts_are_those_predicted_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case = opened()
+    whole = predict_hypotheses(case, library())
+    monkeypatch.setattr(hypotheses, "_ELEMENTS", 28 * 30)  # 30 at once
+    parts = predict_hypotheses(case, library())
+    assert parts.names == whole.names
+    assert parts.parameters == whole.parameters
+    np.testing.assert_allclose(parts.features, whole.features, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(parts.slopes, whole.slopes, rtol=1e-9, atol=1e-9)
+    every = slice(0, len(whole.names))
+    np.testing.assert_allclose(
+        parts.alpha_covariance.of(every), whole.alpha_covariance.of(every), rtol=1e-9
+    )
+
+
+def test_a_case_too_large_is_refused_before_the_work() -> None:
+    case = opened()
+    (c,) = case.configurations
+    large = replace(case, configurations=[replace(c, name=str(i)) for i in range(48)])
+    for call in (lambda: find(large), lambda: plan(large)):
+        with pytest.raises(DataError, match=r"48 configurations have 1008 values.* at most 1000"):
+            call()
+    fits = replace(large, configurations=large.configurations[:47])
+    hypotheses.check_size(fits, 500)
+    with pytest.raises(DataError, match=r"50001 sets of parameters .* at most 50000"):
+        hypotheses.check_size(case, 50_001)

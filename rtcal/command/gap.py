@@ -191,7 +191,7 @@ def _case(path: str, written: Sequence[str] = ()) -> Case:
 def _find(path: str, case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Finding:
     """Find what the case lacks; control rooms are kept beside its file."""
     from rtcal import discrepancy
-    from rtcal.discrepancy.cache import FOLDER, cached_control_rooms
+    from rtcal.discrepancy.cache import FOLDER
 
     chosen = engines or ("path tracing", "network")
     with bar(0, "room", bar_wanted(quiet)) as shown:
@@ -203,6 +203,4 @@ def _find(path: str, case: Case, engines: tuple[str, ...], seed: int, quiet: boo
             shown.update(1)
 
         folder = Path(path).parent / FOLDER
-        case.require_fresh()
-        controls = cached_control_rooms(case, folder, seed, chosen, report)
-        return discrepancy.find(case, seed=seed, controls=controls)
+        return discrepancy.find(case, seed=seed, engines=chosen, cache=folder, report=report)

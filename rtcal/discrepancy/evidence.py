@@ -20,7 +20,7 @@ from scipy.special import chdtrc
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.engines import ControlRooms, bias_estimates
 from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.hypotheses import KAPPA, Hypotheses, misfit
+from rtcal.discrepancy.hypotheses import Hypotheses, misfit
 from rtcal.discrepancy.model import FEATURES
 from rtcal.errors import DataError
 from rtcal.support import checks
@@ -28,13 +28,20 @@ from rtcal.support.types import Array
 
 UNKNOWN = "unknown"
 
+# Numbers without a study of their own date from the first version of the finder. Others are tried by
+# `python -m benchmarks.hidden_effects numbers`, on every eighth development room (population 0: 10
+# rooms that lack nothing, 15 with an effect, 2 with an unknown one; T20, EDT and T30 in one
+# configuration). As chosen, 0 of 10 are flagged, 12 of 15 detected, 10 of these named rightly, and 2
+# of 2 unknown effects detected.
 COMMON_UNCERTAINTY: Mapping[str, float] = {"edt": 0.018, "t30": 0.006, "c80": 0.5, "g": 0.5}
 """Standard uncertainty of the model common to all bands and configurations, in ln and dB. The scatter
 of one engine does not show it; that between engines does (`hidden_effects engines`)."""
 SHRINKAGE = 0.4
-"""Weight of the diagonal in the model's covariance, which is estimated from few control rooms."""
+"""Weight of the diagonal in the model's covariance, which is estimated from few control rooms. 0.2 and 0.8
+change no count of the development rooms."""
 INFLATION = 1.2
-"""Factor on the model's covariance."""
+"""Factor on the model's covariance. Chosen on development rooms, so that the threshold also holds on an
+engine that it was not estimated from (docs/discrepancy.md); 1.0 and 1.5 change no count there."""
 UNKNOWN_SIZES = (0.03, 0.08, 0.2)
 """Standard deviations of ln T20 that an unknown effect causes."""
 UNKNOWN_FEATURES = (1.0, 0.4, 0.4, 8.0, 8.0)
@@ -114,14 +121,13 @@ def evaluate(
     predicted: Hypotheses,
     discrepancy: ModelDiscrepancy,
     values: Array | None = None,
-    kappa: float = KAPPA,
 ) -> Evidence:
     """Return the evidence of every hypothesis and of an unknown effect.
 
     ``values`` (n_draws, n_used) replace the observed features.
     """
     y = np.atleast_2d(observed.values if values is None else values)
-    likelihood = log_likelihood(observed, predicted, discrepancy, y, kappa)
+    likelihood = log_likelihood(observed, predicted, discrepancy, y)
     mask = observed.used.ravel()
     residual = y - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
     covariance = alpha_covariance(predicted, 0)[np.ix_(mask, mask)]
@@ -137,26 +143,26 @@ def log_likelihood(
     predicted: Hypotheses,
     discrepancy: ModelDiscrepancy,
     values: Array,
-    kappa: float = KAPPA,
 ) -> Array:
     """Return log N(y; y_k + bias, C) of ``values`` (n_draws, n), (n_hypotheses, n_draws), in nats."""
     fixed = _without_alpha(observed, predicted, discrepancy)
     c, f, b = np.nonzero(observed.used)
     centres = predicted.features[:, c, f, b]
     slopes = predicted.slopes[:, c, f, b]
-    count, _, bands = observed.used.shape
-    t20 = c[:, None] * bands + b[:, None] == np.arange(count * bands)  # column of its ln T20
-    variances = predicted.alpha_variance.reshape(-1, count * bands, count * bands)
+    bands = observed.used.shape[2]
+    t20 = c * bands + b  # the row of its ln T20, for each feature
     d = centres - centres[0]
     amount = predicted.features[:, c, 0, b] - predicted.features[0, c, 0, b]
     out = np.empty((len(centres), len(values)))
     # A few hypotheses at a time, so that their covariances stay in the processor's cache.
-    for begin in range(0, len(out), _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
-        jacobian = slopes[part, :, None] * t20
-        covariance = jacobian @ variances[part] @ jacobian.swapaxes(-1, -2)
+    step = max(1, min(_AT_ONCE, _ELEMENTS // (centres.shape[1] + len(values)) ** 2))
+    for begin in range(0, len(out), step):
+        part = slice(begin, begin + step)
+        covariance = predicted.alpha_covariance.of(part)[:, t20[:, None], t20]
+        covariance *= slopes[part, :, None]
+        covariance *= slopes[part, None, :]
         covariance += fixed
-        covariance += misfit(d[part], amount[part], f, kappa)
+        covariance += misfit(d[part], amount[part], f)
         residual = values - (centres[part] + discrepancy.bias[observed.used.ravel()])[:, None]
         out[part] = _log_normal(residual, covariance)
     return out
@@ -175,7 +181,7 @@ def goodness_of_fit(
     d = (predicted.features[i] - predicted.features[0])[c, f, b]
     amount = (predicted.features[i] - predicted.features[0])[c, 0, b]
     covariance = alpha_covariance(predicted, i)[np.ix_(mask, mask)]
-    covariance += _without_alpha(observed, predicted, discrepancy) + misfit(d, amount, f, KAPPA)
+    covariance += _without_alpha(observed, predicted, discrepancy) + misfit(d, amount, f)
     residual = observed.values - predicted.features[i].ravel()[mask] - discrepancy.bias[mask]
     square = float(residual @ np.linalg.solve(covariance, residual))
     return float(np.sqrt(square / len(residual))), float(chdtrc(len(residual), square))
@@ -191,14 +197,15 @@ def _without_alpha(
 
 
 _AT_ONCE = 32  # hypotheses
+_ELEMENTS = 4_000_000  # numbers in an array of covariances: 32 MB
 _LARGE = 1e30
 
 
 def alpha_covariance(predicted: Hypotheses, i: int) -> Array:
     """Return J Sigma J' of one hypothesis, over all features raveled."""
     slopes = predicted.slopes[i]  # (configurations, features, bands)
-    variance = predicted.alpha_variance[i]
     count, kinds, bands = slopes.shape
+    variance = predicted.alpha_covariance.of(slice(i, i + 1)).reshape(count, bands, count, bands)
     full = np.einsum("afk,akbl,bgl->afkbgl", slopes, variance, slopes)
     return np.asarray(full.reshape(count * kinds * bands, -1))
 

@@ -14,11 +14,13 @@ from rtcal.errors import DataError
 from rtcal.support.types import Array
 
 LARGEST_UNCERTAINTY = 0.15
-"""Relative standard uncertainty of T beyond which a band is dropped."""
+"""Relative standard uncertainty of T beyond which a band is dropped: three JND of T (5 % each)."""
 UNSTATED_TIME = 0.03
-"""Relative standard uncertainty of a decay time that states none."""
+"""Relative standard uncertainty of a decay time that states none: twice that of a mean over four
+positions (advice.py). No study; a stated uncertainty replaces it."""
 UNSTATED_LEVEL = 0.5
-"""Standard uncertainty in dB of C80 and G that state none."""
+"""Standard uncertainty in dB of C80 and G that state none: that of a mean over four positions
+(advice.py). No study; a stated uncertainty replaces it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,21 @@ from rtcal.errors import DataError
 from rtcal.support.types import Array
 
 KAPPA = 0.15
-"""Standard deviation of an effect's change, relative to the change that its formula gives."""
+"""Standard deviation of an effect's change, relative to the change that its formula gives. The value is
+that of the prototype; 0.075 and 0.3 change no count of the development rooms (evidence.py)."""
 SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))
 """Standard deviation of ln EDT/T20 and ln T30/T20 per unit of change of ln T20. An absorber stands
-somewhere, so that the field is less even than its formula assumes."""
+somewhere, so that the field is less even than its formula assumes. Chosen on development rooms
+(docs/discrepancy.md): twice these values lose one of 12 detections, half of them change no count."""
 NONE = "none"
+LARGEST_FEATURES = 1000
+"""Values that can be compared. Time grows with their cube: 1000 take minutes (benchmarks/growth.py)."""
+LARGEST_HYPOTHESES = 50_000
+"""Sets of parameters: 12 per material and some 450 more, so that 4000 materials can be stated."""
+_SMALL = 64
+"""Rows of a covariance that is stored in any case."""
+_ELEMENTS = 4_000_000
+"""Numbers in an array by hypothesis, configuration, material and band: 32 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +49,7 @@ class Hypotheses:
     features : array (n, n_configurations, n_features, n_bands)
     slopes : array, same shape
         d features / d ln T20.
-    alpha_variance : array (n, n_configurations, n_bands, n_configurations, n_bands)
+    alpha_covariance : AlphaCovariance
         The prior's covariance of ln T20.
     applied_covariance : array (n_all, n_all)
         Covariance over all features, raveled, from the uncertainty of the effects that the model has
@@ -50,7 +61,7 @@ class Hypotheses:
     parameters: tuple[Parameters, ...]
     features: Array
     slopes: Array
-    alpha_variance: Array
+    alpha_covariance: AlphaCovariance
     applied_covariance: Array
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
@@ -70,38 +81,88 @@ def predict_hypotheses(
     base = [state(case, c) for c in case.configurations]
     if grids is None:
         grids = [checked_grid(effect, base[0]) for effect in effects]
-    names: list[str] = [NONE]
-    parameters: list[Parameters] = [{}]
-    states: list[list[State]] = [[unchanged] for unchanged in base]  # by configuration
+    n = 1 + sum(map(len, grids))
+    check_size(case, n)
+    every: list[tuple[Effect | None, Parameters]] = [(None, {})]
     for effect, grid in zip(effects, grids, strict=True):
-        names += [effect.name] * len(grid)
-        parameters += grid
-        for c, unchanged, column in zip(case.configurations, base, states, strict=True):
-            absent = c.suspect_removed and effect.removable
-            column += [unchanged] * len(grid) if absent else changed_states(effect, unchanged, grid)
-    with np.errstate(all="ignore"):  # what is not finite is refused by name
-        predicted = [
-            predict(column, distances(case, c))
-            for c, column in zip(case.configurations, states, strict=True)
+        every += [(effect, theta) for theta in grid]
+    shape = (n, len(base), len(FEATURES), case.room.n_bands)
+    features, slopes = np.empty(shape), np.empty(shape)
+    covariance = AlphaCovariance(case, n)
+    # So many hypotheses at once that the arrays by material stay small.
+    step = max(1, _ELEMENTS // (len(base) * case.room.alpha.size))
+    for begin in range(0, n, step):
+        part = every[begin : begin + step]
+        rows = slice(begin, begin + len(part))
+        states = [
+            _states(part, unchanged, c)
+            for c, unchanged in zip(case.configurations, base, strict=True)
         ]
-    for p in predicted:
-        if not (
-            finite := np.isfinite(p.features).all((1, 2)) & np.isfinite(p.slopes).all((1, 2))
-        ).all():
-            i = int(np.argmin(finite))
-            culprit = "the case's model" if i == 0 else f'effect "{names[i]}" with {parameters[i]}'
-            raise DataError(
-                f"{culprit} has no finite T, C80 and G in a room of {case.room.volume:g} m³ with "
-                f"{case.room.total_area:g} m² of walls"
-            )
+        with np.errstate(all="ignore"):  # values that are not finite get an error by name
+            predicted = [
+                predict(column, distances(case, c))
+                for c, column in zip(case.configurations, states, strict=True)
+            ]
+        features[rows] = np.stack([p.features for p in predicted], axis=1)
+        slopes[rows] = np.stack([p.slopes for p in predicted], axis=1)
+        _check_finite(case, part, features[rows], slopes[rows])
+        covariance.fill(rows, states, predicted)
     return Hypotheses(
-        names=tuple(names),
-        parameters=tuple(parameters),
-        features=np.stack([p.features for p in predicted], axis=1),
-        slopes=np.stack([p.slopes for p in predicted], axis=1),
-        alpha_variance=alpha_variance(case, states, predicted),
+        names=tuple(NONE if effect is None else effect.name for effect, _ in every),
+        parameters=tuple(theta for _, theta in every),
+        features=features,
+        slopes=slopes,
+        alpha_covariance=covariance,
         applied_covariance=_applied_covariance(case),
         effects={e.name: e for e in effects},
+    )
+
+
+def check_size(case: Case, n_hypotheses: int) -> None:
+    """Raise DataError for a case larger than `LARGEST_FEATURES` or `LARGEST_HYPOTHESES`."""
+    room, n = case.room, len(case.configurations)
+    measured = sum(len(set(c.measured.values) & set(FEATURES)) for c in case.configurations)
+    if (size := measured * room.n_bands) > LARGEST_FEATURES:
+        raise DataError(
+            f"{n} configurations have {size} values (parameters and bands); at most "
+            f"{LARGEST_FEATURES} can be compared: leave some out with Case.only"
+        )
+    if n_hypotheses > LARGEST_HYPOTHESES:
+        raise DataError(
+            f"{n_hypotheses} sets of parameters are to be tried in a room of {room.n_materials} "
+            f"materials; at most {LARGEST_HYPOTHESES} can be: state fewer effects or materials"
+        )
+
+
+def _states(
+    part: Sequence[tuple[Effect | None, Parameters]], unchanged: State, configuration: Configuration
+) -> list[State]:
+    """Return the states of hypotheses in one configuration."""
+    states: list[State] = []
+    for effect, members in groupby(part, key=lambda member: member[0]):
+        grid = [theta for _, theta in members]
+        absent = effect is None or (configuration.suspect_removed and effect.removable)
+        if effect is None or absent:
+            states += [unchanged] * len(grid)
+        else:
+            states += changed_states(effect, unchanged, grid)
+    return states
+
+
+def _check_finite(
+    case: Case,
+    part: Sequence[tuple[Effect | None, Parameters]],
+    features: Array,
+    slopes: Array,
+) -> None:
+    finite = np.isfinite(features).all((1, 2, 3)) & np.isfinite(slopes).all((1, 2, 3))
+    if finite.all():
+        return
+    effect, parameters = part[int(np.argmin(finite))]
+    culprit = "the case's model" if effect is None else f'effect "{effect.name}" with {parameters}'
+    raise DataError(
+        f"{culprit} has no finite T, C80 and G in a room of {case.room.volume:g} m³ with "
+        f"{case.room.total_area:g} m² of walls"
     )
 
 
@@ -134,11 +195,11 @@ def _applied_covariance(case: Case) -> Array:
         d = (base - without).reshape(len(case.configurations), len(FEATURES), -1)
         amount = np.broadcast_to(d[:, :1], d.shape).ravel()
         feature = np.broadcast_to(np.arange(len(FEATURES))[:, None], d.shape).ravel()
-        out += misfit(d.ravel(), amount, feature, KAPPA)
+        out += misfit(d.ravel(), amount, feature)
     return out
 
 
-def misfit(d: Array, amount: Array, feature: NDArray[np.intp], kappa: float) -> Array:
+def misfit(d: Array, amount: Array, feature: NDArray[np.intp]) -> Array:
     """Return the covariance of the error of an effect's formula, (..., m, m).
 
     Parameters
@@ -149,10 +210,8 @@ def misfit(d: Array, amount: Array, feature: NDArray[np.intp], kappa: float) -> 
         Change of ln T20 in the same band and configuration.
     feature : int array (m,)
         Rows of `FEATURES`.
-    kappa : float
-        As `KAPPA`.
     """
-    parts = [kappa * d]
+    parts = [KAPPA * d]
     parts += [share * amount * (feature == FEATURES.index(name)) for name, share in SHAPE_CHANGE]
     return _half_common(np.stack(parts, axis=-2))
 
@@ -166,37 +225,52 @@ def _half_common(parts: Array) -> Array:
     return np.asarray(out)
 
 
-def alpha_variance(
-    case: Case, states: Sequence[Sequence[State]], predicted: Sequence[Predicted]
-) -> Array:
-    """Return the prior's covariance of ln T20, (n, n_configurations, n_bands, same, same).
+class AlphaCovariance:
+    """The prior's covariance of ln T20 under each hypothesis.
 
     d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha. A material that a configuration changed is
-    independent of its coefficients elsewhere. ``states`` and ``predicted`` are by configuration.
+    independent of its coefficients elsewhere. Of many materials the covariances are stored, of many
+    configurations their factors: memory grows with neither squared.
     """
-    room = case.room
-    rho = correlation(room.centre_frequencies, room.band_correlation)
-    slope = np.stack(
-        [
-            sensitivities(column) * p.reverberation_time[:, None, :] / (6 * np.log(10))
-            for column, p in zip(states, predicted, strict=True)
-        ],
-        axis=1,
-    )  # (n, configurations, materials, bands)
-    n, count, _, n_bands = slope.shape
-    out = np.zeros((n, count, n_bands, count, n_bands))
-    sigma = np.stack([_sigma(case, c) for c in case.configurations])
-    scaled = slope * sigma
-    for a in range(count):
-        for b in range(count):
-            first, second = case.configurations[a].changes, case.configurations[b].changes
-            shared = np.array(
-                [a == b or (m not in first and m not in second) for m in room.materials],
-                dtype=float,
-            )
-            product = np.swapaxes(scaled[:, a] * shared[:, None], 1, 2) @ scaled[:, b]
-            out[:, a, :, b, :] = product * rho
-    return out
+
+    def __init__(self, case: Case, n: int) -> None:
+        room = case.room
+        self.count, self.n_bands = len(case.configurations), room.n_bands
+        self._rho = correlation(room.centre_frequencies, room.band_correlation)
+        self._sigma = np.stack([_sigma(case, c) for c in case.configurations])
+        changed = [[m in c.changes for m in room.materials] for c in case.configurations]
+        self._changed = np.array(changed)[:, :, None]
+        size = self.count * self.n_bands
+        self._stored = np.empty(
+            (n, size, size)
+            if size <= max(room.n_materials, _SMALL)
+            else (n, self.count, room.n_materials, self.n_bands)
+        )
+
+    def fill(
+        self, rows: slice, states: Sequence[Sequence[State]], predicted: Sequence[Predicted]
+    ) -> None:
+        """Store some hypotheses, from their states and predictions by configuration."""
+        factor = np.empty((len(states[0]), *self._sigma.shape))
+        for c, (column, p) in enumerate(zip(states, predicted, strict=True)):
+            time = p.reverberation_time[:, None, :]
+            factor[:, c] = sensitivities(column) * time / (6 * np.log(10)) * self._sigma[c]
+        self._stored[rows] = factor if self._stored.ndim == 4 else self._covariance(factor)
+
+    def of(self, part: slice) -> Array:
+        """Return the covariance of some hypotheses over configurations and bands, (n, size, size)."""
+        stored = self._stored[part]
+        return self._covariance(stored) if stored.ndim == 4 else stored
+
+    def _covariance(self, factor: Array) -> Array:
+        n, count, _, n_bands = factor.shape
+        size = count * n_bands
+        common = np.where(self._changed, 0.0, factor).swapaxes(2, 3).reshape(n, size, -1)
+        full = (common @ common.swapaxes(1, 2)).reshape(n, count, n_bands, count, n_bands)
+        own = np.where(self._changed, factor, 0.0)
+        for c in np.flatnonzero(self._changed.any((1, 2))):
+            full[:, c, :, c] += own[:, c].swapaxes(1, 2) @ own[:, c]
+        return np.asarray((full * self._rho[:, None, :]).reshape(n, size, size))
 
 
 def _sigma(case: Case, configuration: Configuration) -> Array:

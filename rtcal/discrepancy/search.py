@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ from rtcal.discrepancy.bootstrap import (
     checked_controls,
     control_rooms,
 )
+from rtcal.discrepancy.cache import cached_control_rooms
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effects import Effect, Parameters, library
 from rtcal.discrepancy.effects.checks import checked_effects
@@ -50,6 +52,7 @@ def find(
     *,
     engines: Sequence[str] = ("path tracing", "network"),
     controls: Sequence[ControlRooms] | None = None,
+    cache: str | os.PathLike[str] | None = None,
     report: Report = no_report,
 ) -> Finding:
     """Find what the case's model lacks.
@@ -67,7 +70,11 @@ def find(
     engines : sequence of str
         At least two simulators that the control rooms go through.
     controls : sequence of ControlRooms, optional
-        Control rooms that were run before.
+        Control rooms that were simulated before.
+    cache : path, optional
+        Folder in which control rooms are kept, as `rtcal.discrepancy.cache` says.
+    report : function, optional
+        Called with an engine's name, the number of finished control rooms and their total.
 
     Returns
     -------
@@ -87,7 +94,10 @@ def find(
     predicted = predict_hypotheses(case, effects)
     if not isinstance(threshold, Threshold):
         if controls is None:
-            controls = control_rooms(case, seed, engines, report)
+            if cache is None:
+                controls = control_rooms(case, seed, engines, report)
+            else:
+                controls = cached_control_rooms(case, cache, seed, engines, report)
         else:
             controls = checked_controls(case, controls)
         bootstrapped = bootstrap_threshold(case, observed, predicted, controls, seed)
