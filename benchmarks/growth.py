@@ -67,9 +67,10 @@ def child(name: str, n_materials: int, n_configurations: int) -> None:
         if name == "find":
             return find(case, controls=controls)
         if n_configurations == 1:
-            return rt.calibrate(room, configurations[0].measured)
+            return rt.calibrate(room, configurations[0].measured, method="soft")
         rooms = [room.replace(name=c.name) for c in configurations]
-        return rt.calibrate(rt.Configurations(rooms), [c.measured for c in configurations])
+        data = [c.measured for c in configurations]
+        return rt.calibrate(rt.Configurations(rooms), data, method="soft")
 
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin = time.process_time()

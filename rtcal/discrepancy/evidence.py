@@ -158,9 +158,8 @@ def log_likelihood(
     step = max(1, min(_AT_ONCE, _ELEMENTS // (centres.shape[1] + len(values)) ** 2))
     for begin in range(0, len(out), step):
         part = slice(begin, begin + step)
-        covariance = predicted.alpha_covariance.of(part)[:, t20[:, None], t20]
-        covariance *= slopes[part, :, None]
-        covariance *= slopes[part, None, :]
+        covariance = predicted.alpha_covariance.of(part).take(t20, 2) * slopes[part, None, :]
+        covariance = covariance.take(t20, 1) * slopes[part, :, None]
         covariance += fixed
         covariance += misfit(d[part], amount[part], f)
         residual = values - (centres[part] + discrepancy.bias[observed.used.ravel()])[:, None]
