@@ -43,7 +43,9 @@ INFLATION = 1.2
 """Factor on the model's covariance. Chosen on development rooms, so that the threshold also holds on an
 engine that it was not estimated from (docs/discrepancy.md); 1.0 and 1.5 change no count there."""
 UNKNOWN_SIZES = (0.03, 0.08, 0.2)
-"""Standard deviations of ln T20 that an unknown effect causes."""
+"""Standard deviations of ln T20 that an unknown effect causes. Half and twice these, half and
+twice the ratios below, 0.3 and 0.9 for the smooth share, and 0.5 and 0.9 for the correlation change no
+count of the development rooms."""
 UNKNOWN_FEATURES = (1.0, 0.4, 0.4, 8.0, 8.0)
 """Standard deviation of each feature that an unknown effect causes, per unit of that of ln T20."""
 UNKNOWN_SMOOTH, UNKNOWN_CORRELATION = 0.6, 0.75
