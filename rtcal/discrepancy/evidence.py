@@ -37,8 +37,8 @@ COMMON_UNCERTAINTY: Mapping[str, float] = {"edt": 0.018, "t30": 0.006, "c80": 0.
 """Standard uncertainty of the model common to all bands and configurations, in ln and dB. The scatter
 of one engine does not show it; that between engines does (`hidden_effects engines`)."""
 SHRINKAGE = 0.4
-"""Weight of the diagonal in the model's covariance, which is estimated from few control rooms. 0.2 and 0.8
-change no count of the development rooms."""
+"""Weight of the diagonal in the model's covariance, which is estimated from few control rooms.
+0.2 and 0.8 change no count of the development rooms."""
 INFLATION = 1.2
 """Factor on the model's covariance. Chosen on development rooms, so that the threshold also holds on an
 engine that it was not estimated from (docs/discrepancy.md); 1.0 and 1.5 change no count there."""
