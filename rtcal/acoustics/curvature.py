@@ -11,10 +11,10 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.support.types import Array
 
 CURVATURE_LIMIT = 10.0
-"""Percent; a curvature above it is far from a straight decay (ISO 3382-2:2008, B.3)."""
+"""Curvature in percent above which a decay is far from straight (ISO 3382-2:2008, B.3)."""
 
 EARLY_LIMIT = 20.0
-"""Percent, four JND: how far EDT may be from T20 in the mean over positions."""
+"""Largest difference of EDT from T20 in percent, in the mean over positions: four JND."""
 
 # Standard deviation of a ratio times sqrt(B T), over 4,000 exponential decays of Gaussian noise
 # (B T = 44 to 355): 0.70 to 0.77 for T30/T20, 2.2 to 2.3 for EDT/T20. Two of them are allowed.

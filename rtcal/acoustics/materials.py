@@ -19,7 +19,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Material:
-    """A material and what is known of it.
+    """A material and its prior.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class CalibrationRecord:
-    """What a calibrated room says of its calibration.
+    """The calibration of a calibrated room.
 
     ``measured`` names the T, band by band, that the coefficients were calibrated to (one name after
     the other where it was done repeatedly): calibrating again on the same would count them twice and

@@ -34,7 +34,7 @@ _OPTIONAL_COLUMNS = ("uncertainty", "standard_deviation", "sources", "receivers"
 
 MAX_BYTES = 2**21
 MAX_CELLS = 2**20
-"""Pairs times bands times parameters that a file may have. It may leave most of them empty."""
+"""Largest number of values in a file, pairs times bands times parameters; most may be empty."""
 
 
 def read(path: str | os.PathLike[str]) -> dict[str, Any]:

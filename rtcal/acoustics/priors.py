@@ -1,4 +1,4 @@
-"""What is known of alpha before measuring: the truncated normal, and where sigma comes from.
+"""The prior of alpha: the truncated normal, and the sources of its sigma.
 
 Which sigma to state:
 

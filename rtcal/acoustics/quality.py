@@ -77,7 +77,7 @@ class Plausibility:
 
     @property
     def agreement(self) -> Agreement | None:
-        """What the p-value says: see `agreement`."""
+        """The agreement that the p-value shows: see `agreement`."""
         return agreement(self.p_value)
 
 

@@ -1,4 +1,4 @@
-"""Materials, surfaces and the room: what is known of a room before it is measured."""
+"""The room: its stated materials, surfaces, volume and air, before the measurement."""
 
 from __future__ import annotations
 

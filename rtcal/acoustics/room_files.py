@@ -59,7 +59,7 @@ from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
 MAX_BYTES = 2**18
-"""Bytes that a room's file may have: thirty times a usual one."""
+"""Largest size of a room's file in bytes: thirty times a usual one."""
 MAX_ENTRIES = {"material": 500, "surface": 5000, "correlation": 5000}
 
 _AIR = tuple(f.name for f in fields(Air))

@@ -30,7 +30,7 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Assembler:
-    """What stays the same between the solves of one compiled problem."""
+    """The data common to all solves of one compiled problem."""
 
     layout: Layout
     equation: LinearEquation

@@ -113,12 +113,12 @@ class CompiledQP:
 
     @property
     def size(self) -> int:
-        """How many variables the compiled problem has, helper variables included."""
+        """Number of variables of the compiled problem, helper variables included."""
         return self._size
 
     @property
     def column(self) -> int:
-        """Where the unknown begins among the compiled variables."""
+        """Index of the first unknown among the compiled variables."""
         return int(self._program.var_id_to_col[self.x.id])
 
     def matrices(self) -> Matrices:

@@ -118,7 +118,7 @@ class Configurations:
 
     @cached_property
     def areas(self) -> Array:
-        """m², (n_configurations, n_materials); 0 where a configuration lacks a material."""
+        """Areas in m², (n_configurations, n_materials); 0 where a configuration lacks a material."""
         materials = self.materials
         areas = np.zeros((len(self.rooms), len(materials)))
         for c, room in enumerate(self.rooms):

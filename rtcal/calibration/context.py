@@ -23,7 +23,7 @@ from rtcal.calibration.problem_data import ProblemData
 from rtcal.support.types import Array
 
 _BLOCK = 256
-"""Factors that are compiled together: 2 MB of memory, and few enough blocks to compile quickly."""
+"""Number of factors compiled together: 2 MB of memory, and few enough blocks to compile quickly."""
 
 Coefficients = Callable[[ProblemData], tuple[Array, Array]]
 
@@ -89,7 +89,7 @@ class Context:
 
     @property
     def size(self) -> int:
-        """How many unknowns there are."""
+        """Number of unknowns."""
         return self.layout.size
 
     def variable(self, size: int) -> Any:

@@ -1,4 +1,7 @@
-"""The compiled problem: filled with a problem's data, solved, polished and certified."""
+"""The compiled problem: filled with a problem's data, solved, polished and certified.
+
+Where the solver fails, the exact dual of a separable problem (`rtcal.calibration.separable`) answers.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +33,12 @@ from rtcal.errors import InfeasibleError, ModelError, SolverError
 from rtcal.support.types import Array
 
 _ACCEPTED = 1e-9
-"""An answer whose certificate is worse than this is not returned: relative primal residual, and
-dual residual and gap in units of the prior's own (a shift of one sigma is 1)."""
+"""Worst certificate with which an answer is returned. The primal residual is relative; dual residual
+and gap are in units of the prior's own (a shift of one sigma is 1)."""
 
 
 _FAR = 1e-3
-"""In sigmas: where polishing moves an answer farther than a solver is off, the terms are checked."""
+"""Shift in sigmas by polishing, larger than a solver's error; above it the terms are checked."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,4 +1,4 @@
-"""What can be reached: checked analytically, before anything is solved."""
+"""Feasibility: check analytically, before solving, that the bounds allow the measured T."""
 
 from __future__ import annotations
 

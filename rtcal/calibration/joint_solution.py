@@ -65,7 +65,7 @@ class JointSolution:
 
     @property
     def certificate(self) -> Certificate:
-        """How far the answer is from the optimum."""
+        """Error bounds of the answer: its distance from the optimum."""
         return self.solution.certificate
 
     @property

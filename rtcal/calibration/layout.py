@@ -1,4 +1,4 @@
-"""What the unknowns of a compiled problem are, and where each one stands."""
+"""The unknowns of a compiled problem and their order."""
 
 from __future__ import annotations
 
@@ -46,22 +46,22 @@ class Layout:
 
     @property
     def n_rows(self) -> int:
-        """How many rows of alpha are unknown."""
+        """Number of unknown rows of alpha."""
         return max(self.rows) + 1
 
     @property
     def n_bands(self) -> int:
-        """How many bands."""
+        """Number of bands."""
         return len(self.centre_frequencies)
 
     @property
     def n_alpha(self) -> int:
-        """How many unknowns are absorption coefficients."""
+        """Number of unknowns that are absorption coefficients."""
         return self.n_rows * self.n_bands
 
     @property
     def size(self) -> int:
-        """How many unknowns there are."""
+        """Number of unknowns."""
         return self.n_alpha + len(self.further)
 
     @cached_property

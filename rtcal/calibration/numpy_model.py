@@ -1,4 +1,4 @@
-"""The NumPy model of a whole problem: what the polish and the certificate read instead of cvxpy."""
+"""The NumPy model of a whole problem, which polish and certificate read instead of cvxpy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rtcal.calibration.terms import MatchConstraint, Objective, RowConstraint
 from rtcal.support.types import Array, read_only_view
 
 _DENSE = 500_000
-"""Up to this many coefficients, rows are kept as an array."""
+"""Largest number of coefficients for which the rows are a dense array."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class NumpyModel:
 
     @cached_property
     def entries(self) -> Any:
-        """How many coefficients each row has, (n_rows,)."""
+        """Number of coefficients in each row, (n_rows,)."""
         return np.asarray((self.absolute > 0).sum(axis=1)).ravel()
 
     def gradient(self, u: Array) -> Array:

@@ -25,7 +25,7 @@ _ROUNDING = 1e-13
 _UNBALANCED = 1e3
 """Imbalance of a free unknown, in units of its rounding error, up to which it counts as balanced."""
 _PATIENCE = 8
-"""Rounds without progress before what is reached is left to the certificate."""
+"""Largest number of rounds without progress; then the certificate judges the answer reached."""
 
 
 @dataclass(frozen=True)

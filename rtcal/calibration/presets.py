@@ -37,7 +37,7 @@ METHODS: dict[str, Callable[[PriorDeviation], Calibration]] = {
     "robust": lambda prior: Calibration(HuberDeviation() + SoftMatch(_RELATIVE), []),
     "joint": lambda prior: Calibration(prior + SoftMatch(_RELATIVE), []),
 }
-"""By name.
+"""The calibration methods by name.
 
 ``mle``: the likeliest coefficients that give the measured T (Bellows & Katz 2025, Eq. 19).
 ``lse``: the nearest ones whatever their sigma (Eq. 7).

@@ -44,7 +44,7 @@ each these take 1.5 GB."""
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What is wanted: an objective and constraints, not yet tied to a room.
+    """An objective and constraints, not yet tied to a room.
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ class JointProblem:
         """Return the QP of the measurements, unsolved and unchecked: it may have no answer.
 
         minimise ½ x'Px + q'x  subject to  A x = b (the first n_equal rows), A x <= b (the others);
-        x = (alpha - mu) / sigma. For whoever wants to hold another solver against `solve`.
+        x = (alpha - mu) / sigma. It serves to compare another solver with `solve`.
 
         Raises
         ------

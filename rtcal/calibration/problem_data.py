@@ -1,4 +1,4 @@
-"""The numbers of one calibration: what a compiled problem is filled with before it is solved."""
+"""The numbers of one calibration, with which a compiled problem is filled before each solve."""
 
 from __future__ import annotations
 

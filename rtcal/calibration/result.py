@@ -1,4 +1,4 @@
-"""What a calibration returns: the room, how it was got, and how far to believe it."""
+"""The result of a calibration: the room, its certificate and its plausibility."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class CalibrationResult:
 
     @cached_property
     def _rows(self) -> list[int]:
-        """Where the room's materials stand among those of all configurations."""
+        """Indices of the room's materials among those of all configurations."""
         every = self.joint.materials
         return [every.index(m) for m in self.prior.materials]
 
@@ -110,7 +110,7 @@ class CalibrationResult:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """How far the answer is from the optimum."""
+        """Error bounds of the answer: its distance from the optimum."""
         whole = self.joint.solution.certificate
         return replace(whole, alpha_error_bound=whole.alpha_error_bound[self._rows])
 
@@ -137,7 +137,7 @@ class CalibrationResult:
 
     @cached_property
     def added_absorption(self) -> Array:
-        """What effects add to the room's S'alpha in m², (n_bands,)."""
+        """Absorption area in m² that effects add to the room's S'alpha, (n_bands,)."""
         data = self._problem_data
         sizes = data.further(self.joint.solution.unknowns)
         return np.asarray(data.gains[self.configuration] @ sizes)

@@ -1,4 +1,4 @@
-"""Whether each term's NumPy description agrees with its cvxpy expression.
+"""Check that each term's NumPy description agrees with its cvxpy expression.
 
 The solver sees the expression; polish and certificate see the description. Where an answer does not
 pass, or polishing moved it far, this check tells a wrong term apart from a solver's failure.

@@ -1,4 +1,4 @@
-"""What `rtcal.posterior` and the plausibility take from a solution: densities and derivatives."""
+"""Densities and derivatives of a solution, for `rtcal.posterior` and the plausibility."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all commands share: options, what they print, and how."""
+"""Options and output common to all commands."""
 
 from __future__ import annotations
 

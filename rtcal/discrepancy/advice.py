@@ -204,7 +204,7 @@ class Plan:
 
 
 _MOST = 99.0
-"""Nats beyond which the table has no number: certain by any measure."""
+"""Evidence in nats above which the table shows no number: the distinction is certain."""
 Pairs = list[tuple[str, str]]
 
 

@@ -134,7 +134,7 @@ def bootstrap_threshold(
 
 
 _FEW = 16
-"""Control rooms below which an engine's are not divided."""
+"""Number of an engine's control rooms below which they are not divided."""
 
 
 def _part(controls: ControlRooms, fold: int) -> ControlRooms:

@@ -1,4 +1,4 @@
-"""A case: exactly what a user knows of a room, and what was measured in it."""
+"""A case: the stated data of a room and its measurements."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
 NORMAL_90 = 1.6449
-"""Standard deviations on each side that hold 90 % of a normal distribution."""
+"""Half-width in standard deviations of the interval that holds 90 % of a normal distribution."""
 
 
 @checked

@@ -20,9 +20,9 @@ LEVELS = {"c80": (-30.0, 60.0), "g": (-40.0, 60.0)}
 """Least and most that any room has, in dB. C80: -30, 10 dB under that of T = 120 s (-20); 60, the range
 of a good decay. G: -40, 20 dB under the direct sound alone at 100 m; 60, 20 dB over that at 10 cm."""
 VOLUMES = (1e-3, 1e8)
-"""m³: a scale model of a litre; the largest halls have some 1e7."""
+"""Accepted volumes in m³, from a scale model of a litre; the largest halls have some 1e7."""
 LARGEST_AREA = 1e8
-"""m² of one material."""
+"""Largest area of one material in m²."""
 _OFF_BOX = 0.1
 """Share by which the volume may differ from that of the stated dimensions."""
 

@@ -22,7 +22,7 @@ from rtcal.support.types import Array, read_only
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
 """Parameters that are compared, in the order of a saved case."""
 LEVELS = ("c80", "g")
-"""Those in dB. The uncertainty of the others is relative."""
+"""Parameters in dB. The uncertainty of the other parameters is relative."""
 MAX_UNCERTAINTY = {"time": (1.0, " (relative: 0.02 is 2 %)"), "level": (20.0, " dB")}
 
 _KEYS = ("name", "changes", "suspect_removed", "air", "distances", "distance", "planned")

@@ -100,7 +100,7 @@ class CaseModel:
 
     @property
     def name(self) -> str:
-        """What calibrated coefficients belong to."""
+        """Name of the model to which calibrated coefficients belong."""
         added = "".join(f" with {p.name}" for p in self.case.applied)
         return f"the model of {self.case.room.name}{added}"
 
@@ -158,7 +158,7 @@ class Spread:
 
     @property
     def name(self) -> str:
-        """What calibrated coefficients belong to."""
+        """Name of the model to which calibrated coefficients belong."""
         return self.inner.name + "".join(f" with {p.name}" for p in self.case.applied)
 
     @property

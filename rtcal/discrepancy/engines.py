@@ -93,6 +93,10 @@ def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
 
 
 def _relative(controls: ControlRooms) -> list[int]:
+    """Return the rows of the features whose scatter the engine estimates, but not their mean.
+
+    Control rooms from outside rtcal belong to no engine of `ENGINES`, and estimate every mean.
+    """
     if controls.engine not in ENGINES:
         return []
     return [FEATURES.index(f) for f in ENGINES[controls.engine].relative]

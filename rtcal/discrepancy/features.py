@@ -1,4 +1,4 @@
-"""The features of a case: what was measured, and how uncertain it is."""
+"""The measured features of a case and their uncertainty."""
 
 from __future__ import annotations
 

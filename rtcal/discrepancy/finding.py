@@ -23,7 +23,7 @@ FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
 
 @dataclass(frozen=True)
 class Size:
-    """How much there is of an effect: mean and 90 % interval, in ``unit``."""
+    """Size of an effect: mean and 90 % interval, in ``unit``."""
 
     mean: float
     low: float
@@ -39,9 +39,10 @@ class Finding:
     ----------
     case : Case
     verdict : {"none", "hint", "named", "ambiguous", "unknown"}
-        ``named``: one effect explains the data. ``ambiguous``: the data cannot distinguish those in
-        ``candidates``. ``unknown``: the model lacks something that no effect of the library explains.
-        ``hint``: the evidence is below the threshold, and above half of it.
+        ``named``: the best effect exceeds the threshold, and no other is within
+        `rtcal.discrepancy.search.CANDIDATE_NATS` of it. ``ambiguous``: others are (``candidates``).
+        ``unknown``: the model lacks something that no effect of the library explains. ``hint``: the
+        evidence does not exceed the threshold, but exceeds half of it and 0.5 nats.
     effect : str or None
         The best supported effect, unless the verdict is "none".
     candidates : tuple of str

@@ -1,4 +1,4 @@
-"""What a model predicts of a room in one state.
+"""A model's predictions for a room in one state.
 
 A `State` is everything that the prediction needs. An effect returns another state: with more
 absorption, another volume or equation, a noise floor, or a ``shape`` of its own for the decay.
@@ -22,7 +22,7 @@ _STEPS = 12
 _FROM_ENDS = 1e-6
 """Distance of the mean over the walls from 0 (absolute) and the equation's largest mean (relative)."""
 STEEPEST = 0.98
-"""Coefficient up to which a slope is taken: beyond it, ln T is far from linear in alpha."""
+"""Largest coefficient at which a slope is computed. Above it, ln T is far from linear in alpha."""
 
 
 @dataclass(frozen=True)

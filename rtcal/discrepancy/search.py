@@ -38,8 +38,9 @@ from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 
 CANDIDATE_NATS = 1.1
-"""Nats within which an effect is a candidate beside the best: odds of three to one. Ten to one (2.3)
-holds the truth more often, in sets half as large again: docs/discrepancy.md."""
+"""Evidence in nats by which a candidate may be below the best effect: odds of three to one. With ten to
+one (2.3) the candidates include the truth more often, but are 1.5 times as many
+(docs/discrepancy.md)."""
 
 
 @single_threaded_blas()

@@ -18,7 +18,7 @@ from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.support.types import Array
 
 _NEGLIGIBLE = 8.0
-"""Nats below the best size at which a size is negligible (odds of 3000 to one)."""
+"""Evidence in nats below that of the best size at which a size is negligible (odds of 3000 to one)."""
 
 
 def estimate_size(

@@ -32,9 +32,9 @@ from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
 _WORSE = 0.1
-"""JND by which the mean gap in what alpha cannot absorb may grow before a finding is withdrawn."""
+"""Growth of the mean gap (in JND, where alpha cannot fit it) above which a finding is withdrawn."""
 _SURPRISED = -1.0
-"""Nats below which the bands speak against the effect when each is predicted from the others."""
+"""Evidence in nats below which the bands contradict the effect, each predicted from the others."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Gap:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Verification:
-    """What became of the gap.
+    """The gap before and after the correction.
 
     Attributes
     ----------

@@ -55,7 +55,7 @@ LEAST_BT = 4.0
 
 PARAMETERS = ("edt", "t20", "t30", "c50", "c80", "d50", "ts")
 LEAST_SILENCE = 0.01
-"""s; digital silence at the end of a response is mentioned from here on."""
+"""Duration in s from which a note mentions the digital silence at the end of a response."""
 
 _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for third-octaves
 _NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+)", re.I | re.ASCII)

@@ -29,7 +29,8 @@ MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
 
 VOLUME_LIMITS = (1e-3, 2e7)
-"""m³. A scale model of a litre; the largest building by volume, Boeing's in Everett, has 1.33e7 m³."""
+"""Accepted volumes in m³, from a scale model of a litre. The largest building by volume, Boeing's in
+Everett, has 1.33e7 m³."""
 
 _IGNORED = {
     "vt",

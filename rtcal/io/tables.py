@@ -33,7 +33,7 @@ from rtcal.support.files import read_bytes
 
 MAX_PAIRS = 5000
 MAX_CELL = 60
-"""Characters of a number with its unit. A pattern that takes both apart is slow in longer cells."""
+"""Largest length of a cell in characters; the pattern for number and unit is slow on longer ones."""
 
 _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII

@@ -9,10 +9,10 @@ from pathlib import Path
 from rtcal.errors import DataError
 
 MAX_SAMPLES = 2**22
-"""Samples of all channels of a file."""
+"""Largest number of samples of a file, all channels together."""
 
 MAX_CHANNEL_SAMPLES = 900_000
-"""Samples of a channel: 18 s at 48 kHz."""
+"""Largest number of samples of a channel: 18 s at 48 kHz."""
 
 _FORMATS = {1: (16, 24, 32), 3: (32, 64)}  # PCM and float; 8 bits hold less than a T20 needs
 

@@ -1,4 +1,4 @@
-"""The closed loop between two simulations: what was simulated, and what to simulate next.
+"""The closed loop between two simulations: past steps and the next coefficients.
 
 With the coefficients that give an equation the measured T, a simulator has another T. But the
 simulator's T changes with the equation's target (Bellows & Katz 2025, Sects. 4.2 and 4.3). The loop

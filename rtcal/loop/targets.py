@@ -76,6 +76,7 @@ def next_targets(
             longest,
         )
         halfway = np.sqrt(target[k] * without_t20[k])
+        # Without such a target, NaN makes the comparison False and the proposal stands.
         beyond = (proposed - halfway) * (without_t20[k] - target[k]) > 0
         target[k] = halfway if beyond else proposed
     return target

@@ -1,4 +1,4 @@
-"""What a measurement leaves open: distributions of the coefficients, and their sensitivity to T."""
+"""Posterior distributions of the coefficients, and their sensitivity to T."""
 
 from rtcal.posterior.distributions import Posterior, posterior
 from rtcal.posterior.sensitivities import sensitivity

@@ -104,7 +104,7 @@ def _shared(x: Array, weight: Array) -> Array:
 
 
 def _significant(waves: Waves) -> int:
-    """How many frequencies matter to any sum that leaves two variables out."""
+    """Number of frequencies that matter to any sum without two of the variables."""
     with np.errstate(divide="ignore"):
         size = np.log(np.abs(waves))
     size = np.maximum(size, -700.0)

@@ -13,6 +13,8 @@ g_i the density of the sum of all other variables. Three steps resolve every sca
    the convolution spans the sum of the others only. So a variable a million times wider than the
    others costs no accuracy.
 3. Each density has points of its own, and g_i is interpolated at them.
+
+`rtcal.posterior.tilting` has step 1 and `rtcal.posterior.convolution` steps 2 and 3.
 """
 
 from __future__ import annotations
@@ -95,6 +97,8 @@ def _single_answer(areas: Array, lower: Array, upper: Array, target: float) -> A
     if len(areas) == 1:
         return np.asarray(np.clip(target / areas, lower, upper))
     for end, sign in ((lower, 1), (upper, -1)):
+        # n eps bounds the relative rounding error of a sum of n products (Higham 2002, Sect. 3.1).
+        # The factor 16 is that of `rtcal.calibration.feasibility.end_tolerance`.
         rounding = 16 * len(end) * np.finfo(float).eps * float(np.abs(areas * end).sum())
         if sign * (target - float(areas @ end)) <= rounding:
             return end

@@ -34,7 +34,7 @@ _UNREACHED = 100.0
 """Distance in standard deviations beyond which walls are ignored. The mass of a log-concave density
 beyond it is at most exp(-49), even if the standard deviation is underestimated twofold."""
 _LEAST = 1e-300
-"""Stands for a distance of 0, so that nothing is divided by 0."""
+"""Positive number in place of a distance of 0, so that nothing is divided by 0."""
 _FAR = 25.0
 """Normal tails that begin beyond this are drawn by expansion; its error is 1 / _FAR⁴ = 3e-6."""
 

@@ -15,9 +15,9 @@ from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 MOST_PANELS = 12
-"""Materials that `shifts` draws."""
+"""Largest number of materials that `shifts` draws."""
 _STRONG = 4.0
-"""Standard deviations at which the residual map's colours end."""
+"""Residual in standard deviations at which the colours of the map saturate."""
 _BENT = 0.01
 """The least change of ln EDT/T20 or ln T30/T20 that a drawn decay shows."""
 

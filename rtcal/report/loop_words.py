@@ -1,4 +1,4 @@
-"""What a closed loop comes to, in words and tables."""
+"""The outcome of a closed loop, in words and tables."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
 
 
 def assumed(loop: Loop) -> list[str]:
-    """Return what the loop takes for granted, and what its coefficients are good for."""
+    """Return the assumptions of the loop, and the valid use of its coefficients."""
     equation = (loop.equation or Eyring()).name
     return [
         "The coefficients belong to the simulator that they were calibrated with, to its geometry, its "

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
 MOST_PANELS = 12
-"""Materials that `coefficients` draws; a page has them all in its table."""
+"""Largest number of materials that `coefficients` draws; a page has them all in its table."""
 _COLUMNS = 3
 _NORMAL_90 = 1.6449  # standard deviations on each side that hold 90 % of a normal distribution
 _SHARES = (

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
 MAX_BYTES = 2 * 10**6
-"""Bytes that a page may have."""
+"""Largest size of a page in bytes."""
 MOST_MATERIALS = 100
-"""Materials in the page's table; those that absorb most."""
+"""Largest number of materials in the page's table, which lists those that absorb most."""
 _BANDS_ABREAST = 7
 
 

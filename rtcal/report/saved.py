@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
 MAX_BYTES = 2**25
-"""Bytes that a saved result may have: a hundred times a usual one."""
+"""Largest size of a saved result in bytes: a hundred times a usual one."""
 
 _LARGEST = 1e30  # no quantity of a room comes near; squares of larger ones overflow
 

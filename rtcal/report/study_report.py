@@ -19,7 +19,7 @@ from rtcal.studies.study import Study, Table, analytic_scores, run
 from rtcal.studies.tables import table_csv
 
 AREAS = {"shoebox": list(SHOEBOX), "lecture-hall": list(LECTURE_HALL.values())}
-"""m², of the rooms whose trials are drawn."""
+"""Surface areas in m² of the rooms whose trials are drawn."""
 
 _HEADINGS = {
     "shoebox": "Shoebox, N = 6, V = 105 m³; calibration scores in %; paper: Table 2",

@@ -1,4 +1,4 @@
-"""What a calibration comes to, in words that a client can read."""
+"""The outcome of a calibration, in words that a client can read."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def large_shifts(calibration: Saved) -> tuple[list[Shift], int]:
 
 
 def not_met(calibration: Saved) -> list[str]:
-    """Return what the calibration could not meet, band by band."""
+    """Return the targets that the calibration could not meet, band by band."""
     sentences = [
         f"{text}. The nearest that the bounds allow was taken."
         for text in calibration.record["unreachable"]
@@ -236,7 +236,7 @@ def not_met(calibration: Saved) -> list[str]:
 
 
 def assumed(calibration: Saved) -> list[str]:
-    """Return what the calibration takes for granted."""
+    """Return the assumptions of the calibration."""
     record = calibration.record
     air = record["air"]
     sentences = [
@@ -274,7 +274,7 @@ def _parameters(calibration: Saved) -> str:
 
 
 def composed(calibration: Saved) -> str:
-    """Return what the calibration is composed of: terms and constraints."""
+    """Return the terms and constraints of the calibration."""
     return "; ".join([*calibration.record["objective"], *calibration.record["constraints"]])
 
 

@@ -25,7 +25,7 @@ SHOEBOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 """Faces of a shoebox in order: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
 
 WELD = 1e-4
-"""In m; vertices closer than this are merged, since mesh files round their coordinates."""
+"""Distance in m below which vertices are merged, since mesh files round their coordinates."""
 
 PLANARITY = 2e-3
 """Largest distance in m of a vertex from the plane of its face: two roundings to a millimetre."""

@@ -93,6 +93,7 @@ class Paths:
     first: Array
 
     def __post_init__(self) -> None:
+        # The paths do not depend on alpha, so every simulation reads the same arrays.
         self.direct.setflags(write=False)
         self.first.setflags(write=False)
 

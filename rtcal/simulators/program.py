@@ -23,9 +23,9 @@ from rtcal.support.text import printable
 from rtcal.support.types import Array
 
 KEPT_ERRORS = 2**16
-"""Bytes of a program's error output that are kept: the last ones."""
+"""Number of bytes at the end of a program's error output that are kept."""
 QUOTED_ERRORS = 300
-"""Characters of the last line of error output that a message quotes."""
+"""Number of characters of the last line of error output that a message quotes."""
 MARK = "RTCAL_PROGRAM"
 """Environment variable of a started program. The processes it starts inherit the variable."""
 

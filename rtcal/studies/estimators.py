@@ -56,7 +56,7 @@ def expected_errors(second_moment: Array, q: Array, areas: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Realisation:
-    """What the trials of one realisation share; the calibrations along the first axis of q.
+    """The data common to the trials of one realisation; the calibrations along the first axis of q.
 
     ``q`` (3, n); ``delta`` and ``multiplier`` (3, 2 n), the table of delta(D) = S'(mu - clip(mu - D q,
     0, 1)), increasing; ``least`` and ``most`` (3,), the ends of delta between which the closed form

@@ -16,7 +16,7 @@ SHOEBOX: tuple[float, ...] = (35.0, 35.0, 21.0, 21.0, 15.0, 15.0)
 """Floor and ceiling 7 x 5 m, walls 7 x 3 m and 5 x 3 m; V = 105 m³."""
 
 HALL_VOLUME, HALL_SURFACES, HALL_RATIO = 334.0, 23, 66.6
-"""Of the paper's lecture hall: volume in m³, surfaces, largest to smallest area."""
+"""The paper's lecture hall: volume in m³, number of surfaces, ratio of largest to smallest area."""
 
 LECTURE_HALL: dict[str, float] = {
     # A closed box of 12.5 x 8 x 3.34 m = 334 m³: floor and ceiling 100 m², walls 41.75 and 26.72 m².

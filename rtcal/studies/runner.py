@@ -27,9 +27,9 @@ from rtcal.support.files import make_folder, read_text, write_bytes, write_text
 from rtcal.support.progress import bar as progress_bar
 
 IN_FLIGHT = 64
-"""Pieces that are handed out and not yet taken back: this bounds the memory."""
+"""Largest number of submitted pieces whose results are not yet collected; it bounds the memory."""
 MAX_RECORD = 2**24
-"""Bytes that study.json may have."""
+"""Largest size of study.json in bytes."""
 _MAX_PIECE = 2**20
 _MAX_SUMS = 2**20  # bytes, unpacked; a piece has 226 kB
 

@@ -1,4 +1,4 @@
-"""Text files: read as UTF-8, written whole or not at all."""
+"""Text files: read as UTF-8, written whole or not at all (`rtcal.support.transaction`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rtcal.support import transaction
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     """Return a file's bytes; DataError if it is missing, no regular file, or above ``limit``.
 
-    What an interrupted write left half-way in the folder is put back first.
+    An interrupted write in the folder is undone first.
     """
     try:
         if Path(path).exists() and not Path(path).is_file():

@@ -10,7 +10,7 @@ Row = tuple[str, Sequence[str]]
 """A row of a table: its label, and one cell per column."""
 
 NARROWEST = 80
-"""Characters; a line is no longer than the terminal's, and no terminal is taken to be narrower."""
+"""Smallest terminal width assumed, in characters; lines are no longer than the terminal is wide."""
 
 
 def width() -> int:

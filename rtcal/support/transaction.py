@@ -112,7 +112,7 @@ def held(file: Path) -> Iterator[None]:
 
 
 def recover(folders: Iterable[Path]) -> None:
-    """Put back what an interrupted write left half-way in these folders, and tidy up after it.
+    """Undo an interrupted write in these folders, and delete its staged files.
 
     Raises DataError where that is needed but cannot be done.
     """

@@ -1,4 +1,4 @@
-"""What every reverberation equation has, and the registry that names them."""
+"""The base class of the reverberation equations, and their registry."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 PAPER_SPEED_OF_SOUND = 24 * np.log(10) / 0.164
-"""336.97 m/s: gives the paper's rounded constant 0.164 s/m; only to reproduce its numbers."""
+"""Speed of sound (336.97 m/s) that gives the paper's rounded constant 0.164 s/m. It serves only to
+reproduce the paper's numbers."""
 
 
 @runtime_checkable

@@ -1,4 +1,4 @@
-"""What a calibration is composed of: objective terms and constraints.
+"""The parts of a calibration: objective terms and constraints.
 
 Objective terms add with ``+`` and scale with ``*``. Constraints stand in a list. Each term describes
 itself twice, independently: by an expression for cvxpy, and in plain NumPy. An objective term has

@@ -1,4 +1,4 @@
-"""What a term is: the protocols, and how terms add and scale."""
+"""The protocols of terms, and how terms add and scale."""
 
 from __future__ import annotations
 
@@ -222,7 +222,7 @@ def limited(
 
 
 class LimitedRows(Protocol):
-    """What `limited` asks of a term."""
+    """The protocol of a term that `limited` accepts."""
 
     @property
     def sides(self) -> tuple[bool, bool]:

@@ -1,4 +1,4 @@
-"""How far alpha may stray from what was known: the terms of which a calibration needs one."""
+"""Priors: the terms that measure the shift of alpha from the stated coefficients. One is required."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _deviation(u: Array, data: ProblemData) -> Array:
 
 @dataclass(frozen=True)
 class PriorDeviation(BaseTerm):
-    """½ x'R⁻¹x, x = (alpha - mu) / sigma: stay near what was known, by how well it was known.
+    """½ x'R⁻¹x, x = (alpha - mu) / sigma: half the squared shift from the prior mean in sigmas.
 
     When to use it: always (or `HuberDeviation`); it makes the answer unique. The paper's
     maximum-likelihood estimate (Bellows & Katz 2025, Eq. 19) is this term, independent (R = 1),

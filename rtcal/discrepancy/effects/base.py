@@ -1,4 +1,4 @@
-"""What an effect is, and what several effects share."""
+"""The base class of the effects, and functions that several effects share."""
 
 from __future__ import annotations
 

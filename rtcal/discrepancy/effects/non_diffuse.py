@@ -14,9 +14,9 @@ from rtcal.discrepancy.model import Decay, State, surface_absorption
 from rtcal.support.types import Array
 
 _TERMS = 12
-"""Terms of the decay: a dozen give it to seven digits."""
+"""Number of terms of the decay; a dozen give it to seven digits."""
 _ORDER = 5
-"""Polar angles, and azimuths, of the directions."""
+"""Number of polar angles, and of azimuths, of the directions."""
 
 
 @dataclass(frozen=True)

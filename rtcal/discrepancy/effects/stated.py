@@ -1,4 +1,4 @@
-"""What the room states and may state wrongly: an area, the volume, the equation."""
+"""Effects that contradict the room's data: a wrong area, volume or equation."""
 
 from __future__ import annotations
 
