@@ -146,7 +146,7 @@ def _channels(
     if isinstance(channels, str) and channels != "receivers":
         raise DataError(f'channels = "{channels}" is neither a number nor "receivers"')
     if n_channels == 1:
-        return [(receiver, signal[0])]
+        return [(receiver, signal)]  # no copy
     if channels is None:
         raise DataError(
             f"{place}: {n_channels} channels; state which one to read (channels=1), or that each "
@@ -266,8 +266,11 @@ def of_energy(
     if len(curve) < 10 or not noise >= 0:
         return {}, -np.inf, ("no decay stands out of the noise",)
     level = 10 * np.log10(curve / curve[0])
+    # What lies below every range counts for no regression, and would cost it memory.
+    lowest = min(last for _, last in decay.RANGES.values())
+    in_range = level[: int(np.max(np.flatnonzero(level >= lowest))) + 1]
     times = {
-        p: float(decay.slope_time(level, 1 / sampling_rate, p))
+        p: float(decay.slope_time(in_range, 1 / sampling_rate, p))
         for p, (_, last) in decay.RANGES.items()
         if level[-1] <= last
     }
