@@ -30,8 +30,8 @@ FOLDER = ".rtcal_cache"
 """Name of the folder beside a case's file; `support.transaction` removes those named ``.rtcal-*``."""
 
 
-@checked
 @single_threaded_blas()
+@checked
 def cached_control_rooms(
     case: Case,
     folder: str | os.PathLike[str],
