@@ -14,34 +14,10 @@ import numpy as np
 
 import rtcal as rt
 from rtcal import terms
+from rtcal.acoustics.bands import third_octaves
 from rtcal.calibration.presets import METHODS, preset
 
-THIRDS = [
-    50,
-    63,
-    80,
-    100,
-    125,
-    160,
-    200,
-    250,
-    315,
-    400,
-    500,
-    630,
-    800,
-    1000,
-    1250,
-    1600,
-    2000,
-    2500,
-    3150,
-    4000,
-    5000,
-    6300,
-    8000,
-    10000,
-]
+THIRDS = third_octaves(50, 10_000)
 SIZES = (5, 10, 20, 40, 80, 208)
 COMPOSED = {
     "correlated": lambda: rt.Calibration(terms.PriorDeviation(band_correlation=0.5)),

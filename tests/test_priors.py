@@ -102,28 +102,7 @@ def test_bad_parameters(values, message: str) -> None:
 
 def test_iso_12999_2() -> None:
     """sigma_R = m alpha + n where m or n change; its Table 4 prints U = 2 sigma_R to two digits."""
-    thirds = [
-        63,
-        80,
-        100,
-        125,
-        160,
-        200,
-        250,
-        315,
-        400,
-        500,
-        630,
-        800,
-        1000,
-        1250,
-        1600,
-        2000,
-        2500,
-        3150,
-        4000,
-        5000,
-    ]
+    thirds = third_octaves(63, 5000)
     found = dict(zip(thirds, sigma_iso_12999_2(np.full(20, 0.5), thirds), strict=True))
     by_hand = {63: 0.24, 125: 0.105, 500: 0.04, 1000: 0.035, 2000: 0.0385, 4000: 0.055, 5000: 0.073}
     for band, sigma in by_hand.items():

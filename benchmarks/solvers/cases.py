@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import scipy.sparse as sp
 import rtcal as rt
 from benchmarks.solvers import truth
 from rtcal import terms
+from rtcal.acoustics.bands import third_octaves
 from rtcal.calibration.compiled_qp import WhitenedQP
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.presets import preset
@@ -27,32 +28,7 @@ from rtcal.support.types import Array
 from tests import problems
 
 OCTAVES = [63, 125, 250, 500, 1000, 2000, 4000, 8000]
-THIRDS = [
-    50,
-    63,
-    80,
-    100,
-    125,
-    160,
-    200,
-    250,
-    315,
-    400,
-    500,
-    630,
-    800,
-    1000,
-    1250,
-    1600,
-    2000,
-    2500,
-    3150,
-    4000,
-    5000,
-    6300,
-    8000,
-    10000,
-]
+THIRDS = third_octaves(50, 10_000)
 BRAS = Path(__file__).resolve().parents[3] / "shared" / "data" / "bras"
 """Where the two rooms of BRAS in third-octaves are, if they are (CC BY-SA 4.0; not in the repo)."""
 RUNTIME = 2.0  # s allowed a solve, for the solvers that take a limit
@@ -146,7 +122,9 @@ def _single(
     return Case(name, family, built, times, room, separable)
 
 
-def room_of(n: int, frequencies: list[int], rng: np.random.Generator) -> tuple[rt.Room, Array]:
+def room_of(
+    n: int, frequencies: Sequence[float], rng: np.random.Generator
+) -> tuple[rt.Room, Array]:
     """A random room and T of coefficients drawn from its prior."""
     shape = (n, len(frequencies))
     room = rt.Room(

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -19,17 +18,12 @@ from rtcal.command.console import (
     quiet_option,
     tell,
 )
-from rtcal.errors import DataError
 from rtcal.support.files import spare
 from rtcal.support.transaction import locked
 
-if TYPE_CHECKING:
-    from rtcal.loop.state import Loop
-    from rtcal.support.types import Array
-
 
 def _holding_state(command: Callable[..., None]) -> Callable[..., None]:
-    """Hold the state's folder from reading to writing: two commands at once would lose a step."""
+    """Lock the state's folder from reading to writing: two commands at once would lose a step."""
 
     @functools.wraps(command)
     def held(*, state: str, **arguments: Any) -> None:
@@ -57,7 +51,7 @@ def loop() -> None:
     type=click.Choice(("secant", "safeguarded", "regression")),
     default="safeguarded",
     show_default=True,
-    help="How the next target is found; see docs/closed_loop.md.",
+    help="How the loop chooses the next target; see docs/closed_loop.md.",
 )
 @click.option(
     "--decimals", type=click.IntRange(1), help="Decimals of alpha that the program reads."
@@ -79,17 +73,18 @@ def start(
 ) -> None:
     """Write ROOM (TOML) with the coefficients to simulate first, for MEASURED (CSV).
 
-    A state that holds simulations is not written over: delete it to begin anew.
+    A state that holds simulations is not overwritten: delete it to begin anew.
 
     Example: rtcal loop start room.toml t.csv --state loop.json --out next.toml --decimals 2
     """
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.calibration.measured import times_in_room
+    from rtcal.loop import by_hand
     from rtcal.loop.state import start as begin
 
     spare([state, out], [room, measured])
-    _refuse_progress(state)
+    by_hand.refuse_progress(state)
     data = Measurement.from_file(measured)
     begun = begin(
         Room.from_file(room),
@@ -100,7 +95,7 @@ def start(
         decimals=decimals,
     )
     first = begun.calibrated(begun.wanted)
-    _write(begun, state, out)
+    by_hand.write(begun, state, out)
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
     taken = [p.upper() for p in sorted(set(times_in_room(begun.room, data).parameter)) if p]
     record = {"state": state, "simulate": out, "unreachable": beyond, "measured": taken}
@@ -108,7 +103,7 @@ def start(
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 
-@loop.command(name="next", short_help="Go on: take in what was simulated.")
+@loop.command(name="next", short_help="Go on: read what was simulated.")
 @click.argument("room", type=click.Path())
 @click.argument("simulated", type=click.Path())
 @click.option(
@@ -116,7 +111,9 @@ def start(
 )
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
 @click.option(
-    "--again", is_flag=True, help="Take a table that is the last step's: T depends not on alpha."
+    "--again",
+    is_flag=True,
+    help="Accept a table equal to the last step's: T does not depend on alpha.",
 )
 @json_option
 @quiet_option
@@ -124,54 +121,38 @@ def start(
 def next_(
     room: str, simulated: str, state: str, out: str, again: bool, as_json: bool, quiet: bool
 ) -> None:
-    """Take in what the program SIMULATED (CSV) and write what to simulate next.
+    """Read what the program SIMULATED (CSV) and write what to simulate next.
 
-    ROOM is the file that `start` was given. `rtcal report STATE` shows the path so far, `rtcal loop
+    ROOM is the file that `start` read. `rtcal report STATE` shows the steps so far, `rtcal loop
     back` takes the last step back.
 
     Example: rtcal loop next room.toml simulated.csv --state loop.json --out next.toml
     """
-    from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.quality import explained
     from rtcal.acoustics.room import Room
+    from rtcal.loop import by_hand
     from rtcal.loop.state import Loop
 
     spare([state, out], [room, simulated])
-    going = Loop.load(state, Room.from_file(room))
-    if going.finished:
-        raise DataError(
-            f"{state}: the loop is done, so {simulated} was not taken in; the room that `rtcal loop "
-            "next` wrote last has the coefficients, and `rtcal report` shows the path"
-        )
-    found = Measurement.from_file(simulated)
-    alpha = going.next_alpha
-    _refuse_other_coefficients(alpha, simulated, state, out)
-    if not again and going.repeats(alpha, found):
-        raise DataError(
-            f"{simulated}: the table is the last step's, though alpha changed: was the room that was "
-            "written last simulated? (--again takes it all the same)"
-        )
-    try:
-        going = going.record(alpha, found)
-    except DataError as error:
-        raise DataError(f"{simulated}: {error}") from error
-    _write(going, state, out)
-    finished, frequencies = going.finished, going.room.centre_frequencies
-    said = ["not yet" if s == "not converging" and not finished else s for s in going.status]
+    before = Loop.load(state, Room.from_file(room))
+    after = by_hand.record(before, simulated, state, out, again=again)
+    by_hand.write(after, state, out)
+    finished, frequencies = after.finished, after.room.centre_frequencies
+    shown = ["not yet" if s == "not converging" and not finished else s for s in after.status]
     lines = [
         f"{frequency:7g} Hz  {'-' if gap != gap else format(gap, '+.2f'):>6} JND  {status}"
-        for frequency, gap, status in zip(frequencies, going.gap, said, strict=True)
+        for frequency, gap, status in zip(frequencies, after.gap, shown, strict=True)
     ]
-    lines += explained(going.trust_marks)
-    lines.append(_end(going, out) if finished else f"Simulate {out} next.")
+    lines += explained(after.trust_marks)
+    lines.append(by_hand.conclusion(after, out) if finished else f"Simulate {out} next.")
     record = {
         "finished": finished,
         "state": state,
         "simulate": out,
         "centre_frequencies": frequencies,
-        "gap_jnd": going.gap,
-        "status": said,
-        "trust_marks": [vars(mark) for mark in going.trust_marks],
+        "gap_jnd": after.gap,
+        "status": shown,
+        "trust_marks": [vars(mark) for mark in after.trust_marks],
     }
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
@@ -186,85 +167,17 @@ def next_(
 @quiet_option
 @_holding_state
 def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
-    """Forget the table that `next` took in last, and write what it should have been simulated with.
+    """Forget the table that `next` read last, and write the room to simulate in its place.
 
     Example: rtcal loop back room.toml --state loop.json --out next.toml
     """
     from rtcal.acoustics.room import Room
+    from rtcal.loop import by_hand
     from rtcal.loop.state import Loop
 
     spare([state, out], [room])
-    going = Loop.load(state, Room.from_file(room)).back()
-    _write(going, state, out)
-    record = {"simulations": len(going.steps), "state": state, "simulate": out}
-    text = f"{len(going.steps)} simulations left in {state}. Simulate {out} next."
+    before = Loop.load(state, Room.from_file(room)).back()
+    by_hand.write(before, state, out)
+    record = {"simulations": len(before.steps), "state": state, "simulate": out}
+    text = f"{len(before.steps)} simulations left in {state}. Simulate {out} next."
     tell(text, record, quiet=quiet, as_json=as_json)
-
-
-def _refuse_other_coefficients(alpha: Array, simulated: str, state: str, out: str) -> None:
-    """Raise DataError where what was simulated belongs to other coefficients, as far as is known.
-
-    The state says what it asked for, the room at ``out`` what was to be simulated, and a table may
-    repeat the room's line "# Coefficients ...".
-    """
-    from rtcal.acoustics.room import Room
-    from rtcal.loop import files
-    from rtcal.support.files import read_text
-
-    asked = files.coefficients_digest(alpha)
-    if files.read(state).get("coefficients", asked) != asked:
-        raise DataError(
-            f"{state}: it asked for other coefficients than this version of rtcal does: take the last "
-            "table back (rtcal loop back) and in again, or begin anew"
-        )
-    stated = re.search(r"^#\s*Coefficients ([0-9a-f]{12})\b", read_text(simulated, 2**21), re.M)
-    if stated is not None and stated[1] != asked:
-        raise DataError(
-            f"{simulated}: it is of the coefficients {stated[1]}; {state} asks for {asked}"
-        )
-    try:
-        there = Room.from_file(out)
-    except DataError:
-        return  # another name than last time, or no room: nothing is known
-    if files.coefficients_digest(there.alpha) != asked:
-        raise DataError(
-            f"{out}: it has other coefficients than {state} asks for, so {simulated} may be of those: "
-            f"rtcal loop back writes what to simulate; or delete {out} if it was not simulated"
-        )
-
-
-def _refuse_progress(state: str) -> None:
-    """Raise DataError instead of overwriting a state that already holds simulations."""
-    from rtcal.loop.state import Loop
-
-    if Path(state).exists() and (n := len(Loop.load(state).steps)):
-        raise DataError(
-            f"{state} holds {n} simulation{'s' * (n > 1)} of a loop: delete it to begin anew, or name "
-            "another state"
-        )
-
-
-def _end(going: Loop, out: str) -> str:
-    """What to do with the last room that is written."""
-    left = len([s for s in going.status if s not in ("converged", "no measured T")])
-    missed = f", but {left} of {going.room.n_bands} bands were not reached" if left else ""
-    return (
-        f"Done{missed}. {out} has the coefficients, those of each band's best step: give it to the "
-        "program a last time."
-    )
-
-
-def _write(going: Loop, state: str, out: str) -> None:
-    """Both files or none: a state without its room would take in what was not simulated."""
-    from rtcal.loop import files
-    from rtcal.support.files import write_all
-
-    room = going.room.replace(alpha=going.next_alpha, calibration=None)
-    digest = files.coefficients_digest(room.alpha)
-    n, of = len(going.steps), f"of the loop in {Path(state).name!r}"
-    note = f"# To simulate: run {n + 1} {of}.\n"
-    if n and going.finished:
-        note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
-    note += f"# Coefficients {digest}.\n"
-    content = files.text({**going.to_dict(), "coefficients": digest})
-    write_all({out: (note + room.to_text()).encode(), state: content.encode()})

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
@@ -24,7 +25,7 @@ from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.discrepancy.states import distances, state, with_applied
 from rtcal.discrepancy.wording import amount
 from rtcal.errors import DataError
-from rtcal.simulators.base import Simulator, check_alpha, run
+from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
@@ -83,8 +84,8 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     return Spread(case, make(_stated(case)))
 
 
-@dataclass(frozen=True, eq=False)
-class CaseModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class CaseModel(RoomSimulator):
     """A case's model as a `Simulator`: T20, EDT, T30, C80 and G of its first configuration."""
 
     case: Case
@@ -101,18 +102,7 @@ class CaseModel:
     @property
     def name(self) -> str:
         """Name of the model to which calibrated coefficients belong."""
-        added = "".join(f" with {p.name}" for p in self.case.applied)
-        return f"the model of {self.case.room.name}{added}"
-
-    @property
-    def materials(self) -> tuple[str, ...]:
-        """Rows of alpha: the stated materials, then the absorbers."""
-        return tuple(self.room.materials)
-
-    @property
-    def centre_frequencies(self) -> Array:
-        """Columns of alpha, in Hz."""
-        return self.room.centre_frequencies
+        return f"the model of {self.case.room.name}{_added(self.case)}"
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Return what the model predicts for alpha (n_materials, n_bands)."""
@@ -140,8 +130,8 @@ class CaseModel:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Spread:
+@dataclass(frozen=True, eq=False, repr=False)
+class Spread(RoomSimulator):
     """A simulator of the stated materials, over whose walls a corrected room's absorbers are spread."""
 
     case: Case
@@ -155,21 +145,16 @@ class Spread:
                 f"{self.inner.name} has the materials {', '.join(self.inner.materials)}; the case "
                 f"has {', '.join(self.case.room.materials)}"
             )
+        if not np.array_equal(self.inner.centre_frequencies, self.case.room.centre_frequencies):
+            raise DataError(
+                f"{self.inner.name} has {bands.span(self.inner.centre_frequencies)}; the case has "
+                f"{bands.span(self.case.room.centre_frequencies)}"
+            )
 
     @property
     def name(self) -> str:
         """Name of the model to which calibrated coefficients belong."""
-        return self.inner.name + "".join(f" with {p.name}" for p in self.case.applied)
-
-    @property
-    def materials(self) -> tuple[str, ...]:
-        """Rows of alpha: the stated materials, then the absorbers."""
-        return tuple(self.room.materials)
-
-    @property
-    def centre_frequencies(self) -> Array:
-        """Columns of alpha, in Hz."""
-        return self.inner.centre_frequencies
+        return f"{self.inner.name}{_added(self.case)}"
 
     @property
     def deterministic(self) -> bool:
@@ -187,6 +172,10 @@ class Spread:
         n = len(self.inner.materials)
         share = self.room.areas[n:] / self.room.total_area
         return run(self.inner, (1 - share.sum()) * alpha[:n] + share @ alpha[n:], seed=seed)
+
+
+def _added(case: Case) -> str:
+    return "".join(f" with {p.name}" for p in case.applied)
 
 
 def _base(case: Case) -> Configuration:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.paths import ScatteringModel
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
+from rtcal.simulators.tracer import Tracer
 from rtcal.support.types import Array
 
 _AXIS_OF_WALL = (0, 0, 1, 1, 2, 2)
@@ -182,6 +184,21 @@ class Setup:
             self.room.dimensions or (), dict(zip(SHOEBOX_WALLS, walls, strict=True))
         )
 
+    @property
+    def positions(self) -> dict[str, Any]:
+        """Arguments common to all simulators: the room, the source and the receivers."""
+        return {"room": self.room, "sources": {"S": self.source}, "receivers": self.receivers}
+
+    @property
+    def traced(self) -> dict[str, Any]:
+        """Arguments common to the tracers."""
+        return {
+            **self.positions,
+            "geometry": self.geometry,
+            "n_batches": 2,
+            "scattering": self.scattering,
+        }
+
 
 Simulation = Callable[[Array, float], Array]
 """Simulate alpha (3, n_bands) for a duration in s: features (n_features, n_bands)."""
@@ -190,34 +207,17 @@ Simulation = Callable[[Array, float], Array]
 def _path_tracing(setup: Setup) -> Simulation:
     """Trace the paths once; other coefficients only change their weights."""
     tracer = PathTracing(
-        geometry=setup.geometry,
-        room=setup.room,
-        sources={"S": setup.source},
-        receivers=setup.receivers,
-        n_paths=_PATHS,
-        n_batches=2,
-        scattering=setup.scattering,
-        scattering_model=setup.scattering_model,
-        workers=1,
+        **setup.traced, n_paths=_PATHS, scattering_model=setup.scattering_model, workers=1
     )
     return _tracer_features(tracer, setup.number + 1)
 
 
 def _rays(setup: Setup) -> Simulation:
     """Trace rays with pyroomacoustics (extra ``geometry``)."""
-    tracer = RayTracing(
-        geometry=setup.geometry,
-        room=setup.room,
-        sources={"S": setup.source},
-        receivers=setup.receivers,
-        n_rays=_RAYS,
-        n_batches=2,
-        scattering=setup.scattering,
-    )
-    return _tracer_features(tracer, setup.seed + setup.number)
+    return _tracer_features(RayTracing(**setup.traced, n_rays=_RAYS), setup.seed + setup.number)
 
 
-def _tracer_features(tracer: PathTracing | RayTracing, seed: int) -> Simulation:
+def _tracer_features(tracer: Tracer, seed: int) -> Simulation:
     def simulate(alpha: Array, duration: float) -> Array:
         energy = tracer.energy(alpha, duration, seed=seed)
         return _features(energy.mean((0, 1)), tracer.bin_width, 400 * np.pi)
@@ -227,12 +227,7 @@ def _tracer_features(tracer: PathTracing | RayTracing, seed: int) -> Simulation:
 
 def _network(setup: Setup) -> Simulation:
     """Run a scattering delay network; its responses begin at the direct sound."""
-    network = ScatteringDelayNetwork(
-        room=setup.room,
-        sources={"S": setup.source},
-        receivers=setup.receivers,
-        sampling_rate=_RATE,
-    )
+    network = ScatteringDelayNetwork(**setup.positions, sampling_rate=_RATE)
     first = [round(d * _RATE / setup.room.speed_of_sound) for d in _distances(setup)]
 
     def simulate(alpha: Array, duration: float) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import decay
+from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, TooShortError
 from rtcal.simulators.base import check_alpha
@@ -187,11 +188,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
         T20 needs two thirds of T.
         """
-        room = self.room
-        exponent = -np.log1p(-np.minimum(room.areas @ alpha / room.total_area, 1 - 1e-9))
-        loss = np.min(room.total_area * exponent + 4 * room.air_attenuation * room.volume)
-        longest = self.longest * room.speed_of_sound
-        t = 24 * np.log(10) * room.volume / max(loss, room.volume / longest) / room.speed_of_sound
+        t = Eyring().time(self.room, self.room.areas @ alpha).max()
         travel = max(n.direct_delay for n in self.networks) / self.sampling_rate
         return float(max(t, 0.1) + travel)
 

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from rtcal.acoustics.equations import Eyring, MeanEquation, Millington, Sabine
 from rtcal.acoustics.room import Room
 from rtcal.discrepancy.effects.base import Effect, Parameters
 from rtcal.discrepancy.model import State
@@ -86,19 +87,22 @@ class WrongFormula(WrongStatement):
 
     name: ClassVar[str] = "formula"
     size: ClassVar[str] = "equation"
-    unit: ClassVar[str] = "0 Sabine, 1 Eyring, 2 Millington"
+    # Kuttruff's is left out: it needs the variance of the path lengths, which no case states.
+    EQUATIONS: ClassVar[Sequence[type[MeanEquation]]] = (Sabine, Eyring, Millington)
+    unit: ClassVar[str] = ", ".join(f"{i} {e.name}" for i, e in enumerate(EQUATIONS))
     neutral: ClassVar[float] = np.nan
     discrete: ClassVar[Sequence[str]] = ("equation",)
     size_error: ClassVar[float] = 0.0
     parameter_values: ClassVar[Mapping[str, Sequence[str]]] = {
-        "equation": ("Sabine's equation", "Eyring's equation", "Millington's equation")
+        "equation": [f"{e.name}'s equation" for e in EQUATIONS]
     }
-    EQUATIONS: ClassVar[tuple[str, ...]] = ("sabine", "eyring", "millington")
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return the equations that the model does not use."""
-        return [{"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e != state.equation]
+        return [
+            {"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e.key != state.equation
+        ]
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room under that equation."""
-        return replace(state, equation=self.EQUATIONS[int(parameters["equation"])])
+        return replace(state, equation=self.EQUATIONS[int(parameters["equation"])].key)
