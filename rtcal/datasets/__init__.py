@@ -7,6 +7,7 @@ from rtcal.support import lazy
 if TYPE_CHECKING:
     from rtcal.datasets import boxes as boxes
     from rtcal.datasets import catalogue as catalogue
+    from rtcal.datasets import examples as examples
     from rtcal.datasets import halls as halls
     from rtcal.datasets.shipped import bras_cr2 as bras_cr2
     from rtcal.datasets.shipped import hidden_room as hidden_room

@@ -148,8 +148,8 @@ def _check_volume(volume: float, unit: float, path: str) -> None:
 
 
 @checked
-def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
-    """Write a room as OBJ in m, whole or not at all; reading it back gives the same room."""
+def text(polyhedron: Polyhedron) -> str:
+    """Return a room as OBJ in m; reading it back gives the same room."""
     for material in polyhedron.materials:
         if not material or material.strip() != material or not material.isprintable():
             raise DataError(f"material {material!r}: a name in an OBJ file is one line of text")
@@ -161,7 +161,13 @@ def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
             rows.append(f"usemtl {material}")
             last = material
         rows.append("f " + " ".join(str(v + 1) for v in face))
-    write_text(path, "\n".join(rows) + "\n")
+    return "\n".join(rows) + "\n"
+
+
+@checked
+def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
+    """Write a room as OBJ in m, whole or not at all."""
+    write_text(path, text(polyhedron))
 
 
 def _corner(token: str, n_vertices: int, place: str) -> int:

@@ -1,0 +1,187 @@
+"""Files to start from: one small project per kind of user, as ``rtcal example`` writes them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.io import wavfile
+
+from rtcal.datasets import halls
+from rtcal.datasets.shipped import path
+from rtcal.errors import DataError
+from rtcal.io import obj
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.arguments import checked
+
+
+@dataclass(frozen=True)
+class Example:
+    """Files of a small project, and the commands that use them.
+
+    Attributes
+    ----------
+    files : mapping of str to bytes
+        Contents by file name.
+    commands : tuple of str
+        Commands to run in the files' folder, in order.
+    """
+
+    files: Mapping[str, bytes]
+    commands: tuple[str, ...]
+
+
+_CALIBRATE = "rtcal calibrate room.toml t.csv --out calibrated"
+_REPORT = "rtcal report calibrated"
+
+
+def _seminar_room() -> dict[str, bytes]:
+    folder = path("bras_cr2")
+    return {
+        "room.toml": (folder / "room.toml").read_bytes(),
+        "t.csv": (folder / "measured.csv").read_bytes(),
+        "SOURCE.md": (folder / "README.md").read_bytes(),
+    }
+
+
+def _room() -> Example:
+    return Example(_seminar_room(), (_CALIBRATE, _REPORT))
+
+
+_RATE = 16_000  # Hz
+_DECAY_TIMES = {125: 1.5, 250: 1.3, 500: 1.1, 1000: 0.95, 2000: 0.85, 4000: 0.75}  # s
+
+
+def _response(rng: np.random.Generator) -> bytes:
+    """Return a WAV file of noise that decays at `_DECAY_TIMES`, octave by octave."""
+    t = np.arange(int(1.5 * _RATE)) / _RATE
+    frequency = np.fft.rfftfreq(t.size, 1 / _RATE)
+    sound = np.zeros(t.size)
+    for centre, decay_time in _DECAY_TIMES.items():
+        in_band = (frequency >= centre / np.sqrt(2)) & (frequency < centre * np.sqrt(2))
+        noise = np.fft.irfft(np.fft.rfft(rng.standard_normal(t.size)) * in_band, t.size)
+        sound += noise * 10 ** (-3 * t / decay_time)
+    stream = io.BytesIO()
+    samples = 0.9 * sound / np.abs(sound).max()
+    wavfile.write(stream, _RATE, np.round(32767 * samples).astype(np.int16))
+    return stream.getvalue()
+
+
+def _responses() -> Example:
+    materials = {wall: "carpet" if wall == "floor" else "plaster" for wall in SHOEBOX_WALLS}
+    box = Polyhedron.shoebox((9, 7, 3.2), materials)
+    rng = np.random.default_rng(1)
+    names = ("S1_R1.wav", "S1_R2.wav", "S2_R1.wav", "S2_R2.wav")
+    return Example(
+        {"room.obj": obj.text(box).encode(), **{name: _response(rng) for name in names}},
+        (
+            "rtcal measure S*.wav --out t.csv",
+            "rtcal import catalogue --mesh room.obj --catalogue carpet=carpet_cotton \\\n"
+            "    --catalogue plaster=rough_concrete --temperature 20 --humidity 45 \\\n"
+            "    --out room.toml",
+            _CALIBRATE,
+            _REPORT,
+        ),
+    )
+
+
+_SIMULATOR = '''"""Calibrate a simulator: change the coefficients until its T20 is the measured one."""
+
+import rtcal as rt
+
+room = rt.Room.from_file("room.toml")
+measured = rt.Measurement.from_file("t.csv")
+tracer = rt.simulators.PathTracing(
+    geometry=rt.io.obj.read("room.obj"),
+    room=room,
+    sources={sources},
+    receivers={receivers},
+)
+result = rt.calibrate_simulator(tracer, room, measured)
+print(result)
+result.room.save("calibrated.toml")
+'''
+
+
+def _simulator() -> Example:
+    hall = halls.lecture_hall()
+    tracer = PathTracing(
+        geometry=hall.geometry,
+        room=hall.room,
+        sources=hall.sources,
+        receivers=hall.receivers,
+    )
+    measured = tracer.simulate(np.clip(1.2 * hall.room.alpha, 0, 1), seed=7)
+    script = _SIMULATOR.format(sources=dict(hall.sources), receivers=dict(hall.receivers))
+    return Example(
+        {
+            "room.toml": hall.room.to_text().encode(),
+            "room.obj": obj.text(hall.geometry).encode(),
+            "t.csv": measured.to_text().encode(),
+            "calibrate.py": script.encode(),
+        },
+        ("python calibrate.py",),
+    )
+
+
+_OPTIMISATION = '''"""Compose a calibration of terms, solve it, and read its certificate."""
+
+import rtcal as rt
+from rtcal import terms
+
+room = rt.Room.from_file("room.toml")
+measured = rt.Measurement.from_file("t.csv")
+calibration = rt.Calibration(
+    objective=terms.PriorDeviation() + terms.SoftMatch(relative=0.05),
+    constraints=[terms.Bounds(0.01, 1), terms.AtMost("concrete", "ceiling", band=250)],
+)
+problem = calibration.build(room)  # compiled once, solved as often as you like
+for solver in ("clarabel", "osqp"):
+    result = problem.solve(measured, solver=solver)
+    print(solver, result.alpha[:, 2].round(4))
+print(result.certificate)
+'''
+
+
+def _optimisation() -> Example:
+    files = {**_seminar_room(), "compose.py": _OPTIMISATION.encode()}
+    return Example(files, ("python compose.py",))
+
+
+def _missing_effect() -> Example:
+    return Example(
+        {"case.json": path("hidden_room/case.json").read_bytes()},
+        ("rtcal gap find case.json", "rtcal gap report case.json --out gap"),
+    )
+
+
+_EXAMPLES: Mapping[str, Callable[[], Example]] = {
+    "room": _room,
+    "responses": _responses,
+    "simulator": _simulator,
+    "optimisation": _optimisation,
+    "missing-effect": _missing_effect,
+}
+NAMES = tuple(_EXAMPLES)
+
+
+@checked
+def example(name: str) -> Example:
+    """Return the example of this name, one of `NAMES`.
+
+    Raises
+    ------
+    DataError
+        If there is none of this name.
+
+    Examples
+    --------
+    >>> example("room").commands
+    ('rtcal calibrate room.toml t.csv --out calibrated', 'rtcal report calibrated')
+    """
+    if name not in _EXAMPLES:
+        raise DataError(f'example "{name}" is none of {", ".join(NAMES)}')
+    return _EXAMPLES[name]()

@@ -1,0 +1,77 @@
+"""`rtcal example`: every command that it prints runs, in the folder that it wrote."""
+
+from __future__ import annotations
+
+import glob
+import runpy
+import shlex
+from pathlib import Path
+
+import pytest
+
+from rtcal.command.example import _PURPOSES
+from rtcal.command.main import main
+from rtcal.datasets import examples
+from rtcal.errors import DataError
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    return int(stop.value.code or 0)
+
+
+def run_line(line: str) -> None:
+    words = [w for word in shlex.split(line) for w in (sorted(glob.glob(word)) or [word])]
+    if words[0] == "python":
+        runpy.run_path(words[1], run_name="__main__")
+    else:
+        assert run(*words[1:]) == 0, line
+
+
+@pytest.mark.parametrize("name", [n for n in _PURPOSES if n != "missing-effect"])
+def test_the_printed_commands_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for library in ("pyfar", "pyrato", "pyroomacoustics", "jinja2", "matplotlib"):
+        pytest.importorskip(library)
+    monkeypatch.chdir(tmp_path)
+    assert run("example", name) == 0
+    printed = capsys.readouterr().out
+    shown = printed.split("Next:\n")[1].replace("\\\n", " ")
+    lines = [line.strip() for line in shown.strip().splitlines()]
+    assert lines[0] == f"cd {name}"
+    monkeypatch.chdir(tmp_path / name)
+    for line in lines[1:]:
+        run_line(line)
+    if name == "simulator":
+        text = capsys.readouterr().out
+        assert "converged" in text
+        assert "not con" not in text  # neither "not converging" nor "not confirmed"
+    if "rtcal report calibrated" in lines:
+        assert Path("calibrated/report.html").exists()
+
+
+def test_the_case_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("example", "missing-effect", "-q") == 0
+    assert run("gap", "plan", "missing-effect/case.json") == 0
+
+
+def test_nothing_is_written_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "t.csv").write_text("mine")
+    assert run("example", "room", "--out", str(tmp_path)) == 2
+    assert "t.csv exists" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["t.csv"]
+    assert (tmp_path / "t.csv").read_text() == "mine"
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(DataError, match='example "church" is none of room, responses'):
+        examples.example("church")
+
+
+def test_the_command_offers_every_example() -> None:
+    assert tuple(_PURPOSES) == examples.NAMES
