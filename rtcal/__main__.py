@@ -1,4 +1,4 @@
-"""The script ``rtcal`` and ``python -m rtcal``: the command. Ctrl-C is quiet while it loads, too."""
+"""The script ``rtcal`` and ``python -m rtcal``. Ctrl-C prints no traceback, also while they load."""
 
 from __future__ import annotations
 

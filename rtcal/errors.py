@@ -1,4 +1,4 @@
-"""What can go wrong, by what the user can do about it.
+"""Typed errors, classified by what the user can do about them.
 
 ``DataError``: mend the input.  ``ModelError``: mend the model.  ``InfeasibleError``: no absorption
 coefficients within the bounds give what was asked.  ``SolverError``: the solver failed on a sound
@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 class RtcalError(Exception):
     """Base of every error that rtcal raises on purpose.
 
-    ``bands`` are the columns of alpha that have no T, where others have one; see `of_bands`.
+    ``bands`` are the indices of the bands concerned, if the error concerns only some; see `of_bands`.
     ``loop`` is the `rtcal.loop.Loop` with its steps so far, if the error ended
     `rtcal.calibrate_simulator`.
     """
@@ -33,7 +33,7 @@ class TooShortError(DataError):
 
 
 class ModelError(RtcalError):
-    """The model cannot be calibrated as it was put together."""
+    """The model, as composed of terms and constraints, cannot be calibrated."""
 
 
 class TermError(ModelError):

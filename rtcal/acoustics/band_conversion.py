@@ -7,9 +7,9 @@ An octave consists of its three thirds, each with the same weight:
   absorption area.
 - C50 and C80 average as the early share of the energy, D50 and Ts as they are, G as energy.
 
-A third takes the value of its octave: nothing more is known of it, and the thirds average to the
-octave again. An octave with a missing value in one of its thirds is missing. An octave without all
-of its three thirds is refused.
+A third takes the value of its octave, so that the thirds average to the octave again. An octave
+with a missing value in one of its thirds is missing. An octave without all of its three thirds is
+refused.
 
 Standard deviations follow from what the errors share. The errors of the tabulated coefficients of a
 material are fully correlated within an octave, so sigma averages like alpha. The errors of measured
@@ -81,7 +81,7 @@ def complete_octaves(frequencies: Iterable[float]) -> Array:
 
 
 def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
-    """Return the ``wanted`` bands in Hz that can be had from the bands ``frequencies``.
+    """Return the ``wanted`` bands in Hz that can be converted from the bands ``frequencies``.
 
     Examples
     --------
@@ -151,8 +151,8 @@ def absorption(values: Array, frequencies: Iterable[float], wanted: Iterable[flo
     Raises
     ------
     DataError
-        If an octave lacks one of its thirds, or a third its octave. `complete_octaves` tells which
-        octaves can be had.
+        If an octave lacks one of its thirds, or a third its octave. `complete_octaves` returns
+        the octaves that have all three.
 
     Examples
     --------
@@ -230,8 +230,8 @@ def parameter_uncertainty(
         raise DataError(f"uncertainty has shape {spread.shape}; values has {centre.shape}")
     if columns.to_thirds:
         return np.asarray(np.sqrt(3) * columns.take(spread)[..., 0])
-    one = columns.take(scale.slope(centre) * spread)
-    total = np.sqrt((one**2).sum(-1)) / one.shape[-1]
+    by_third = columns.take(scale.slope(centre) * spread)
+    total = np.sqrt((by_third**2).sum(-1)) / by_third.shape[-1]
     return np.asarray(total / np.abs(scale.slope(_averaged(scale, centre, columns))))
 
 
@@ -291,13 +291,13 @@ def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
 def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) -> Measurement:
     """Return the measurement in exactly the ``wanted`` bands, with missing values where it has none.
 
-    The one rule for what is measured in other bands than the room's: bands of the same width are
-    selected, others are converted by `measurement`.
+    Bands of the room's width are selected, others are converted by `measurement`. Everything that
+    compares a measurement with a room uses this rule.
 
     Raises
     ------
     DataError
-        If none of the bands can be had.
+        If no band can be selected or converted.
     """
     centres = bands.as_bands(wanted)
     possible = obtainable(measured.centre_frequencies, centres)
@@ -333,10 +333,10 @@ def _scale(name: str) -> _Scale:
 
 
 def _averaged(scale: _Scale, values: Array, columns: _Columns) -> Array:
-    taken = columns.take(checks.array("values", values))
-    if taken.shape[-1] == 1:
-        return taken[..., 0]
-    return np.asarray(scale.inverse(scale.forward(taken).mean(-1)))
+    parts = columns.take(checks.array("values", values))
+    if parts.shape[-1] == 1:
+        return parts[..., 0]
+    return np.asarray(scale.inverse(scale.forward(parts).mean(-1)))
 
 
 class _Columns:

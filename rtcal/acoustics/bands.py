@@ -50,9 +50,9 @@ THIRD_OCTAVES: tuple[float, ...] = (
 """Nominal third-octave centre frequencies in Hz."""
 
 # Exact base-ten centres differ from the nominal ones by at most 1 % (1584.9 Hz is called 1600 Hz),
-# and neighbouring thirds by 26 %, so this tells them apart with room to spare.
+# and neighbouring thirds by 26 %, so 1.5 % separates them.
 _TOLERANCE = 0.015
-_LOWEST = 20.0  # Hz; the lowest band that is heard, and above the highest one in kHz
+_LOWEST = 20.0  # Hz, the limit of hearing. Frequencies in kHz, at most 20, lie below
 
 
 @checked
@@ -94,7 +94,7 @@ def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ..
 
 @checked
 def label(frequency: float) -> str:
-    """Return the band's name as it stands in tables and messages.
+    """Return the band's name in tables and messages.
 
     Examples
     --------
@@ -106,7 +106,7 @@ def label(frequency: float) -> str:
 
 @checked
 def span(frequencies: Sequence[float] | Array) -> str:
-    """Return how many bands there are and from where to where, for a sentence.
+    """Return the number of bands with the first and the last, as part of a sentence.
 
     Examples
     --------
@@ -129,10 +129,10 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
         are below 20 Hz, as if in kHz.
     """
     try:
-        given = [float(v) for v in frequencies]
+        stated = [float(v) for v in frequencies]
     except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{place}: {error}; a band is a number in Hz") from error
-    f = np.array([nominal(v) if v > 0 else v for v in given])
+    f = np.array([nominal(v) if v > 0 else v for v in stated])
     if f.ndim != 1 or f.size == 0:
         raise DataError(f"{place} is empty; at least one band is needed")
     for value in f:
@@ -142,13 +142,13 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
             )
     if f.max() < _LOWEST:
         raise DataError(
-            f"{place} = {', '.join(f'{v:g}' for v in given[:8])} looks like kHz; a centre frequency "
+            f"{place} = {', '.join(f'{v:g}' for v in stated[:8])} looks like kHz; a centre frequency "
             f"is in Hz, and at least one is {_LOWEST:g} Hz or more"
         )
     for i, (below, above) in enumerate(itertools.pairwise(f)):
         if above <= below:
             raise DataError(
-                f"{place} has {label(given[i + 1])} after {label(given[i])}; bands must increase, "
+                f"{place} has {label(stated[i + 1])} after {label(stated[i])}; bands must increase, "
                 "each once (within 1.5 % they are the same nominal band)"
             )
     return f
@@ -194,8 +194,8 @@ def correlation(frequencies: Array, per_octave: float) -> Array:
 def bandwidth_factor(frequencies: Array) -> float:
     """Return bandwidth / centre frequency: 0.71 for octaves, 0.23 for third-octaves.
 
-    Neighbouring bands less than half an octave apart are taken for third-octaves; a single band
-    for an octave, the wider and more common one.
+    Neighbouring bands less than half an octave apart count as third-octaves. A single band counts
+    as an octave, the more common width.
     """
     if len(frequencies) < 2:
         return 0.71

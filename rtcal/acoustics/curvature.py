@@ -1,4 +1,4 @@
-"""Bent decays: where one decay time does not describe the decay of a band."""
+"""Bent decays: bands whose decay is not described by a single decay time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ALLOWED = 2.0
 
 @dataclass(frozen=True)
 class BentDecay:
-    """A band whose decay is not straight: its centre in Hz, and what shows it."""
+    """A band whose decay is not straight: its centre in Hz, and the evidence in words."""
 
     frequency: float
     text: str

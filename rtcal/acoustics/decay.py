@@ -1,8 +1,8 @@
 """Energy decays: decay times, clarity, definition and centre time.
 
 An energy decay is the energy per time bin, from the arrival of the direct sound on: a tracer's
-histogram, or a squared impulse response (one bin a sample). Bins are the last axis; everything
-before it is a batch, and comes back as it was.
+histogram, or a squared impulse response (one bin per sample). Bins are the last axis; results keep
+the shape of the axes before it.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ def decay_curve_db(energy: Array) -> Array:
     """Return the normalised decay curve at the start of each bin, in dB, same shape.
 
     L_k = 10 lg(sum over j >= k of E_j / sum over all of E_j), so that L_0 = 0 (Schroeder 1965).
-    Minus infinity where no energy is left, NaN where there was none at all.
+    Minus infinity where no energy is left, NaN for a decay without energy.
     """
     energy = _checked(energy)
-    # Summed from the end: there the small numbers are, and a difference would lose them.
+    # Summed from the end, where the numbers are small: a difference of large sums would round them.
     left = np.flip(np.cumsum(np.flip(energy, -1), axis=-1), -1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(10 * np.log10(left / left[..., :1]))
@@ -58,9 +58,9 @@ def decay_curve_db(energy: Array) -> Array:
 def cut_off_db(energy: Array) -> Array:
     """Return the level of the energy that the end of the decay cuts off, (...).
 
-    In dB below all the energy there is, extrapolated from the last two quarters A, B of the time:
-    B r / (1 - r), r = B / A. Infinite where the energy does not fall, minus infinity where none is
-    left at the end. A double slope is judged by its late part.
+    In dB relative to the whole energy. It is extrapolated from the energies A and B of the last two
+    quarters of the time: B r / (1 - r), r = B / A. Infinite where the energy does not fall, minus
+    infinity where none is left at the end. A double slope is judged by its late part.
     """
     energy = _checked(energy)
     quarter = energy.shape[-1] // 4
@@ -251,7 +251,7 @@ def measurement(
 def _divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Array]:
     """Energy before and after ``limit`` s; a bin that it divides counts in proportion.
 
-    Both are summed: as a difference the later one would round to less than nothing.
+    Both are summed, since the later energy as a difference could round to a value below 0.
     """
     energy = _checked(energy)
     position = min(checks.positive("limit", limit, "s") / _width(bin_width), energy.shape[-1])

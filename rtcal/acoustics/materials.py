@@ -27,11 +27,11 @@ class Material:
     alpha : sequence (n_bands,)
         Random-incidence absorption coefficients, 0 to 1.
     sigma : sequence (n_bands,)
-        Standard deviation of each coefficient, 0 or more; 0 is known exactly.
+        Standard deviation of each coefficient, 0 or more; 0 for a coefficient that is exact.
     alpha_min : float or sequence (n_bands,)
-        The least coefficient that calibration may give it.
+        Lower bound of the calibrated coefficient.
     scattering : sequence (n_bands,), optional
-        Random-incidence scattering coefficients, 0 to 1 (simulators read them; equations do not).
+        Random-incidence scattering coefficients, 0 to 1; only simulators use them.
     source : str
         Where the coefficients come from.
     """
@@ -70,9 +70,8 @@ class Surface:
 class CalibrationRecord:
     """The calibration of a calibrated room.
 
-    ``measured`` names the T, band by band, that the coefficients were calibrated to (one name after
-    the other where it was done repeatedly): calibrating again on the same would count them twice and
-    is refused.
+    ``measured`` identifies, per band, every T that the coefficients were calibrated to. A second
+    calibration to the same T would count it twice and is refused.
     """
 
     method: str
@@ -83,7 +82,7 @@ class CalibrationRecord:
 
 
 def text_name(place: str, value: object) -> str:
-    """Names are printed and written to files: text without control characters."""
+    """Return a name; DataError unless it is text without control characters."""
     if not isinstance(value, str):
         raise DataError(f"{place} has {value!r}, which is not a text")
     if any(unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") for c in value):
@@ -119,10 +118,10 @@ def rows_of(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) ->
 def stacked(
     surfaces: Sequence[Surface], materials: Sequence[Material], centre_frequencies: Array
 ) -> dict[str, Any]:
-    """Return what surfaces and materials say of a room, as the arguments of `Room`.
+    """Return the arguments of `Room` that surfaces and materials determine.
 
     A material's area is the sum over its surfaces; a material without a surface is left out.
-    Raises DataError for a surface of a material that is not among them.
+    Raises DataError for a surface whose material is not among ``materials``.
     """
     by_name = {m.name: m for m in materials}
     if len(by_name) < len(materials):

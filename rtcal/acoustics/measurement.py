@@ -25,8 +25,8 @@ _ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
 _OPTIONAL = ("pairs", "uncertainty", "standard_deviation", "n_sources", "n_receivers")
 _DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
 MAX_POSITIONS = 12
-"""Source-receiver pairs that count at most in the uncertainty of a mean: as many as the precision
-method of ISO 3382-2:2008, Table 1, asks for."""
+"""Largest number of source-receiver pairs that the uncertainty of a mean counts: the number that the
+precision method of ISO 3382-2:2008, Table 1, requires."""
 
 
 def _mean_text(mean: float, uncertainty: float) -> str:
@@ -65,7 +65,7 @@ class Measurement:
     uncertainty : mapping of str to array (n_pairs, n_bands)
         Stated standard uncertainty of each value, where the measurer knows it.
     n_sources, n_receivers : int, optional
-        Of a summary: how many it was taken over.
+        Of a summary: numbers of sources and receivers that it averages.
 
     Raises
     ------
@@ -111,17 +111,17 @@ class Measurement:
         self._check_summary()
 
     def _checked_pairs(self) -> tuple[tuple[str, str], ...]:
-        found = []
+        checked_pairs = []
         for pair in checks.listed("pairs", self.pairs):
             if len(checks.listed("pairs has a pair that", pair)) != 2:
                 raise DataError(f"pairs has {pair!r}; a pair is (source, receiver)")
             names = tuple(text_name("pairs", name) for name in pair)
             if names[0].startswith("#"):
                 raise DataError(f'pairs has "{names[0]}"; # begins a note in a file')
-            found.append((names[0], names[1]))
-        if repeated := next((p for p in found if found.count(p) > 1), None):
+            checked_pairs.append((names[0], names[1]))
+        if repeated := next((p for p in checked_pairs if checked_pairs.count(p) > 1), None):
             raise DataError(f"pairs has {repeated} twice")
-        return tuple(found)
+        return tuple(checked_pairs)
 
     def _check_summary(self) -> None:
         counts = {"sources": self.n_sources, "receivers": self.n_receivers}
@@ -199,7 +199,7 @@ class Measurement:
     def from_values(
         cls, centre_frequencies: Sequence[float] | Array, **parameters: Sequence[float] | Array
     ) -> Measurement:
-        """Return a measurement of one value a band: ``from_values([500, 1000], t20=[1.9, 2.0])``."""
+        """Return a measurement of one value per band: ``from_values([500, 1000], t20=[1.9, 2.0])``."""
         return cls(
             centre_frequencies=checks.array("centre_frequencies", centre_frequencies),
             values={
@@ -224,10 +224,10 @@ class Measurement:
 
     @checked
     def mean_uncertainty(self, parameter: str) -> Array:
-        """Return the standard uncertainty u of `mean`, (n_bands,), NaN where nothing is known.
+        """Return the standard uncertainty u of `mean`, (n_bands,), NaN where it is unknown.
 
-        Where all of a band's values state their uncertainty, u follows from it: the values' errors
-        are independent. Else, for T20 and T30, u² = max(s² / n_eff, ISO 3382-2's variance), with s
+        If all values of a band state their uncertainty, u follows from it with independent errors.
+        Else, for T20 and T30, u² = max(s² / n_eff, ISO 3382-2's variance), with s
         the standard deviation over pairs. n_eff is the larger of the numbers of sources and
         receivers, since pairs that share a source are not independent. ISO 3382-2:2008, Eqs. 4 and
         5, with N the number of pairs and n = 10.
@@ -247,8 +247,8 @@ class Measurement:
         if parameter not in self.values:
             return mean
         values = self.values[parameter]
-        present = np.isfinite(values)
-        count = np.sum(present, axis=0)
+        measured = np.isfinite(values)
+        count = np.sum(measured, axis=0)
         spread, n_effective, positions = self._spread(parameter)
         n_effective, positions = (np.minimum(n, MAX_POSITIONS) for n in (n_effective, positions))
         variance = np.where(n_effective > 1, spread**2 / np.maximum(n_effective, 1), np.nan)
@@ -257,12 +257,12 @@ class Measurement:
             bandwidth = bands.bandwidth_factor(self.centre_frequencies) * self.centre_frequencies
             iso = a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth)
             variance = np.fmax(variance, iso)
-        found = np.where(count > 0, np.sqrt(variance), np.nan)
+        uncertainty = np.where(count > 0, np.sqrt(variance), np.nan)
         if parameter in self.uncertainty:
-            stated = np.where(present, self.uncertainty[parameter], 0.0)
-            known = np.sqrt(np.sum(stated**2, axis=0)) / np.maximum(count, 1)
-            found = np.where((count > 0) & np.isfinite(known), known, found)
-        return found
+            stated = np.where(measured, self.uncertainty[parameter], 0.0)
+            of_mean = np.sqrt(np.sum(stated**2, axis=0)) / np.maximum(count, 1)
+            uncertainty = np.where((count > 0) & np.isfinite(of_mean), of_mean, uncertainty)
+        return uncertainty
 
     def _spread(self, parameter: str) -> tuple[Array, Array, Array]:
         """Standard deviation over pairs, effective number and number of pairs, each (n_bands,)."""
@@ -276,41 +276,41 @@ class Measurement:
                 np.full(k, float(max(sources, receivers))),
                 np.full(k, float(sources * receivers)),
             )
-        present = np.isfinite(values)
-        effective = np.array([self._effective(present[:, band]) for band in range(k)])
-        count = np.sum(present, axis=0)
-        deviation = np.where(present, values - self.mean(parameter), 0.0)
+        measured = np.isfinite(values)
+        effective = np.array([self._effective(measured[:, band]) for band in range(k)])
+        count = np.sum(measured, axis=0)
+        deviation = np.where(measured, values - self.mean(parameter), 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.where(
                 count > 1, np.sqrt(np.sum(deviation**2, axis=0) / (count - 1)), np.nan
             )
         return spread, effective, count.astype(float)
 
-    def _effective(self, present: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
-        used = [pair for pair, here in zip(self.pairs, present, strict=True) if here]
+    def _effective(self, has_value: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
+        used = [pair for pair, used in zip(self.pairs, has_value, strict=True) if used]
         return float(max(len({s for s, _ in used}), len({r for _, r in used}), 0))
 
     def decay_time(self) -> DecayTime:
         """Return the reverberation time to match: per band T20, else T30, never EDT.
 
-        EDT follows the early sound and the source's directivity, which absorption coefficients
-        must not be bent to.
+        EDT depends on the early sound and the source's directivity, which absorption coefficients
+        must not compensate.
         """
         k = len(self.centre_frequencies)
         mean, uncertainty = np.full(k, np.nan), np.full(k, np.nan)
         parameter = np.full(k, "", dtype="<U3")
-        for name in ("t30", "t20"):  # the later one wins where both are there
+        for name in ("t30", "t20"):  # T20 replaces T30 where both were measured
             value = self.mean(name)
-            here = np.isfinite(value)
-            mean[here] = value[here]
-            uncertainty[here] = self.mean_uncertainty(name)[here]
-            parameter[here] = name
+            measured = np.isfinite(value)
+            mean[measured] = value[measured]
+            uncertainty[measured] = self.mean_uncertainty(name)[measured]
+            parameter[measured] = name
         return DecayTime(
             mean=mean, uncertainty=uncertainty, parameter=tuple(str(p) for p in parameter)
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the measurement as plain values, None where one is missing: what `from_dict` reads."""
+        """Return the measurement as plain values, None where one is missing; see `from_dict`."""
         return {
             "centre_frequencies": json_numbers(self.centre_frequencies),
             "pairs": [list(pair) for pair in self.pairs],
@@ -326,7 +326,7 @@ class Measurement:
     def from_dict(cls, data: Mapping[str, Any]) -> Measurement:
         """Return the measurement of plain values, as `to_dict` gives them.
 
-        Raises DataError for an unknown key, for what is no number, and as `Measurement` does.
+        Raises DataError for an unknown key, for a value that is no number, and as `Measurement` does.
         """
         entries = Entries("", data, ("centre_frequencies", "values"), _OPTIONAL)
         frequencies = entries.array("centre_frequencies", (None,))

@@ -128,9 +128,9 @@ def _cell(cell: Mapping[str, str], column: str, place: str) -> float:
 def of_single_values(
     rows: Mapping[tuple[str, str, str, float], Mapping[str, float]],
 ) -> dict[str, Any]:
-    """Return a measurement as plain values, from single ones by source, receiver, parameter and band.
+    """Return a measurement as plain values, from values by source, receiver, parameter and band.
 
-    Each row has its ``value`` and, where stated, the optional columns of the file; NaN is missing.
+    Each row has ``value`` and those optional columns of the file that it states; NaN is missing.
     """
     frequencies = {f: k for k, f in enumerate(sorted({key[3] for key in rows}))}
     pairs = {pair: i for i, pair in enumerate(dict.fromkeys(key[:2] for key in rows))}

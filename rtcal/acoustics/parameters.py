@@ -18,8 +18,9 @@ UNITS: dict[str, str] = {
 
 DECAY_TIMES = ("t20", "t30", "edt")
 T_LIMITS = (0.01, 120.0)
-"""Least and longest T20 and T30 in s that are accepted. A lined box of a litre has 0.01 s or more. The
-longest known T is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic Wonderland, 2014)."""
+"""Shortest and longest T20 and T30 in s that are accepted. A lined box of a litre has 0.01 s or more.
+The longest published T is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic
+Wonderland, 2014)."""
 LIMITS: dict[str, tuple[float, float, str]] = {
     "c50": (-200.0, 200.0, "is it in dB?"),
     "c80": (-200.0, 200.0, "is it in dB?"),
@@ -27,7 +28,7 @@ LIMITS: dict[str, tuple[float, float, str]] = {
     "ts": (0.0, 10.0, "is it in ms?"),
     "g": (-200.0, 200.0, "is it in dB?"),
 }
-"""Least and most of each other parameter in its unit, and what a value beyond them looks like.
+"""Limits of each other parameter in its unit, and the likely mistake of a value beyond them.
 
 Ts of an exponential decay is T / 13.8: 8.7 s for T = 120 s. C80 of T = 0.03 s is 160 dB."""
 SUMMARY = "*"
@@ -37,7 +38,7 @@ SUMMARY = "*"
 def plausible_time(place: str, seconds: float, parameter: str = "t20") -> None:
     """Raise DataError for a T that no room has: it is most likely in another unit.
 
-    EDT has no lower limit: the direct sound may make it as short as it likes.
+    EDT has no lower limit, since strong direct sound makes it arbitrarily short.
     """
     low, high = T_LIMITS
     if seconds > high or (seconds < low and parameter != "edt"):

@@ -4,9 +4,9 @@ Which sigma to state:
 
 - `TIERS`, the paper's three: 0.01 for a painted wall or linoleum, 0.05 for wood panels or a door,
   0.1 for seats and perforated ceilings (Bellows & Katz 2025, Sect. 4.3.1).
-- `sigma_iso_12999_2`: how far laboratories disagree on one and the same specimen. No handbook value
-  deserves less; for another specimen in another mounting take `in_situ` of it.
-- `sigma_relative`: a share of alpha with a least value.
+- `sigma_iso_12999_2`: the standard deviation between laboratories for the same specimen, which is the
+  least for a handbook value. `in_situ` enlarges it for another specimen in another mounting.
+- `sigma_relative`: a fraction of alpha, with a minimum.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ _DROP = 90.0  # beyond sqrt(mode² + 90) the density is below exp(-45) of its pe
 class TruncatedNormal:
     """The normal distribution of mean mu and standard deviation sigma, cut to [lower, upper].
 
-    Arrays of any common shape. ``mu`` may lie at or beyond the ends. Moments are integrated over the
-    effective support from the mode, so that they keep their digits in the tails, where the closed
-    forms (Bellows & Katz 2025, Eqs. 14 and 31) lose all of them.
+    Arrays of any common shape. ``mu`` may lie at or beyond the ends. Moments are integrated
+    numerically from the mode, since in the tails the closed forms (Bellows & Katz 2025, Eqs. 14 and
+    31) lose all digits to cancellation.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ class TruncatedNormal:
 
     Examples
     --------
-    >>> known = TruncatedNormal(mu=0.05, sigma=0.05)
-    >>> print(known.mean().round(4), known.variance().round(6))
+    >>> prior = TruncatedNormal(mu=0.05, sigma=0.05)
+    >>> print(prior.mean().round(4), prior.variance().round(6))
     0.0644 0.001574
     """
 
@@ -94,8 +94,8 @@ class TruncatedNormal:
     upper: Array | float = 1.0
 
     def __post_init__(self) -> None:
-        given = {"mu": self.mu, "sigma": self.sigma, "lower": self.lower, "upper": self.upper}
-        values = [checks.array(f"truncated normal: {name}", v) for name, v in given.items()]
+        arguments = {"mu": self.mu, "sigma": self.sigma, "lower": self.lower, "upper": self.upper}
+        values = [checks.array(f"truncated normal: {name}", v) for name, v in arguments.items()]
         try:
             values = list(np.broadcast_arrays(*values))
         except ValueError as error:
@@ -138,8 +138,7 @@ class TruncatedNormal:
     def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         """Return draws of shape ``size`` + the parameters' shape, by inversion of the distribution.
 
-        Exact in the tails: it works with logarithms of the probability on the side where both ends
-        are small.
+        Logarithms of the smaller tail's probability keep it exact in the tails.
         """
         from scipy.special import log_ndtr, ndtri_exp
 
@@ -199,8 +198,8 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
     ----------
     alpha : array (..., n_bands)
     centre_frequencies : sequence (n_bands,)
-        Third-octaves from 63 to 5000 Hz, or octaves from 125 to 4000 Hz: there m and n are the means
-        over the three thirds, whose errors are taken as fully correlated.
+        Third-octaves from 63 to 5000 Hz, or octaves from 125 to 4000 Hz. An octave has the means of m
+        and n over its three thirds, whose errors count as fully correlated.
 
     Raises
     ------
@@ -240,7 +239,7 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
 
 
 def in_situ(sigma: Array, factor: float) -> Array:
-    """Return ``factor`` times ``sigma``: another specimen, mounted otherwise, aged and painted.
+    """Return ``factor`` times ``sigma``, for another specimen, mounting, age or paint.
 
     Raises DataError if a sigma is not from 0 to 1, or the factor is not finite and 1 or more.
 

@@ -1,4 +1,4 @@
-"""The room: its stated materials, surfaces, volume and air, before the measurement."""
+"""The room: its stated materials, surfaces, volume and air."""
 
 from __future__ import annotations
 
@@ -53,20 +53,20 @@ class Room:
     areas : array (n_materials,)
         m², above 0.
     alpha : array (n_materials, n_bands)
-        Absorption coefficients as believed now, 0 to 1: the prior before a calibration, the
-        calibrated ones after.
+        Absorption coefficients, 0 to 1: the prior means before a calibration, the calibrated
+        coefficients after it.
     sigma : array (n_materials, n_bands)
-        Their standard deviations, 0 to 1; 0 keeps a coefficient where it is.
+        Their standard deviations, 0 to 1; a coefficient with 0 is not calibrated.
     centre_frequencies : array (n_bands,)
         Hz, increasing; within 1.5 % of a nominal third-octave centre they are made nominal.
     air : Air, optional
         Without it the air absorbs nothing, which is wrong above about 1 kHz.
     alpha_min : array (n_materials, n_bands), optional
-        The least coefficient that calibration may give; 0 if not stated.
+        Lower bounds of the calibrated coefficients; 0 if not stated.
     scattering : array (n_materials, n_bands), optional
         Scattering coefficients, 0 to 1, for simulators.
     surfaces : sequence of Surface
-        The surfaces that the areas are the sums of, where they are known.
+        The single surfaces, if stated: the areas are their sums.
     dimensions : (x, y, z), optional
         Of a shoebox, in m, for simulators.
     sources : mapping of str to str
@@ -158,8 +158,8 @@ class Room:
             if value is not None:
                 put(name, self._checked(name, value, (n, k)))
         if self.dimensions is not None:
-            given = checks.listed("dimensions", self.dimensions)
-            sides = tuple(number("dimensions", side, " m") for side in given)
+            stated = checks.listed("dimensions", self.dimensions)
+            sides = tuple(number("dimensions", side, " m") for side in stated)
             if len(sides) != 3:
                 raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
             put("dimensions", sides)
@@ -195,8 +195,8 @@ class Room:
                     f'above_one = "clip" takes values up to {_LARGEST_LABORATORY_ALPHA:g}, as '
                     "laboratories report them"
                 )
-            found = [f"{self.place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above.tolist()]
-            put("clipped", (*self.clipped, *found))
+            cut = [f"{self.place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above.tolist()]
+            put("clipped", (*self.clipped, *cut))
             put("alpha", np.minimum(alpha, 1.0))
 
     def _check_correlation(self) -> None:
@@ -283,12 +283,12 @@ class Room:
 
     @property
     def n_materials(self) -> int:
-        """How many materials, that is rows of ``alpha``."""
+        """Number of materials, the rows of ``alpha``."""
         return len(self.materials)
 
     @property
     def n_bands(self) -> int:
-        """How many bands, that is columns of ``alpha``."""
+        """Number of bands, the columns of ``alpha``."""
         return len(self.centre_frequencies)
 
     @property
@@ -310,19 +310,19 @@ class Room:
 
     @property
     def speed_of_sound(self) -> float:
-        """c in m/s, of the stated air or else of air at 20 °C."""
+        """c in m/s of the stated air; of air at 20 °C if none is stated."""
         return (self.air or Air()).speed_of_sound
 
     def with_air(self, air: Air | None) -> Room:
-        """Return the room in another climate: calibrated in one, predicted in another.
+        """Return the room in another climate, to predict T there with the same coefficients.
 
-        The coefficients stay; only the air's attenuation and the speed of sound change.
+        Only the air's attenuation and the speed of sound change.
         """
         return self.replace(air=air)
 
     @checked
     def place(self, name: str, material: int, band: int) -> str:
-        """Return how messages name one value: ``alpha["carpet", 500 Hz]``."""
+        """Return the name of one value in messages: ``alpha["carpet", 500 Hz]``."""
         frequency = bands.label(self.centre_frequencies[band])
         return f'{name}["{self.materials[material]}", {frequency}]'
 
@@ -364,9 +364,9 @@ class Room:
     ) -> Room:
         """Return the room whose area per material is the sum over its surfaces.
 
-        Drawing one wall as two polygons changes nothing: the unknown is the material's
-        coefficient. Materials without a surface are left out. Raises DataError as `Room` does, and
-        for a surface of a material that is not given.
+        A wall may be drawn as two polygons, since only the area per material counts. Materials
+        without a surface are left out. Raises DataError as `Room` does, and for a surface whose
+        material is not among ``materials``.
         """
         frequencies = bands.as_bands(centre_frequencies)
         return cls(
@@ -383,7 +383,7 @@ class Room:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the room as plain values for JSON, without what is not stated: see `from_dict`."""
+        """Return the room as plain values for JSON, without fields that are not stated."""
         stated: dict[str, Any] = {
             name: json_numbers(values)
             for name in ("alpha_min", "scattering", "dimensions")

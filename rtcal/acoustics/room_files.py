@@ -12,7 +12,7 @@ One ``[[material]]`` per material::
     humidity = 41.7                     # %
     pressure = 101.325                  # kPa
 
-    [prior]                             # for materials that state no sigma of their own:
+    [prior]                             # for materials that state no sigma:
     relative = 0.3                      # sigma = in_situ_factor * max(relative * alpha, minimum,
     minimum = 0.01                      #                              ISO 12999-2's if asked for)
     iso_12999_2 = true                  # optional: the spread between laboratories as the least
@@ -21,11 +21,11 @@ One ``[[material]]`` per material::
 
     [[material]]
     name = "plaster"
-    area = 34.93                        # m²; or leave it out and give [[surface]]s
+    area = 34.93                        # m²; or leave it out and state [[surface]]s
     alpha = [0.052, 0.052]              # 0 to 1, one per band
     sigma = 0.05                        # optional: one number, one per band, or a degree of
                                         # uncertainty: "low" 0.01, "moderate" 0.05, "high" 0.1
-    alpha_min = 0.01                    # optional: the least that calibration may give
+    alpha_min = 0.01                    # optional: lower bound of the calibrated alpha
     scattering = [0.1, 0.1]             # optional, for simulators
     source = "where alpha comes from"   # optional
 
@@ -210,9 +210,8 @@ def _correlation(place: str, data: Any) -> tuple[tuple[str, str], float]:
 def _dimensions(room: Entries) -> Array:
     stated = room.values["dimensions"]
     if not isinstance(stated, list | tuple) or len(stated) != 3:
-        said = str(stated)[:40]
         raise DataError(
-            f"{room.place}dimensions = {said} is not the three lengths of a shoebox in m"
+            f"{room.place}dimensions = {str(stated)[:40]} is not the three lengths of a shoebox in m"
         )
     return room.array("dimensions", (3,))
 
@@ -254,7 +253,7 @@ def _material(
 
 
 def _prior_sigma(prior: Entries, alpha: Array, frequencies: Array) -> Array:
-    """Return sigma by the file's rule, for materials that state none of their own."""
+    """Return sigma by the file's [prior], for materials that state none."""
     sigma = sigma_relative(
         alpha,
         prior.number("relative", 0.0, _PRIOR_LIMITS),

@@ -37,16 +37,16 @@ class Assembler:
     objective: Objective
     boxes: tuple[BoundConstraint, ...]
     prior: int
-    """Which objective term is the prior."""
+    """Index of the prior among the objective terms."""
     sigma: float | None
-    """The prior's one standard deviation in place of the rooms'."""
+    """Standard deviation of every coefficient, if the prior states one in place of the rooms'."""
 
-    def weights(self, given: Mapping[ObjectiveTerm, float] | None) -> tuple[float, ...]:
-        """Return the terms' weights, scaled so that the prior's is 1, which changes no answer."""
+    def weights(self, stated: Mapping[ObjectiveTerm, float] | None) -> tuple[float, ...]:
+        """Return the terms' weights, divided by the prior's, which changes no answer."""
         chosen = list(self.objective.weights)
-        if not isinstance(given, Mapping | None):
-            raise DataError(f"weights = {given!r} is not a mapping of terms to weights")
-        for term, weight in (given or {}).items():
+        if not isinstance(stated, Mapping | None):
+            raise DataError(f"weights = {stated!r} is not a mapping of terms to weights")
+        for term, weight in (stated or {}).items():
             if term not in self.objective.terms:
                 raise DataError(f"weights has {term!r}, which is no term of the objective")
             checks.number(f"weights[{term!r}]", weight)
@@ -74,7 +74,7 @@ class Assembler:
         room = configurations.union
         shape = room.alpha.shape
         sigma = room.sigma
-        if self.sigma is not None:  # what is known exactly stays so
+        if self.sigma is not None:  # a coefficient with sigma = 0 stays fixed
             sigma = np.where(room.sigma > 0, self.sigma, 0.0)
         lower = np.zeros(shape) if room.alpha_min is None else room.alpha_min
         upper = np.ones(shape)
@@ -164,13 +164,13 @@ class Assembler:
     def _check_shared(self, room: Room) -> None:
         for material, row in enumerate(self.layout.rows):
             first = int(self.layout.first[row])
-            for what in ("alpha", "sigma"):
-                values = getattr(room, what)
+            for name in ("alpha", "sigma"):
+                values = getattr(room, name)
                 if not np.array_equal(values[material], values[first]):
                     k = int(np.flatnonzero(values[material] != values[first])[0])
                     raise DataError(
-                        f"{room.place(what, material, k)} = {values[material, k]:g}, but "
-                        f"{room.place(what, first, k)} = {values[first, k]:g}; materials that "
+                        f"{room.place(name, material, k)} = {values[material, k]:g}, but "
+                        f"{room.place(name, first, k)} = {values[first, k]:g}; materials that "
                         "share their coefficients have one prior"
                     )
 
@@ -209,7 +209,7 @@ def layout_of(
     objective: Objective,
     shared: Sequence[SharedMaterials],
 ) -> Layout:
-    """Return where each unknown stands; ModelError for terms that do not fit the rooms."""
+    """Return the order of the unknowns; ModelError for terms that do not fit the rooms."""
     materials = configurations.materials
     row_of = {m: m for m in materials}
     for term in shared:
@@ -235,19 +235,19 @@ def layout_of(
     )
 
 
-def require_same_shape(built: Configurations, given: Configurations) -> Configurations:
-    """Return ``given`` if it has the shape that the problem was built with, else DataError."""
-    for room in given.rooms:
+def require_same_shape(built: Configurations, asked: Configurations) -> Configurations:
+    """Return ``asked`` if it has the shape that the problem was built with, else DataError."""
+    for room in asked.rooms:
         if not isinstance(room, Room):
             raise DataError(f"room = {room!r} is not a rtcal.Room")
-    if len(built.rooms) != len(given.rooms):
+    if len(built.rooms) != len(asked.rooms):
         raise DataError(
-            f"{len(given.rooms)} configurations; the problem was built with {len(built.rooms)}"
+            f"{len(asked.rooms)} configurations; the problem was built with {len(built.rooms)}"
         )
-    for old, new in zip(built.rooms, given.rooms, strict=True):
+    for old, new in zip(built.rooms, asked.rooms, strict=True):
         if new.materials != old.materials:
             raise DataError(f"room has materials {new.materials}; built with {old.materials}")
         if not np.array_equal(new.centre_frequencies, old.centre_frequencies):
             has = ", ".join(bands.label(f) for f in new.centre_frequencies)
             raise DataError(f"room has other bands than the one built with: {has}")
-    return given
+    return asked

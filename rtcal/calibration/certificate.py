@@ -1,6 +1,6 @@
 """The certificate: how far an answer is from the optimum, computed from the terms' NumPy descriptions.
 
-No solver's word is taken. Whoever holds the certificate can check the answer with a few lines.
+It uses nothing that a solver states. A few lines of NumPy repeat it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Certificate:
     duality_gap : array
         sum z_lower (alpha - lower) + z_upper (upper - alpha).
     alpha_error_bound : array (n_materials, n_bands)
-        No coefficient is farther than this from the optimum. Where the problem is separable, the
+        Largest possible distance of each coefficient from the optimum. If the problem is separable, the
         exact dual encloses the optimum (`rtcal.calibration.separable`); elsewhere strong convexity
         bounds the distance.
     """
@@ -96,7 +96,7 @@ def certify(model: NumpyModel, u: Array, multipliers: Multipliers) -> Certificat
 
 
 def _error_bound(model: NumpyModel, u: Array, rows: Array, values: Array) -> Array:
-    """Return how far each coefficient is from the optimum at most, (n_alpha,)."""
+    """Return the largest distance of each coefficient from the optimum, (n_alpha,)."""
     problem = separable(model)
     if problem is None:
         return _gap_bound(model, u, rows, values)
@@ -150,12 +150,12 @@ def _largest_step(force: Array, m: Array, energy: Array, room: Array) -> Array:
 
 
 def _row_excess(model: NumpyModel, u: Array, rows: Array, values: Array) -> tuple[Array, Array]:
-    """Return by band what unsatisfied rows add to the gap, and to the distance in sigmas."""
+    """Return what violated rows add to the gap and to the distance in sigmas, both by band."""
     n_bands = model.data.layout.n_bands
     violation = np.maximum(np.maximum(model.row_lower - values, values - model.row_upper), 0.0)
     free = (model.movable & (u > model.lower) & (u < model.upper)).astype(float)
     reach = np.sqrt(np.asarray(model.squares @ (model.sigma * free) ** 2))
-    # S'alpha itself is known to rounding only.
+    # Rounding error of S'alpha.
     rounding = (model.entries + 1) * _EPS * np.asarray(model.absolute @ np.abs(u))
     off = np.divide(violation + rounding, reach, out=np.zeros_like(violation), where=reach > 0)
     steepness = float(np.linalg.norm(model.gradient(u) * model.sigma))
@@ -174,7 +174,7 @@ def by_band(values: Array, layout: Layout, reduce: Callable[..., Any]) -> Array:
 
 
 def _finite(slack: Array) -> Array:
-    """Slack of the box; of a side that is not there, 0."""
+    """Slack of the box; 0 for a side without bound."""
     return np.where(np.isfinite(slack), slack, 0.0)
 
 

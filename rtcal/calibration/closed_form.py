@@ -1,7 +1,7 @@
 """The paper's closed forms: least squares, maximum likelihood and scaling. No bounds, no solver.
 
-They are the warm start of the QP and, in the tests, its oracle; they share no code with it. Each
-answer meets S'alpha = b exactly and may leave [0, 1].
+They are the warm start of the QP and, in the tests, its reference. They share no code with it. Each
+answer satisfies S'alpha = b exactly and may lie outside [0, 1].
 
 Shapes: one band ``(n_materials,)`` with a scalar target, or ``(n_materials, n_bands)`` with
 ``(n_bands,)``.
@@ -37,7 +37,7 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
     Parameters
     ----------
     mu, sigma : array (n_materials,) or (n_materials, n_bands)
-        Prior means and standard deviations; sigma = 0 leaves a coefficient alone.
+        Prior means and standard deviations; a coefficient with sigma = 0 does not change.
     areas : array (n_materials,)
         m².
     target : float or array (n_bands,)
@@ -46,7 +46,7 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
     Raises
     ------
     DataError
-        If shapes do not fit, a value is not finite, or all sigma of a band are 0: nothing can move.
+        If shapes do not fit, a value is not finite, or all sigma of a band are 0.
 
     Examples
     --------
@@ -84,7 +84,7 @@ def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
     Raises
     ------
     DataError
-        If shapes do not fit, or S'mu = 0: nothing times any factor gives b.
+        If shapes do not fit, or S'mu = 0: no factor then gives b.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 """cvxpy's compiled problem, and how it is filled with numbers.
 
-cvxpy compiles a DPP problem once into maps that are affine in its parameters. Applying those maps
-here, in three products, costs a tenth of asking cvxpy for the matrices again; the interfaces of
-Clarabel, OSQP and qpsolvers then share one form:
+cvxpy compiles a DPP problem once into maps that are affine in its parameters. This module applies
+the maps itself, in three products, which takes a tenth of the time that cvxpy takes. The interfaces
+of Clarabel, OSQP and qpsolvers share one form:
 
     minimise ½ x'Px + q'x  subject to  A x = b (the first n_equal rows)  and  A x <= b (the others).
 """
@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from rtcal.calibration.layout import Layout
 from rtcal.support.types import Array
 
-# SOLVED, for cvxpy's reading of an OSQP answer.
+# OSQP's status code SOLVED, from which cvxpy reads the answer's status.
 _OSQP_SOLVED = 1
 
 
@@ -28,7 +28,7 @@ _OSQP_SOLVED = 1
 class Matrices:
     """The matrices of one QP; its first ``n_equal`` rows are equalities.
 
-    ``P_upper`` is the upper triangle of P, sparse by columns, as Clarabel and OSQP want it.
+    ``P_upper`` is the upper triangle of P, sparse by columns, as Clarabel and OSQP require.
     """
 
     P_upper: Any
@@ -52,7 +52,7 @@ class Matrices:
 
 @dataclass(frozen=True, repr=False)
 class WhitenedQP:
-    """One calibration as a QP in the whitened unknowns, for those who want to solve it themselves.
+    """One calibration as a QP in the whitened unknowns, for use with any QP solver.
 
     The unknowns of the calibration are ``centre + scale * x[first : first + len(centre)]``; other
     entries of x are helper variables.
@@ -85,7 +85,7 @@ class CompiledQP:
         self._program: Any = None
 
     def _compile(self) -> None:
-        # Parameters must hold something of the right size before cvxpy compiles.
+        # cvxpy compiles only parameters that have a value of the right size.
         data, self._chain, self._inverse = self.problem.get_problem_data(cp.OSQP)
         program = data["param_prob"]
         program.reduced_A.cache()
@@ -142,7 +142,7 @@ class CompiledQP:
         return Matrices(quadratic, linear, matrix, -self._sign * offset, self._n_equal)
 
     def unpack(self, x: Array, y: Array, iterations: int, seconds: float) -> None:
-        """Let cvxpy put values and duals where they belong; the true status is kept apart."""
+        """Let cvxpy set the values and duals of its variables and constraints."""
         info = SimpleNamespace(
             status_val=_OSQP_SOLVED, obj_val=0.0, iter=iterations, run_time=seconds
         )

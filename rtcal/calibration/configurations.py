@@ -1,4 +1,4 @@
-"""One room in several states: curtain open and drawn, with and without an audience."""
+"""Configurations of one room: with the curtain open or drawn, with or without an audience."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Configurations:
-    """Several states of one room that share their materials' coefficients.
+    """Several configurations of one room, which share their materials' coefficients.
 
     Parameters
     ----------
     rooms : sequence of Room
-        One per configuration: its own volume, air and areas. A material is the same unknown wherever
-        its name stands; where two rooms state it, they must state the same alpha and sigma.
+        One per configuration, each with its volume, air and areas. Materials of the same name are
+        one unknown, so all rooms must state the same alpha and sigma for them.
     names : sequence of str, optional
-        Of the configurations; the rooms' names if not given.
+        Names of the configurations; the rooms' names if not stated.
 
     Raises
     ------
@@ -94,17 +94,17 @@ class Configurations:
             for i, material in enumerate(room.materials):
                 first = next(r for r in self.rooms if material in r.materials)
                 j = first.materials.index(material)
-                for what in ("alpha", "sigma"):
-                    values, first_values = getattr(room, what)[i], getattr(first, what)[j]
+                for name_of in ("alpha", "sigma"):
+                    values, first_values = getattr(room, name_of)[i], getattr(first, name_of)[j]
                     if not np.array_equal(values, first_values):
                         k = int(np.flatnonzero(values != first_values)[0])
                         raise DataError(
-                            f'configuration "{name}": {room.place(what, i, k)} = {values[k]:g}, but '
+                            f'configuration "{name}": {room.place(name_of, i, k)} = {values[k]:g}, but '
                             f'"{first.name}" says {first_values[k]:g}; a shared material has one prior'
                         )
 
     def _pairs(self) -> dict[tuple[str, str], float]:
-        """The correlations of materials that any configuration states."""
+        """The correlations of two materials, from all configurations."""
         pairs: dict[tuple[str, str], float] = {}
         for room in self.rooms:
             for (a, b), value in room.material_correlation.items():

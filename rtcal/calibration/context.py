@@ -2,10 +2,10 @@
 
 Its derived parameters keep the problem DPP (disciplined parametrized programming).
 
-In the whitened unknowns x (u = centre + scale x) most products that a term wants, such as
-area times sigma, would be products of two parameters, which cvxpy cannot compile once. So a term
-never multiplies parameters: it says how to compute its coefficients of alpha from a `ProblemData`, and
-the context computes the coefficients of x and the constant outside cvxpy.
+In the whitened unknowns x (u = centre + scale x) a coefficient such as area times sigma would be a
+product of two parameters, which is not DPP. A term therefore states how its coefficients of alpha
+follow from a `ProblemData`, and the context computes the coefficients of x and the constant outside
+cvxpy.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Context:
         return self.layout.size
 
     def variable(self, size: int) -> Any:
-        """Return helper unknowns of a term's expression, such as the parts of a split."""
+        """Return helper variables for a term's expression, such as positive and negative parts."""
         return cp.Variable(size)
 
     def affine(
@@ -104,7 +104,7 @@ class Context:
         Parameters
         ----------
         rows, columns : array (n_entries,)
-            Where the coefficients stand; fixed when the problem is built.
+            Positions of the coefficients, fixed when the problem is built.
         n_rows : int
         compute : function of ProblemData
             Returns the coefficients of the unknowns (n_entries,) and the constants (n_rows,).
@@ -120,7 +120,7 @@ class Context:
         if not np.array_equal(rows, np.arange(n_rows)):
             entries = np.arange(len(rows))
             terms = sp.csr_array((np.ones(len(rows)), (rows, entries)), (n_rows, len(rows))) @ terms
-        made = Affine(
+        affine = Affine(
             terms + constant,
             np.asarray(rows),
             np.asarray(columns),
@@ -129,11 +129,11 @@ class Context:
             factors,
             constant,
         )
-        self._affine.append(made)
-        return made
+        self._affine.append(affine)
+        return affine
 
     def multiply(self, vector: Any, compute: Callable[[ProblemData], Array]) -> Any:
-        """Return a cvxpy vector times what ``compute`` gives of each problem's data, elementwise."""
+        """Return a cvxpy vector times ``compute(data)``, elementwise."""
         factors = Factors.of(vector)
         self._factors.append((factors, compute))
         return factors.product
@@ -144,7 +144,7 @@ class Context:
         compute: Callable[[ProblemData], Array],
         **attributes: bool,
     ) -> Any:
-        """Return a cvxpy parameter that ``compute`` fills from each problem's data."""
+        """Return a cvxpy parameter with the value ``compute(data)``."""
         parameter = cp.Parameter(shape, **attributes)
         self._parameters.append((parameter, compute))
         return parameter

@@ -1,4 +1,4 @@
-"""Why no coefficients satisfy all constraints: the smallest relaxation that lets them."""
+"""Contradicting constraints, explained by the smallest relaxation that makes them feasible."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ _NOTHING = 1e-9
 
 
 def explain(model: NumpyModel) -> None:
-    """Raise InfeasibleError, naming what would have to give way, if the constraints contradict.
+    """Raise InfeasibleError, with the smallest relaxation, if the constraints contradict each other.
 
     An elastic linear programme (Chinneck 2008, ch. 6): minimise the sum of all relaxations, each in
     absorption coefficients (a row's in units of the sum of its coefficients of one sign), subject
-    to every row and every bound that a term set, relaxed. 0 <= alpha <= 1 and an unknown that is
-    held stay.
-    Returns where nothing has to give way.
+    to every row and every bound of a term, relaxed. 0 <= alpha <= 1 and fixed unknowns are not
+    relaxed.
     """
     from scipy.optimize import linprog
 
@@ -32,10 +31,10 @@ def explain(model: NumpyModel) -> None:
     scaled = sp.diags_array(1 / norm) @ matrix
     # Unknowns, then relaxations of rows up and down, then of the box down and up.
     low, high = model.row_lower / norm, model.row_upper / norm
-    one, none = sp.eye_array(n_rows), sp.csr_array((n_rows, size))
+    identity, none = sp.eye_array(n_rows), sp.csr_array((n_rows, size))
     square, empty = sp.eye_array(size), sp.csr_array((size, n_rows))
-    above = sp.hstack([scaled, one * 0, -one, none, none])
-    below = sp.hstack([-scaled, -one, one * 0, none, none])
+    above = sp.hstack([scaled, identity * 0, -identity, none, none])
+    below = sp.hstack([-scaled, -identity, identity * 0, none, none])
     floor = sp.hstack([-square, empty, empty, -square, square * 0])
     ceiling = sp.hstack([square, empty, empty, square * 0, -square])
     limits = np.concatenate([high, -low, -model.lower, model.upper])
@@ -54,10 +53,10 @@ def explain(model: NumpyModel) -> None:
         ]
     )
     cost = np.concatenate([np.zeros(size), np.ones(2 * n_rows + 2 * size)])
-    found = linprog(cost, A_ub=system[used], b_ub=limits[used], bounds=bounds, method="highs")
-    if found.status != 0 or found.fun <= _NOTHING:
+    program = linprog(cost, A_ub=system[used], b_ub=limits[used], bounds=bounds, method="highs")
+    if program.status != 0 or program.fun <= _NOTHING:
         return
-    relaxed = found.x[size:]
+    relaxed = program.x[size:]
     raise InfeasibleError(
         "the constraints contradict each other. The smallest relaxation that removes it: "
         + "; ".join(_named(model, relaxed, norm))

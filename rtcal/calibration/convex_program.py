@@ -33,17 +33,17 @@ from rtcal.errors import InfeasibleError, ModelError, SolverError
 from rtcal.support.types import Array
 
 _ACCEPTED = 1e-9
-"""Worst certificate with which an answer is returned. The primal residual is relative; dual residual
-and gap are in units of the prior's own (a shift of one sigma is 1)."""
+"""Largest residual of an answer that is returned. The primal residual is relative. In the dual residual
+and the gap, a shift of one sigma counts as 1."""
 
 
 _FAR = 1e-3
-"""Shift in sigmas by polishing, larger than a solver's error; above it the terms are checked."""
+"""Shift by polishing in sigmas above which the terms are checked: solvers' errors are smaller."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RawSolution:
-    """The solver's own answer, before polishing, so that a solver can be judged.
+    """The solver's answer before polishing, to compare solvers.
 
     ``unknowns`` (size,); ``seconds`` is the solver's own time.
     """
@@ -62,7 +62,7 @@ class RawSolution:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """The raw answer's own certificate."""
+        """The certificate of the raw answer."""
         return certify(self.model, self.unknowns, self.multipliers)
 
     def __repr__(self) -> str:
@@ -111,7 +111,7 @@ class ConvexProgram:
     def __init__(self, layout: Layout, objective: Objective, rows: Sequence[RowConstraint]) -> None:
         self.objective = objective
         self.rows = tuple(rows)
-        # The compiled problem holds one set of numbers: a thread at a time fills and solves it.
+        # The compiled problem holds one set of numbers, so only one thread at a time may use it.
         self._lock = threading.RLock()
         self._matches = [row for row in self.rows if isinstance(row, MatchConstraint)]
         self._context = context = Context(layout)
@@ -156,7 +156,8 @@ class ConvexProgram:
         reachable, at_lower, at_upper, beyond = self._within_reach(
             data, rooms, equation, options.unreachable
         )
-        # The ends are pinned for the solver only: model and certificate see the problem as asked.
+        # Coefficients at an end are pinned only for the solver; the certificate judges the original
+        # problem.
         model = NumpyModel(replace(data, target=reachable.target), self.objective, self.rows)
         failure = ""
         try:
@@ -184,7 +185,7 @@ class ConvexProgram:
     def _solver_answer(
         self, model: NumpyModel, data: ProblemData, options: SolveOptions
     ) -> RawSolution:
-        """Fill the compiled problem with the data, solve it and read the answer: one at a time."""
+        """Fill the compiled problem with the data, solve it and read the answer."""
         start = None
         if options.warm_start == "closed_form":
             if not (len(self.rows) == 1 and len(self.objective.terms) == 1):
@@ -206,7 +207,7 @@ class ConvexProgram:
         )
 
     def _require_agreement(self, data: ProblemData) -> None:
-        """Raise TermError if the answer is off because of a term, not because of the solver."""
+        """Raise TermError if a term that contradicts itself has caused the wrong answer."""
         model = NumpyModel(data, self.objective, self.rows)
         with self._lock:
             self._context.update(data)
@@ -248,8 +249,8 @@ class ConvexProgram:
     ) -> Multipliers:
         """The solver's duals in the unknowns' units.
 
-        A target at an end pins its coefficients before the solver runs. Those multipliers the
-        solver is never asked for: they follow from stationarity.
+        A target at an end pins its coefficients before the solver runs. Their multipliers follow
+        from stationarity.
         """
         duals = iter(answer.row_duals)
         scales = [term.row_scale(data) for term in self.rows]
@@ -272,10 +273,11 @@ class ConvexProgram:
 
 
 def _failure(solution: Solution, solver: str) -> str:
-    """Say why an answer is not optimal to `_ACCEPTED`, or nothing if it is.
+    """Return why an answer is not optimal to `_ACCEPTED`; empty text if it is.
 
-    Each band is judged by how steep the objective is there. A soft match with a tiny u_b has a
-    gradient that is the difference of huge numbers, known to eps |H| |u| only; that is allowed too.
+    The dual residual of a band is relative to the objective's steepness there. A soft match with a
+    tiny u_b has a gradient that is a difference of huge numbers. Its rounding error, a few eps |H| |u|,
+    is allowed as well.
     """
     model, u, certificate = solution.model, solution.unknowns, solution.certificate
     if certificate.worst <= _ACCEPTED:
@@ -301,7 +303,7 @@ def _failure(solution: Solution, solver: str) -> str:
 
 
 def _dual_answer(model: NumpyModel, failure: str) -> RawSolution | None:
-    """Return the answer of the exact dual in the place of a solver's; None if there is none."""
+    """Return the exact dual's answer in place of the solver's; None if the problem is not separable."""
     answer = separable.solve(model)
     if answer is None:
         return None
@@ -311,7 +313,7 @@ def _dual_answer(model: NumpyModel, failure: str) -> RawSolution | None:
 
 
 def _polished(model: NumpyModel, raw: RawSolution, at_lower: Flags, at_upper: Flags) -> Solution:
-    """Return the polished answer where it is better than the raw one, else the raw one."""
+    """Return the polished answer if it is better than the raw one, else the raw one."""
     answer = polish(model, raw.unknowns, raw.multipliers, at_lower, at_upper)
     if answer is not None:
         certificate = certify(model, answer.alpha, answer.multipliers)

@@ -21,11 +21,10 @@ primal residual that an answer may have."""
 
 @dataclass(frozen=True)
 class Unreachable:
-    """A band whose measured T no coefficients within the bounds give.
+    """A band whose measured T is beyond what coefficients within the bounds give.
 
-    ``target`` is the absorption area b in m² that T asks for (NaN where none would do),
-    ``lowest`` and ``highest`` what the bounds allow, ``shortest`` and ``longest`` the T in s that
-    would do.
+    ``target`` is the absorption area b in m² that T requires, NaN if no b has this T. The bounds allow
+    b from ``lowest`` to ``highest`` in m² and T from ``shortest`` to ``longest`` in s.
     """
 
     configuration: int
@@ -77,7 +76,7 @@ def where_valid(
 def reach(data: ProblemData) -> tuple[Array, Array]:
     """Return the least and the most S'alpha in m² within the box, each (n_configurations, n_bands).
 
-    Unknowns that cannot move are counted where they are; effects add what theirs allow.
+    Fixed unknowns count with their value. The sizes of effects add the range of their bounds.
     """
     lower, upper = _box(data)
     least = data.areas @ data.alpha(lower)
@@ -93,7 +92,7 @@ def reach(data: ProblemData) -> tuple[Array, Array]:
 
 
 def _box(data: ProblemData) -> tuple[Array, Array]:
-    """Return the bounds; unknowns that cannot move have their centre as both bounds."""
+    """Return the bounds; a fixed unknown has its centre as both bounds."""
     moves = data.scale > 0
     return (
         np.where(moves, data.lower, data.centre),
@@ -102,7 +101,7 @@ def _box(data: ProblemData) -> tuple[Array, Array]:
 
 
 def end_tolerance(data: ProblemData) -> Array:
-    """Return how near to an end b counts as that end, in m², (n_configurations, n_bands).
+    """Return the distance in m² up to which b counts as an end, (n_configurations, n_bands).
 
     In floats the areas' sum exceeds the rational sum half of the time, so equality would be luck.
     """
@@ -150,7 +149,7 @@ def restrict_to_reach(
     top = np.minimum(high, data.largest_target)
     _refuse_invalid(equation, rooms, asked & (low > (1 + _MARGIN) * data.largest_target), low)
     wanted_low, wanted_high = wanted
-    # What a tolerance leaves open is closed here: the target nearest to what can be reached.
+    # Where the match has a tolerance, the target becomes the reachable value nearest to it.
     target = np.where(
         np.isnan(wanted_low),
         np.nan,
@@ -182,7 +181,7 @@ def restrict_to_reach(
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low
     reached = np.where(at_low, low, np.where(at_high, top, target))
-    at_high &= top >= high - tolerance  # an equation's own ceiling is no end of the box
+    at_high &= top >= high - tolerance  # a limit of the equation is no end of the box
     at_lower, at_upper = _forced(data, at_low, at_high)
     pinned = data.pin(at_lower | at_upper, np.where(at_lower, data.lower, data.upper))
     moved = too_low | too_high | at_low | at_high
@@ -204,15 +203,14 @@ def _refuse_invalid(
 
 
 def _forced(data: ProblemData, at_low: Flags, at_high: Flags) -> tuple[Flags, Flags]:
-    """Unknowns at their lower and at their upper side because a match stands at its end."""
+    """Unknowns that a target at the end of its range forces to their lower and upper bound."""
     moves = data.scale > 0
-    present = data.areas[:, :, np.newaxis] > 0
+    has_area = data.areas[:, :, np.newaxis] > 0
     sides = []
-    for here, other in ((at_low, at_high), (at_high, at_low)):
-        alpha = np.any(here[:, np.newaxis, :] & present, axis=0).ravel()
+    for end, other in ((at_low, at_high), (at_high, at_low)):
+        alpha = np.any(end[:, np.newaxis, :] & has_area, axis=0).ravel()
         further = np.any(
-            (here[..., np.newaxis] & (data.gains > 0))
-            | (other[..., np.newaxis] & (data.gains < 0)),
+            (end[..., np.newaxis] & (data.gains > 0)) | (other[..., np.newaxis] & (data.gains < 0)),
             axis=(0, 1),
         )
         sides.append(moves & np.concatenate([alpha, further]))

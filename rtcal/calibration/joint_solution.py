@@ -24,7 +24,7 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointSolution:
-    """The calibrated coefficients of all configurations of a room, and how they were found.
+    """The calibrated coefficients of all configurations of a room, with solution and measurement.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class JointSolution:
     solution : Solution
         The answer over the unknowns, its multipliers and its certificate.
     equation, method, solver
-        As asked for.
+        As stated in the call.
     measured_times : tuple of MeasuredTimes
         One per configuration.
     assemble : function
-        The numbers of the same problem for other measurements.
+        Returns the `ProblemData` of the same problem for other measurements.
     """
 
     configurations: Configurations

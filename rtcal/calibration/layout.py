@@ -66,13 +66,13 @@ class Layout:
 
     @cached_property
     def first(self) -> Integers:
-        """For each row the first material that has it, (n_rows,)."""
+        """Index of the first material of each row, (n_rows,)."""
         return np.array([self.rows.index(row) for row in range(self.n_rows)])
 
     def index(self, material: str | None = None, band: float | None = None) -> Integers:
-        """Return where the coefficients of a material (all if None) in a band (all if None) stand.
+        """Return the indices of the coefficients of one material in one band; None stands for all.
 
-        Raises DataError for a material or a band that is not there.
+        Raises DataError for a material or a band that the layout lacks.
         """
         rows, columns = np.arange(self.n_rows), np.arange(self.n_bands)
         if material is not None:
@@ -90,7 +90,7 @@ class Layout:
         return np.asarray((rows[:, np.newaxis] * self.n_bands + columns).ravel())
 
     def place(self, unknown: int) -> str:
-        """Return how messages name an unknown: ``alpha["carpet", 500 Hz]``."""
+        """Return the name of an unknown in messages: ``alpha["carpet", 500 Hz]``."""
         if unknown >= self.n_alpha:
             return f'size of "{self.further[unknown - self.n_alpha]}"'
         row, band = divmod(int(unknown), self.n_bands)

@@ -1,4 +1,4 @@
-"""The measured T as a calibration sees it: in the room's bands, with its uncertainty."""
+"""The measured T that a calibration uses: in the room's bands, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ class MeasuredTimes:
     """Measured T in the room's bands.
 
     ``reverberation_time`` and ``uncertainty`` in s, (n_bands,), NaN where missing or unknown;
-    ``parameter`` per band ``"t20"``, ``"t30"`` or ``""``; ``ignored`` the measured bands in Hz that
-    the room lacks; ``fingerprint`` names the data; ``caution`` is a sentence where T was converted from
-    bands of another width, else empty; ``bent`` the bands whose decay is not straight.
+    ``parameter`` is ``"t20"``, ``"t30"`` or ``""`` per band. ``ignored`` are the measured bands in Hz
+    that the room lacks. ``fingerprint`` identifies the data. ``caution`` is a sentence if T was
+    converted from bands of another width, else empty. ``bent`` are the bands whose decay is not
+    straight.
     """
 
     reverberation_time: Array
@@ -36,8 +37,8 @@ class MeasuredTimes:
     bent: tuple[BentDecay, ...] = ()
 
     def __repr__(self) -> str:
-        given = np.count_nonzero(np.isfinite(self.reverberation_time))
-        return f"<MeasuredTimes: {given} of {len(self.parameter)} bands, data {self.fingerprint}>"
+        n = np.count_nonzero(np.isfinite(self.reverberation_time))
+        return f"<MeasuredTimes: {n} of {len(self.parameter)} bands, data {self.fingerprint}>"
 
 
 def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:
@@ -53,9 +54,9 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         decay = in_room.decay_time()
         mean = decay.mean
         if not np.isfinite(mean).any():
-            given = ", ".join(p.upper() for p in measured.values)
+            parameters = ", ".join(p.upper() for p in measured.values)
             raise DataError(
-                f"the measurement has {given}, but no T20 and no T30 in any band of the room"
+                f"the measurement has {parameters}, but no T20 and no T30 in any band of the room"
             )
         stated, wanted = measured.centre_frequencies, room.centre_frequencies
         return MeasuredTimes(
@@ -82,7 +83,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
     return MeasuredTimes(
         times,
         np.full(times.shape, np.nan),
-        tuple("t20" if here else "" for here in np.isfinite(times)),
+        tuple("t20" if finite else "" for finite in np.isfinite(times)),
         (),
         _fingerprint(room, times),
         "",
@@ -90,7 +91,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
 
 
 def _fingerprint(room: Room, times: Array) -> str:
-    """A short name of the T that a calibration uses, however they were written down."""
+    """A short identifier of the T of every band; equal T from different files have the same."""
     digest = hashlib.sha256()
     for frequency, value in zip(room.centre_frequencies, times, strict=True):
         if np.isfinite(value):
@@ -108,6 +109,6 @@ def refuse_repeated_data(room: Room, data: MeasuredTimes) -> None:
 
 
 def data_history(room: Room, data: MeasuredTimes) -> str:
-    """Return the fingerprints of all data that a room is calibrated on after this."""
+    """Return the fingerprints of all data that the room was calibrated to, with these data."""
     before = [] if room.calibration is None else [room.calibration.measured]
     return " ".join([*before, data.fingerprint])

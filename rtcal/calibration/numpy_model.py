@@ -51,12 +51,12 @@ class NumpyModel:
 
     @property
     def sigma(self) -> Array:
-        """The unknowns' scale: the prior's standard deviations, 0 where nothing may move."""
+        """The unknowns' scale: the prior's standard deviations, 0 for a fixed unknown."""
         return self.data.scale
 
     @cached_property
     def movable(self) -> Flags:
-        """Unknowns that the calibration may move."""
+        """Unknowns that the calibration may change."""
         return np.asarray(self.sigma > 0)
 
     @cached_property
@@ -66,7 +66,7 @@ class NumpyModel:
         if not parts:
             return np.zeros((0, self.sigma.size))
         matrix = parts[0] if len(parts) == 1 else sp.csr_array(sp.vstack(parts))
-        # Calls of scipy.sparse cost more than all the arithmetic of a usual room.
+        # In a usual room the overhead of scipy.sparse exceeds the arithmetic.
         return matrix.toarray() if matrix.shape[0] * matrix.shape[1] <= _DENSE else matrix
 
     @cached_property
@@ -85,7 +85,7 @@ class NumpyModel:
 
     @cached_property
     def row_place(self) -> Integers:
-        """The place among the T (configuration by configuration) that each row matches, else -1."""
+        """Index of the T that each row matches, configuration by configuration; -1 for other rows."""
         places = [
             np.arange(len(rows.lower))
             if isinstance(constraint, MatchConstraint)
@@ -155,7 +155,7 @@ class NumpyModel:
     def steepness(self, u: Array) -> Array:
         """Return 1 + max |sigma gradient| over the bands that each unknown is coupled with, (size,).
 
-        It is the scale that rounding errors of the optimality conditions are measured with.
+        Rounding errors of the optimality conditions are relative to this scale.
         """
         slope = np.abs(self.sigma * self.gradient(u))
         if not self.separate(u):
@@ -186,5 +186,5 @@ class NumpyModel:
         return f"<NumpyModel: {terms} subject to {rows}, {self.sigma.size} unknowns>"
 
     def stationarity(self, u: Array, rows: Array) -> Array:
-        """Return gradient + rows' multipliers at the unknowns: what the box must balance."""
+        """Return gradient + rows' multipliers at the unknowns, which the box's multipliers balance."""
         return np.asarray(self.gradient(u) + self.matrix.T @ rows)

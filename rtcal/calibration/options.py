@@ -1,4 +1,4 @@
-"""The options of one solve: which solver, how it is started, and what to do beyond reach."""
+"""The options of one solve: the solver, its start, and the handling of an unreachable T."""
 
 from __future__ import annotations
 

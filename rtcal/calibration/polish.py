@@ -1,9 +1,10 @@
 """Polishing: from a solver's answer to the exact optimum on its active set.
 
-An interior-point answer is off by 1e-5 at worst, but it tells reliably which coefficients stand at a
-bound. Given that active set the optimum is the solution of one linear system. The loop solves it, adds
-bounds that are violated, and drops those whose multiplier has the wrong sign. Where neither is left
-the optimum is exact to rounding. For a piecewise quadratic objective the loop is Newton's method.
+An interior-point answer has errors up to 1e-5, but shows reliably which coefficients are at a
+bound. With this active set the optimum is the solution of one linear system. The loop solves the
+system, adds violated bounds to the active set, and drops bounds whose multiplier has the wrong
+sign. When there is nothing to add or to drop, the answer is exact to rounding. For a piecewise
+quadratic objective the loop is Newton's method.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def polish(
         Coefficients that a target at the end of its reach forces to a bound.
     """
     lower, upper, sigma = model.lower, model.upper, model.sigma
-    # At an optimum either a slack or its multiplier is 0; in whitened units the larger one tells.
+    # At an optimum either a slack or its multiplier is 0: in whitened units, the smaller one.
     reciprocal = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=model.movable)
     at_lower = model.movable & (multipliers.lower * sigma > (alpha - lower) * reciprocal)
     at_upper = model.movable & (multipliers.upper * sigma > (upper - alpha) * reciprocal)
@@ -107,15 +108,15 @@ def polish(
             continue
         unbalanced = float(np.max(np.abs(balance[free]) / tolerance[free], initial=0.0))
         if unbalanced > _UNBALANCED and patience:
-            # A piecewise quadratic objective changed its piece, or rounding is all that is left.
+            # Either a piecewise quadratic objective changed its piece, or only rounding remains.
             worst, patience = min(worst, unbalanced), patience - (unbalanced > 0.5 * worst)
             continue
-        found = Multipliers(
+        multipliers = Multipliers(
             rows,
             np.where(at_lower, np.maximum(force, 0.0), 0.0),
             np.where(at_upper, np.maximum(-force, 0.0), 0.0),
         )
-        return Polished(trial, found, (at_upper.astype(np.int8) - at_lower.astype(np.int8)))
+        return Polished(trial, multipliers, (at_upper.astype(np.int8) - at_lower.astype(np.int8)))
     return None
 
 
@@ -181,7 +182,7 @@ def _released(
     gradient = model.gradient(alpha)
     for row in np.flatnonzero(without_free & (np.abs(residual) > slack)):
         values = _line(model, int(row))
-        wanted = np.sign(residual[row]) * np.sign(values)  # the direction that mends the row
+        wanted = np.sign(residual[row]) * np.sign(values)  # the direction that reduces the residual
         able = ((wanted > 0) & at_lower) | ((wanted < 0) & at_upper)
         cost = np.full(len(alpha), np.inf)
         cost[able] = (gradient * wanted)[able] / np.abs(values[able])
@@ -206,9 +207,9 @@ def undetermined(
 ) -> Array:
     """Give rows without a free coefficient their multiplier.
 
-    There the multiplier is an interval: every coefficient at its lower bound asks for at least
-    -gradient / coefficient, every one at its upper bound for at most that. Its end nearest 0 is
-    taken.
+    Their multiplier may lie anywhere in an interval: each coefficient at its lower bound requires
+    at least -gradient / coefficient, each at its upper bound at most that. The value nearest 0 is
+    returned.
     """
     gradient = model.gradient(alpha)
     sign = at_lower.astype(float) - at_upper.astype(float)

@@ -1,4 +1,4 @@
-"""The methods behind ``method=``, and `calibrate`, the main path."""
+"""The calibration methods by name, and `calibrate`, the main path."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ METHODS: dict[str, Callable[[PriorDeviation], Calibration]] = {
 """The calibration methods by name.
 
 ``mle``: the likeliest coefficients that give the measured T (Bellows & Katz 2025, Eq. 19).
-``lse``: the nearest ones whatever their sigma (Eq. 7).
-``soft``: the most probable ones when T has its uncertainty (5 % where none is stated).
-``smooth``: soft, the shift changing slowly over frequency.
-``robust``: soft, a few coefficients may be far off what was stated.
+``lse``: the nearest coefficients, without sigma (Eq. 7).
+``soft``: the most probable coefficients if T is uncertain (by 5 % if no uncertainty is stated).
+``smooth``: soft, with a shift that changes slowly over frequency.
+``robust``: soft, but a few coefficients may be far from their stated value.
 ``joint``: soft, for several configurations of one room.
 """
 
 
 def preset(method: str, room: Room | None = None) -> Calibration:
-    """Return the calibration behind a name, with the correlations that ``room`` states.
+    """Return the calibration of a method, with the correlations that ``room`` states.
 
-    ``lse`` leaves them out as it leaves sigma out. Raises ModelError for an unknown name, and for
-    ``robust`` with correlations: it treats every coefficient apart.
+    ``lse`` uses neither the correlations nor sigma. Raises ModelError for an unknown name, and for
+    ``robust`` with correlations, since it treats every coefficient separately.
     """
     if not isinstance(method, str) or method not in METHODS:
         raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')
@@ -99,7 +99,7 @@ def calibrate(
     """Calibrate a room's absorption coefficients to its measured reverberation time.
 
     minimise sum ((alpha - mu) / sigma)²  subject to  S'alpha = b,  alpha_min <= alpha <= 1,
-    in every band, with b the absorption area that the equation asks for (Bellows & Katz 2025).
+    in every band, with b the absorption area that gives the measured T (Bellows & Katz 2025).
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def calibrate(
         Its alpha and sigma are the prior. Several configurations of one room share their
         materials' coefficients; then ``measured`` has one entry per configuration.
     measured : Measurement, or T in s, (n_bands,)
-        Per band T20, else T30; NaN where missing: that band keeps its prior.
+        Per band T20, else T30. A band with NaN keeps its prior.
     method : {"mle", "lse", "soft", "smooth", "robust", "joint"}
     equation : Equation, optional
         `rtcal.Eyring` with the room's air if not given.

@@ -1,4 +1,4 @@
-"""`Calibration` says what is wanted, `build` compiles it once, `solve` fills in numbers and solves."""
+"""`Calibration` states a problem, `build` compiles it once, `solve` solves it for a measurement."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ class Calibration:
         makes the answer unique.
     constraints : sequence, optional
         Constraints of `rtcal.terms`. If not given, `ExactMatch`, unless the objective has a
-        `SoftMatch`: an exact match beside it would leave it nothing to do.
+        `SoftMatch`, which an exact match would make useless.
 
     Raises
     ------
     ModelError
-        If there is no prior or more than one, if a term lacks a method, or if one is given twice.
+        If there is no prior or more than one, if a term lacks a method, or if a term occurs twice.
     """
 
     objective: ObjectiveTerm | Objective
@@ -110,7 +110,7 @@ class Calibration:
         Raises
         ------
         DataError
-            If a term names a material or a band that is not there.
+            If a term names a material or a band that the room lacks.
         ModelError
             If the problem is not DPP (then every solve would compile anew), or the equation is
             not a function of the mean absorption coefficient.
@@ -136,7 +136,7 @@ class Calibration:
 
 
 def _refuse_repeated(terms: Sequence[object], place: str) -> None:
-    """Raise ModelError for a term given twice: ``weights`` could not tell the two apart."""
+    """Raise ModelError for a term that occurs twice: ``weights`` could not distinguish the two."""
     for i, term in enumerate(terms):
         if any(term == other for other in terms[:i]):
             raise ModelError(f"{place}: {term!r} stands there twice; give it once")
@@ -166,7 +166,7 @@ def _compiled(
 
 
 def _refuse_too_large(layout: Layout, objective: Objective) -> None:
-    """Raise ModelError before the work where a soft match would not fit into memory."""
+    """Raise ModelError if a soft match would not fit into memory."""
     pairs = layout.n_rows**2 * layout.n_bands
     if pairs > _MOST_PAIRS and any(isinstance(t, SoftMatch) for t in objective.terms):
         raise ModelError(
@@ -176,18 +176,21 @@ def _refuse_too_large(layout: Layout, objective: Objective) -> None:
         )
 
 
-def _measured_times(given: Configurations, measured: Sequence[Times]) -> list[MeasuredTimes]:
+def _measured_times(
+    configurations: Configurations, measured: Sequence[Times]
+) -> list[MeasuredTimes]:
     """One measurement per configuration, each in its room's bands."""
     if isinstance(measured, str | Measurement) or not isinstance(measured, Iterable):
         raise DataError(
-            f"measured = {measured!r} is not a list of measurements, one a configuration"
+            f"measured = {measured!r} is not a list of measurements, one per configuration"
         )
     measured = list(measured)
-    if len(measured) != len(given.rooms):
+    if len(measured) != len(configurations.rooms):
         raise DataError(
-            f"{len(measured)} measurements for {len(given.rooms)} configurations; each needs one"
+            f"{len(measured)} measurements for {len(configurations.rooms)} configurations; each "
+            "needs one"
         )
-    return [times_in_room(r, t) for r, t in zip(given.rooms, measured, strict=True)]
+    return [times_in_room(r, t) for r, t in zip(configurations.rooms, measured, strict=True)]
 
 
 @checked
@@ -216,11 +219,11 @@ class CalibrationProblem:
         Parameters
         ----------
         measured : Measurement, or T in s, (n_bands,)
-            NaN where missing: that band keeps its prior.
+            A band with NaN keeps its prior.
         room : Room, optional
-            Other numbers for the same materials and bands; the room built with if not given.
+            Other numbers for the same materials and bands; by default the room built with.
         weights : mapping of objective term to weight, optional
-            In place of those built with.
+            In place of the weights built with.
         method : str
             The name that the result carries.
         **options
@@ -248,8 +251,8 @@ class CalibrationProblem:
 
     def whitened(self, measured: Times, room: Room | None = None) -> WhitenedQP:
         """Return the QP of one measurement, as `JointProblem.whitened` does."""
-        given = Configurations([self.room if room is None else room])
-        return self._joint.whitened([measured], given)
+        rooms = Configurations([self.room if room is None else room])
+        return self._joint.whitened([measured], rooms)
 
 
 @checked
@@ -282,27 +285,27 @@ class JointProblem:
         have one entry per configuration.
         """
         chosen = SolveOptions(**options)
-        given = self.configurations
+        used = self.configurations
         if configurations is not None:
-            given = require_same_shape(self.configurations, configurations)
-        times = _measured_times(given, measured)
-        for room, of_room in zip(given.rooms, times, strict=True):
+            used = require_same_shape(self.configurations, configurations)
+        times = _measured_times(used, measured)
+        for room, of_room in zip(used.rooms, times, strict=True):
             refuse_repeated_data(room, of_room)
         assembler = self._assembler
         solution = self._program.solve(
-            assembler.problem_data(given, times, weights),
-            given.rooms,
+            assembler.problem_data(used, times, weights),
+            used.rooms,
             assembler.equation,
             chosen,
         )
         return JointResult(
-            configurations=given,
+            configurations=used,
             solution=solution,
             equation=assembler.equation,
             method=method,
             solver=chosen.solver,
             measured_times=tuple(times),
-            assemble=lambda new: assembler.problem_data(given, new, weights),
+            assemble=lambda new: assembler.problem_data(used, new, weights),
         )
 
     @checked
@@ -319,8 +322,8 @@ class JointProblem:
         DataError
             If a measurement or a room does not fit.
         """
-        given = self.configurations
+        used = self.configurations
         if configurations is not None:
-            given = require_same_shape(self.configurations, configurations)
-        times = _measured_times(given, measured)
-        return self._program.whitened(self._assembler.problem_data(given, times, None))
+            used = require_same_shape(self.configurations, configurations)
+        times = _measured_times(used, measured)
+        return self._program.whitened(self._assembler.problem_data(used, times, None))

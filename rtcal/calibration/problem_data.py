@@ -21,9 +21,9 @@ Flags = NDArray[np.bool_]
 class ProblemData:
     """One set of numbers for a problem of a fixed shape.
 
-    The unknowns are whitened: u = centre + scale x, u being alpha, flattened row by row with the
-    bands last, and then the further unknowns. By default centre = mu and scale = sigma; an unknown
-    that is pinned has scale 0 and its value as centre, which needs no special case in the solver.
+    The unknowns u are alpha, flattened row by row with the bands last, and then the further unknowns.
+    The solver's unknowns x are whitened: u = centre + scale x. By default centre = mu and
+    scale = sigma. A pinned unknown has its value as centre, and scale 0.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class ProblemData:
     lower, upper : array (size,)
         The box.
     areas : array (n_configurations, n_rows)
-        m²; 0 where a configuration lacks a material.
+        m²; 0 if a configuration lacks the material.
     gains : array (n_configurations, n_bands, n_further)
         m² of absorption that one unit of each further unknown adds.
     time : array (n_configurations, n_bands)
@@ -47,7 +47,7 @@ class ProblemData:
     weights : tuple of float
         One per objective term.
     pinned : array (size,) of bool
-        Unknowns held at ``centre`` for this solve.
+        Unknowns fixed at ``centre`` for this solve.
     centre : array (size,)
     """
 
@@ -101,12 +101,12 @@ class ProblemData:
         return u[self.layout.n_alpha :]
 
     def absorption_area(self, u: Array) -> Array:
-        """Return S'alpha and what effects add, in m², (n_configurations, n_bands)."""
+        """Return S'alpha with the effects' absorption area in m², (n_configurations, n_bands)."""
         area = self.areas @ self.alpha(u)
         return np.asarray(area + self.gains @ self.further(u)) if self.gains.size else area
 
     def pin(self, where: Flags, values: Array) -> ProblemData:
-        """Return the data with the unknowns at ``where`` held at ``values``."""
+        """Return the data with the unknowns at ``where`` fixed at ``values``."""
         return replace(
             self,
             pinned=self.pinned | where,

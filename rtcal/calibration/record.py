@@ -43,7 +43,7 @@ def inputs(room: Room, measured: MeasuredTimes) -> dict[str, Any]:
 
 
 def measurement(measured: MeasuredTimes) -> dict[str, Any]:
-    """Return the measured T in the room's bands, and what is remarkable about it."""
+    """Return the measured T in the room's bands, and the caution about its conversion."""
     return {
         "reverberation_time": json_numbers(measured.reverberation_time),
         "uncertainty": json_numbers(measured.uncertainty),
@@ -91,7 +91,7 @@ def materials(
 
 
 def solver(name: str, raw: RawSolution, polished: bool) -> dict[str, Any]:
-    """Return what the solver answered, before polishing."""
+    """Return the solver's name, status, iterations and time, and whether polishing succeeded."""
     return {
         "name": name,
         "status": raw.status,

@@ -40,9 +40,9 @@ from rtcal.support.version import __version__
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CalibrationResult:
-    """A calibrated room and everything that is known of the calibration.
+    """A calibrated room, with the calibration's certificate, plausibility and trust marks.
 
-    One configuration's view of a `JointResult`; with one configuration, all of it.
+    Of several configurations, it is the result of one; see `JointResult`.
     """
 
     joint: JointResult
@@ -50,12 +50,12 @@ class CalibrationResult:
 
     @property
     def prior(self) -> Room:
-        """The room as it was given."""
+        """The room before the calibration."""
         return self.joint.configurations.rooms[self.configuration]
 
     @property
     def equation(self) -> LinearEquation:
-        """The equation that T was inverted with."""
+        """The equation that turned T into b."""
         return self.joint.equation
 
     @property
@@ -121,12 +121,12 @@ class CalibrationResult:
 
     @property
     def polished(self) -> bool:
-        """Whether the answer is the polished one (else the solver's own was better)."""
+        """Whether the answer is the polished one; else the solver's was better."""
         return self.joint.solution.polished
 
     @property
     def unreachable(self) -> tuple[Unreachable, ...]:
-        """Bands that were moved to the nearest end."""
+        """Bands whose T could not be reached and was replaced by the nearest that could."""
         every = self.joint.solution.unreachable
         return tuple(u for u in every if u.configuration == self.configuration)
 
@@ -154,7 +154,7 @@ class CalibrationResult:
 
     @property
     def matched(self) -> Array:
-        """Which bands were matched, (n_bands,) of bool; none if no term asks for T."""
+        """Which bands were matched to T, (n_bands,) of bool; none without a term that uses T."""
         return np.asarray(np.isfinite(self.target) & self.joint.asks_for_measured_time)
 
     @cached_property
@@ -191,7 +191,7 @@ class CalibrationResult:
 
     @cached_property
     def plausibility(self) -> Plausibility:
-        """How far T was from what was known, per band and in all, with the prior's own sigma."""
+        """Distance of the measured T from the prior, with the room's sigma; see `Plausibility`."""
         deviation, covariance = innovation(self.joint.solution, self.joint.configurations)
         bands = slice(
             self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
@@ -208,7 +208,7 @@ class CalibrationResult:
 
     @cached_property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Every reason not to believe a band, or the whole room, with what to do."""
+        """Reasons to doubt single bands or the whole room, with advice."""
         return trust_marks(
             self.prior,
             self.measured,
@@ -224,14 +224,14 @@ class CalibrationResult:
     def posterior_sigma(self) -> Array:
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands).
 
-        That of the linear estimate, for a prior with the room's sigma and a T with its uncertainty.
-        It does not count bounds; `rtcal.posterior.posterior` does.
+        It is that of the linear estimate, from the room's sigma and the uncertainty of T. It ignores
+        the bounds, which `rtcal.posterior.posterior` includes.
         """
         return self.joint.posterior_sigma[self._rows]
 
     @cached_property
     def room(self) -> Room:
-        """The room with calibrated coefficients, the posterior's sigma, and the record of it."""
+        """The room with calibrated coefficients, the posterior's sigma and a `CalibrationRecord`."""
         record = CalibrationRecord(
             method=self.method,
             equation=self.equation.name,
@@ -245,8 +245,8 @@ class CalibrationResult:
     def interval(self) -> tuple[Array, Array] | None:
         """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
 
-        Exact, from `rtcal.posterior`. None where that would need samples (correlations, order,
-        several configurations), or where the method has no posterior (`lse`, `robust`).
+        Exact, from `rtcal.posterior`. None if that would need samples (correlations, order,
+        several configurations), or if the method has no posterior (`lse`, `robust`).
         """
         try:
             density = self.joint.density()
@@ -271,8 +271,8 @@ class CalibrationResult:
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing.
 
-        ``inputs`` holds the room and the mean T as the texts of their files: with them the
-        calibration can be done again from the record alone.
+        ``inputs`` holds the room and the mean T as the texts of their files, so that the record
+        suffices to repeat the calibration.
         """
         room, model = self.prior, self.joint.solution.model
         return {
@@ -351,7 +351,7 @@ class JointResult(JointSolution):
 
     @cached_property
     def results(self) -> tuple[CalibrationResult, ...]:
-        """The answer as each configuration sees it."""
+        """The result of each configuration."""
         return tuple(
             CalibrationResult(joint=self, configuration=c)
             for c in range(len(self.configurations.rooms))

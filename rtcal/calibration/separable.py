@@ -23,7 +23,8 @@ so that the error of 100,000 summands is below 27 eps (Higham 1993, SIAM J. Sci.
 
 
 _BEYOND = 1e280
-"""Multiplier in 1/m², larger than any multiplier at a bound; yet its products do not overflow."""
+"""Multiplier in 1/m² above all multipliers at which a coefficient meets a bound. Its products do not
+overflow."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +34,13 @@ class Separable:
     Attributes
     ----------
     mu, sigma, lower, upper, held : array (n_bands, n_rows)
-        Prior and box; ``held`` is the value of what cannot move, where sigma is 0.
+        Prior and box; ``held`` is the value of coefficients with sigma = 0.
     areas : array (n_rows,)
         S in m².
     least, most : array (n_bands,)
-        Limits of S'alpha in m²; infinite where nothing is matched, equal where it is exact.
+        Limits of S'alpha in m²; infinite without a match, equal for an exact match.
     target, variance : array (n_bands,)
-        b in m² and its variance for a soft match; the variance is NaN where there is none.
+        b in m² and its variance for a soft match; the variance is NaN without one.
     """
 
     mu: Array
@@ -70,8 +71,8 @@ class Separable:
     def enclosure(self) -> tuple[Array, Array]:
         """Return bounds of the optimal coefficients, (n_bands, n_rows) each.
 
-        Every alpha rises with b. The optimum for b lies between those for b ± twice the rounding
-        error of S'alpha, whatever the solutions of those two lose to rounding.
+        Every alpha rises with b. The optimum for b therefore lies between the solutions for b plus
+        and minus twice the rounding error of S'alpha, also after the rounding of these solutions.
         """
         target, variance, error = self._equation()
         below = self.alpha(self._multiplier(target - error, variance))
@@ -81,7 +82,7 @@ class Separable:
     def _equation(self) -> tuple[Array, Array, Array]:
         """The b and u² of S'alpha(D) - D u² = b, and twice the rounding error of S'alpha in m².
 
-        b is NaN where D is 0: nothing is matched, or the prior is well within the tolerance.
+        b is NaN where D is 0: without a match, or with the prior well within the tolerance.
         """
         at_prior = self.sum(np.zeros(len(self.mu)))
         soft = np.isfinite(self.variance)

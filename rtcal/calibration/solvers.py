@@ -1,4 +1,4 @@
-"""One table of solvers, and how each is called on the compiled problem.
+"""The solvers, and how each is called on the compiled problem.
 
 ``"clarabel"`` and ``"osqp"`` are called directly on cvxpy's compiled matrices. Direct calls halve
 cvxpy's overhead per re-solve, and only they can warm-start OSQP: cvxpy ignores ``variable.value``.
@@ -25,10 +25,10 @@ from rtcal.errors import MissingDependencyError, ModelError, SolverError
 from rtcal.support.types import Array
 
 SETTINGS: dict[str, dict[str, Any]] = {
-    # At the default 1e-8, single answers are off by 2e-4 although "solved".
+    # At the default 1e-8, some answers with status "solved" have errors of 2e-4.
     "CLARABEL": {"tol_feas": 1e-10, "tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10},
-    # At its default 1e-3 every second answer is off by more than 1e-6.
-    # What can be reached was checked before; left at 1e-4, OSQP calls feasible targets infeasible.
+    # At its default 1e-3, every second answer has an error above 1e-6. Feasibility is checked before,
+    # and with its default 1e-4 OSQP calls feasible targets infeasible.
     "OSQP": {
         "eps_abs": 1e-8,
         "eps_rel": 1e-8,
@@ -43,21 +43,21 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class SolverOutput:
-    """What a solver said, before anything is checked.
+    """A solver's answer, not yet checked.
 
     Attributes
     ----------
     x : array (size,)
-        WhitenedQP unknowns.
+        The whitened unknowns.
     row_duals : list of array
         cvxpy's dual value of each row constraint.
     lower_dual, upper_dual : array (size,)
-        Of the box, 0 or more.
+        Dual values of the box, 0 or more.
     status : str
-        The solver's own word.
+        As the solver names it.
     iterations : int
     seconds : float
-        The solver's own time; NaN where it does not tell.
+        The solver's own time; NaN if it states none.
     """
 
     x: Array
@@ -99,7 +99,7 @@ def run(
     ----------
     compiled : CompiledQP
     options : SolveOptions
-        Its solver in any case; its settings override those of `SETTINGS`.
+        The solver's name, in any case of letters; the settings override those of `SETTINGS`.
     start : (x, row duals), optional
         Primal and dual warm start of OSQP.
 
@@ -125,7 +125,7 @@ def run(
 
 @functools.cache
 def _installed() -> dict[str, str]:
-    """cvxpy's installed solvers by capital name; asking costs milliseconds."""
+    """cvxpy's installed solvers by capital name, cached since the query takes milliseconds."""
     return {str(s).upper(): str(s) for s in cp.installed_solvers()}
 
 
@@ -194,7 +194,7 @@ def _osqp(
     low = qp.b.copy()
     low[qp.n_equal :] = -np.inf
     if qp.n_equal == 0 and settings.get("polishing"):
-        # With nothing active OSQP's polish has nothing to do, and says so on stdout even when silent.
+        # Without active rows OSQP's polishing prints a message, even with verbose=False.
         settings = {**settings, "polishing": False}
     solver = osqp.OSQP()
     try:

@@ -99,7 +99,7 @@ def _parameters(record: Mapping[str, Any]) -> list[str]:
 
 
 def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
-    """One row per quantity of the bands; the matched parameter has one if there are several."""
+    """One row per quantity of the bands, and one for the parameter if T20 and T30 are mixed."""
     marks = _trust_marks(record)
     parameters = [p.upper() or "-" for p in record["measured"]["parameter"]]
     quantities = [
@@ -149,7 +149,7 @@ def _cells(values: Array, form: str) -> list[str]:
 
 
 def _without_rounding(values: Array) -> Array:
-    """The values with rounding residues as plain 0: no "-0.0" is printed."""
+    """The values with rounding residues set to 0, so that no "-0.0" is printed."""
     return np.where(np.abs(values) < 1e-9, 0.0, values)
 
 

@@ -1,7 +1,7 @@
 """Check that each term's NumPy description agrees with its cvxpy expression.
 
-The solver sees the expression; polish and certificate see the description. Where an answer does not
-pass, or polishing moved it far, this check tells a wrong term apart from a solver's failure.
+The solver uses the expression; polish and certificate use the description. If an answer does not pass
+the certificate, or polishing moves it far, this check shows whether a term or the solver is wrong.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _check_value(
 
 
 def _minimum(expression: Any, context: Context, x: Array) -> float:
-    """The expression at x, its helper variables minimised over."""
+    """The expression at x, minimised over its helper variables."""
     if all(variable.id == context.x.id for variable in expression.variables()):
         context.x.save_value(x)
         return float(expression.value)

@@ -58,8 +58,8 @@ def optimality(
 ) -> Optimality:
     """Return the optimality conditions at the answer and their derivatives with respect to T.
 
-    Without ``bounds`` no unknown counts as being at a bound, and u_b is kept where T changes: the
-    error of a linear estimate needs both. With them u_b = |db/dT| u_T follows T.
+    Without ``bounds``, no unknown counts as being at a bound and u_b does not depend on T, as the
+    error of a linear estimate requires. With ``bounds``, u_b = |db/dT| u_T depends on T.
     """
     model, u = solution.model, solution.unknowns
     data = model.data
@@ -110,7 +110,7 @@ def estimate_sigma(
 ) -> Array:
     """Return the standard deviation of the linear estimate's error, (size,) over the unknowns.
 
-    The prior's covariance is the room's, also for a method that assumes another one. An unknown
+    The prior's covariance is the room's, also if the method assumes another covariance. An unknown
     uncertainty of T counts as 0.
     """
     slopes = [
@@ -127,9 +127,9 @@ def innovation(solution: Solution, configurations: Configurations) -> tuple[Arra
     """Return b - S'mu in m², (n_configurations * n_bands,), and its covariance S'KS + U.
 
     K is the prior's covariance with the room's sigma and correlations, and U that of b (0 where
-    unknown). The sizes of effects have their own prior. Where nothing was matched b is NaN. An
-    unreachable band counts with the b that its T asks for, or with the end that was taken if no b
-    has that T.
+    unknown). The sizes of effects have their own prior. b is NaN in a band without a match. An
+    unreachable band counts with the b of its measured T, or with the nearest reachable b if no b has
+    that T.
     """
     data = solution.model.data
     target = data.target.copy()
@@ -170,7 +170,7 @@ def _independent_bands(solution: Solution) -> IndependentBands:
         if isinstance(term, SoftMatch)
     ]
     for weight in weights:
-        # A weight other than 1 says that u_b is another one; at 0 the match says nothing.
+        # A weight w is equivalent to u_b / sqrt(w); with weight 0 the match has no influence.
         noise = np.nan_to_num(data.target_uncertainty[0]) / np.sqrt(max(weight, 1e-300))
         residual = areas @ alpha - np.nan_to_num(target)
         multiplier = np.divide(residual, noise**2, out=np.zeros_like(residual), where=noise > 0)
@@ -227,7 +227,7 @@ def _covariances(solution: Solution, configurations: Configurations) -> tuple[Ar
     sigma = np.concatenate([room.sigma[layout.first].ravel(), data.further(data.sigma)])
     prior = _prior(solution)
     if not (isinstance(prior, PriorDeviation) and prior.correlated()):
-        # A method that leaves the correlations out of its objective (lse) is judged with them.
+        # The plausibility uses the room's correlations, also for a method without them (lse).
         prior = PriorDeviation(
             band_correlation=room.band_correlation, material_correlation=room.material_correlation
         )

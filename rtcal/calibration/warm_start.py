@@ -14,8 +14,9 @@ _ROUNDS = 8
 def from_closed_form(data: ProblemData) -> tuple[Array, list[Array]]:
     """Return x (size,) and the duals of the exact match and of the two sides of the box.
 
-    Where the closed form leaves the box, the violators are held at their bound and it is taken
-    again (Bellows & Katz 2025, Sect. 3.3). That is a start, not the optimum: none is let go.
+    Coefficients that the closed form puts outside the box are fixed at their bound, and the closed form
+    is solved again for the others (Bellows & Katz 2025, Sect. 3.3). This is only a start: coefficients
+    once fixed are not released.
     """
     areas = data.areas[0]
     centre, scale = data.alpha(data.centre), data.alpha(data.scale)
@@ -27,7 +28,7 @@ def from_closed_form(data: ProblemData) -> tuple[Array, list[Array]]:
         free = np.where(held, 0.0, scale)
         moves = data.matched[0] & ((areas @ free) > 0)
         target = np.where(moves, data.target[0], areas @ alpha)
-        # A band that cannot move: any finite spread will do, its pull is 0.
+        # In a band of fixed coefficients the pull is 0, with any finite spread.
         spread = np.where(moves, free, 1.0)
         pull = np.where(
             moves,

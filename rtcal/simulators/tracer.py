@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import decay
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.quality import OFF_VOLUME
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.simulators.base import RoomSimulator, check_alpha
@@ -25,10 +26,6 @@ LONGEST = 60.0
 
 RADIUS_SHARE = 0.075
 """A receiver's default radius over the cube root of the volume: 0.5 m in 300 m³, 1.6 m in 10,000 m³."""
-
-OFF_VOLUME = 0.1
-"""Relative difference that the room's volume may have from the geometry's. Plans are no more precise,
-and T is proportional to the volume. The volume of a case and of its dimensions agree as closely."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

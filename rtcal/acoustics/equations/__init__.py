@@ -1,10 +1,9 @@
-"""Reverberation equations: what predicts T from volume, areas, absorption and air.
+"""Reverberation equations: they predict T from volume, areas, absorption and air.
 
-One module per equation, and one registry that names them, `EQUATIONS`. Every module of this package
-is imported and every equation in it registers itself, so a new equation is one new file: commands,
-cases, saved loops and the model of a gap find it in the registry and ask it for the rest.
+A new equation is one new module of this package. Its class registers itself in `EQUATIONS`, where
+commands, cases, saved loops and the discrepancy model look it up.
 
-Three kinds, each with more abilities than the one before:
+There are three kinds, each a special case of the one before:
 
 - `Equation` predicts the T of a `Room`.
 - `MeanEquation` has one absorption exponent per room, a function of a mean over the walls.

@@ -31,7 +31,7 @@ class Equation(Protocol):
 
 @dataclass(frozen=True)
 class ReverberationEquation(ABC):
-    """What rtcal's equations share: the constant 24 ln 10 / c and the air, 4mV.
+    """Base of rtcal's equations, with the constant 24 ln 10 / c and the air's 4mV.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class ReverberationEquation(ABC):
 
     name: ClassVar[str] = ""
     key: ClassVar[str] = ""
-    """What commands, cases and saved loops call the equation."""
+    """Name of the equation in commands, cases and saved loops."""
 
     def __post_init__(self) -> None:
         c = self.speed_of_sound

@@ -1,4 +1,4 @@
-"""Fitzroy's and Arau-Puchades' equations, which treat the surfaces across each axis apart.
+"""Fitzroy's and Arau-Puchades' equations, which treat the surfaces of each axis separately.
 
 They are not functions of a mean over all walls and give no linear target. They are calibrated like a
 simulator, in the closed loop.

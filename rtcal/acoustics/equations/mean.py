@@ -1,9 +1,9 @@
 """Equations with one absorption exponent per room, a function of a mean over its walls.
 
-T = (24 ln 10 / c) V / (S a + 4 m V), with the exponent a = E(sum S_i h(alpha_i) / S). The mean is
-over h(alpha), what one wall contributes. With h(alpha) = alpha, T depends on alpha through S'alpha
-alone. Inverted for a measured T, that is one linear equality in alpha (Bellows & Katz 2025, Eqs. 1
-to 6).
+T = (24 ln 10 / c) V / (S a + 4 m V), with the exponent a = E(sum S_i h(alpha_i) / S). A wall
+contributes h(alpha) to the mean. With h(alpha) = alpha, T depends on alpha only through S'alpha.
+Solved for a measured T, the equation is then one linear equality in alpha (Bellows & Katz 2025,
+Eqs. 1 to 6).
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class MeanEquation(ReverberationEquation, ABC):
 
     @checked
     def contribution(self, alpha: Array) -> Array:
-        """Return h(alpha), what a wall contributes to the mean."""
+        """Return h(alpha), the contribution of a wall to the mean."""
         return np.asarray(alpha)
 
     @checked
     def coefficient(self, contribution: Array) -> Array:
-        """Return the alpha that contributes this much: the inverse of `contribution`."""
+        """Return the alpha of a wall with this contribution: the inverse of `contribution`."""
         return np.asarray(contribution)
 
     @checked
@@ -73,15 +73,15 @@ class MeanEquation(ReverberationEquation, ABC):
     def linear(self) -> LinearEquation:
         """Return the equation that a calibration inverts for this one.
 
-        Itself where it is linear, and else the linear one with the same T for equal coefficients.
+        A linear equation returns itself. Any other returns the linear equation that has the same T
+        if all coefficients are equal.
         """
 
     def diffuse_field(self) -> MeanEquation:
         """Return the equation that the T of simulators follows in a diffuse field.
 
-        Itself, unless theory knows this equation to be off there. The difference between a
-        simulator and the equation returned is then the error of a room's model, without the
-        equation's own.
+        Itself, unless this equation is theoretically wrong in a diffuse field. The difference between
+        a simulator and the returned equation then shows the error of the room's model alone.
         """
         return self
 
@@ -120,7 +120,7 @@ class LinearEquation(MeanEquation):
 
     @checked
     def target(self, room: Room, t: Array) -> Array:
-        """Return b in m², (..., n_bands), for T in s, without a check of what can be reached.
+        """Return b in m², (..., n_bands), for T in s, without a check that the bounds can reach it.
 
         b is below 0 where T is longer than the air alone allows, and NaN where T is NaN or where
         no mean absorption coefficient has the exponent that T asks for.
@@ -207,7 +207,7 @@ def mean_equation(key: str, place: str = "equation") -> MeanEquation:
 
 
 def linear_equation(name: str) -> type[LinearEquation]:
-    """Return the linear equation with this ``name``, as records state it; DataError if none has.
+    """Return the linear equation with this ``name``, as in saved results; DataError if none has it.
 
     Examples
     --------

@@ -17,9 +17,9 @@ from rtcal.support.types import Array
 @register
 @dataclass(frozen=True)
 class Millington(MeanEquation):
-    """Millington and Sette: S a = -sum S_i ln(1 - alpha_i), the mean over the walls' own exponents.
+    """Millington and Sette: S a = -sum S_i ln(1 - alpha_i), a mean over the walls' exponents.
 
-    The mean is taken over the exponents and not over the coefficients. One surface with alpha = 1
+    One surface with alpha = 1
     makes T zero. T equals Eyring's if and only if all coefficients are equal. T does not determine
     S'alpha, so a calibration needs the closed loop.
 
@@ -43,7 +43,7 @@ class Millington(MeanEquation):
 
     @checked
     def contribution(self, alpha: Array) -> Array:
-        """Return the wall's own exponent -ln(1 - alpha), infinite at 1."""
+        """Return the wall's exponent -ln(1 - alpha), infinite at 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-np.asarray(alpha, dtype=float)))
 
@@ -63,5 +63,5 @@ class Millington(MeanEquation):
         return Eyring(self.speed_of_sound)
 
     def diffuse_field(self) -> MeanEquation:
-        """Return Eyring's equation: one small open window does not make the T of a field zero."""
+        """Return Eyring's equation: a small open window does not make T zero in a diffuse field."""
         return Eyring(self.speed_of_sound)
