@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import sys
+import os
+
+INTERRUPTED = 130
 
 
 def main() -> None:
@@ -12,7 +14,19 @@ def main() -> None:
 
         command()
     except KeyboardInterrupt:
-        sys.exit(130)
+        _end()
+    except SystemExit as ended:
+        if ended.code == INTERRUPTED:
+            _end()
+        raise
+
+
+def _end() -> None:
+    """End the process now. Python would wait for threads that nobody needs any more.
+
+    All files are whole at any moment (`rtcal.support.transaction`), and errors print unbuffered.
+    """
+    os._exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -51,6 +51,31 @@ def check(tmp_path: Path, times: int, longest: float) -> list[int]:
     return codes
 
 
+LOCKED = """
+from concurrent.futures import Future
+
+def result(self, timeout=None):
+    self._condition.acquire()
+    raise KeyboardInterrupt
+
+Future.result = result
+"""
+"""The state that Ctrl-C leaves where it strikes between taking a lock and the block that lets it go."""
+
+
+def test_an_interrupt_within_a_futures_lock_does_not_hang() -> None:
+    """A worker waits for ever for the lock; one of 200 interrupted studies hung so."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOCKED + STARTED, "study", "--realisations", "300", "--trials", "9"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 130
+    assert done.stderr.strip() == ""
+
+
 def test_interrupts_at_random_moments(tmp_path: Path) -> None:
     assert 130 in check(tmp_path, 3, 0.8)
 

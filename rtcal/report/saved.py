@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,8 @@ import numpy as np
 from rtcal.acoustics.quality import TrustMark
 from rtcal.calibration.record import KIND
 from rtcal.errors import DataError
-from rtcal.support.decode import json_object
+from rtcal.support import checks
+from rtcal.support.decode import Entries, Rule, json_object, list_of, named, optional, record_of
 from rtcal.support.files import read_text
 from rtcal.support.types import Array
 
@@ -106,146 +108,155 @@ def read(path: str | os.PathLike[str]) -> Saved:
 
 
 def from_dict(record: Mapping[str, Any], place: str = "result") -> Saved:
-    """Return a record as arrays; DataError names the place where it is no saved calibration."""
+    """Return a record as arrays.
+
+    Raises DataError, with place, value and rule, where it is no saved calibration.
+    """
     if record.get("rtcal") != KIND:
         raise DataError(f'{place}: no saved calibration: its "rtcal" is not "{KIND}"')
     try:
-        return _checked(record)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        what = f"lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise DataError(f"{place}: no saved calibration: {what}") from error
+        return _decoded(record)
+    except DataError as error:
+        raise DataError(f"{place}: no saved calibration: {error}") from error
 
 
-def _checked(record: Mapping[str, Any]) -> Saved:
-    n = len(record["centre_frequencies"])
-    materials = record["materials"]
-    if not n or not materials:
-        raise ValueError("no bands, or no materials")
-    _texts(record, "room", "method", "equation")
-    _texts(record["inputs"], "room", "measured")
-    _texts(record["solver"], "name", "status")
-    _texts(record["measured"], "caution", "fingerprint")
-    if type(record["solver"]["polished"]) is not bool:
-        raise ValueError("polished is neither true nor false")
-    for text in (
-        *record["unreachable"],
-        *record["objective"],
-        *record["constraints"],
-        *record["measured"]["parameter"],
-        *record["effects"],
-    ):
-        if not isinstance(text, str):
-            raise ValueError(f"{text!r} is not a text")
-    for name in ("primal_residual", "dual_residual", "duality_gap"):
-        _array(record["certificate"][name], n)
-    plausibility = record["plausibility"]
-    for value in (
-        record["volume"],
-        plausibility["q"],
-        plausibility["degrees_of_freedom"],
-        record["band_correlation"],
-        *record["effects"].values(),
-        *record["equation_parameters"].values(),
-        *record["measured"]["bands_not_in_room"],
-    ):
-        _number(value, missing=False)
-    _number(plausibility["p_value"])
-    for pair in record["material_correlation"]:
-        _texts(dict(enumerate(pair["materials"])), 0, 1)
-        if not -1 < _number(pair["value"], missing=False) < 1:
-            raise ValueError("a correlation is not between -1 and 1")
-    if record["air"] is not None:
-        for name in ("temperature", "humidity", "pressure"):
-            _number(record["air"][name], missing=False)
-    _texts(record["versions"], "rtcal", *record["versions"])
+_ANY = (-_LARGEST, _LARGEST)
+_SIZE = (0.0, _LARGEST)
+_POSITIVE = (1e-9, _LARGEST)
+_SHARE = (0.0, 1.0)
+_CORRELATION = (-1.0, 1.0)
 
-    def rows(key: str) -> Array:
-        return np.array([_array(m[key], n, missing=False) for m in materials])
 
-    interval = None
-    if all(m["interval_after"] is not None for m in materials):
-        if any(len(m["interval_after"]) != 2 for m in materials):
-            raise ValueError("interval_after has not two ends")
-        interval = np.array(
-            [[_array(m["interval_after"][e], n) for m in materials] for e in (0, 1)]
-        )
-    for m in materials:
-        _texts(m, "name", "source")
-        _array(m["error_bound"], n)
-        if m["alpha_min"] is not None:
-            _array(m["alpha_min"], n)
-        if len(m["at_bound"]) != n or not set(m["at_bound"]) <= {"lower", "", "upper"}:
-            raise ValueError("at_bound is not one of lower, upper and nothing a band")
-    found = Saved(
-        record=record,
-        centre_frequencies=_array(record["centre_frequencies"], n, missing=False),
-        measured=_array(record["measured"]["reverberation_time"], n),
-        uncertainty=_array(record["measured"]["uncertainty"], n),
-        before=_array(record["reverberation_time_before"], n),
-        after=_array(record["reverberation_time_after"], n),
-        gap_before=_array(record["gap_before_jnd"], n),
-        gap_after=_array(record["gap_after_jnd"], n),
-        z=_array(plausibility["z"], n),
-        target=_array(record["target"], n),
-        target_uncertainty=_array(record["target_uncertainty"], n),
-        air_share=_array(record["air_share"], n),
-        added_absorption=_array(record["added_absorption"], n),
-        materials=tuple(m["name"] for m in materials),
-        areas=_array([m["area"] for m in materials], len(materials), missing=False),
-        alpha_before=rows("alpha_before"),
-        sigma_before=rows("sigma_before"),
-        alpha_after=rows("alpha_after"),
-        sigma_after=rows("sigma_after"),
-        interval=interval,
-        shift_in_sigmas=rows("shift_in_sigmas"),
-        at_bound=np.array([m["at_bound"] for m in materials]),
-        trust_marks=tuple(_mark(m) for m in record["trust_marks"]),
+def _number(limits: tuple[float, float], missing: bool = False) -> Rule:
+    return partial(Entries.array, shape=(), limits=limits, missing=missing)
+
+
+def _rules(n: int) -> dict[str, Rule]:
+    """Return the rule of each key of a record with ``n`` bands."""
+
+    def bands(limits: tuple[float, float], *more: int | None, missing: bool = True) -> Rule:
+        return partial(Entries.array, shape=(*more, n), limits=limits, missing=missing)
+
+    def each(keys: str, rule: Rule) -> dict[str, Rule]:
+        return dict.fromkeys(keys.split(), rule)
+
+    text, texts = Entries.text, Entries.texts
+    residuals = record_of(each("primal_residual dual_residual duality_gap", bands(_ANY)))
+    solver: dict[str, Rule] = {
+        **each("name status", text),
+        "iterations": partial(Entries.whole, least=0),
+        "seconds": _number(_SIZE, missing=True),
+        "polished": Entries.flag,
+        "raw_certificate": residuals,
+        "raw_alpha": bands(_ANY, None),
+    }
+    measured: dict[str, Rule] = {
+        "reverberation_time": bands(_POSITIVE),
+        "uncertainty": bands(_SIZE),
+        "parameter": texts,
+        "bands_not_in_room": partial(Entries.array, shape=(None,), limits=_POSITIVE),
+        **each("fingerprint caution", text),
+    }
+    material: dict[str, Rule] = {
+        **each("name source", text),
+        "area": _number(_POSITIVE),
+        **each("alpha_before alpha_after", bands(_SHARE, missing=False)),
+        **each("sigma_before sigma_after", bands(_SIZE, missing=False)),
+        "shift_in_sigmas": bands(_ANY, missing=False),
+        "interval_after": optional(bands(_SHARE, 2)),
+        "alpha_min": optional(bands(_SHARE)),
+        "at_bound": texts,
+        "error_bound": bands(_SIZE),
+    }
+    plausibility: dict[str, Rule] = {
+        "z": bands(_ANY),
+        "q": _number(_SIZE),
+        "degrees_of_freedom": partial(Entries.whole, least=0),
+        "p_value": _number(_SHARE, missing=True),
+    }
+    mark = {**each("kind letter text advice", text), "frequency": _number(_POSITIVE, missing=True)}
+    return {
+        **each("rtcal room method equation", text),
+        **each("objective constraints unreachable", texts),
+        **each("equation_parameters effects", named(_number(_ANY))),
+        "versions": named(text),
+        "inputs": record_of(each("room measured", text)),
+        "matches_measured_time": Entries.flag,
+        "volume": _number(_POSITIVE),
+        "air": optional(record_of(each("temperature humidity pressure", _number(_ANY)))),
+        "band_correlation": _number(_CORRELATION),
+        "material_correlation": list_of(
+            record_of({"materials": texts, "value": _number(_CORRELATION)})
+        ),
+        "centre_frequencies": bands((1e-3, _LARGEST), missing=False),
+        **each("reverberation_time_before reverberation_time_after", bands(_POSITIVE)),
+        **each("gap_before_jnd gap_after_jnd target", bands(_ANY)),
+        **each("added_absorption multipliers", bands(_ANY)),
+        "target_uncertainty": bands(_SIZE),
+        "air_share": bands(_SHARE),
+        "measured": record_of(measured),
+        "materials": list_of(record_of(material)),
+        "plausibility": record_of(plausibility),
+        "trust_marks": list_of(record_of(mark)),
+        "certificate": residuals,
+        "solver": record_of(solver),
+    }
+
+
+def _decoded(record: Mapping[str, Any]) -> Saved:
+    n = len(Entries("", record, (), record).listed("centre_frequencies"))
+    rules = _rules(n)
+    file = Entries("", record, rules)
+    values = {key: rule(file, key) for key, rule in rules.items()}
+    materials, measured, frequencies = (
+        values[key] for key in ("materials", "measured", "centre_frequencies")
     )
-    for rule, values, low, high in (
-        ("centre_frequencies", found.centre_frequencies, 1e-3, _LARGEST),
-        ("area", found.areas, 1e-9, _LARGEST),
-        ("reverberation_time", [found.measured, found.before, found.after], 1e-9, _LARGEST),
-        ("uncertainty", found.uncertainty, 0, _LARGEST),
-        ("alpha", [found.alpha_before, found.alpha_after], 0, 1),
-        ("sigma", [found.sigma_before, found.sigma_after], 0, _LARGEST),
-        ("air_share", found.air_share, 0, 1),
-    ):
-        outside = (np.asarray(values) < low) | (np.asarray(values) > high)  # not where missing
-        if outside.any():
-            raise ValueError(f"{rule} has a value outside {low:g} to {high:g}")
-    if (np.diff(found.centre_frequencies) <= 0).any():
-        raise ValueError("centre_frequencies do not increase")
-    return found
+    if not n or (np.diff(frequencies) <= 0).any():
+        raise DataError("centre_frequencies is empty or does not increase")
+    if not materials:
+        raise DataError("materials is empty")
+    for i, material in enumerate(materials):
+        sides = material["at_bound"]
+        if len(sides) != n or not set(sides) <= {"lower", "", "upper"}:
+            raise DataError(
+                f'materials[{i}].at_bound = {checks.shown(sides)} is not "lower", "upper" or "" for '
+                f"each of {n} bands"
+            )
+    for i, pair in enumerate(values["material_correlation"]):
+        if len(pair["materials"]) != 2:
+            raise DataError(f"material_correlation[{i}].materials are not two")
+    ends = [material["interval_after"] for material in materials]
 
+    def of_materials(key: str) -> Any:
+        return np.array([material[key] for material in materials])
 
-def _array(values: Any, n: int, missing: bool = True) -> Array:
-    if not isinstance(values, list) or len(values) != n:
-        raise ValueError(f"{str(values)[:40]} is not a list of {n} numbers")
-    return np.array([_number(v, missing) for v in values])
-
-
-def _number(value: Any, missing: bool = True) -> float:
-    if value is None and missing:
-        return math.nan
-    real = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not real or not abs(value) < _LARGEST:  # NaN is not below it either
-        raise ValueError(f"{str(value)[:40]} is not a number below {_LARGEST:g}")
-    return float(value)
-
-
-def _texts(table: Mapping[Any, Any], *keys: str | int) -> None:
-    for key in keys:
-        if not isinstance(table[key], str):
-            raise ValueError(f"{key} = {str(table[key])[:40]} is not a text")
+    return Saved(
+        record=record,
+        centre_frequencies=frequencies,
+        measured=measured["reverberation_time"],
+        uncertainty=measured["uncertainty"],
+        before=values["reverberation_time_before"],
+        after=values["reverberation_time_after"],
+        gap_before=values["gap_before_jnd"],
+        gap_after=values["gap_after_jnd"],
+        z=values["plausibility"]["z"],
+        target=values["target"],
+        target_uncertainty=values["target_uncertainty"],
+        air_share=values["air_share"],
+        added_absorption=values["added_absorption"],
+        materials=tuple(material["name"] for material in materials),
+        areas=of_materials("area"),
+        alpha_before=of_materials("alpha_before"),
+        sigma_before=of_materials("sigma_before"),
+        alpha_after=of_materials("alpha_after"),
+        sigma_after=of_materials("sigma_after"),
+        interval=None if any(e is None for e in ends) else np.stack(ends, axis=1),
+        shift_in_sigmas=of_materials("shift_in_sigmas"),
+        at_bound=of_materials("at_bound"),
+        trust_marks=tuple(_mark(entry) for entry in values["trust_marks"]),
+    )
 
 
 def _mark(entry: Mapping[str, Any]) -> TrustMark:
-    _texts(entry, "kind", "letter", "text", "advice")
-    frequency = entry["frequency"]
-    return TrustMark(
-        entry["kind"],
-        entry["letter"],
-        None if frequency is None else _number(frequency),
-        entry["text"],
-        entry["advice"],
-    )
+    frequency = float(entry["frequency"])
+    return TrustMark(**{**entry, "frequency": None if math.isnan(frequency) else frequency})

@@ -11,8 +11,6 @@ energy per cross-section of the receiver. The same paths give E for every alpha,
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Literal
@@ -24,6 +22,7 @@ from rtcal.errors import DataError
 from rtcal.simulators import path_numpy
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import jit
+from rtcal.support.threads import thread_pool
 from rtcal.support.types import Array
 
 ScatteringModel = Literal["random", "vector"]
@@ -256,7 +255,7 @@ def trace(
         return Batch(events, starts, lengths, weights, int(counts[0]), free)
 
     jobs = [(s, b) for s in range(len(sources)) for b in range(n_batches)]
-    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+    with thread_pool(workers) as pool:
         done = list(pool.map(trace_batch, jobs))
     lost = sum(batch.lost for batch in done)
     if lost > max(1, _LOST * per_batch * len(jobs)):

@@ -13,7 +13,7 @@ import os
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +25,7 @@ from rtcal.support import checks, transaction
 from rtcal.support.decode import json_object
 from rtcal.support.files import make_folder, read_text, write_bytes, write_text
 from rtcal.support.progress import bar as progress_bar
+from rtcal.support.threads import thread_pool
 
 IN_FLIGHT = 64
 """Largest number of submitted pieces whose results are not yet collected; it bounds the memory."""
@@ -78,13 +79,14 @@ def run_pieces(
     ):
         raise DataError(f"executor = {executor!r} is not a concurrent.futures.Executor")
     total: Moments | None = None
-    threads = ThreadPoolExecutor(workers or os.cpu_count() or 1) if executor is None else None
     with ExitStack() as stack:
         store = None
         if folder is not None:
             store = _open(checks.path("folder", folder), identity)
             stack.enter_context(transaction.held(store.record))
-        pool = stack.enter_context(threads or nullcontext(executor))
+        pool = stack.enter_context(
+            thread_pool(workers) if executor is None else nullcontext(executor)
+        )
         bar = stack.enter_context(progress_bar(count, "piece", progress))
         for number, piece in _hand_out(pool, compute, range(count), store):
             result = piece if isinstance(piece, Moments) else piece.result()

@@ -1,4 +1,4 @@
-"""The one door to threadpoolctl: BLAS with one thread where matrices are small.
+"""Threads: BLAS with one, the one door to threadpoolctl; and a pool of them that an error ends.
 
 To factor a matrix of a hundred rows takes less time than to wake a second thread. On a machine with
 busy cores the second thread also waits for a core: `find` then takes ten times as long and more
@@ -7,8 +7,10 @@ busy cores the second thread also waits for a core: `find` then takes ten times 
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 _held = threading.Lock()
@@ -31,3 +33,20 @@ def single_threaded_blas() -> Iterator[None]:
             yield
     finally:
         _held.release()
+
+
+@contextmanager
+def thread_pool(workers: int | None) -> Iterator[ThreadPoolExecutor]:
+    """Yield an executor of threads, as many as the machine has cores where ``workers`` is None.
+
+    It is waited for, unless an exception ends the block: then what has not begun is dropped, and what
+    has begun ends by itself. Waiting could last for ever. Ctrl-C may strike the main thread while it
+    holds a future's lock, and Python never releases a lock taken in that moment.
+    """
+    pool = ThreadPoolExecutor(workers or os.cpu_count() or 1)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
