@@ -482,13 +482,16 @@ def test_a_loop_results_page(loop_result, tmp_path) -> None:
     text = page.loop_page(replace(loop_result.loop, steps=tuple(steps)))
     assert "windows: α = 1 at 125 and 2000 Hz" in text
     good = json.loads(path.read_text())
-    for broken in (
-        {},
-        good["result"] | {"before": {"t20": [1.0]}},
-        good["result"] | {"simulator": 3},
+    for broken, said in (
+        ({}, "result lacks"),
+        (good["result"] | {"before": {"t20": [1.0]}}, r"result\.before\.t20 has 1 values"),
+        (good["result"] | {"before": {"t20": [1e300] * 6}}, r"t20\[0\] = 1e\+300 is not from"),
+        (good["result"] | {"simulator": 3}, r"result\.simulator = 3 is not a text"),
+        (good["result"] | {"status": ["fine"]}, r"result\.status = \['fine'\] is not a status"),
+        (good["result"] | {"afetr": {}}, 'has the key "afetr"'),
     ):
         path.write_text(json.dumps(good | {"result": broken}))
-        with pytest.raises(DataError, match="no result of a loop"):
+        with pytest.raises(DataError, match=f"no result of a loop: .*{said}"):
             page.page_of(path)
 
 

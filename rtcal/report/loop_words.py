@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,11 +13,14 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
 from rtcal.report.rows import material_rows
 from rtcal.report.words import hertz
+from rtcal.support import checks
+from rtcal.support.decode import Entries, Rule, named, record_of
 
 if TYPE_CHECKING:
     from rtcal.loop.state import Loop
 
 _SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
+_LIMITS = (-1e6, 1e6)  # s and dB: no parameter of a room comes near
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
     "unreachable": "cannot be reached: no coefficients within the equation's range bring it nearer",
@@ -113,7 +117,7 @@ def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
         return "What the coefficients returned give was not simulated."
     k = int(np.nanargmax(gap))
     how = (
-        "With random numbers that the calibration has not calibration"
+        "With random numbers that the calibration did not use"
         if ends["confirmed"]
         else ("With all the coefficients returned")
     )
@@ -125,34 +129,35 @@ def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
 def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
     """Return the simulator's name and the rows of what it had before and after; see `LoopResult.ends`.
 
-    DataError if it is nothing of the kind.
+    DataError, with place, value and rule, if it is nothing of the kind.
     """
+    n = loop.room.n_bands
+    means = named(partial(Entries.array, shape=(n,), limits=_LIMITS, missing=True))
+    rules: dict[str, Rule] = {
+        "simulator": Entries.text,
+        "confirmed": Entries.flag,
+        "status": Entries.texts,
+        "before": means,
+        "after": means,
+    }
     try:
-        rows = []
-        for parameter, (decimals, unit) in _SHOWN.items():
-            for name, when in (("before", "first"), ("after", "with the coefficients returned")):
-                if parameter not in result[name]:
-                    continue
-                values = np.array(result[name][parameter], dtype=float)
-                if values.shape != (loop.room.n_bands,):
-                    raise ValueError(f"{name}.{parameter} has not one value a band")
-                rows.append((f"{parameter.upper()}, {when} / {unit}", values, decimals, False))
-        if not isinstance(result["simulator"], str) or type(result["confirmed"]) is not bool:
-            raise ValueError("no name of a simulator")
-        status = tuple(result["status"])
-        if len(status) != loop.room.n_bands or not set(status) <= set(_STATUS_IN_WORDS):
-            raise ValueError("status has not one of the known words a band")
-        gap = gap_jnd(np.array(result["after"]["t20"], dtype=float), loop.wanted)
-        rows.insert(2, ("its gap / JND", gap, 1, True))
-        return {
-            "simulator": result["simulator"],
-            "confirmed": result["confirmed"],
-            "rows": rows,
-            "gap": gap,
-            "status": status,
-        }
-    except (KeyError, TypeError, ValueError) as error:
+        ends = record_of(rules)(Entries("", {"result": result}, ("result",)), "result")
+        if len(ends["status"]) != n or not set(ends["status"]) <= set(_STATUS_IN_WORDS):
+            shown = checks.shown(ends["status"])
+            raise DataError(f"result.status = {shown} is not a status for each of {n} bands")
+        if "t20" not in ends["after"]:
+            raise DataError("result.after lacks t20")
+    except DataError as error:
         raise DataError(f"{place}: no result of a loop: {error}") from error
+    rows = [
+        (f"{parameter.upper()}, {when} / {unit}", ends[name][parameter], decimals, False)
+        for parameter, (decimals, unit) in _SHOWN.items()
+        for name, when in (("before", "first"), ("after", "with the coefficients returned"))
+        if parameter in ends[name]
+    ]
+    gap = gap_jnd(ends["after"]["t20"], loop.wanted)
+    rows.insert(2, ("its gap / JND", gap, 1, True))
+    return {**ends, "rows": rows, "gap": gap}
 
 
 def materials_table(loop: Loop) -> list[dict[str, Any]]:
