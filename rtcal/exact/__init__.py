@@ -1,4 +1,4 @@
-"""The calibration QP with bounds, exactly, for millions of rooms at once; see `solve`."""
+"""The calibration QP with bounds, solved exactly for millions of rooms at once; see `solve`."""
 
 from rtcal.exact.batch import ABOVE, BAD_INPUT, BELOW, OK, Answer, solve
 

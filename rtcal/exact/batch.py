@@ -1,11 +1,11 @@
-"""The calibration QP with bounds, exactly, for millions of rooms at once.
+"""The calibration QP with bounds, solved exactly for millions of rooms at once.
 
 One band of one room: minimise ½ sum ((alpha - mu)/sigma)² subject to S'alpha = b and
 lower <= alpha <= upper. That is a continuous quadratic knapsack: alpha = clip(mu - D S sigma², lower,
-upper) with one multiplier D. The closed form comes first. Where it leaves the box, variable fixing
+upper) with one multiplier D. The closed form comes first. If it leaves the box, variable fixing
 follows (Bitran & Hax 1981; Kiwiel 2008): fix the violators of the dominant side at their bounds, solve
-for the other coefficients, repeat; usually two or three rounds. No solver runs, and nothing iterates
-to a tolerance.
+for the other coefficients, and repeat. Two or three rounds are usual. No solver runs, and no result
+depends on a tolerance.
 
 Tolerances and soft matches are supported. For coupled bands or several configurations of a room use
 `rtcal.Calibration`.
@@ -25,10 +25,10 @@ from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 OK, BELOW, ABOVE, BAD_INPUT = 0, 1, 2, 3
-"""Values of ``status``: solved; target below or above reach; a datum breaks a rule."""
+"""Values of ``status``: solved; target below or above what the bounds allow; invalid datum."""
 
 EPS = float(np.finfo(float).eps)
-CHUNK = 4096  # rows at a time in the NumPy engine: its temporaries stay in the cache
+CHUNK = 4096  # rows per step of the NumPy engine, so that its temporaries fit into the cache
 
 
 class Answer(NamedTuple):
@@ -66,8 +66,8 @@ def solve(
     Parameters
     ----------
     mu, sigma : array (..., n)
-        Prior means and standard deviations. sigma = 0 holds a coefficient at mu, which must then
-        lie within the bounds; mu may lie outside them otherwise.
+        Prior means and standard deviations. A coefficient with sigma = 0 is fixed at mu, which must
+        lie within the bounds. With sigma > 0, mu may lie outside them.
     areas : array (..., n)
         m², not negative.
     target : array (...)
@@ -75,7 +75,7 @@ def solve(
     lower, upper : float or array (..., n)
         Bounds, finite.
     tolerance, uncertainty : float or array (...)
-        m², 0 for an exact match; one of the two at most.
+        m², 0 for an exact match; at most one of the two may be above 0.
     engine : {"auto", "numba", "numpy"}
         The compiled kernel where numba is installed, or the NumPy engine.
     out : array (..., n), optional
@@ -84,17 +84,16 @@ def solve(
     Returns
     -------
     Answer
-        ``alpha, multiplier, status``. b within 16 n eps sum |S bound| of the least or the most
-        that the bounds allow is that end; the multiplier is an interval there, and its end nearest 0
-        is returned.
+        ``alpha, multiplier, status``. b within 16 n eps sum |S bound| of the least or largest S'alpha
+        that the bounds allow counts as that end. At an end any multiplier of an interval is optimal;
+        the one nearest 0 is returned.
 
     Raises
     ------
     DataError
-        If shapes do not fit, something is not a number or hidden by a mask, ``out`` cannot be
-        written to, or both ``tolerance`` and ``uncertainty`` are given. A row with NaN, a negative
-        area, a negative sigma, lower above upper or a held mu outside the bounds raises nothing:
-        its status is 3.
+        If shapes do not fit, a value is not a number or masked, ``out`` cannot be written to, or both
+        ``tolerance`` and ``uncertainty`` are stated. A row with NaN, a negative area, a negative
+        sigma, lower above upper or a fixed mu outside the bounds raises no error: its status is 3.
     MissingDependencyError
         With ``engine="numba"`` where numba is not installed.
 
@@ -179,7 +178,7 @@ def _engine(name: str) -> str:
 
 
 def _rows(x: Array, batch: tuple[int, ...], n: int) -> Array:
-    """Return ``x`` as contiguous rows (rows, n), or (1, n) where one row serves all."""
+    """Return ``x`` as contiguous rows (rows, n), or (1, n) if all rows are the same."""
     if x.size == x.shape[-1] if x.ndim else True:
         return np.ascontiguousarray(np.broadcast_to(x.reshape(-1), (n,))).reshape(1, n)
     return np.ascontiguousarray(np.broadcast_to(x, (*batch, n))).reshape(-1, n)
@@ -191,7 +190,7 @@ def _solve_chunk(
     """Solve some rows with NumPy, by the arithmetic of `kernel.solve_rows`."""
     m, g, s, b, low, high, give, slack = data
     rows, n = alpha.shape
-    with np.errstate(all="ignore"):  # rows with bad input are found below, and answered with NaN
+    with np.errstate(all="ignore"):  # rows with bad input get NaN below
         held = g == 0
         bottom, top = np.where(held, m, low), np.where(held, m, high)
         w = s * g * g
@@ -245,8 +244,10 @@ def _fix(
     m: Array, w: Array, s: Array, low: Array, high: Array, b: Array, slack: Array
 ) -> tuple[Array, Array]:
     """Variable fixing on rows that the closed form leaves outside the box; return alpha and D."""
-    free = w.copy()  # the weights S sigma² of what is free, 0 else
-    base = np.where(w > 0, m, np.clip(m, low, high))  # mu of what is free, its bound of the pegged
+    free = w.copy()  # weights S sigma² of free coefficients, 0 of others
+    base = np.where(
+        w > 0, m, np.clip(m, low, high)
+    )  # mu of free coefficients, the bound of pegged ones
     rows = np.arange(len(m))  # not solved yet
     for _ in range(m.shape[1] + 1):
         ss, lo, hi, ff, base_now = (x[rows] for x in (s, low, high, free, base))
@@ -255,7 +256,7 @@ def _fix(
         d = (_sum(ss * base_now) - b[rows]) / np.where(stuck, 1.0, spread)
         a = base_now - d[:, np.newaxis] * ff
         under, over = _sum(ss * np.maximum(lo - a, 0.0)), _sum(ss * np.maximum(a - hi, 0.0))
-        # Clipped, S'a is too large: D must rise, and what is at its lower bound stays there.
+        # If the clipped S'a is too large, D must rise, so coefficients at their lower bound stay there.
         to_low = (a < lo) & (under >= over)[:, np.newaxis]
         to_high = (a > hi) & (under <= over)[:, np.newaxis]
         base[rows] = np.where(to_low, lo, np.where(to_high, hi, base_now))
@@ -263,7 +264,7 @@ def _fix(
         rows = rows[~stuck & ((under > 0) | (over > 0))]
         if rows.size == 0:
             break
-    # What the free ones make up is a small difference of large areas: once more, compensated.
+    # The free coefficients' share is a small difference of large areas: compensated summation.
     spread = _sum(s * free) + slack
     stuck = spread == 0
     d = _excess(s, base, b) / np.where(stuck, 1.0, spread)
@@ -273,7 +274,7 @@ def _fix(
 
 
 def _meeting(m: Array, w: Array, low: Array, high: Array, a: Array) -> Array:
-    """Return D where all coefficients are at bounds: the end of D's interval that is nearest 0."""
+    """Return D if all coefficients are at bounds: the optimal D nearest 0."""
     bound, safe = (w > 0) & (low < high), np.where(w > 0, w, 1.0)
     start = np.where(bound & (a == low), (m - low) / safe, -np.inf).max(axis=-1)
     stop = np.where(bound & (a != low), (m - high) / safe, np.inf).min(axis=-1)

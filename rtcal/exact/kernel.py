@@ -1,6 +1,6 @@
-"""The compiled rows of `rtcal.exact.batch`: one problem after the other, in one thread.
+"""The compiled engine of `rtcal.exact.batch`: it solves the rows one by one, in one thread.
 
-The arithmetic is that of the NumPy engine in `rtcal.exact.batch`; tests hold the two together.
+It does the arithmetic of the NumPy engine in `rtcal.exact.batch`; tests compare the two.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ EPS = float(np.finfo(float).eps)
 OK, BELOW, ABOVE, BAD_INPUT, PENDING = 0, 1, 2, 3, -1
 STRIP = 64  # rows
 LARGEST = float(np.finfo(float).max)
-ROUNDING = 1e-13  # of alpha, below which sums are as they come
+ROUNDING = 1e-13  # error of alpha up to which sums are not compensated
 SPLIT = 134217729.0  # 2^27 + 1: halves of 26 bits, whose products do not round
 
 
@@ -45,8 +45,8 @@ def solve_rows(
     step_lower, step_upper, step_target = lower.shape[0] > 1, upper.shape[0] > 1, target.size > 1
     step_tolerance, step_uncertainty = tolerance.size > 1, uncertainty.size > 1
     largest = 0.0
-    # First the closed form, inline: handing a row on costs as much as solving it. Then, while the
-    # strip is still in the cache, the rows that it does not solve.
+    # The closed form is inline, since a function call costs as much as a solution. The rows that it
+    # does not solve follow while the strip is still in the cache.
     for start in range(0, rows, STRIP):
         stop = min(start + STRIP, rows)
         for r in range(start, stop):
@@ -75,7 +75,7 @@ def solve_rows(
                 # Written so that NaN counts as a violation.
                 violations += not ((x >= low[i]) & (x <= high[i]) & (s[i] >= 0) & (g[i] >= 0))
                 room += weight[i] * (x - low[i]) * (high[i] - x)
-            # Were b so near to an end that it is the end, `room` would be less than this.
+            # If b counts as an end (see `batch.solve`), `room` is less than this.
             least_room = 32 * n * EPS * area * largest * largest * variance
             solved = violations == 0 and room > least_room
             multiplier[r] = d
@@ -120,7 +120,7 @@ def careful(
     least = most = size = total = 0.0
     bad = 0
     for i in range(n):
-        # Into locals first: a choice between values becomes a vector instruction, between loads not.
+        # Local variables first: a choice between values can be vectorised, one between loads cannot.
         mean, spread, area, floor, ceiling = m[i], g[i], s[i], low[i], high[i]
         bottom = mean if spread == 0 else floor
         top = mean if spread == 0 else ceiling
@@ -162,7 +162,7 @@ def at_end(
     near: float,
     a: Array,
 ) -> tuple[int, float]:
-    """Write the only feasible point where b is an end; return status and multiplier."""
+    """Write the only feasible point for a b at an end; return status and multiplier."""
     below, above = b < least - near, b > most + near
     if below or above:
         a[:] = np.nan
@@ -178,7 +178,7 @@ def at_end(
             if first or (leaves > d if bottom else leaves < d):
                 d = leaves
                 first = False
-        else:  # sigma = 0 holds it at mu; without an area it takes the point nearest mu
+        else:  # fixed at mu if sigma = 0; without an area, the point nearest mu
             a[i] = m[i] if g[i] == 0 else min(max(m[i], low[i]), high[i])
     return OK, d
 
@@ -196,10 +196,10 @@ def fix(
     base: Array,
     a: Array,
 ) -> float:
-    """Variable fixing: peg the violators on the side that must be pegged, repeat; return D.
+    """Variable fixing: fix the violators of the dominant side at their bounds, repeat; return D.
 
-    ``a`` is written. Scratch (n,): ``free``, the weights S sigma² of what is free and 0 else, and
-    ``base``, mu of what is free and its bound of what is pegged; so a = base - D free for all.
+    ``a`` is written. Scratch arrays (n,): ``free``, the weights S sigma² of free coefficients and 0 of
+    others; ``base``, mu of free coefficients and the bound of fixed ones. So a = base - D free for all.
     """
     n = m.size
     for i in range(n):
@@ -223,7 +223,7 @@ def fix(
             over += s[i] * (x - ceiling if x > ceiling else 0.0)
         if under == 0 and over == 0:
             break
-        # Clipped, S'a is too large: D must rise, and what is at its lower bound stays there.
+        # If the clipped S'a is too large, D must rise, so coefficients at their lower bound stay there.
         if under >= over:
             for i in range(n):
                 kept, weight, floor = base[i], free[i], low[i]
@@ -240,7 +240,7 @@ def fix(
         for i in range(n):
             a[i] = base[i]
         return meeting(m, w, low, high, a)
-    # What the free ones make up may be a small difference of large areas: then once more, compensated.
+    # The free coefficients' share may be a small difference of large areas: compensated summation.
     size, largest = abs(b), 0.0
     for i in range(n):
         weight = free[i]
@@ -256,7 +256,7 @@ def fix(
 
 @compiled(reorder=False)
 def meeting(m: Array, w: Array, low: Array, high: Array, a: Array) -> float:
-    """Return D where all coefficients are at bounds: the end of D's interval that is nearest 0."""
+    """Return D if all coefficients are at bounds: the optimal D nearest 0."""
     start, stop = -np.inf, np.inf
     for i in range(m.size):
         if w[i] > 0 and low[i] < high[i]:

@@ -17,7 +17,7 @@ _SPREAD = 32.0
 exponentially: at most exp(-15) = 3e-7 of the sum lies outside."""
 _NARROW = 0.05
 """A variable with a standard deviation below this many cells enters the convolution with its mean and
-variance. What is left out changes its transform by at most 2 (0.05 pi)³ / 6 = 0.0013."""
+variance. The neglected higher moments change its transform by at most 2 (0.05 pi)³ / 6 = 0.0013."""
 _NEGLIGIBLE = 1e-13
 """Frequencies where the transforms of all sums are smaller than this are left out."""
 
@@ -36,7 +36,7 @@ def by_convolution(
     low[widest] = max(low[widest], remainder - most)
     high[widest] = min(high[widest], remainder - least)
     step = (most - least) / _CELLS
-    # Cell 0 is low for the others, and for the widest variable where the window starts.
+    # Cell 0 is the lower end of each variable's range; for the widest, the start of the window.
     origin = low.copy()
     origin[widest] = remainder - most
     waves, moments, middle = _transforms(variables, low, high, origin, step)
@@ -44,7 +44,7 @@ def by_convolution(
     used = _significant(waves)
     waves, moments = waves[:, :used], moments[:, :used]
     sums = np.fft.irfft(_products(waves), n=_CELLS, axis=1)
-    # What the sum of all leaves each one: the ends of its points.
+    # Range of each variable, given the sum and the ranges of the others.
     all_low, all_high = float(low.sum()), float(high.sum())
     low = np.maximum(low, remainder - (all_high - high))
     high = np.minimum(high, remainder - (all_low - low))
@@ -53,8 +53,8 @@ def by_convolution(
     cells = np.arange(_CELLS + 1)
     for i in range(m):
         at = np.mod(place - (t[i] - origin[i]) / step, _CELLS)
-        given = np.interp(at, cells, np.append(sums[i], sums[i, 0]))
-        density[i] = variables.density(i, t[i]) * np.maximum(given, 0.0)
+        of_others = np.interp(at, cells, np.append(sums[i], sums[i, 0]))
+        density[i] = variables.density(i, t[i]) * np.maximum(of_others, 0.0)
     covariance = np.zeros((m, m))
     if n_covariances:
         shift = integrated(t, density).mean - middle
@@ -84,7 +84,7 @@ def _transforms(
         x = (t + (middle[i] - origin[i])) / step
         masses[i], moments[i] = _shared(x, weight), _shared(x, weight * t)
     frequency = 2 * np.pi / _CELLS * np.arange(_CELLS // 2 + 1)
-    # Sharing between two cells is a convolution with a triangle: undo it.
+    # Sharing weights between two cells was a convolution with a triangle; this division reverts it.
     sharing = np.sinc(frequency / (2 * np.pi)) ** 2
     waves = np.fft.rfft(masses, axis=1) / sharing
     first = np.fft.rfft(moments, axis=1) / sharing
@@ -96,7 +96,7 @@ def _transforms(
 
 
 def _shared(x: Array, weight: Array) -> Array:
-    """Put weights on cells, each shared between two neighbours: the mean is kept."""
+    """Share each weight between the two nearest cells, which keeps its mean."""
     left = np.floor(x).astype(np.intp)
     share = x - left
     masses = np.bincount(left % _CELLS, weight * (1 - share), minlength=_CELLS)
@@ -104,7 +104,7 @@ def _shared(x: Array, weight: Array) -> Array:
 
 
 def _significant(waves: Waves) -> int:
-    """Number of frequencies that matter to any sum without two of the variables."""
+    """Number of frequencies at which the transform of a sum without two variables is not negligible."""
     with np.errstate(divide="ignore"):
         size = np.log(np.abs(waves))
     size = np.maximum(size, -700.0)
@@ -114,7 +114,7 @@ def _significant(waves: Waves) -> int:
 
 
 def _products(waves: Waves) -> Waves:
-    """For each row the product of all other rows, without dividing."""
+    """For each row the product of all other rows, without a division by small numbers."""
     n = len(waves)
     before, after = np.ones_like(waves), np.ones_like(waves)
     for i in range(1, n):
@@ -124,9 +124,9 @@ def _products(waves: Waves) -> Waves:
 
 
 def _covariances(waves: Waves, moments: Waves, place: float, shift: Array, n: int) -> Array:
-    """E (t_i - E t_i)(t_j - E t_j) of the first n, given the sum; nothing on the diagonal.
+    """Covariances of the first n variables given the sum, (n, n), with zeros on the diagonal.
 
-    ``shift`` are the means given the sum, from where the moments were taken.
+    ``shift`` are the means given the sum, relative to the points about which the moments were taken.
     """
     m, used = waves.shape
     read = np.exp(2j * np.pi / _CELLS * place * np.arange(used))

@@ -15,16 +15,16 @@ class IndependentBands:
     Attributes
     ----------
     rows : tuple of int (n_materials,)
-        The row of coefficients of each material; materials may share one.
+        The row of coefficients of each material; several materials may share a row.
     mu, sigma, lower, upper : array (n_rows, n_bands)
-        The priors and their bounds; sigma = 0 where a coefficient is held.
+        The priors and their bounds; a fixed coefficient has sigma = 0.
     alpha : array (n_rows, n_bands)
         The calibrated coefficients.
     areas : array (n_rows,)
         S in m².
     target, noise : array (n_bands,)
-        b and its standard uncertainty in m²; b is NaN where there is none, noise is 0 where the match
-        is exact.
+        b and its standard uncertainty in m²; b is NaN without a match, noise is 0 with an
+        exact match.
     multiplier : array (n_bands,)
         D in 1/m²: free coefficients are mu - D S sigma².
     """
@@ -54,9 +54,9 @@ class TruncatedNormal:
     gradient : array (size,)
         g.
     curvature : array (size,) or sparse array (size, size)
-        H, or its diagonal where it has nothing else.
+        H; its diagonal if H is diagonal.
     scale : array (size,)
-        The scale of each unknown; 0 where it is held.
+        The scale of each unknown; 0 for a fixed one.
     lower, upper : array (size,)
         The bounds.
     matrix : array or sparse array (n_rows, size)

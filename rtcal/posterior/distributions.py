@@ -1,7 +1,7 @@
 """The posterior distribution of the coefficients: `posterior` and what it returns.
 
-Exact marginals by FFT where the priors are independent and each band has one matched sum; samples
-otherwise.
+Marginals are exact, by FFT, if the priors are independent and each band has one matched sum. In all
+other cases they come from samples.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ class Posterior:
     mean, sigma : array (n_materials, n_bands)
         Posterior mean and standard deviation.
     correlation : array (n_bands, n_materials, n_materials)
-        Between the materials of each band.
+        Correlations between the materials, per band.
     points, cumulative : array (n_materials, n_bands, n_points)
         The distribution function of every coefficient.
     prior_sigma : array (n_materials, n_bands)
-        Standard deviation before the measurement, within the bounds.
+        Standard deviation of the truncated prior.
     samples : array (n_samples, n_materials, n_bands), optional
-        Present where sampling was needed.
+        Only if sampling was needed.
     effective_samples : array (n_materials, n_bands), optional
-        How many independent samples the mean of each coefficient is worth: its standard error is
+        Number of independent samples with the same standard error of the mean, which is
         sigma / sqrt(effective_samples).
     effects : dict of str to array (n_samples,)
         Samples of the sizes of further unknowns.
@@ -84,9 +84,9 @@ class Posterior:
     def identifiability(self) -> Array:
         """1 - posterior variance / prior variance, (n_materials, n_bands).
 
-        At 1 the measurement determines the coefficient. At 0 nothing was learnt of it. It is
-        slightly below 0 where the measurement moves a coefficient away from a bound that had cut
-        its prior short.
+        At 1 the measurement determines the coefficient; at 0 it adds no information. The value is
+        slightly below 0 if the measurement moves a coefficient away from a bound that truncates its
+        prior.
         """
         before = self.prior_sigma**2
         ratio = np.divide(self.sigma**2, before, out=np.ones_like(before), where=before > 0)
@@ -105,14 +105,14 @@ class Calibrated(Protocol):
 def posterior(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Posterior:
     """Return the posterior distribution of a calibration's coefficients.
 
-    The prior is normal with the room's sigma, truncated to the bounds. The error of b is normal
-    with u_b, and 0 with an exact match.
+    The prior is normal with the room's sigma, truncated to the bounds. The error of b is normal with
+    the standard deviation u_b; with an exact match b has no error.
 
     Parameters
     ----------
     result : CalibrationResult or JointResult
     n_samples : int
-        Number of samples where sampling is needed.
+        Number of samples if sampling is needed.
     seed : int
         Seed of the sampler.
 
@@ -177,7 +177,7 @@ def exact_posterior(bands: IndependentBands) -> Posterior:
 def exact_interval(bands: IndependentBands, level: float) -> tuple[Array, Array]:
     """Return the ends of the central credible intervals, both (n_materials, n_bands).
 
-    They are those of `exact_posterior`, without the time that its correlations take.
+    They equal those of `exact_posterior`, but take less time, since no correlations are computed.
     """
     ends = bands.alpha.copy(), bands.alpha.copy()
     for k in _bands_with_freedom(bands):

@@ -1,4 +1,4 @@
-"""Moments and distribution functions of densities that are given at points."""
+"""Moments and distribution functions of tabulated densities."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Marginals:
     """The distributions of a band's coefficients.
 
     ``points`` and the distribution function ``cumulative`` at them, (n, points); ``mean`` (n,);
-    ``covariance`` (n, n), with zeros off its diagonal where it was not asked for.
+    ``covariance`` (n, n), with zeros off its diagonal unless it was requested.
     """
 
     points: Array

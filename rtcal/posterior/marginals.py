@@ -6,10 +6,11 @@ With y_i = S_i a_i, the error of b as one more normal variable, and f_i the dens
 
 g_i the density of the sum of all other variables. Three steps resolve every scale:
 
-1. All densities are tilted by exp(-D y), with D such that the mean of the sum is about b
-   (exponential tilting; Daniels 1954, Sect. 2). Given the sum this changes nothing. The sum is then
-   dense at b, however far the measured T is from its prediction.
-2. The variable with the largest standard deviation is cut to what the others leave it. The grid of
+1. All densities are multiplied by exp(-D y), with D such that the mean of the sum is about b
+   (exponential tilting; Daniels 1954, Sect. 2). The conditional densities do not change. But the sum
+   now has a high density at b, also if the measured T is far from its prediction.
+2. The variable with the largest standard deviation is restricted to the range that b and the others
+allow. The grid of
    the convolution spans the sum of the others only. So a variable a million times wider than the
    others costs no accuracy.
 3. Each density has points of its own, and g_i is interpolated at them.
@@ -69,12 +70,12 @@ def marginals(
         t, density, covariance = _of_two(variables, remainder)
     else:
         t, density, covariance = by_convolution(variables, remainder, n if covariances else 0)
-    found = integrated(t[:n], density[:n])
-    np.fill_diagonal(covariance, np.diag(found.covariance))
+    shifted = integrated(t[:n], density[:n])
+    np.fill_diagonal(covariance, np.diag(shifted.covariance))
     return Marginals(
-        (variables.peak[:n, np.newaxis] + found.points) / areas[:, np.newaxis],
-        found.cumulative,
-        (variables.peak[:n] + found.mean) / areas,
+        (variables.peak[:n, np.newaxis] + shifted.points) / areas[:, np.newaxis],
+        shifted.cumulative,
+        (variables.peak[:n] + shifted.mean) / areas,
         covariance[:n, :n] / np.outer(areas, areas),
     )
 
@@ -84,15 +85,15 @@ def unmatched(mu: Array, sigma: Array, lower: Array, upper: Array) -> Marginals:
     prior = tilted(mu, sigma, lower, upper, 0.0)
     t = np.linspace(prior.low, prior.high, POINTS, axis=1)
     density = np.array([prior.density(i, row) for i, row in enumerate(t)])
-    found = integrated(t, density)
-    points, mean = prior.peak[:, np.newaxis] + t, prior.peak + found.mean
-    return Marginals(points, found.cumulative, mean, found.covariance)
+    shifted = integrated(t, density)
+    points, mean = prior.peak[:, np.newaxis] + t, prior.peak + shifted.mean
+    return Marginals(points, shifted.cumulative, mean, shifted.covariance)
 
 
 def _single_answer(areas: Array, lower: Array, upper: Array, target: float) -> Array | None:
-    """Return the coefficients if the target leaves them one value each, else None.
+    """Return the coefficients if the target determines all of them, else None.
 
-    It does so for a single coefficient, and at an end of the reach to within rounding.
+    It does so for a single coefficient, and at an end of the range of S'alpha, to within rounding.
     """
     if len(areas) == 1:
         return np.asarray(np.clip(target / areas, lower, upper))

@@ -1,9 +1,9 @@
 """Samples of a normal density within bounds, linear equalities and linear inequalities.
 
-Coordinates of their null space solve the equalities. A chain then moves along one line after the
-other, each time to a draw from the density on that line, a truncated normal one (hit-and-run; Smith
-1984, Chen & Schmeiser 1993). No move is refused. The directions are the axes of coordinates in which
-the density is about round, turned at random for every sweep.
+The equalities hold in coordinates of their null space. A chain moves along one line after the other,
+each time to a sample of the truncated normal density on that line (hit-and-run; Smith 1984, Chen &
+Schmeiser 1993). No move is rejected. The directions are the axes of coordinates in which the density
+is about isotropic, rotated at random for every sweep.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ _CHAINS = 128
 _WARM_UP = 32
 """Sweeps before the first sample. The slowest of 60 random rooms forgets its start in eight."""
 _SWEEPS = 3
-"""Sweeps per sample: at the slowest of those rooms a third of the samples are independent."""
+"""Sweeps per sample: in the slowest of those rooms, three samples are worth one independent sample."""
 _LARGEST = 2_000
 """Largest number of unknowns; a sweep's cost rises with its square."""
 _TIGHT = 1e-6
-"""Inequalities that leave less room than this, in standard deviations, are taken as equalities. It is
-ten times the tolerance of the linear program that looks for room."""
+"""Range in standard deviations below which an inequality counts as an equality.
+It is ten times the tolerance of the linear program that computes the range."""
 _UNREACHED = 100.0
 """Distance in standard deviations beyond which walls are ignored. The mass of a log-concave density
 beyond it is at most exp(-49), even if the standard deviation is underestimated twofold."""
 _LEAST = 1e-300
-"""Positive number in place of a distance of 0, so that nothing is divided by 0."""
+"""Positive number in place of a distance of 0, to avoid divisions by 0."""
 _FAR = 25.0
-"""Normal tails that begin beyond this are drawn by expansion; its error is 1 / _FAR⁴ = 3e-6."""
+"""Normal tails that begin beyond this use an asymptotic expansion; its error is 1 / _FAR⁴ = 3e-6."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Samples of all unknowns.
 
-    ``values`` (n_samples, size); ``effective`` (size,), the number of independent samples that would
-    give the mean of each unknown as exactly.
+    ``values`` (n_samples, size); ``effective`` (size,), the number of independent samples with the
+    same standard error of the mean.
     """
 
     values: Array
@@ -96,7 +96,7 @@ def sample(density: TruncatedNormal, n_samples: int, seed: int) -> Samples:
 
 
 def _effective(values: Array) -> Array:
-    """Effective sample sizes from how the means of the chains scatter; values (draws, chains, n)."""
+    """Effective sample sizes from the scatter of the chains' means; values (draws, chains, n)."""
     draws, chains, _ = values.shape
     variance = values.reshape(draws * chains, -1).var(axis=0)
     of_means = values.mean(axis=0).var(axis=0, ddof=1)
@@ -108,7 +108,7 @@ def _effective(values: Array) -> Array:
 def _region(density: TruncatedNormal, free: Integers) -> tuple[_Region, Array]:
     """Return the region of the free unknowns, and the coordinates of a point inside it.
 
-    All is relative to the density's point, in units of its scale.
+    Coordinates are relative to the density's point, in units of its scale.
     """
     scale = density.scale[free]
     rows = sp.csr_array(density.matrix)[:, free].toarray() * scale
@@ -165,10 +165,10 @@ def _coordinates(
 
 
 def _inside(walls: Array, offset: Array) -> tuple[Array, float, Integers]:
-    """Return an interior point, its distance to the walls (at most 1), and walls without room between.
+    """Return an interior point, its distance to the walls (at most 1), and the walls without interior.
 
-    The point is the centre of the largest ball. Where that has no radius, the walls with a multiplier
-    hold with equality everywhere.
+    The point is the centre of the largest ball. If its radius is 0, walls with a multiplier hold with
+    equality everywhere.
     """
     from scipy.optimize import linprog
 
@@ -213,9 +213,9 @@ def _chains(region: _Region, inside: Array, draws: int, rng: np.random.Generator
 def _middle(region: _Region, inside: Array) -> tuple[Array, Array]:
     """Return the minimum of |w|²/2 - sum log(walls w + offset), by Newton's method, and its Hessian.
 
-    For a wall that cuts the density far from its mode the distance of this point from the wall is the
-    mean distance of the density, and the curvature is one over its variance. So the Hessian tells
-    scales and directions of the truncated density, where the normal one's are far too wide.
+    Near a wall that cuts the density far from its mode, the distance of this point from the wall is the
+    mean distance of the density, and the curvature is the inverse of its variance. So the Hessian has
+    the scales and directions of the truncated density, which the normal density's would overestimate.
     """
 
     def value(w: Array) -> float:
@@ -267,7 +267,7 @@ def truncated_normal(lower: Array, upper: Array, uniform: Array) -> Array:
     """Return the quantiles ``uniform`` of the standard normal distribution cut to [lower, upper]."""
     from scipy.special import ndtr, ndtri
 
-    # The interval is turned to the upper side, where tails have all their digits.
+    # The interval is mirrored to the upper side, where the tails keep all digits.
     turned = upper < -lower
     a, b = np.where(turned, -upper, lower), np.where(turned, -lower, upper)
     near = np.minimum(a, _FAR)

@@ -1,4 +1,4 @@
-"""How the answer follows the measured T, and the error of the linear estimate."""
+"""Derivatives of the answer with respect to the measured T, and the error of the linear estimate."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Optimality:
         The row of coefficients of each material.
     n_bands, n_configurations : int
     curvature : array (size,) or sparse array (size, size)
-        H, or its diagonal where it has nothing else.
+        H; its diagonal if H is diagonal.
     matrix : array or sparse array (n_rows, size)
     scale : array (size,)
         The scale of each unknown.
@@ -84,7 +84,7 @@ class Optimal(Protocol):
 def sensitivity(result: Optimal) -> Array:
     """Return d alpha / d T in 1/s, (n_materials, n_bands, n_configurations, n_bands).
 
-    The last two axes say which T. Coefficients at a bound stay there: the derivative is valid until
+    The last two axes are those of T. Coefficients at a bound stay there: the derivative is valid until
     the next bound. For independent priors and an exact match, over the free coefficients F of the
     band,  d alpha_F / db = S_F sigma_F² / sum(S_F² sigma_F²),  times db/dT.
 

@@ -1,4 +1,4 @@
-"""Independent truncated normal variables, tilted so that the mean of their sum is a given one."""
+"""Independent truncated normal variables, tilted so that their sum has the target as its mean."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _TAIL = 64.0
 """Supports end where a density is exp(-_TAIL / 2) = 1e-14 of its highest value."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _BALANCED = 0.05
-"""The tilted mean of the sum may be this many standard deviations away from b."""
+"""Largest distance of the tilted mean of the sum from b, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,8 +20,8 @@ class Variables:
     """Truncated normal variables, each described from the peak of its density.
 
     The density at peak + t is exp(-(slope t + t² / (2 sigma²))) up to a factor, for t from ``low``
-    to ``high``. The slope is 0 unless the peak is at a bound. No digits are lost where a density is
-    much narrower than sigma.
+    to ``high``. The slope is 0 unless the peak is at a bound. So a density much narrower than sigma
+    keeps all digits.
     """
 
     peak: Array
@@ -63,7 +63,8 @@ def balanced(
 ) -> Variables:
     """Return the variables tilted so that the mean of their sum is about the target.
 
-    The mean falls with the tilt, by the variance of the sum: Newton's method within a bracket.
+    The derivative of the mean with respect to the tilt is minus the variance of the sum, as Newton's
+    method needs; a bracket keeps it safe.
     """
     least, most = -np.inf, np.inf
     for _ in range(200):

@@ -6,7 +6,7 @@ alpha and seed give the same measurement.
 
 The measurement's ``uncertainty["t20"]``, (n_pairs, n_bands), is the standard error of each T20 that
 the random numbers cause. A deterministic simulator states none. A decay that ends before it holds
-T20 raises `TooShortError`: a NaN would be lost in the mean over pairs.
+T20 raises `TooShortError`, since the mean over pairs would ignore a NaN.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Simulator(Protocol):
 
 
 class RoomSimulator:
-    """Base of the simulators that are built for a `Room`, whose materials and bands alpha has."""
+    """Base of the simulators that are built for a `Room`, with its materials and bands."""
 
     room: Room
 
@@ -100,7 +100,7 @@ class RoomSimulator:
 def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
     """Return a read-only copy of alpha for a simulator or a room.
 
-    A simulator that changes it in place would else change the coefficients of its caller.
+    The copy protects the caller's coefficients from a simulator that changes alpha in place.
 
     Raises
     ------

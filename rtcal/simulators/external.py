@@ -1,4 +1,4 @@
-"""Any Python function as a simulator; `rtcal.simulators.program` makes one that runs a program."""
+"""A Python function as a simulator. `rtcal.simulators.program` has a function that runs a program."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class External(RoomSimulator):
     deterministic : bool
         Whether the result does not depend on the seed.
     time_limit : float, optional
-        Limit in s; a longer call is a `SimulatorError`. Python cannot end the function: it runs on
-        in a thread until it returns. A `command` has its own limit, which ends the program.
+        Limit in s; a longer call raises `SimulatorError`. Python cannot end the function, which
+        continues in a thread. The limit of a `command` ends its program.
 
     Raises
     ------
@@ -71,7 +71,7 @@ class External(RoomSimulator):
 
     @property
     def smooth(self) -> bool:
-        """Whether T is taken to be a smooth function of alpha: if the function is deterministic."""
+        """Whether T counts as a smooth function of alpha: that of a deterministic function does."""
         return self.deterministic
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:

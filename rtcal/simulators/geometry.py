@@ -37,10 +37,10 @@ Edge = tuple[int, int]
 class Polyhedron:
     """A room bounded by plane faces.
 
-    Faces may have either orientation: they are reversed until every normal points out of the room's
-    air. The largest closed surface is the room. Every other one is an object in it, whose volume is
-    subtracted. Faces are simple polygons; a wall with a hole is drawn as two faces. An edge may run
-    along several shorter ones. Faces that cut each other are not detected.
+    Faces may have either orientation; the constructor reverses those whose normal points into the
+    room's air. The largest closed surface is the room. Every other one is an object in it, whose
+    volume is subtracted. Faces are simple polygons; a wall with a hole is drawn as two faces. An
+    edge may run along several shorter ones. Faces that cut each other are not detected.
 
     Parameters
     ----------

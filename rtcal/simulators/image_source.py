@@ -31,16 +31,16 @@ _MOST_IMAGES = 50_000_000
 class Images:
     """The images of one source as heard by one receiver. All arrays are read-only.
 
-    Images that differ in their position along the last axis only form a run.
+    A run is a sequence of images that differ only in their position along the last axis.
 
     Attributes
     ----------
     hits : tuple of int arrays (n_lattice, 2)
         By axis: hits on the near and on the far wall.
     rows : int array (n_runs, 3)
-        Row of each axis' ``hits`` that the run's first image has.
+        By axis, the row of ``hits`` of the run's first image.
     starts : int array (n_runs + 1,)
-        Number of each run's first image.
+        Index of each run's first image.
     bins : int array (n_images,)
         Time bin of each image.
     weights : array (n_images,)

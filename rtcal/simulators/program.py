@@ -29,7 +29,7 @@ QUOTED_ERRORS = 300
 MARK = "RTCAL_PROGRAM"
 """Environment variable of a started program. The processes it starts inherit the variable."""
 
-_LAST_OUTPUT = 1.0  # s; how long to wait for a pipe that a child of the ended program keeps open
+_LAST_OUTPUT = 1.0  # s; longest wait for a pipe that a child of the ended program keeps open
 _PASSES = 20  # a process may start another one while it is being ended
 _BETWEEN_PASSES = 0.02  # s
 
@@ -128,7 +128,7 @@ def _run(line: list[str], time_limit: float | None) -> tuple[int, str]:
 
 
 class _Tail:
-    """The end of a program's error output. A thread reads it all, so that no writer waits."""
+    """The end of a program's error output. A thread reads all of it, so no program blocks."""
 
     def __init__(self, program: subprocess.Popen[bytes]) -> None:
         self._bytes = b""

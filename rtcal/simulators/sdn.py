@@ -89,7 +89,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
     line_of_sight : bool
         Whether the response contains the direct sound.
     longest : float
-        Limit in s of the responses, which are otherwise as long as T20 needs.
+        Largest length of the responses in s. They are as long as T20 needs, up to this limit.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A `Room` as a shoebox with sources and receivers, and the base of the simulators of shoeboxes."""
+"""A `Room` as a shoebox with sources and receivers, and the base of shoebox simulators."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Shoebox:
     sources, receivers : array (n, 3)
         Positions in m.
     pairs : tuple of (source, receiver)
-        Names, the pairs of the first source first.
+        Names, source by source.
     """
 
     dimensions: Array

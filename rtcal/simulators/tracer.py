@@ -82,7 +82,7 @@ class Tracer(RoomSimulator, ABC):
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Names of source and receiver by pair, the pairs of the first source first."""
+        """Names of source and receiver of each pair, source by source."""
         return tuple((s, r) for s in self.sources for r in self.receivers)
 
     @abstractmethod
@@ -160,8 +160,8 @@ def scattering_coefficients(room: Room, scattering: Any) -> Array:
 def jackknife(estimate: Callable[[Array], Array], batches: Array) -> Array:
     """Return the standard error of ``estimate(mean over batches)``; batches on axis 0.
 
-    Leave-one-out (Efron & Stein 1981): sqrt((n - 1)/n sum (estimate_i - mean)²). NaN if some
-    estimate without one batch is not finite: the standard error is then unknown.
+    Leave-one-out (Efron & Stein 1981): sqrt((n - 1)/n sum (estimate_i - mean)²). The standard error is
+    NaN, that is unknown, if an estimate without one of the batches is not finite.
     """
     n = len(batches)
     total = batches.sum(axis=0)

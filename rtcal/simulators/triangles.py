@@ -1,4 +1,4 @@
-"""Plane polygons and triangles: the arithmetic under `rtcal.simulators.geometry`."""
+"""Plane polygons and triangles, the arithmetic of `rtcal.simulators.geometry`."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def winding_number(points: Array, triangles: Array) -> Array:
 def distance(points: Array, triangles: Array) -> Array:
     """Return each point's distance in m from the nearest triangle, (n_points,).
 
-    To the foot of the perpendicular if it lies in the triangle, else to the nearest edge.
+    The distance is perpendicular if the foot lies in the triangle, else that from the nearest edge.
     """
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)

@@ -1,1 +1,1 @@
-"""What every part stands on: checks, types, files, progress, numba."""
+"""Helpers that every package uses: checks, types, files, progress, numba."""

@@ -1,13 +1,13 @@
-"""Check the arguments of public functions by their annotations, where a call has failed.
+"""Check the arguments of public functions against their annotations, after a call has failed.
 
-`checked` leaves a call alone that succeeds, or that raises one of `rtcal.errors`. After any other
-exception it reads the annotations of the function or constructor. An argument of another type is a
-DataError that names function, argument, value and rule. So a check costs nothing on hot paths, and
-the more precise messages of the functions come first.
+`checked` does nothing if a call succeeds or raises one of `rtcal.errors`. After any other exception it
+compares the arguments with the annotations. An argument of another type becomes a DataError that names
+function, argument, value and rule. So a successful call costs no check, and the functions' own, more
+precise messages take precedence.
 
-Why not typeguard or beartype: both check before each call and take an annotation at its word. Here a
-parameter annotated as an array accepts all that turns into one (a list, a tuple), a float accepts an
-int but not True, and a text is no sequence of texts. Both also cost import time.
+typeguard and beartype check before each call and take annotations literally. This module is looser: a
+list or a tuple of numbers counts as an array, and an int as a float. It is also stricter: True is no
+number, and a text is no sequence of texts. The two libraries also cost import time.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from rtcal.support.lazy import typing_imports
 F = TypeVar("F", bound=Callable[..., Any])
 Test = Callable[[Any], bool]
 Rule = tuple[Test, str]
-"""Whether a value keeps to an annotation, and the annotation in words."""
+"""A test of a value against an annotation, and the annotation in words."""
 
 _FEW = 1000
-"""Members of a list or mapping that are checked one by one; longer ones are the function's own."""
+"""Largest number of members of a list or mapping that are checked; longer ones are not."""
 
 
 def checked(target: F) -> F:
-    """Name the wrong argument where a call of a function, or of a class, fails.
+    """Decorate a function or class to name the wrong argument of a call that fails.
 
-    A decorator; above ``@dataclass``, below ``@classmethod`` and ``@staticmethod``.
+    It stands above ``@dataclass``, and below ``@classmethod`` and ``@staticmethod``.
 
     Examples
     --------
@@ -98,7 +98,7 @@ def _wrapped(function: Callable[..., Any], place: str) -> Callable[..., Any]:
 def _rules(
     function: Callable[..., Any], parameters: list[inspect.Parameter]
 ) -> dict[str, Rule | None]:
-    """Return a rule per parameter: None where any value will do. A default is always accepted."""
+    """Return a rule per parameter, None if any value is accepted. A default always is."""
     plain = inspect.unwrap(function)
     module = sys.modules[plain.__module__]
     names = _typing_names(module) | vars(module)
@@ -118,7 +118,7 @@ def _rules(
 
 
 def _typing_names(module: types.ModuleType) -> dict[str, Any]:
-    """Return what a module imports for type checkers only."""
+    """Return the names that a module imports only for type checkers, with their values."""
     try:
         imports = typing_imports(inspect.getsource(module))
     except OSError:  # no source file
@@ -127,7 +127,7 @@ def _typing_names(module: types.ModuleType) -> dict[str, Any]:
 
 
 def _rule(annotation: Any) -> Rule | None:
-    """Return the rule of an annotation, None where any value will do."""
+    """Return the rule of an annotation, None if any value is accepted."""
     if isinstance(annotation, InitVar):
         annotation = annotation.type
     if annotation is None or annotation is types.NoneType:
@@ -167,11 +167,11 @@ def _rule(annotation: Any) -> Rule | None:
 
 
 def _either(rules: list[Rule | None]) -> Rule:
-    known = [rule for rule in rules if rule is not None]
-    tests = [test for test, _ in known]
+    alternatives = [rule for rule in rules if rule is not None]
+    tests = [test for test, _ in alternatives]
     return (
         lambda v: any(test(v) for test in tests),
-        " or ".join(dict.fromkeys(words for _, words in known)),
+        " or ".join(dict.fromkeys(words for _, words in alternatives)),
     )
 
 

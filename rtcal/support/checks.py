@@ -42,10 +42,10 @@ def positive(place: str, value: object, unit: str = "") -> float:
     >>> positive("duration", 2, "s")
     2.0
     """
-    found = number(place, value)
-    if not 0 < found < np.inf:
-        raise DataError(f"{place} = {found:g}{unit and ' '}{unit} is not finite and above 0")
-    return found
+    real = number(place, value)
+    if not 0 < real < np.inf:
+        raise DataError(f"{place} = {real:g}{unit and ' '}{unit} is not finite and above 0")
+    return real
 
 
 def whole(place: str, value: object, least: int, error: type[RtcalError] = DataError) -> int:
@@ -69,17 +69,16 @@ def flag(place: str, value: object) -> bool:
 
 
 def instance(place: str, value: object, kind: type[T]) -> T:
-    """Return what is of one of rtcal's types; DataError for anything else."""
+    """Return an instance of one of rtcal's classes; DataError for anything else."""
     if not isinstance(value, kind):
         raise DataError(f"{place} = {shown(value)} is not a rtcal.{kind.__name__}")
     return value
 
 
 def array(place: str, value: object, error: type[RtcalError] = DataError) -> Array:
-    """Return real numbers as an array, not copied where they are one.
+    """Return real numbers as an array; a float array is not copied.
 
-    ``error`` for anything else, and for a masked array with hidden entries: what is below the mask
-    is no datum.
+    ``error`` for anything else, and for a masked array with masked entries, since these are no data.
     """
     if np.ma.isMaskedArray(value) and np.ma.getmaskarray(value).any():
         raise error(f"{place} is a masked array with hidden entries; numbers are needed for all")

@@ -1,4 +1,4 @@
-"""Plain values from a file: read strictly from JSON or TOML, then taken out entry by entry."""
+"""Plain values from a file: parsed strictly as JSON or TOML, then checked entry by entry."""
 
 from __future__ import annotations
 
@@ -117,10 +117,10 @@ def _check_levels(value: Any) -> None:
 
 @dataclass(frozen=True)
 class Entries:
-    """An object of a file, whose values are taken out with their rules.
+    """An object of a file, whose methods return its values and check them.
 
-    Every message begins with ``place``, which ends in what stands between it and a key:
-    ``steps[0].`` or ``material "plaster": ``. The whole file has "".
+    Every message begins with ``place`` and the key, so ``place`` includes the separator: ``steps[0].``
+    or ``material "plaster": ``. It is empty for the whole file.
 
     Raises DataError if ``values`` is not a mapping, lacks a key of ``needed``, or has a key that is
     neither in ``needed`` nor in ``optional``.
@@ -155,18 +155,18 @@ class Entries:
         return self.values.get(key) is not None
 
     def text(self, key: str, default: str | None = None) -> str:
-        """Return a text, or ``default`` where the key is missing."""
+        """Return a text, or ``default`` if the key is missing."""
         value = self._value(key, default)
         if not isinstance(value, str):
             raise DataError(f"{self.place}{key} = {checks.shown(value)} is not a text")
         return value
 
     def choice(self, key: str, options: Collection[str], default: str | None = None) -> str:
-        """Return a text that is one of some."""
+        """Return a text that is one of ``options``."""
         value = self.text(key, default)
         if value not in options:
-            said = f"{self.place}{key} = {checks.shown(value)}"
-            raise DataError(f"{said} is not one of {', '.join(options)}")
+            stated = f"{self.place}{key} = {checks.shown(value)}"
+            raise DataError(f"{stated} is not one of {', '.join(options)}")
         return value
 
     def number(
@@ -193,9 +193,9 @@ class Entries:
         limits: tuple[float, float] = (-math.inf, math.inf),
         missing: bool = False,
     ) -> Array:
-        """Return nested lists of finite numbers as an array; NaN where null stands, if it may.
+        """Return nested lists of finite numbers as an array; null becomes NaN where allowed.
 
-        None in ``shape`` is any length.
+        None in ``shape`` stands for any length.
         """
         return _array(self.place + key, self._value(key), tuple(shape), limits, missing)
 
@@ -215,7 +215,7 @@ class Entries:
         return value
 
     def mapping(self, key: str, default: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return an object whose keys are the file's own, such as names of materials."""
+        """Return an object with arbitrary keys, such as names of materials."""
         return checks.mapped(self.place + key, self._value(key, default))
 
     def entries(

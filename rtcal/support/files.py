@@ -17,7 +17,7 @@ from rtcal.support import transaction
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     """Return a file's bytes; DataError if it is missing, no regular file, or above ``limit``.
 
-    An interrupted write in the folder is undone first.
+    It first restores the old files if a write in the folder was interrupted.
     """
     try:
         if Path(path).exists() and not Path(path).is_file():
@@ -48,13 +48,13 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
 def spare(
     written: Sequence[str | os.PathLike[str]], read: Sequence[str | os.PathLike[str]]
 ) -> None:
-    """Raise DataError if a file to be written is one that is read, or if two of them are one."""
-    known = {Path(path).resolve(): path for path in read}
+    """Raise DataError if a path to be written is also read, or is to be written twice."""
+    taken = {Path(path).resolve(): path for path in read}
     for path in written:
         place = Path(path).resolve()
-        if place in known:
-            raise DataError(f"{path}: would be written over {known[place]}; choose another name")
-        known[place] = path
+        if place in taken:
+            raise DataError(f"{path}: would be written over {taken[place]}; choose another name")
+        taken[place] = path
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
@@ -70,9 +70,9 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 def write_all(contents: Mapping[Any, bytes]) -> None:
     """Write several files as one: all of them new, or all as they were.
 
-    That also holds where the process is killed or the disk is full: the next command that reads or
-    writes in the folder puts the old files back. A link is followed, and a file that is there keeps
-    its mode. The keys are paths. Raises DataError, naming the file, if a place cannot be written.
+    That also holds if the process is killed or the disk is full: the next command that reads or
+    writes in the folder restores the old files. Links are followed, and existing files keep their
+    mode. The keys are paths. Raises DataError, naming the file, if a place cannot be written.
     """
     path: Any = ""
     try:
@@ -92,7 +92,7 @@ def write_all(contents: Mapping[Any, bytes]) -> None:
 
 
 def make_folder(path: str | os.PathLike[str]) -> None:
-    """Make a folder and those above it where they are missing; DataError if that cannot be."""
+    """Make a folder, with those above it, unless it exists; DataError if that fails."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -102,7 +102,7 @@ def make_folder(path: str | os.PathLike[str]) -> None:
 
 
 def json_numbers(values: ArrayLike) -> Any:
-    """Return numbers as nested lists for JSON, None where there is none: JSON has no NaN."""
+    """Return numbers as nested lists for JSON, None for NaN, which JSON lacks."""
     array = np.asarray(values, dtype=float)
     if array.ndim:
         return [json_numbers(v) for v in array]

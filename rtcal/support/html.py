@@ -1,4 +1,4 @@
-"""Tables for notebooks: what ``_repr_html_`` returns."""
+"""HTML tables for notebooks, as ``_repr_html_`` returns them."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# Orange and blue of Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), told apart by readers
-# with any colour vision.
+# Orange and blue of Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which readers with any
+# colour vision can distinguish.
 _ABOVE, _BELOW = "230, 159, 0", "0, 114, 178"
-_STRONGEST = 0.45  # opacity: the text of a light and of a dark notebook stays readable on it
+_STRONGEST = 0.45  # opacity that keeps the text readable in light and in dark notebooks
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell with a shade from -1 (blue) over 0 (none) to 1 (orange); the text alone says enough."""
+    """A cell with a shade from -1 (blue) over 0 (none) to 1 (orange), which repeats the text."""
 
     text: str
     shade: float = 0.0
@@ -60,5 +60,5 @@ def _cell(tag: str, scope: str, column: int, content: str | Cell) -> str:
         colour = _ABOVE if cell.shade > 0 else _BELOW
         opacity = _STRONGEST * min(abs(cell.shade), 1.0)
         style += f"; background: rgba({colour}, {opacity:.2f})"
-    said = f' scope="{scope}"' if tag == "th" else ""
-    return f'<{tag}{said} style="{style}">{html.escape(cell.text)}</{tag}>'
+    attribute = f' scope="{scope}"' if tag == "th" else ""
+    return f'<{tag}{attribute} style="{style}">{html.escape(cell.text)}</{tag}>'

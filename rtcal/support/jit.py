@@ -1,7 +1,7 @@
-"""The one door to numba (extra ``fast``): compiled loops where it is installed.
+"""Compiled loops by numba (extra ``fast``), which only this module imports.
 
-A module of kernels decorates them with `compiled` and is imported only where `available` says so;
-each kernel has a NumPy twin for everywhere else.
+Modules of compiled functions decorate them with `compiled` and are imported only if numba is
+`available`. Each has a NumPy version, which is used without numba.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ def available() -> bool:
 
 
 def compiled(*, reorder: bool) -> Callable[[Kernel], Kernel]:
-    """Return the decorator that compiles a kernel; it runs without the interpreter's lock.
+    """Return the decorator that compiles a function; it runs without the interpreter's lock.
 
-    ``reorder`` lets sums be taken in another order, as vector instructions need; without it every
-    operation rounds as written, as compensated sums need. NaN and infinities count in both.
+    ``reorder`` allows the compiler to reorder sums, which vector instructions need. Compensated sums
+    need it to be False. NaN and infinities are handled correctly in both cases.
     """
     import numba
 

@@ -1,4 +1,4 @@
-"""Packages whose public names are imported at first use, from one list that editors read too."""
+"""Lazy packages: each public name is imported at its first use. Editors read the same list."""
 
 from __future__ import annotations
 

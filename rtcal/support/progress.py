@@ -1,4 +1,4 @@
-"""The progress bar: tqdm's one door."""
+"""The progress bar; only this module imports tqdm."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ DELAY = 2.0
 def bar(count: int, unit: str, wanted: bool) -> Any:
     """Return a bar of ``count`` steps on standard error, to be entered and ``update(1)``-d.
 
-    It shows after two seconds, and clears no line that was not its own; without ``wanted`` it does
-    nothing. Raises MissingDependencyError where tqdm is not installed.
+    It appears after two seconds. Without ``wanted`` it does nothing. Raises MissingDependencyError if
+    tqdm is not installed.
     """
     if not wanted:
         return _NoBar()

@@ -10,11 +10,11 @@ Row = tuple[str, Sequence[str]]
 """A row of a table: its label, and one cell per column."""
 
 NARROWEST = 80
-"""Smallest terminal width assumed, in characters; lines are no longer than the terminal is wide."""
+"""Smallest width of lines in characters, also in a narrower terminal."""
 
 
 def width() -> int:
-    """Return how many characters a line may have: the terminal's width, at least 80.
+    """Return the largest length of a line in characters: the terminal's width, at least 80.
 
     Without a terminal, as in a pipe or a notebook, it is 80; the environment variable COLUMNS
     overrides both.
@@ -28,11 +28,11 @@ def wrapped(sentence: str, indent: str = "", hanging: str | None = None) -> list
     Parameters
     ----------
     sentence : str
-        A word longer than a line stays whole: paths and commands are to be copied.
+        A word longer than a line is not broken, so that paths and commands can be copied.
     indent : str
         Put before the first line.
     hanging : str, optional
-        Put before the others; the indent and two blanks if not given.
+        Put before the others; by default the indent and two blanks.
 
     Examples
     --------
@@ -54,7 +54,7 @@ def wrapped(sentence: str, indent: str = "", hanging: str | None = None) -> list
 def fitted(text: str) -> str:
     """Return a text in which the lines beyond `width` are wrapped and keep their indents.
 
-    Tables come from `table` and fit already; what is wrapped is prose.
+    Tables from `table` fit already, so only prose is wrapped.
 
     Examples
     --------
@@ -131,7 +131,7 @@ def _blocks(widths: Sequence[int], room: int) -> list[tuple[int, int]]:
 
 
 def shortened(text: str, longest: int = 40) -> str:
-    """Return a text of at most ``longest`` characters; an ellipsis says that it was longer.
+    """Return a text of at most ``longest`` characters; an ellipsis replaces the remainder.
 
     Examples
     --------
@@ -142,7 +142,7 @@ def shortened(text: str, longest: int = 40) -> str:
 
 
 def printable(text: str) -> str:
-    r"""Return a text with its control characters written out, so that no terminal obeys them.
+    r"""Return a text with escaped control characters, which no terminal interprets.
 
     Line ends and tabs stay. Names and keys that are read from files may hold escape sequences.
 
@@ -155,7 +155,7 @@ def printable(text: str) -> str:
 
 
 def _obeyed(character: str) -> bool:
-    """Whether a terminal may act on it: C0 and C1 controls, marks of direction, lone surrogates."""
+    """Whether a terminal may interpret it: C0 and C1 controls, marks of direction, lone surrogates."""
     code = ord(character)
     return (
         code < 0x20

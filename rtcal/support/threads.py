@@ -1,7 +1,7 @@
-"""Threads: BLAS with one, the one door to threadpoolctl; and a pool of them that an error ends.
+"""Threads: BLAS limited to one (only this module imports threadpoolctl); a pool that an error ends.
 
-To factor a matrix of a hundred rows takes less time than to wake a second thread. On a machine with
-busy cores the second thread also waits for a core: `find` then takes ten times as long and more
+Factoring a matrix of a hundred rows takes less time than waking a second thread. On a machine with
+busy cores the second thread also waits for a core, so that `find` takes more than ten times as long
 (benchmarks/threads.py).
 """
 
@@ -18,10 +18,10 @@ _held = threading.Lock()
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Hold BLAS to one thread, as a context or as a decorator.
+    """Limit BLAS to one thread, as a context or as a decorator.
 
-    OpenBLAS has one limit per process. The first context sets and restores it; contexts inside it, and
-    those of other threads meanwhile, change nothing.
+    OpenBLAS has one limit per process. The outermost context sets and restores it. Contexts inside it
+    or in other threads have no effect meanwhile.
     """
     if not _held.acquire(blocking=False):
         yield

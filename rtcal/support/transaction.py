@@ -2,8 +2,8 @@
 
 The new files and links to the old ones are staged in a hidden folder ``.rtcal-*`` beside the files.
 Then a journal is written and the new files are moved into place. Deleting the journal commits them.
-A journal that remains after an error, a kill or a power cut restores the old files: at once, or in the
-next command. Writers lock the folders, so an unlocked ``.rtcal-*`` is left from a command that ended.
+After an error the old files are restored from the journal; after a kill or a power cut, the next
+command does so. Writers lock their folders, so an unlocked ``.rtcal-*`` belongs to no running command.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _locked: dict[Path, int] = {}  # folders that this process has locked, and how o
 
 @contextmanager
 def locked(*folders: Path) -> Iterator[None]:
-    """Hold folders for this process; wait while another process holds one of them.
+    """Lock folders for this process; wait while another process has locked one of them.
 
-    Raises DataError after `LONGEST_WAIT`, or where a folder cannot be opened.
+    Raises DataError after `LONGEST_WAIT`, or if a folder cannot be opened.
     """
     with _thread_lock, ExitStack() as stack:
         for folder in sorted({Path(os.path.realpath(folder)) for folder in folders}):
@@ -94,7 +94,7 @@ def _wait_for(handle: int, folder: Path) -> None:
 
 @contextmanager
 def held(file: Path) -> Iterator[None]:
-    """Hold a file for as long as something is at work on it; DataError if another process does."""
+    """Lock a file while a command works on it; DataError if another process has locked it."""
     handle = _opened(file)
     try:
         try:
@@ -114,7 +114,7 @@ def held(file: Path) -> Iterator[None]:
 def recover(folders: Iterable[Path]) -> None:
     """Undo an interrupted write in these folders, and delete its staged files.
 
-    Raises DataError where that is needed but cannot be done.
+    Raises DataError if that fails.
     """
     for folder in {Path(os.path.realpath(folder)) for folder in folders}:
         for left in _transactions(folder):
@@ -145,7 +145,7 @@ def _transactions(folder: Path) -> list[Path]:
 
 
 def _directories(transaction: Path) -> list[Path]:
-    """Return a transaction's hidden folders, that with the journal first."""
+    """Return a transaction's hidden folders, starting with that of the journal."""
     try:
         names = json.loads((transaction / _FOLDERS).read_bytes())
         dirs = [Path(os.path.normpath(transaction.parent / name)) for name in names]
@@ -156,7 +156,7 @@ def _directories(transaction: Path) -> list[Path]:
 
 
 def target(path: Path) -> Path:
-    """Return the file that a path leads to; OSError where that is no file."""
+    """Return the file that a path, perhaps a link, refers to; OSError if it is no file."""
     try:
         file = path.resolve()
         kind = file.stat().st_mode
@@ -172,9 +172,9 @@ def target(path: Path) -> Path:
 
 
 def write(targets: Mapping[Path, bytes]) -> None:
-    """Write files, all or none. Raises OSError where that cannot be.
+    """Write all files or none. Raises OSError if that fails.
 
-    The paths are as `target` returns them, in folders that exist. A file that is there keeps its mode.
+    The paths are as `target` returns them, in existing folders. Existing files keep their mode.
     """
     parents = list(dict.fromkeys(path.parent for path in targets))
     with locked(*parents):
@@ -230,7 +230,7 @@ def _move_in(targets: Mapping[Path, bytes], dirs: Mapping[Path, Path]) -> None:
 
 
 def _write_file(path: Path, content: bytes, like: Path | None = None) -> None:
-    """Write a new file through to the disk, with the mode of the one that it replaces."""
+    """Write a new file through to the disk, with the mode of the file that it replaces."""
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     try:
         view = memoryview(content)
@@ -252,7 +252,7 @@ def _link(file: Path, link: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Write a folder's entries through to the disk, where the system can."""
+    """Write a folder's entries through to the disk, if the system supports it."""
     if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -263,7 +263,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _roll_back(dirs: list[Path]) -> None:
-    """Put the old files back where the journal is still there; remove the hidden folders."""
+    """Restore the old files if the journal exists; remove the hidden folders."""
     journal = dirs[0] / _JOURNAL
     if journal.exists():
         for *names, existed in json.loads(journal.read_bytes()):

@@ -13,7 +13,7 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 def read_only(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """Return a read-only copy: code that gets it cannot change the values of its caller.
+    """Return a read-only copy, through which a function cannot change its caller's values.
 
     Examples
     --------
@@ -24,7 +24,7 @@ def read_only(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
 
 
 def read_only_view(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """Return a read-only view: it costs no copy, and follows changes by the owner."""
+    """Return a read-only view, which shows later changes of the original and copies nothing."""
     view = values.view()
     view.setflags(write=False)
     return view
