@@ -61,6 +61,8 @@ def test_dual_is_the_exact_batch_solver_s_answer(kind: str, seed: int) -> None:
     ).alpha.T
     wanted[:, missing] = room.alpha[:, missing]
     np.testing.assert_allclose(data.alpha(u), wanted, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(multipliers.lower[u > model.lower], 0)
+    np.testing.assert_array_equal(multipliers.upper[u < model.upper], 0)
     certificate = certify(model, u, multipliers)
     assert np.max(certificate.primal_residual) < 1e-12
     below, above = separable.separable(model).enclosure()
@@ -146,6 +148,28 @@ def test_bound_of_coupled_problems_holds_and_is_small_at_rounding_level(method: 
         u = np.clip(u, model.lower, model.upper)
         bound = certify(model, u, Multipliers(np.zeros(0), u * 0, u * 0)).alpha_error_bound
         assert (np.abs(model.data.alpha(u) - alpha) <= bound + 1e-12).all()
+
+
+def test_bound_counts_only_what_can_move_towards_the_target() -> None:
+    """The wall stands at 0, so that the floor alone can take up less absorption."""
+    room = rt.Room(
+        name="hard wall",
+        volume=200,
+        materials=["wall", "floor"],
+        areas=[200, 20],
+        alpha=[[0.0, 0.0], [0.5, 0.5]],
+        sigma=[[0.1, 0.1], [0.1, 0.1]],
+        centre_frequencies=[500, 1000],
+    )
+    t = rt.Eyring().time(room, np.full(2, 9.0))
+    coupled = rt.Calibration(PRIOR + terms.BandSmoothness(), [terms.ExactMatch()])
+    result = coupled.build(room).solve(t)
+    np.testing.assert_allclose(result.alpha, [[0, 0], [0.45, 0.45]], rtol=0, atol=1e-12)
+    model = result.joint.solution.model
+    prior, none = model.data.mu, np.zeros(4)
+    rows = np.zeros(len(model.row_lower))
+    bound = certify(model, prior, Multipliers(rows, none, none)).alpha_error_bound
+    assert (bound >= np.abs(room.alpha - result.alpha) - 1e-12).all()
 
 
 @pytest.mark.parametrize(

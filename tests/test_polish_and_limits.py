@@ -9,8 +9,9 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
+from rtcal.calibration.feasibility import reach, restrict_to_reach
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
-from rtcal.calibration.polish import polish
+from rtcal.calibration.polish import _active_rows, polish
 from rtcal.errors import SolverError
 from rtcal.support import kkt
 
@@ -52,6 +53,35 @@ def test_inequality_row_with_the_right_sign_is_kept(factor: float, side: float) 
         u, rows = polished(model, optimum, np.full(ROOM.n_bands, claimed * 1e3))
         np.testing.assert_allclose(u, optimum, rtol=0, atol=1e-14)
         np.testing.assert_allclose(rows, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-4])
+def test_active_rows_are_the_same_in_any_unit_of_area(unit: float) -> None:
+    volume = unit**1.5 * ROOM.volume
+    room = ROOM.replace(areas=unit * ROOM.areas, surfaces=(), volume=volume)
+    t = rt.Eyring().reverberation_time(room) * [0.8, 0.8, 1.0, 1.0, 1.25, 1.25]
+    calibration = rt.Calibration(PRIOR, [terms.MatchWithin(1.0)])
+    solution = calibration.build(room).solve(t).joint.solution
+    rows = solution.multipliers.rows
+    np.testing.assert_array_equal(np.sign(rows), [-1, -1, 0, 0, 1, 1])
+    np.testing.assert_array_equal(_active_rows(solution.model, solution.unknowns, rows), rows)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_target_at_an_end_forces_its_band_and_no_other(share: float) -> None:
+    sabine = rt.Sabine()
+    problem = rt.Calibration(PRIOR, [terms.ExactMatch()]).build(ROOM, sabine)
+    data = problem.solve(MEASURED).joint.solution.model.data
+    least, most = reach(data)
+    target = data.target.copy()
+    target[0, 2] = (1 - share) * least[0, 2] + share * most[0, 2]
+    _, at_lower, at_upper, beyond = restrict_to_reach(
+        replace(data, target=target), [ROOM], (target, target), sabine, "raise"
+    )
+    assert beyond == ()
+    band = np.tile(np.arange(ROOM.n_bands) == 2, len(ROOM.materials))
+    np.testing.assert_array_equal(at_lower, band & (share == 0))
+    np.testing.assert_array_equal(at_upper, band & (share == 1))
 
 
 @pytest.mark.parametrize(("factor", "side"), [(1.4, -1), (0.6, 1)])

@@ -269,10 +269,12 @@ def test_sensitivity_is_how_the_answer_follows_t(method: str) -> None:
     rng = np.random.default_rng(8)
     room = random_room(rng, 5, 3)
     room = room.replace(alpha=np.clip(room.alpha - 0.25, 0.01, 1))
-    t = true_times(rng, room, EYRING) * 1.1
+    t = true_times(rng, room, EYRING) * 1.3
     result = rt.calibrate(room, t, method=method)
+    assert result.active.any()
     slope = sensitivity(result.joint)
     assert slope.shape == (5, 3, 1, 3)
+    np.testing.assert_array_equal(slope[result.active != 0], 0)
     for k in range(3):
         h = np.zeros(3)
         h[k] = 1e-5
@@ -286,6 +288,30 @@ def test_sensitivity_is_how_the_answer_follows_t(method: str) -> None:
         own = room.areas * room.sigma[:, k] ** 2 * free
         wanted = own / (room.areas @ own) * EYRING.target_sensitivity(room, t)[k]
         np.testing.assert_allclose(slope[:, k, 0, k], wanted, rtol=1e-6)
+
+
+def test_constraint_that_does_not_bind_changes_no_sensitivity() -> None:
+    rng = np.random.default_rng(8)
+    room = random_room(rng, 5, 3)
+    t = true_times(rng, room, EYRING)
+    loose = terms.GroupAbsorption(["m0", "m1"], most=10_000.0)
+    free, limited = (
+        rt.Calibration(PRIOR, [terms.ExactMatch(), *others]).build(room).solve(t)
+        for others in ([], [loose])
+    )
+    np.testing.assert_allclose(
+        sensitivity(limited.joint), sensitivity(free.joint), rtol=1e-9, atol=1e-15
+    )
+
+
+def test_multiplier_of_a_soft_match_balances_the_prior() -> None:
+    """u_b is below 1 m² here, and D = (mu - alpha) / (S sigma²) for every coefficient."""
+    room = room_with(0.3, 0.05, n=2)
+    result = rt.calibrate(room, EYRING.time(room, np.array([14.0])), method="soft")
+    bands = result.joint.density()
+    assert bands.noise[0] < 1
+    wanted = (room.alpha - result.alpha) / (room.areas[:, np.newaxis] * room.sigma**2)
+    np.testing.assert_allclose(wanted, np.broadcast_to(bands.multiplier, (2, 1)), rtol=1e-9)
 
 
 def test_posterior_sigma_of_any_composition_against_draws() -> None:

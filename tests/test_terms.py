@@ -289,6 +289,17 @@ def test_a_row_is_scaled_by_all_that_can_move_in_it() -> None:
     np.testing.assert_allclose(terms.ExactMatch().row_scale(data), variance**-0.5, rtol=1e-12)
 
 
+@pytest.mark.parametrize("correlation", [0.0, 0.5])
+def test_the_prior_is_as_convex_as_its_correlation_allows(correlation: float) -> None:
+    data = made_with_effects({"opening": GAIN})
+    prior = terms.PriorDeviation(
+        band_correlation=correlation, material_correlation={("m1", "m3"): correlation}
+    )
+    least = 1 / np.linalg.eigvalsh(prior.correlation(data.layout)).max()
+    convexity = prior.convexity(data)
+    np.testing.assert_allclose(convexity, [least] * data.layout.n_alpha + [0.0], rtol=1e-12)
+
+
 def test_the_huber_prior_is_not_convex_in_what_it_does_not_weigh() -> None:
     data = made_with_effects({"opening": GAIN})
     convexity = terms.HuberDeviation(convex=0.2).convexity(data)

@@ -27,7 +27,13 @@ from rtcal.calibration.options import SolveOptions
 from rtcal.calibration.polish import polish, undetermined
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.term_check import require_agreement
-from rtcal.calibration.terms import MatchConstraint, Objective, RowConstraint
+from rtcal.calibration.terms import (
+    ExactMatch,
+    MatchConstraint,
+    Objective,
+    PriorDeviation,
+    RowConstraint,
+)
 from rtcal.calibration.warm_start import from_closed_form
 from rtcal.errors import InfeasibleError, ModelError, SolverError
 from rtcal.support.types import Array
@@ -188,9 +194,18 @@ class ConvexProgram:
         """Fill the compiled problem with the data, solve it and read the answer."""
         start = None
         if options.warm_start == "closed_form":
-            if not (len(self.rows) == 1 and len(self.objective.terms) == 1):
+            # OSQP does not check the sizes of a start: another problem's would be read beyond its end.
+            parts = (*self.objective.terms, *self.rows)
+            if not (
+                len(parts) == 2
+                and isinstance(parts[0], PriorDeviation)
+                and isinstance(parts[1], ExactMatch)
+                and not parts[0].correlated()
+                and data.layout.n_configurations == 1
+            ):
                 raise ModelError(
-                    "the closed form starts only a prior deviation with an exact match"
+                    "the closed form starts only an independent prior deviation with an exact "
+                    "match, in one configuration"
                 )
             start = from_closed_form(data)
         with self._lock:

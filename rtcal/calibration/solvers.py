@@ -101,12 +101,12 @@ def run(
     options : SolveOptions
         The solver's name, in any case of letters; the settings override those of `SETTINGS`.
     start : (x, row duals), optional
-        Primal and dual warm start of OSQP.
+        Primal and dual warm start of OSQP, for a problem without helper variables.
 
     Raises
     ------
     ModelError
-        If the solver refuses a setting, or the warm start does not fit.
+        If the solver refuses a setting.
     MissingDependencyError
         If the solver is not installed.
     SolverError
@@ -205,8 +205,6 @@ def _osqp(
         raise _refused("osqp", settings, error) from error
     if start is not None:
         x, duals = start
-        if len(x) != compiled.size or compiled.column != 0:
-            raise ModelError("a warm start fits only a problem without helper variables")
         solver.warm_start(x=x, y=np.concatenate(duals))
     result = solver.solve(raise_error=False)
     return _from_values(
