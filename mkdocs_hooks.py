@@ -1,18 +1,29 @@
-"""Hooks of the docs site: every stored notebook becomes a page, and links to a notebook lead to it.
+"""Hooks of the docs site: notebooks become pages, formulas become MathML, the footer has the version.
 
-The notebooks are shown as they are stored, with their outputs; nothing is run here.
+The notebooks are shown as they are stored, with their outputs; nothing is run here. MathML needs no
+script and no font from elsewhere: every browser draws it, also from disk and on paper.
 """
 
 from __future__ import annotations
 
+import html
 import re
 from pathlib import Path
 from typing import Any
 
+from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 from nbconvert import MarkdownExporter
 
+from rtcal.support.version import __version__
+
 NOTEBOOKS = Path(__file__).parent / "notebooks"
+
+
+def on_config(config: Any) -> Any:
+    """Put the version into the footer of every page."""
+    config.copyright = f"rtcal {__version__}"
+    return config
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -31,6 +42,18 @@ def on_files(files: Files, config: Any) -> Files:
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Lead links to notebooks in the source tree to their pages."""
     return _linked(markdown).replace("](../notebooks/", "](notebooks/")
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Turn the formulas that pymdownx.arithmatex has marked into MathML."""
+    return re.sub(
+        r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', _formula, content, flags=re.S
+    )
+
+
+def _formula(found: re.Match[str]) -> str:
+    tag, latex = found.groups()
+    return str(convert(html.unescape(latex), display="inline" if tag == "span" else "block"))
 
 
 def _linked(markdown: str) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -26,6 +24,7 @@ from rtcal.loop import Loop, LoopResult
 from rtcal.report import saved as saving
 from rtcal.report import words
 from rtcal.simulators.equation import EquationSimulator
+from tests.browser import chromium
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (rtcal[report])")
 pytest.importorskip("jinja2", reason="jinja2 is not installed (rtcal[report])")
@@ -518,34 +517,6 @@ def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
 
 
 # In a browser.
-
-
-def chromium(place: Path, url: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-    if program is None:
-        pytest.skip("needs Debian's chromium, which is not installed here")
-    return subprocess.run(
-        [
-            program,
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-quic",
-            "--no-first-run",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            f"--user-data-dir={place / 'profile'}",
-            "--enable-logging=stderr",
-            *arguments,
-            url.as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-        cwd=place,
-    )
 
 
 def test_in_a_browser(html, evil_html, tmp_path) -> None:
