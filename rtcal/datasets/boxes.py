@@ -1,4 +1,4 @@
-"""Rooms put together from boxes: boxes of air, less boxes of solid, painted by region."""
+"""Rooms made of boxes of air, without boxes of solid, with materials by region."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Rectangle = tuple[tuple[int, int], tuple[int, int]]
 def polyhedron(
     air: Sequence[Box], solid: Sequence[Box], paint: Sequence[tuple[str, str, Box]]
 ) -> Polyhedron:
-    """Return the room of the ``air`` boxes without the ``solid`` ones.
+    """Return the room of the ``air`` boxes without the ``solid`` boxes.
 
-    ``paint`` is (surface, material, region): a wall belongs to the last region that its middle
-    lies in or on. DataError if a wall lies in none.
+    ``paint`` is a sequence of (surface, material, region). A wall belongs to the last region that
+    contains its middle. Raises DataError if no region does.
     """
     boxes = [*air, *solid, *(region for _, _, region in paint)]
     # Rounded, so that 3.3 + 2.9 and 6.2 are one line.
@@ -47,9 +47,9 @@ def polyhedron(
             faces.setdefault(key, set()).add((int(i), int(j)))
     polygons = []
     count: dict[str, int] = {}
-    for (axis, plane, _, k), cells_here in faces.items():
+    for (axis, plane, _, k), wall_cells in faces.items():
         u, v = (a for a in range(3) if a != axis)
-        for (i0, i1), (j0, j1) in _rectangles(cells_here):
+        for (i0, i1), (j0, j1) in _rectangles(wall_cells):
             corners = np.empty((4, 3))
             corners[:, axis] = lines[axis][plane]
             corners[:, u] = lines[u][[i0, i1, i1, i0]]
@@ -70,7 +70,7 @@ def _painted(middle: np.ndarray, paint: Sequence[tuple[str, str, Box]]) -> int:
 
 
 def _rectangles(cells: set[tuple[int, int]]) -> list[Rectangle]:
-    """Cover cells with few rectangles: the longest run along j, then grown along i."""
+    """Cover cells with few rectangles: each is the longest run along j, extended along i."""
     left = set(cells)
     rectangles = []
     while left:

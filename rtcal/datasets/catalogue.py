@@ -1,7 +1,7 @@
-"""A catalogue of materials to start from: pyroomacoustics' table, read from the installed package.
+"""A catalogue of materials: pyroomacoustics' table, read from the installed package.
 
 Its values (after M. Vorländer, Auralization, 2008, Appendix) are under the MIT licence of
-pyroomacoustics. They are handbook values: state a sigma that they deserve.
+pyroomacoustics. They are handbook values, which need a realistic sigma.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ def material(
     centre_frequencies : sequence (n_bands,)
         Octaves that the catalogue has, within 125 to 8000 Hz.
     in_situ_factor : float
-        sigma is this times ISO 12999-2's spread between laboratories; above 4 kHz, which the standard
-        does not tabulate, its value at 4 kHz is taken.
+        sigma is this factor times ISO 12999-2's standard deviation between laboratories. Above 4 kHz,
+        which the standard does not tabulate, sigma has its value at 4 kHz.
 
     Raises
     ------
     DataError
-        For an unknown name, or a band that the catalogue lacks for it.
+        For an unknown name, or a band that the catalogue lacks for this material.
     MissingDependencyError
         Without pyroomacoustics.
     """
@@ -70,12 +70,12 @@ def material(
             + (f"; similar: {near}" if near else "")
         )
     coefficients = [float(v) for v in entries[name]["coeffs"]]
-    known = dict(zip(centres, coefficients, strict=False))  # some end at 4 kHz
+    by_band = dict(zip(centres, coefficients, strict=False))  # some end at 4 kHz
     for frequency in f:
-        if frequency not in known:
-            has = ", ".join(bands.label(c) for c in known)
+        if frequency not in by_band:
+            has = ", ".join(bands.label(c) for c in by_band)
             raise DataError(f'"{name}" has no value at {bands.label(frequency)}; it has {has}')
-    alpha = np.array([known[frequency] for frequency in f])
+    alpha = np.array([by_band[frequency] for frequency in f])
     tabulated = np.minimum(f, 4000.0)
     sigma = np.array(
         [sigma_iso_12999_2(alpha[k : k + 1], tabulated[k : k + 1])[0] for k in range(len(f))]
@@ -136,7 +136,7 @@ def _likeness(first: str, second: str) -> float:
 def _entries() -> tuple[list[float], dict[str, dict[str, Any]]]:
     """The table's centre frequencies and its absorbing materials by name."""
     try:
-        # Located without importing it: only its data file is wanted.
+        # Only the data file is read; the package itself is not imported.
         text = (resources.files(_TABLE) / "data" / "materials.json").read_text(encoding="utf-8")
     except ModuleNotFoundError as error:
         raise MissingDependencyError(

@@ -1,14 +1,13 @@
-"""Invented halls for case studies and benchmarks: stand-ins, none of them a model of a real room.
+"""Invented halls for case studies and benchmarks. None is a model of a real room.
 
-`lecture_hall` has what is published of the paper's lecture hall (Bellows & Katz 2025, Sect. 4.1:
-23 surfaces, 334 m³, largest to smallest area 66.6; no plan and no areas): the same hall serves the
-stochastic study, which needs the areas (``lecture_hall().geometry.face_areas``), and the simulators.
-`hard_hall` is in the spirit of the Palais des Papes (hard parallel walls), `theatre` of the Athenee
-(thirty materials, very uneven absorption); `corridor` is long and thin, where the meaning of
-"scattering" decides the decay.
+`lecture_hall` has the published data of the paper's lecture hall (Bellows & Katz 2025, Sect. 4.1): 23
+surfaces, 334 m³, ratio 66.6 of largest to smallest area. The paper has no plan and no areas. The
+stochastic study uses the areas ``lecture_hall().geometry.face_areas``. `hard_hall` resembles the Palais
+des Papes (hard parallel walls), `theatre` the Athenee (thirty materials, very uneven absorption).
+`corridor` is long and thin, so that its decay depends on the scattering model.
 
-Absorption coefficients are rounded textbook values, scattering coefficients guesses of one number
-a material; sigma is the paper's three tiers 0.01, 0.05 and 0.1 (Sect. 4.3.1).
+Absorption coefficients are rounded textbook values, scattering coefficients are estimates, one
+per material; sigma is the paper's three tiers 0.01, 0.05 and 0.1 (Sect. 4.3.1).
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ def _hall(
     held_out: Mapping[str, Point],
     dimensions: Point | None = None,
 ) -> Hall:
-    """Put a hall together; ``table`` is material: (alpha in `BANDS`, sigma, scattering)."""
+    """Return a hall; ``table`` maps a material to (alpha in `BANDS`, sigma, scattering)."""
     room = Room.from_surfaces(
         name=name,
         volume=geometry.volume,
@@ -88,8 +87,8 @@ _LECTURE_HALL = {
 def lecture_hall() -> Hall:
     """Return a lecture hall of 23 surfaces, 334 m³, largest to smallest area 66.6.
 
-    A raked hall, 11 m deep, 8.9 m wide: the width is what gives the volume, the width of the
-    projection window what gives the ratio of areas.
+    The hall is raked, 11 m deep and 8.9 m wide. Its width is chosen for the volume, and the width
+    of the projection window for the ratio of areas.
     """
     depth, stage, rise, rake_end, front, height = 11.0, 2.8, 1.05, 9.8, 3.6, 3.9
     section = depth * height - stage * (height - front) / 2
@@ -217,8 +216,8 @@ _HARD_HALL = {
 def hard_hall() -> Hall:
     """Return a hard hall with parallel walls, 40 x 14 x 10 m, a platform and chairs on its floor.
 
-    What absorbs lies on the floor, and smooth parallel walls keep sound above it: the decay is
-    longer than Sabine's.
+    The absorption is on the floor, and sound remains between the smooth parallel walls above it.
+    The decay is therefore longer than by Sabine's equation.
     """
     x, y, z = (0.0, 40.0), (0.0, 14.0), (0.0, 10.0)
     geometry = boxes.polyhedron(
@@ -291,8 +290,8 @@ _THEATRE = {
 def theatre() -> Hall:
     """Return a theatre with two tiers, boxes, a fly tower and thirty materials.
 
-    Drapes and seats absorb most of what reaches them, ceiling and parapets almost nothing, and the
-    stage is joined to the auditorium by the proscenium opening alone.
+    Drapes and seats absorb strongly, ceiling and parapets hardly. The proscenium opening alone connects
+    stage and auditorium.
     """
     hall, house = ((-7.0, 7.0), (0.0, 15.0), (0.0, 11.0)), ((-8.0, 8.0), (-9.5, -0.5), (0.9, 15.0))
     solid: list[boxes.Box] = []

@@ -1,4 +1,4 @@
-"""The rooms that ship with rtcal; source and licence stand beside the data."""
+"""The rooms that ship with rtcal. Their folders state source and licence."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def bras_cr2() -> tuple[Room, Measurement]:
 
 
 def hidden_room() -> tuple[Case, dict[str, Any]]:
-    """Return a case in which something is hidden, and the truth: ``alpha`` and what it is.
+    """Return a case with a hidden effect, and the truth: the effect and ``alpha``.
 
-    A simulated room of six materials, measured in two configurations; rtcal's tests traced it with
-    a tracer of their own (`tests/hidden_world`).
+    It is a simulated room of six materials in two configurations. The tracer is separate from rtcal's
+    (`tests/hidden_world`).
     """
     from rtcal.discrepancy.case import Case
 

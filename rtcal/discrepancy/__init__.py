@@ -1,4 +1,4 @@
-"""Find where simulation and measurement disagree, name what is missing, add it, verify.
+"""Find what a model misses: compare it with measurements, name the effect, add it, verify it.
 
     >>> import rtcal as rt
     >>> case = rt.discrepancy.Case.from_file("case.toml")     # doctest: +SKIP

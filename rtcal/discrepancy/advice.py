@@ -29,7 +29,7 @@ from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
 _USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
-"""Standard uncertainty of a feature that is not measured yet, as a mean over four positions."""
+"""Standard uncertainty of a mean over four positions that is not measured yet, by feature."""
 
 
 def separation(
@@ -53,7 +53,7 @@ def _covariance(
 
 
 def _variances(case: Case, observed: Observed) -> Array:
-    """Measurement variance of every feature, of those not measured too."""
+    """Measurement variance of every feature, also of features that were not measured."""
     shape = observed.used.shape
     table = np.broadcast_to(_USUAL[None, :, None] ** 2, shape).copy()
     table[observed.used] = np.diag(observed.covariance)
@@ -101,9 +101,9 @@ def next_measurement(
             options.append((separation(predicted, covariance, more.ravel(), first, rival), label))
     removable = {n: predicted.effects[n].removable for n in (best, rival)}
     if len(set(removable.values())) == 2:
-        thing = best if removable[best] else rival
+        suspect = best if removable[best] else rival
         return (
-            f"measure with and without the {thing}: if it is that, T changes, and what is not known "
+            f"measure with and without the {suspect}: if it is that, T changes, and what is not known "
             "of alpha cancels"
         )
     if options and max(options)[0] > now + 1:
@@ -122,11 +122,11 @@ def next_measurement(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """Which effects a case's data could tell apart.
+    """The effects that a case's data could distinguish.
 
-    ``separations`` (effect, effect) to nats: the evidence to expect for the first, at that of its
-    sizes whose change of T is nearest to ``change``, against the nearest of the second. ``reached``:
-    effect to the change of T that this size makes, as a share of T; some effects have none near.
+    ``separations`` maps (effect, effect) to nats: the expected evidence for the first effect
+    against the most similar size of the second. The first has the size whose relative change of T
+    is nearest to ``change``. ``reached`` maps each effect to the change of T at this size.
     """
 
     parameters: tuple[str, ...]
@@ -153,8 +153,8 @@ class Plan:
         """Return one line: the parameters, and how many pairs of effects they can distinguish."""
         names = list(self.reached)
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
-        both, one_way = _blind(self.separations, pairs)
-        distinct = len(pairs) - len(both) - len(one_way)
+        both, one_sided = _blind(self.separations, pairs)
+        distinct = len(pairs) - len(both) - len(one_sided)
         return (
             f"<Plan with {', '.join(self.parameters)}: {distinct} of {len(pairs)} pairs of effects "
             "can be distinguished>"
@@ -182,23 +182,23 @@ class Plan:
             rows.append((a, cells))
         lines += text.table(rows, header=header)
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
-        both, one_way = _blind(self.separations, pairs)
+        both, one_sided = _blind(self.separations, pairs)
         unseen = [a for a in names if self.separations[a, NONE] < MINIMUM_NATS]
         if unseen:
             lines.append(
                 "Cannot be told from a model that lacks nothing: " + ", ".join(unseen) + "."
             )
         lines.append("Cannot be told apart: " + (_paired(both, " and ") or "none of them") + ".")
-        if one_way:
+        if one_sided:
             lines.append(
                 "The first may pass for the second, not the second for the first: "
-                + _paired(one_way, " for ")
+                + _paired(one_sided, " for ")
                 + "."
             )
         for label, table in self.more.items():
             still, half = _blind(table, pairs)
             gained = [p for p in both if p not in still and p not in half and p[::-1] not in half]
-            gained += [p for p in one_way if p not in half]
+            gained += [p for p in one_sided if p not in half]
             lines.append(f"With {label} as well: " + (_paired(gained, " from ") or "no more") + ".")
         return "\n".join(lines)
 
@@ -218,14 +218,14 @@ def _paired(pairs: Pairs, between: str) -> str:
 
 def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[Pairs, Pairs]:
     """Pairs indistinguishable both ways, and pairs where only the first can pass for the second."""
-    both, one_way = [], []
+    both, one_sided = [], []
     for a, b in pairs:
         weak = (separations[a, b] < MINIMUM_NATS, separations[b, a] < MINIMUM_NATS)
         if all(weak):
             both.append((a, b))
         elif any(weak):
-            one_way.append((a, b) if weak[0] else (b, a))
-    return both, one_way
+            one_sided.append((a, b) if weak[0] else (b, a))
+    return both, one_sided
 
 
 GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
@@ -240,19 +240,19 @@ def plan(
     change: float = 0.2,
     discrepancy: ModelDiscrepancy | None = None,
 ) -> Plan:
-    """Say, before measuring, which effects the case's data could tell apart.
+    """Return the effects that the case's data could distinguish, before they are measured.
 
     Parameters
     ----------
     case : Case
-        Its measured values do not count, only which parameters there are and how uncertain.
+        Of its measurements, only the parameters and their uncertainties are used.
     effects : sequence of Effect, optional
-        The whole library if not given.
+        By default the whole library.
     change : float
-        How much each effect is to change T20, as a share of it, where it changes T20 most: above 0,
-        at most 1. Of an effect's sizes the one that comes nearest is taken.
+        Relative change of T20 in the band that the effect changes most, above 0 and at most 1. Each
+        effect has the size that comes nearest to it.
     discrepancy : ModelDiscrepancy, optional
-        Of the case's control rooms; `GENERIC_UNCERTAINTY` if not given.
+        From the case's control rooms; by default `GENERIC_UNCERTAINTY`.
 
     Raises
     ------
@@ -305,5 +305,5 @@ def plan(
         for p in ("t20", "edt", "t30", "c80", "g")
         if any(p in c.measured.values for c in case.configurations)
     )
-    rest = {label: t for label, t in tables.items() if label}
-    return Plan(measured, change, reached, tables[""], rest)
+    with_more = {label: t for label, t in tables.items() if label}
+    return Plan(measured, change, reached, tables[""], with_more)

@@ -1,9 +1,9 @@
-"""The threshold: how much evidence a room that lacks nothing gives by chance.
+"""The threshold: the evidence that rooms without a missing effect give by chance.
 
 A parametric bootstrap. Each draw takes alpha from the prior, the model's error from the engines'
 control rooms and noise from the measurement. The model's bias and covariance are estimated from one
-half of the control rooms, and the draws use the other half. An engine with few control rooms (the
-network) is not divided.
+half of the control rooms, and the draws use the other half. The few control rooms of the
+network are not divided.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Threshold:
 
     @property
     def engines(self) -> tuple[str, ...]:
-        """The simulators that the control rooms went through."""
+        """The simulators of the control rooms."""
         return self.discrepancy.engines
 
 
@@ -74,7 +74,7 @@ def control_rooms(
     Raises
     ------
     DataError
-        For fewer than two engines, or one that rtcal does not have.
+        For fewer than two engines, or an engine that rtcal lacks.
     """
     checks.whole("seed", seed, 0)
     return tuple(ENGINES[name].run(case, seed, report) for name in checked_engines(engines))

@@ -41,7 +41,7 @@ def cached_control_rooms(
 ) -> tuple[ControlRooms, ...]:
     """Return the case's control rooms: read from the folder, or simulated and written there.
 
-    A file that cannot be read or written is no error: the rooms are simulated.
+    If a file cannot be read or written, the rooms are simulated without an error.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def cached_control_rooms(
     Raises
     ------
     DataError
-        For fewer than two engines, or one that rtcal does not have.
+        For fewer than two engines, or an engine that rtcal lacks.
     """
     checks.whole("seed", seed, 0)
     where, rooms = checks.path("folder", folder), []

@@ -43,7 +43,7 @@ class AppliedEffect:
     size_interval : (float, float), optional
         90 % interval of the effect's size.
     custom : Effect, optional
-        The effect, where it is not in the library. A case that holds one cannot be saved.
+        An effect that is not in the library. A case that holds such an effect cannot be saved.
 
     Raises
     ------
@@ -73,18 +73,18 @@ class AppliedEffect:
 
     @property
     def effect(self) -> Effect:
-        """The effect: how it changes a room's state."""
+        """The effect, from the library or ``custom``."""
         return self.custom or next(e for e in library() if e.name == self.name)
 
     @property
     def size_sigma(self) -> float:
-        """The size's standard deviation; 0 where it has none."""
+        """Standard deviation of the size; 0 if the effect has none."""
         if self.size_interval is None:
             return 0.0
         return (self.size_interval[1] - self.size_interval[0]) / (2 * NORMAL_90)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON: what `from_dict` reads."""
+        """Return plain values for JSON, as `from_dict` reads them."""
         ends = None if self.size_interval is None else list(self.size_interval)
         return {"effect": self.name, "parameters": dict(self.parameters), "size_interval": ends}
 
@@ -116,15 +116,15 @@ class Case:
         The equation with which the user's model calculates T: the key of a `MeanEquation`, such as
         "eyring", "sabine", "kuttruff" or "millington".
     facing : array (n_materials, 3), optional
-        Share of each material's area that faces along x, y and z; from the room's surfaces and
-        their axes where they are stated, a third each where not.
+        Share of each material's area whose normal is along x, y and z. By default it follows from the
+        axes of the room's surfaces; without stated axes each share is a third.
     applied : sequence of AppliedEffect
         Effects that `Finding.apply` has added.
 
     Raises
     ------
     DataError
-        If something does not fit; the message names place, value and rule.
+        If a value breaks a rule; the message names place, value and rule.
     """
 
     room: Room
@@ -165,9 +165,10 @@ class Case:
     def from_dict(cls, data: Mapping[str, Any]) -> Case:
         """Return the case of nested plain values, as `to_dict` gives them.
 
-        ``room`` is `Room.to_dict`'s; ``facing`` may stand in it. A configuration has its parameters
-        beside ``name``: lists (n_pairs, n_bands) or (n_bands,), None where missing. ``uncertainty``
-        has ``time`` (relative) and ``level`` (dB), of single values that state none.
+        ``room`` is as `Room.to_dict` returns it, and may hold ``facing``. A configuration holds
+        ``name`` and its parameters, lists (n_pairs, n_bands) or (n_bands,) with None for missing
+        values. ``uncertainty`` holds ``time`` (relative) and ``level`` (dB), for values that state
+        none.
 
         Raises DataError for an unknown key, for a value of the wrong kind, and as `Case` does.
         """
@@ -193,9 +194,9 @@ class Case:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return nested plain values: what `from_dict` reads.
+        """Return nested plain values, as `from_dict` reads them.
 
-        Raises DataError where an effect was added that is not in the library.
+        Raises DataError for an added effect that is not in the library.
         """
         if custom := [p.name for p in self.applied if p.custom is not None]:
             raise DataError(
@@ -227,11 +228,11 @@ class Case:
         write_text(path, self.to_json())
 
     def to_json(self) -> str:
-        """Return what `save` writes."""
+        """Return the text that `save` writes."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
 
     def require_fresh(self) -> None:
-        """Raise DataError where a configuration was not measured, or the room fitted to its T."""
+        """Raise DataError if a configuration is only planned, or the room was calibrated to its T."""
         for c in self.configurations:
             if c.planned:
                 raise DataError(

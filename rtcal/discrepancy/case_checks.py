@@ -1,4 +1,4 @@
-"""The rules of a case: its parts fit each other, and a room can have its values."""
+"""The rules of a case: its parts fit each other, and its values are physically possible."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 LEVELS = {"c80": (-30.0, 60.0), "g": (-40.0, 60.0)}
-"""Least and most that any room has, in dB. C80: -30, 10 dB under that of T = 120 s (-20); 60, the range
-of a good decay. G: -40, 20 dB under the direct sound alone at 100 m; 60, 20 dB over that at 10 cm."""
+"""Limits that no room exceeds, in dB. C80: -30 is 10 dB below that of T = 120 s, and 60 is the range of
+a good decay. G: -40 is 20 dB below the direct sound at 100 m, and 60 is 20 dB above that at 10 cm."""
 VOLUMES = (1e-3, 1e8)
 """Accepted volumes in m³, from a scale model of a litre; the largest halls have some 1e7."""
 LARGEST_AREA = 1e8
@@ -28,7 +28,7 @@ _OFF_BOX = 0.1
 
 
 def check_room(room: Room) -> None:
-    """Refuse a room that cannot be: volume, areas, sigma, and dimensions of another volume."""
+    """Refuse impossible volumes, areas and sigma, and dimensions of another volume."""
     least, most = VOLUMES
     if not least <= room.volume <= most:
         raise DataError(f"room: volume = {room.volume:g} m³ is not from {least:g} to {most:g} m³")
@@ -69,16 +69,16 @@ def shares(room: Room, facing: Any) -> Array:
     total = array.sum(1, keepdims=True)
     if not np.isfinite(array).all() or (array < 0).any() or (total <= 0).any():
         raise DataError("facing has a value below 0, or a row that sums to 0")
-    # Shares that were saved are shares already: to divide again would move their last digit.
-    found: Array = np.where(np.abs(total - 1) < 1e-12, array, array / total)
-    found.setflags(write=False)
-    return found
+    # Shares from a file already sum to 1; a further division would change their last digit.
+    normalised: Array = np.where(np.abs(total - 1) < 1e-12, array, array / total)
+    normalised.setflags(write=False)
+    return normalised
 
 
 def in_room_bands(room: Room, c: Configuration) -> Configuration:
     """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
 
-    Warns of a conversion and of bands that are left out.
+    Warns if bands are converted or left out.
     """
     stated, wanted = c.measured.centre_frequencies, room.centre_frequencies
     if stated.tolist() == wanted.tolist():
@@ -98,7 +98,7 @@ def in_room_bands(room: Room, c: Configuration) -> Configuration:
 
 
 def check_configuration(room: Room, c: Configuration) -> None:
-    """Refuse a configuration that does not fit its room, or that no room can have."""
+    """Refuse a configuration that does not fit its room, or with impossible values."""
     if not text_name("configuration: name", c.name).strip():
         raise DataError(f"configuration: name = {c.name!r} is blank")
     where = f'configuration "{c.name}"'
@@ -126,8 +126,8 @@ def _check_distances(where: str, room: Room, distances: Array) -> None:
     if room.dimensions is not None:
         longest, rule = float(np.linalg.norm(room.dimensions)), "the room's diagonal"
     else:
-        # A convex room of volume V and surface S measures at most S²/(3 pi V): a double cone does.
-        # Three times that, since area and volume may be the very things that are wrong.
+        # A convex room of volume V and surface S is at most S²/(3 pi V) long, as a double cone is.
+        # Three times that is allowed, since the stated area or volume may be wrong.
         longest = room.total_area**2 / (np.pi * room.volume)
         rule = "the longest that a room of this volume and area can be"
     if distances.max() > longest:

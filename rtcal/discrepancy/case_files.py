@@ -1,26 +1,26 @@
-"""A case as TOML beside a room and measurements, or as JSON that holds all of it.
+"""A case as TOML, which refers to files of the room and the measurements, or as one JSON file.
 
 The codec of `rtcal.discrepancy.case.Case`: both become the dict that `Case.from_dict` reads. In TOML,
-beside a room and measurements in their own formats::
+the room and the measurements are files in their native formats::
 
     room = "room.toml"
     equation = "eyring"                  # or sabine, kuttruff, millington
 
-    [uncertainty]                        # optional, of single values that state none
+    [uncertainty]                        # optional, for values that state none
     time = 0.02                          # relative, of T20, T30, EDT
     level = 0.3                          # dB, of C80 and G
 
     [[configuration]]
     name = "empty"
-    measured = "empty.csv"               # any of T20, EDT, T30, C80, G; or, before measuring,
-                                         # parameters = ["t20", "edt"] and positions = 4
+    measured = "empty.csv"               # with any of T20, EDT, T30, C80, G; or, before it is
+                                         # measured, parameters = ["t20", "edt"], positions = 4
     distances = [6.1, 8.3]               # optional, m from source to receiver, one value per pair
 
     [[configuration]]
     name = "with the curtain drawn"
     measured = "drawn.csv"
-    suspect_removed = false              # optional: true where what is suspected was taken away
-    air = { temperature = 21, humidity = 60 }     # optional, where it was another climate
+    suspect_removed = false              # optional: true if the suspected object was removed
+    air = { temperature = 21, humidity = 60 }     # optional, in another climate than the room's
     [configuration.changes."west wall"]  # optional: coefficients that differ from the room's
     alpha = [0.1, 0.3]
     sigma = [0.02, 0.04]
@@ -99,7 +99,7 @@ def _configuration(folder: Path, room: Room, entry: Mapping[str, Any]) -> dict[s
 
 
 def _planned(room: Room, entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration that states what will be measured, with 1 in place of each value."""
+    """Return a configuration of a planned measurement, with 1 in place of each value."""
     where = f'configuration "{text_name("configuration: name", entry.get("name", "planned"))}"'
     if beside := [k for k in ("measured", *PARAMETERS, "uncertainty") if k in entry]:
         raise DataError(

@@ -1,4 +1,4 @@
-"""A configuration of a room: what was measured in it, and what was changed for that."""
+"""A configuration of a room: a measurement, and the changes of the room for it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Change:
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Configuration:
-    """One measurement of the room, and what was changed for it.
+    """One measurement of the room, and the changes of the room for it.
 
     Parameters
     ----------
@@ -64,13 +64,13 @@ class Configuration:
     changes : mapping of str to Change
         Materials whose coefficients differ from the room's.
     suspect_removed : bool
-        Whether whatever is suspected had been taken away.
+        Whether the suspected object had been removed.
     air : Air, optional
-        Where the climate was another than the room's.
+        If the climate differed from the room's.
     distances : array (n_pairs,), optional
-        m from source to receiver; half the cube root of the volume if not given.
+        From source to receiver in m; by default half the cube root of the volume.
     planned : bool
-        Not measured yet: ``measured`` holds placeholders for what will be.
+        Whether ``measured`` holds placeholders for a measurement that is only planned.
 
     Raises
     ------
@@ -120,7 +120,7 @@ class Configuration:
         return replace(self, measured=replace(measured, uncertainty=added))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain values for JSON: what `from_dict` reads."""
+        """Return the configuration as plain values for JSON, as `from_dict` reads them."""
         measured = self.measured.to_dict()
         more: dict[str, Any] = {"pairs": measured["pairs"]}
         if measured["standard_deviation"]:
@@ -147,8 +147,8 @@ class Configuration:
     def from_dict(cls, data: Mapping[str, Any], centre_frequencies: Array) -> Configuration:
         """Return the configuration of plain values, measured in these bands in Hz.
 
-        The values stand beside ``name``, by parameter; or ``measured`` holds what
-        `Measurement.to_dict` returns. Raises DataError for an unknown key, and for a value of the
+        ``data`` holds either the values, by parameter, or ``measured`` as `Measurement.to_dict`
+        returns it. Raises DataError for an unknown key, and for a value of the
         wrong kind.
         """
         name = text_name("configuration: name", data.get("name", "measured"))
@@ -183,7 +183,7 @@ class Configuration:
 def checked_uncertainty(stated: Mapping[str, Any]) -> dict[str, float]:
     """Return the uncertainty of values that state none: ``time`` relative, ``level`` in dB.
 
-    Raises DataError where it is not above 0, or above `MAX_UNCERTAINTY`.
+    Raises DataError unless it is above 0 and at most `MAX_UNCERTAINTY`.
     """
     entries = Entries("uncertainty: ", stated, (), MAX_UNCERTAINTY)
     numbers = {key: checks.positive(f"uncertainty: {key}", entries.number(key)) for key in stated}
@@ -195,12 +195,12 @@ def checked_uncertainty(stated: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _in_order(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Keep the reader's key order, so that saving a loaded case reproduces the same bytes."""
+    """Return the tables in the order of `from_dict`: a case that is read and saved keeps its bytes."""
     return {p: tables[p] for p in PARAMETERS if p in tables}
 
 
 def _inline(where: str, data: Mapping[str, Any], centre_frequencies: Array) -> Measurement:
-    """Return the measurement whose values stand beside the configuration's name."""
+    """Return the measurement whose values the configuration holds by parameter."""
     values = {p: _rows(f"{where}: {p}", data[p]) for p in PARAMETERS if p in data}
     if not values:
         raise DataError(f"{where} has none of {', '.join(PARAMETERS)}")
@@ -224,7 +224,7 @@ def _inline(where: str, data: Mapping[str, Any], centre_frequencies: Array) -> M
 
 
 def _rows(place: str, values: Any) -> list[Any]:
-    """Return nested lists, those of a single pair as a list of one."""
+    """Return nested lists; the values of a single pair become a list with one row."""
     rows = list(checks.listed(place, values))
     return rows if rows and isinstance(rows[0], list | tuple | np.ndarray) else [rows]
 

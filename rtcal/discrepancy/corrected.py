@@ -1,10 +1,9 @@
-"""The corrected room in the rest of the package: as a `Room`, and as a `Simulator`.
+"""The corrected room as a `Room` and as a `Simulator`, for use in other packages.
 
 Each absorber becomes a further material, which replaces every wall in proportion to its area. Its
 area equals its largest absorption area over the bands, with its size at the upper end of the 90 %
-interval. So a calibration can find more of the absorber as well as less; at alpha = 1 it could only
-find less. Volume, areas and air are those of the finding. A `Room` cannot represent the decay's shape
-or noise; only the `Simulator` does.
+interval. So a calibration can increase the absorber as well as decrease it. Volume, areas and air are
+those of the finding. A `Room` cannot represent the decay's shape or noise; only the `Simulator` does.
 """
 
 from __future__ import annotations
@@ -30,25 +29,29 @@ from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _LARGEST_SHARE = 0.5
-"""Largest share of the wall area that an absorber may replace."""
+"""Share of the wall area up to which an absorber is enlarged for its size's interval.
+
+Half of every wall remains. T of the corrected room does not depend on the share w, since the
+absorber's coefficient is wall + (both - wall) / w. The limit only bounds how far a calibration can
+enlarge the absorber."""
 
 
 @checked
 def corrected_room(case: Case) -> Room:
-    """Return the case's room with the effects in it, as stated: not calibrated yet.
+    """Return the case's room with its effects, not calibrated.
 
-    It has the T of the case's model under the model's equation (Eyring's for Millington's model
-    where it is calibrated), but for a decay's shape and noise. Absorbers are materials after the
-    stated ones; their sigma is what their size's interval leaves open, and their area is larger than
-    the effect's, so that alpha = 1 is the interval's upper end. Where volume or areas
-    are others than stated, dimensions and surfaces are left out.
+    By the model's equation it has the T of the case's model, without the decay's shape and noise. (A
+    calibration of Millington's model uses Eyring's equation.) Absorbers are materials after the stated
+    ones. Their sigma follows from the interval of the effect's size. Their area is larger than the
+    effect's, so that alpha = 1 is the upper end of the interval. If volume or areas differ from the
+    stated ones, dimensions and surfaces are left out.
     """
-    return _settled(case)[0]
+    return _corrected(case)[0]
 
 
 def not_in_room(case: Case) -> list[str]:
-    """Return what a room cannot hold of the effects, in words: a decay's shape, noise, an equation."""
-    out = [f"{p.name}: a room has surfaces and air only" for p in _settled(case)[1]]
+    """Return, in words, the effects that a room cannot represent: decay shape, noise, equation."""
+    out = [f"{p.name}: a room has surfaces and air only" for p in _corrected(case)[1]]
     if (equation := _bare(case).equation) != case.equation:
         out.append(f"formula: a room names no equation; calibrate it with {equation}")
     return out
@@ -61,24 +64,24 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     Parameters
     ----------
     case : Case
-        With the effects that `Finding.apply` has put there.
+        With the effects that `Finding.apply` has added.
     make : function, optional
-        Builds a simulator for a room of the stated materials, with the air, volume and areas that
-        were found: ``lambda room: PathTracing(room=room, geometry=..., ...)``. Absorbers are spread
-        over all its walls: alpha = (1 - w) alpha_wall + w alpha_absorber, w their share of the area.
-        If not given, the case's own model is the simulator: equation, decay and noise.
+        Builds a simulator for a room of the stated materials, with the air, volume and areas of the
+        finding: ``lambda room: PathTracing(room=room, geometry=..., ...)``. Absorbers are spread over
+        all its walls: alpha = (1 - w) alpha_wall + w alpha_absorber, w their share of the area. By
+        default the simulator is the case's model: equation, decay and noise.
 
     Raises
     ------
     DataError
-        For a simulator that cannot have an effect: a coupled room, a noise floor, an effect of your
-        own on the decay.
+        If ``make``'s simulator cannot represent an effect: a coupled room, a noise floor, a custom
+        effect on the decay.
     """
     if make is None:
         return CaseModel(case)
     if not callable(make):
         raise DataError(f"make = {make!r} is not a function of a room")
-    for p in _settled(case)[1]:
+    for p in _corrected(case)[1]:
         if p.effect.not_in_simulator is not None:
             raise DataError(f"{p.name}: {p.effect.not_in_simulator}")
     return Spread(case, make(_stated(case)))
@@ -90,14 +93,14 @@ class CaseModel(RoomSimulator):
 
     case: Case
     room: Room = field(init=False)
-    rest: tuple[AppliedEffect, ...] = field(init=False)
+    remaining: tuple[AppliedEffect, ...] = field(init=False)
     deterministic: bool = field(default=True, init=False)
     smooth: bool = field(default=True, init=False)
 
     def __post_init__(self) -> None:
-        room, rest = _settled(self.case)
+        room, remaining = _corrected(self.case)
         object.__setattr__(self, "room", room)
-        object.__setattr__(self, "rest", rest)
+        object.__setattr__(self, "remaining", remaining)
 
     @property
     def name(self) -> str:
@@ -117,8 +120,10 @@ class CaseModel(RoomSimulator):
             alpha=alpha,
             facing=np.concatenate([facing, further]),
         )
-        found = predict([with_applied(bare, self.rest, first)], distances(self.case, first))
-        rows = dict(zip(FEATURES, found.features[0], strict=True))
+        predicted = predict(
+            [with_applied(bare, self.remaining, first)], distances(self.case, first)
+        )
+        rows = dict(zip(FEATURES, predicted.features[0], strict=True))
         t20 = np.exp(rows["t20"])
         return Measurement.from_values(
             self.centre_frequencies,
@@ -132,7 +137,7 @@ class CaseModel(RoomSimulator):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Spread(RoomSimulator):
-    """A simulator of the stated materials, over whose walls a corrected room's absorbers are spread."""
+    """A simulator of the stated materials, with a corrected room's absorbers spread over its walls."""
 
     case: Case
     inner: Simulator
@@ -158,12 +163,12 @@ class Spread(RoomSimulator):
 
     @property
     def deterministic(self) -> bool:
-        """As the simulator."""
+        """Whether the simulator of the stated materials is deterministic."""
         return self.inner.deterministic
 
     @property
     def smooth(self) -> bool:
-        """As the simulator."""
+        """Whether T of the simulator of the stated materials is smooth."""
         return self.inner.smooth
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
@@ -191,52 +196,54 @@ def _air(case: Case) -> Air | None:
 
 
 def _bare(case: Case) -> State:
-    """The room's state with the volume, areas, air and equation that were found, and no absorber."""
+    """The room's state with the volume, areas, air and equation of the finding, without absorbers."""
     whole = state(case, _base(case))
     return replace(whole, covering=0.0, objects=0.0, shape=None, floor_db=None, direct_db=0.0)
 
 
 def _stated(case: Case) -> Room:
-    """The stated materials with the volume, areas and air that were found."""
+    """The stated materials with the volume, areas and air of the finding."""
     room, bare = case.room, _bare(case)
-    made = room.replace(air=_air(case))
+    corrected = room.replace(air=_air(case))
     if bare.volume != room.volume or not np.array_equal(bare.areas, room.areas):
-        made = made.replace(volume=bare.volume, areas=bare.areas, dimensions=None, surfaces=())
-    return made
+        corrected = corrected.replace(
+            volume=bare.volume, areas=bare.areas, dimensions=None, surfaces=()
+        )
+    return corrected
 
 
-def _settled(case: Case) -> tuple[Room, tuple[AppliedEffect, ...]]:
-    """The corrected room, and the effects that it cannot hold."""
-    made, at, base = _stated(case), _bare(case), _base(case)
+def _corrected(case: Case) -> tuple[Room, tuple[AppliedEffect, ...]]:
+    """The corrected room, and the effects that a `Room` cannot represent."""
+    stated, at, base = _stated(case), _bare(case), _base(case)
     equation = mean_equation(at.equation)
-    areas, alpha, sigma = made.areas, [*made.alpha], [*made.sigma]
-    names, rest, sources = list(made.materials), list[AppliedEffect](), dict(made.sources)
+    areas, alpha, sigma = stated.areas, [*stated.alpha], [*stated.sigma]
+    names, remaining, sources = list(stated.materials), list[AppliedEffect](), dict(stated.sources)
     for p in case.applied:
         after = with_applied(at, [p], base)
         if after.shape is not None or after.floor_db is not None or after.direct_db:
-            rest.append(p)
+            remaining.append(p)
             continue
         after = replace(at, covering=after.covering, objects=after.objects)
         wall, both = _absorption(at), _absorption(after)
         if np.allclose(wall, both, rtol=0, atol=1e-12):
-            continue  # another volume, area, air or equation: the room has it already
+            continue  # the room already has the other volume, area, air or equation
         top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
         w = float(max(((both - wall) / (top - wall)).max(), ((wall - both) / wall).max()))
         w = max(w, min(w * (1 + NORMAL_90 * _spread(p)), _LARGEST_SHARE))
-        own = np.clip(wall + (both - wall) / w, 0, top)
-        areas = np.append((1 - w) * areas, w * made.total_area)
+        absorber = np.clip(wall + (both - wall) / w, 0, top)
+        areas = np.append((1 - w) * areas, w * stated.total_area)
         names.append(p.name if p.name not in names else f"{p.name} (found)")
-        alpha.append(equation.coefficient(own))
+        alpha.append(equation.coefficient(absorber))
         if p.size_interval is not None:
             sources[names[-1]] = _source(p)
-        sigma.append(np.abs(alpha[-1] - made.absorption_area / made.total_area) * _spread(p))
+        sigma.append(np.abs(alpha[-1] - stated.absorption_area / stated.total_area) * _spread(p))
         at = after
-    new = len(names) - made.n_materials
+    new = len(names) - stated.n_materials
     if not new:
-        return made, tuple(rest)
-    walls = {name: getattr(made, name) for name in ("alpha_min", "scattering")}
+        return stated, tuple(remaining)
+    walls = {name: getattr(stated, name) for name in ("alpha_min", "scattering")}
     further = {"alpha_min": 0.0, "scattering": 0.5}
-    return made.replace(
+    return stated.replace(
         materials=names,
         areas=areas,
         alpha=alpha,
@@ -245,11 +252,11 @@ def _settled(case: Case) -> tuple[Room, tuple[AppliedEffect, ...]]:
         dimensions=None,
         sources=sources,
         **{
-            name: np.vstack([rows, np.full((new, made.n_bands), further[name])])
+            name: np.vstack([rows, np.full((new, stated.n_bands), further[name])])
             for name, rows in walls.items()
             if rows is not None
         },
-    ), tuple(rest)
+    ), tuple(remaining)
 
 
 def _source(p: AppliedEffect) -> str:
@@ -264,6 +271,6 @@ def _spread(p: AppliedEffect) -> float:
 
 
 def _absorption(s: State) -> Array:
-    """The mean that the equation takes over everything that absorbs but the air."""
+    """The equation's mean over walls, coverings and objects, without the air."""
     exponent = (s.surface_absorption + s.objects) / s.total_area
     return mean_equation(s.equation).inverse(exponent)

@@ -1,4 +1,4 @@
-"""Control rooms: rooms like the case's that lack nothing, in independent simulators.
+"""Control rooms: rooms like the case's, without a missing effect, in independent simulators.
 
 The difference between simulator and model is the model's error. A control room is a box of the case's
 volume. Its walls along each axis absorb as much as the case's materials that face along this axis.
@@ -34,9 +34,9 @@ SCATTERING: Mapping[ScatteringModel, tuple[float, float]] = {
 }
 """Scattering coefficients of an ordinary room, by scattering model.
 
-Below 0.3 of the paths the effect "non-diffuse field" begins. With the vector model, coefficients below
-0.5 turn the paths towards the walls' normals at each reflection: in a flat room T is then up to a fifth
-shorter than after any equation.
+The effect "non-diffuse field" begins at coefficients below 0.3. With the vector model, coefficients
+below 0.5 turn the paths towards the walls' normals at each reflection. In a flat room T is then up to
+a fifth shorter than by any equation.
 """
 _RECEIVERS = 4
 _PATHS = 6000
@@ -72,8 +72,9 @@ class ControlRooms:
 def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
     """Return each engine's estimate of the model's bias, (n_engines + 1, *one room's shape).
 
-    NaN where an engine cannot estimate it (`Engine.relative`). The last row is the model's own
-    estimate, 0: a second simulator confirms only part of what the first shows.
+    NaN where an engine cannot estimate it (`Engine.relative`). The last row is 0, the model's own
+    estimate. It draws the mean over the rows towards 0, since a second simulator confirms only a part
+    of the bias that the first one shows.
     """
     out = []
     for c in controls:
@@ -128,7 +129,7 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
 def box(case: Case) -> tuple[Room, Array]:
     """Return the control room, with one material per axis, and the share of each material by axis.
 
-    The shares (n_materials, 3) turn the case's alpha into the mean along an axis.
+    With the shares (n_materials, 3), the case's alpha gives the mean alpha of the walls of an axis.
     """
     room = case.room
     towards = room.areas[:, None] * case.facing
@@ -137,7 +138,7 @@ def box(case: Case) -> tuple[Room, Array]:
         sides = np.array(room.dimensions)
     else:
         sides = 1 / total
-        # Sides as the areas along the axes require, but no corridor.
+        # Sides from the areas along the axes, with limited ratios: no corridor.
         sides = np.clip(sides / np.exp(np.log(sides).mean()), 0.4, 2.5)
         sides *= (room.volume / np.prod(sides)) ** (1 / 3)
     x, y, z = sides
@@ -145,7 +146,7 @@ def box(case: Case) -> tuple[Room, Array]:
     names = ("x", "y", "z")
     share = towards / total
     k = room.n_bands
-    made = Room(
+    control = Room(
         name="control",
         volume=float(np.prod(sides)),
         materials=list(names),
@@ -160,7 +161,7 @@ def box(case: Case) -> tuple[Room, Array]:
             for wall, a, area in zip(SHOEBOX_WALLS, _AXIS_OF_WALL, areas, strict=True)
         ],
     )
-    return made, share
+    return control, share
 
 
 @dataclass(frozen=True)
@@ -249,14 +250,14 @@ class Engine:
     simulator : function
         Prepares one control room.
     stream : int
-        Of the random numbers, so that engines draw different rooms.
+        Stream of the random numbers, so that engines draw different rooms.
     setups, draws : int
         Control rooms, and draws of alpha from the prior in each.
     duration : float
         Simulated time, in reverberation times.
     models : sequence of str
-        Scattering models, of which each holds for two setups in turn. The literature calls the
-        coefficient of both the scattering coefficient; decays differ by some percent.
+        Scattering models, two setups with each in turn. Both have a scattering coefficient, but their
+        decays differ by some percent.
     scatters : bool
         Whether the simulator takes a scattering coefficient.
     relative : tuple of str
@@ -289,7 +290,8 @@ class Engine:
                 rows.append(simulated - _theory(case, setup, alpha))
             errors.append(rows)
             report(self.name, number + 1, self.setups)
-        # Adjacent rows are of different rooms and models: the bootstrap halves them by turns.
+        # Adjacent rows belong to different rooms and models, since the bootstrap takes every second
+        # row.
         table = np.swapaxes(np.array(errors), 0, 1)
         return ControlRooms(self.name, table.reshape(-1, *table.shape[2:]))
 
@@ -387,8 +389,8 @@ ENGINES: Mapping[str, Engine] = {
             duration=1.15,
             models=tuple(SCATTERING),
         ),
-        # Its nodes count alike, however large their walls. In a flat room its T is up to half as long
-        # again as any equation's, its decay is bent, and its reverberation is some 3 dB too weak.
+        # Its nodes have equal weights, whatever the area of their walls. In a flat room its T is up to
+        # 50 % longer than by any equation, its decay is bent, and its level is some 3 dB too low.
         Engine(
             name="network",
             simulator=_network,

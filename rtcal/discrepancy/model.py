@@ -1,7 +1,7 @@
 """A model's predictions for a room in one state.
 
-A `State` is everything that the prediction needs. An effect returns another state: with more
-absorption, another volume or equation, a noise floor, or a ``shape`` of its own for the decay.
+A `State` holds all data of the prediction. An effect returns a changed state: with more absorption,
+another volume or equation, a noise floor, or another ``shape`` of the decay.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class Decay:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A room in one configuration, as a model knows it.
+    """A room in one configuration: the data of a prediction.
 
     ``areas`` (n_materials,), ``alpha`` (n_materials, n_bands), ``facing`` (n_materials, 3), ``air``
-    (n_bands,) in 1/m. ``equation`` is the key of a `MeanEquation`. ``covering`` (n_bands,) is what
-    panels and openings add to the sum S_i h(alpha_i) of the equation in m², ``objects`` (n_bands,)
-    the absorption area of things that stand free. ``floor_db`` is the noise
-    under the level at which the decay starts, over ``record`` reverberation times; ``direct_db``
-    what the direct sound has above an omnidirectional source's.
+    (n_bands,) in 1/m. ``equation`` is the key of a `MeanEquation`. ``covering`` (n_bands,) is the
+    contribution of panels and openings to the equation's sum S_i h(alpha_i) in m². ``objects``
+    (n_bands,) is the absorption area of free-standing objects in m². ``floor_db`` is the noise's
+    level relative to the start of the decay, over a record of ``record`` reverberation times.
+    ``direct_db`` is the level of the direct sound relative to an omnidirectional source.
     """
 
     volume: float
@@ -75,7 +75,7 @@ class State:
 
     @property
     def surface_absorption(self) -> Array:
-        """S a(alpha) in m², (n_bands,): what the surfaces absorb after the equation."""
+        """S a(alpha) in m², (n_bands,): the surfaces' absorption by the equation."""
         return np.asarray(surface_absorption([self])[0])
 
     @property
@@ -89,21 +89,21 @@ class State:
         return np.asarray(self.areas @ self.alpha / self.total_area)
 
     def decay(self) -> Decay:
-        """Return the decay: one exponential, unless the state has a shape of its own."""
+        """Return the decay: that of the state's ``shape``, else one exponential."""
         if self.shape is not None:
             return self.shape(self)
         rate = self.rate[:, None]
         return Decay(np.full_like(rate, 1 / self.volume), rate)
 
     def covered(self, area: float, spectrum: Array) -> State:
-        """Return the state with ``area`` m² of wall replaced by something of this spectrum."""
+        """Return the state with ``area`` m² of wall replaced by a covering with these coefficients."""
         equation = mean_equation(self.equation)
         patch = equation.contribution(np.minimum(spectrum, equation.largest_alpha))
         gain = area * (patch - equation.contribution(self._wall))
         return replace(self, covering=self.covering + gain)
 
     def with_objects(self, absorption_area: Array) -> State:
-        """Return the state with things that stand free in it, of this absorption area in m²."""
+        """Return the state with free-standing objects of this absorption area in m²."""
         return replace(self, objects=self.objects + absorption_area)
 
 
@@ -116,7 +116,7 @@ def _each(states: Sequence[State], name: str) -> Array:
 
 
 def _by_equation(states: Sequence[State]) -> list[tuple[MeanEquation, list[int]]]:
-    """Return the equations of the states, each with the places of its states."""
+    """Return the equations of the states, each with the indices of its states."""
     places: dict[str, list[int]] = {}
     for i, s in enumerate(states):
         places.setdefault(s.equation, []).append(i)
@@ -129,7 +129,7 @@ def _stacked(states: Sequence[State]) -> tuple[Array, Array]:
 
 
 def _mean(equation: MeanEquation, states: Sequence[State]) -> Array:
-    """Return the mean over the walls that the equation takes, (n, n_bands), within its range."""
+    """Return the equation's mean over the walls, (n, n_bands), within the equation's range."""
     areas, alpha = _stacked(states)
     walls = equation.contribution(np.minimum(alpha, equation.largest_alpha))
     total = np.einsum("nm,nmk->nk", areas, walls) + _each(states, "covering")
@@ -183,23 +183,23 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
     n_bands = len(states[0].air)
     features = np.empty((len(states), len(FEATURES), n_bands))
     shifted = np.empty_like(features)
-    for here, decay in _alike(states):
-        group = [states[i] for i in here]
+    for members, decay in _alike(states):
+        group = [states[i] for i in members]
         weights, rate = decay.weights, decay.rates
         floor = np.array([np.nan if s.floor_db is None else s.floor_db for s in group])
         record = np.array([s.record for s in group])
         direct = np.array([s.direct_db for s in group])
         c = states[0].speed_of_sound
         at = np.asarray(distance)
-        features[here] = _levels(weights, rate, direct, at, c)
-        shifted[here] = _levels(weights, rate / 1.01, direct, at, c)
+        features[members] = _levels(weights, rate, direct, at, c)
+        shifted[members] = _levels(weights, rate / 1.01, direct, at, c)
         if rate.shape[2] == 1 and not np.isfinite(floor).any():
-            features[here, 0] = np.log(_LN6 / rate[:, :, 0])
+            features[members, 0] = np.log(_LN6 / rate[:, :, 0])
         else:
-            features[here, :3] = _times(weights, rate, floor, record)
-        # All rates stretched alike only stretch the time: the ratios stay.
-        shifted[here, :3] = features[here, :3]
-        shifted[here, 0] += np.log(1.01)
+            features[members, :3] = _times(weights, rate, floor, record)
+        # A common factor of all rates scales the time only, so the ratios do not change.
+        shifted[members, :3] = features[members, :3]
+        shifted[members, 0] += np.log(1.01)
     return Predicted(
         features, (shifted - features) / np.log(1.01), np.exp(features[:, FEATURES.index("t20")])
     )
@@ -219,10 +219,10 @@ def _alike(states: Sequence[State]) -> list[tuple[list[int], Decay]]:
             kind = alone[i].rates.shape[1]
         groups.setdefault((kind, s.floor_db is not None), []).append(i)
     out = []
-    for here in groups.values():
-        group = [states[i] for i in here]
-        if here[0] in alone:
-            decays = [alone[i] for i in here]
+    for members in groups.values():
+        group = [states[i] for i in members]
+        if members[0] in alone:
+            decays = [alone[i] for i in members]
             decay = Decay(
                 np.array([d.weights for d in decays]), np.array([d.rates for d in decays])
             )
@@ -232,7 +232,7 @@ def _alike(states: Sequence[State]) -> list[tuple[list[int], Decay]]:
             rate = rates(group)[:, :, None]
             volume = np.array([s.volume for s in group])[:, None, None]
             decay = Decay(np.ones_like(rate) / volume, rate)
-        out.append((here, decay))
+        out.append((members, decay))
     return out
 
 
@@ -240,7 +240,7 @@ def _levels(weights: Array, rates: Array, direct_db: Array, distance: Array, c: 
     """C80 and G (rows 3 and 4), averaged over the distances; the other rows are 0."""
     out = np.zeros((len(weights), len(FEATURES), weights.shape[1]))
 
-    # Barron and Lee 1988: what arrives at a distance has decayed since the direct sound left.
+    # Barron and Lee 1988: sound at a distance has decayed since the emission of the direct sound.
     def left(t: Array) -> Array:
         decayed = np.exp(-rates[..., None] * t[None, None, None, :])
         return np.asarray(np.sum((weights / rates)[..., None] * decayed, axis=2))
@@ -261,7 +261,7 @@ def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Arra
     total = energy.sum(2)
     noise = np.where(np.isfinite(floor_db), 10 ** (np.nan_to_num(floor_db) / 10), 0.0)[:, None]
     density = noise * weights.sum(2)
-    # A record of so many reverberation times, the time that the energy's own rate gives.
+    # The record's length is in reverberation times at the mean rate of the energy.
     end = record[:, None] * _LN6 * total / weights.sum(2)
 
     whole = (total + density * end)[..., None]
@@ -269,14 +269,14 @@ def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Arra
     both = np.stack([energy, weights], axis=2)
 
     def left(t: Array) -> tuple[Array, Array]:
-        """Energy after t, and what it loses there in a second; t (n, n_bands, n_times)."""
+        """Energy after t, and its loss per second at t; t (n, n_bands, n_times)."""
         sums = both @ np.exp(-rates[..., None] * t[:, :, None, :])
         after = sums[:, :, 0] + density[..., None] * np.maximum(end[..., None] - t, 0)
         return after, sums[:, :, 1] + density[..., None]
 
     wanted = 10 ** (np.array([-5.0, -10.0, -25.0, -35.0]) / 10) * whole
-    # ln of a sum of exponentials is convex, and Newton's steps never pass the root; a noise floor
-    # bends it the other way: a step out of what is left open is replaced by half of that.
+    # ln of a sum of exponentials is convex, so Newton's steps never pass the root. With a noise floor
+    # they may; a step that leaves the bracket is replaced by the bracket's middle.
     at = low = np.zeros_like(wanted)
     high = np.where(noise > 0, end, 9.0 / rates.min(2))[..., None] * np.ones_like(at)
     for _ in range(_STEPS):

@@ -1,10 +1,9 @@
-"""Calibrate a case's room: as its model stands, and with what has been added to it.
+"""Calibrate a case's room without and with the effects that were added to its model.
 
-The QP is rtcal's own: the prior's deviation, T matched as closely as its uncertainty (the
-measurement's and the model's) deserves, alpha from 0 to 1, coefficients shared between
-configurations, and for each effect that adds absorption a further unknown, 0 or more. The QP has no
-place for a decay's shape, another equation or a noise floor. For these, its target T is corrected in
-Gauss-Newton steps until the whole model gives the measured T.
+The QP has the prior's deviation and a soft match of T, whose uncertainty includes the model's. alpha is
+from 0 to 1, and the configurations share coefficients. The size of each effect that adds absorption is
+a further unknown, 0 or more. A decay's shape, another equation or a noise floor is not part of the QP.
+For these, Gauss-Newton steps correct its target T until the whole model has the measured T.
 """
 
 from __future__ import annotations
@@ -51,21 +50,21 @@ _T20 = FEATURES.index("t20")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recalibrated:
-    """A case's coefficients and what the model then predicts.
+    """The calibrated coefficients of a case, and the model's prediction with them.
 
     Attributes
     ----------
     case : Case
         With the effects' sizes as calibrated.
     alpha : array (n_materials, n_bands)
-        The room's own; a configuration's changes are in ``changed``.
+        The room's coefficients; those that a configuration changes are in ``changed``.
     changed : mapping of (configuration, material) to array (n_bands,)
     sizes : mapping of str to float
-        Of the effects that have one, in the effect's unit.
+        Sizes of the effects that have one, in the effect's unit.
     features : array (n_configurations, n_features, n_bands)
         Predicted: ln T20, ln EDT/T20, ln T30/T20, C80 and G in dB, the model's bias left out.
     joint : JointResult
-        The QP's answer; a configuration's changed materials stand there under their own names.
+        The QP's answer, in which a configuration's changed materials have names of their own.
     """
 
     case: Case
@@ -79,12 +78,12 @@ class Recalibrated:
     def sigma(self) -> Array:
         """Standard deviation of alpha, (n_materials, n_bands): the QP's `posterior_sigma`.
 
-        Given that the effects in the model are the right ones, with the parameters they have; the
-        sizes that are unknowns of the QP are open.
+        It holds if the effects in the model are right, with their parameters. Only the sizes that are
+        unknowns of the QP contribute their uncertainty.
         """
-        known = dict(zip(self.joint.materials, self.joint.posterior_sigma, strict=True))
+        by_name = dict(zip(self.joint.materials, self.joint.posterior_sigma, strict=True))
         room = self.case.room
-        return np.array([known.get(m, room.sigma[i]) for i, m in enumerate(room.materials)])
+        return np.array([by_name.get(m, room.sigma[i]) for i, m in enumerate(room.materials)])
 
     @property
     def interval(self) -> tuple[Array, Array]:
@@ -97,7 +96,7 @@ class Recalibrated:
         """`corrected_room` with the calibrated coefficients, their sigma, and the record of it."""
         stated = self.case.room
         data = [times_in_room(stated, c.measured) for c in self.case.configurations]
-        known = stated.replace(
+        calibrated = stated.replace(
             alpha=self.alpha,
             sigma=self.sigma,
             calibration=CalibrationRecord(
@@ -110,13 +109,14 @@ class Recalibrated:
                 version=__version__,
             ),
         )
-        return corrected_room(replace(self.case, room=known))
+        return corrected_room(replace(self.case, room=calibrated))
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """The effects with their sizes, and the 90 % interval that all data gave.
+        """The effects with their sizes, and the 90 % interval from all data.
 
-        ``calibrated`` ones were unknowns of the QP, to T20 alone; the others are as they were added.
+        The size of a ``calibrated`` effect was an unknown of the QP, which uses T20 only. Other effects
+        have the size with which they were added.
         """
         return [
             p.to_dict()
@@ -131,7 +131,7 @@ class Recalibrated:
 
     @property
     def effects_in_words(self) -> list[str]:
-        """A line per effect: how much of it there is, and from what."""
+        """A line per effect: its size, and the data from which the size follows."""
         return [self._in_words(p) for p in self.case.applied]
 
     def _in_words(self, p: AppliedEffect) -> str:
@@ -177,7 +177,7 @@ class Recalibrated:
 
 
 def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
-    """Return lines that tell each material's alpha, as stated and as calibrated, and the effects."""
+    """Return lines with each material's alpha, as stated and as calibrated, and the effects."""
     named = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
     named |= {k: (c.alpha, np.subtract(*c.interval[::-1]) / 2) for k, c in columns.items()}
     rows = []
@@ -193,13 +193,13 @@ def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
 
 
 def plain(case: Case) -> Recalibrated:
-    """Calibrate as is usual: the first configuration's T20, exactly, whatever the model lacks.
+    """Calibrate without effects: an exact match of the first configuration's T20.
 
-    Bands that no alpha reaches go to the nearest end.
+    A band whose T no alpha reaches gets the nearest reachable T.
     """
     bare = replace(case, applied=())
-    one = replace(bare, configurations=bare.configurations[:1])
-    return _calibrated(one, bare, None, exact=True)
+    first = replace(bare, configurations=bare.configurations[:1])
+    return _calibrated(first, bare, None, exact=True)
 
 
 @single_threaded_blas()
@@ -211,12 +211,13 @@ def recalibrate(case: Case, discrepancy: ModelDiscrepancy | None = None) -> Reca
     ----------
     case : Case
     discrepancy : ModelDiscrepancy, optional
-        The model's own, from control rooms; it widens what T is known to, and its bias is taken off.
+        The model's error, from control rooms. Its bias is subtracted, and its covariance adds to the
+        uncertainty of T.
 
     Raises
     ------
     DataError
-        If the room was calibrated on one of the case's T already, or ``discrepancy`` is of another
+        If the room was calibrated to one of the case's T before, or ``discrepancy`` belongs to another
         case.
     """
     if discrepancy is not None:
@@ -233,23 +234,25 @@ def _calibrated(
     observed, _ = observe(fitted)
     shape = (len(whole.configurations), len(FEATURES), k)
     bias = np.zeros(shape) if discrepancy is None else discrepancy.bias.reshape(shape)
-    own = np.zeros(shape) if discrepancy is None else np.diag(discrepancy.covariance).reshape(shape)
+    error = np.zeros(shape)
+    if discrepancy is not None:
+        error = np.diag(discrepancy.covariance).reshape(shape)
     variance = np.full(observed.used.shape, np.nan)
     variance[observed.used] = np.diag(observed.covariance)
     t = np.exp(observed.features[:, _T20] - bias[:n, _T20])
-    u = np.sqrt(variance[:, _T20] + own[:n, _T20] + _misfit(fitted) ** 2)
-    present = list(fitted.applied)
+    u = np.sqrt(variance[:, _T20] + error[:n, _T20] + _misfit(fitted) ** 2)
+    effects = list(fitted.applied)
     alpha, changed = np.array(room.alpha), dict[tuple[str, str], Array]()
     solved: JointResult
     is_linear = isinstance(mean_equation(fitted.equation), LinearEquation)
-    for _ in range(1 if is_linear and not present else _ROUNDS):
-        case = replace(fitted, applied=present)
+    for _ in range(1 if is_linear and not effects else _ROUNDS):
+        case = replace(fitted, applied=effects)
         states = [_state(case, c, alpha, changed) for c in fitted.configurations]
         rooms = [_room(room, c, s) for c, s in zip(fitted.configurations, states, strict=True)]
         equation = _equation(fitted, states[0])
         gains = _gains(case, states)
-        # What the effects of the QP add is known to the target only through these unknowns.
-        here, moved = (
+        # The QP sees the absorption of its effects only through these unknowns.
+        current, moved = (
             np.log(
                 [
                     [
@@ -268,30 +271,30 @@ def _calibrated(
             )
             for by in (1.0, 1.0 + _STEP)
         )
-        # A step of Gauss and Newton: where the model's T hardly depends on alpha (the other room
-        # decays last), its T says as little about alpha.
-        slope = (moved - here)[:, 1] / (moved - here)[:, 0]
+        # A Gauss-Newton step. If the model's T hardly depends on alpha, as when the coupled room decays
+        # last, the slope is small and T has little weight.
+        slope = (moved - current)[:, 1] / (moved - current)[:, 0]
         slope = np.clip(slope, _LEAST_SLOPE, 2.0)
-        target = np.exp(here[:, 0] + np.clip((np.log(t) - here[:, 1]) / slope, -1.5, 1.5))
+        target = np.exp(current[:, 0] + np.clip((np.log(t) - current[:, 1]) / slope, -1.5, 1.5))
         terms = [
             AddedAbsorption(p.name, list(g), sigma=_spread(p), mean=_size(p)) for p, g in gains
         ]
         solved = _solve(rooms, equation, target, u / slope, terms, exact=exact)
         alpha, changed = _values(fitted, solved)
-        present = [_resized(p, solved.effects) if p.name in solved.effects else p for p in present]
-    done = replace(whole, applied=present if fitted.applied else whole.applied)
+        effects = [_resized(p, solved.effects) if p.name in solved.effects else p for p in effects]
+    done = replace(whole, applied=effects if fitted.applied else whole.applied)
     features = np.array(
         [
             predict([_state(done, c, alpha, changed)], distances(whole, c)).features[0]
             for c in whole.configurations
         ]
     )
-    sizes = {p.name: _size(p) for p in present if np.isfinite(p.effect.neutral)}
+    sizes = {p.name: _size(p) for p in effects if np.isfinite(p.effect.neutral)}
     return Recalibrated(done, alpha, changed, sizes, features, solved)
 
 
 def _misfit(case: Case) -> Array:
-    """How far ln T of the effects in the model may be off, (n_configurations, n_bands)."""
+    """Standard deviation of ln T by the errors of the effects' forms, (n_configurations, n_bands)."""
     bare = replace(case, applied=())
     return np.array(
         [
@@ -315,7 +318,7 @@ def _state(
 
 
 def _name(c: Configuration, material: str) -> str:
-    """A changed material is an unknown of its own."""
+    """Return the name of a changed material, which is a separate unknown."""
     return f"{material} in {c.name}" if material in c.changes else material
 
 
@@ -349,7 +352,7 @@ def _size(p: AppliedEffect) -> float:
 
 
 def _spread(p: AppliedEffect) -> float:
-    """Return the prior standard deviation of the size: the size itself, so that T decides it."""
+    """Return the prior standard deviation of the size: the size itself, so that T determines it."""
     return max(_size(p), _SMALLEST)
 
 
@@ -358,14 +361,14 @@ def _resized(p: AppliedEffect, sizes: Mapping[str, float]) -> AppliedEffect:
 
 
 def _gains(case: Case, states: list[State]) -> list[tuple[AppliedEffect, Array]]:
-    """Return the effects of which the QP calibrates the size, with what a unit adds to S'alpha in m².
+    """Return the effects whose size the QP calibrates, each with the absorption area of one unit in m².
 
-    The second is (n_configurations, n_bands).
+    The areas are (n_configurations, n_bands).
     """
     gains = []
     for i, p in enumerate(case.applied):
         others = [q for j, q in enumerate(case.applied) if j != i]
-        # A size that the QP has driven to 0 still has a slope.
+        # The slope is needed also at a size of 0.
         size = max(_size(p), _SMALLEST)
         resized = [*case.applied]
         resized[i] = _resized(p, {p.name: size})
@@ -392,7 +395,7 @@ def _slope(s: State) -> Array:
 def _qp_time(
     equation: LinearEquation, room: Room, s: State, gains: list[tuple[Array, float]]
 ) -> Array:
-    """T of the QP's equation for the state's alpha and the effects that are its unknowns."""
+    """T by the QP's equation for the state's alpha and the effects that the QP calibrates."""
     area = room.areas @ s.alpha + sum((g * size for g, size in gains), np.zeros_like(s.air))
     top = equation.largest_mean * room.total_area
     return equation.time(room, np.clip(area, 1e-6, 0.999 * top))

@@ -1,4 +1,4 @@
-"""The state of a case's room in one configuration, with the effects that were added to its model."""
+"""The state of a case's room in one configuration, with the effects added to its model."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
 def with_applied(
     unchanged: State, applied: Sequence[AppliedEffect], configuration: Configuration
 ) -> State:
-    """Return the state with effects in it; removable ones are absent where the suspect was removed."""
+    """Return the state with effects; removable effects are left out if the suspect was removed."""
     for added in applied:
         if not (configuration.suspect_removed and added.effect.removable):
             (unchanged,) = changed_states(added.effect, unchanged, [added.parameters])

@@ -1,6 +1,6 @@
-"""The state of a closed loop as a JSON file, from one run of a program to the next.
+"""The JSON file that keeps the state of a closed loop between two runs of a program.
 
-The codec of `rtcal.loop.state.Loop`: JSON text to a plain dict, and the dict's entries checked.
+The codec of `rtcal.loop.state.Loop`: it turns JSON text into a plain dict and checks the entries.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ KIND = "loop 2"
 MAX_BYTES = 2**25
 MAX_DECIMALS = 12
 
-_T_LIMITS = (1e-6, 1e6)  # s: a hard room without air has a longer T than was ever measured
+_T_LIMITS = (
+    1e-6,
+    1e6,
+)  # s; wide, since T of a hard room without air is longer than any measured one
 _KEYS = (
     "rtcal",
     "room",
@@ -64,9 +67,9 @@ def read(path: str) -> dict[str, Any]:
 def attributes(
     data: Mapping[str, Any], equation: LinearEquation | None
 ) -> tuple[dict[str, Any], list[dict[str, Array]]]:
-    """Return a loop's attributes and those of its steps from the dict that `read` returns.
+    """Return the attributes of a loop, and of its steps, from the dict that `read` returns.
 
-    ``equation`` takes the place of the dict's. Raises DataError or ModelError for an entry that
+    ``equation`` replaces the one in the dict. Raises DataError or ModelError for an entry that
     breaks a rule.
     """
     state = Entries("", data, _KEYS, ("result", "coefficients"))
@@ -114,16 +117,16 @@ def checked_decimals(decimals: Any) -> int | None:
 
 
 def coefficients_digest(alpha: Array) -> str:
-    """Return a short name of absorption coefficients, (n_materials, n_bands), to nine decimals.
+    """Return a short identifier of absorption coefficients, (n_materials, n_bands), to nine decimals.
 
-    The state and the room to simulate carry it: T that belongs to other coefficients is refused.
+    The state and the room to simulate hold it, so that T of other coefficients can be refused.
     """
     rounded = np.round(alpha, 9) + 0.0  # no -0
     return hashlib.sha256(repr(rounded.shape).encode() + rounded.tobytes()).hexdigest()[:12]
 
 
 def fingerprint(room: Room) -> str:
-    """Return a short name of a room's materials, areas, bands, air and prior."""
+    """Return a short identifier of a room's materials, areas, bands, air and prior."""
     plain = (tuple(room.materials), room.volume, room.speed_of_sound)
     digest = hashlib.sha256(repr(plain).encode())
     for values in (

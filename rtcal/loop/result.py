@@ -30,7 +30,7 @@ class LoopResult:
     Attributes
     ----------
     room : Room
-        With the coefficients for the simulator, and a record of the calibration.
+        The room with the coefficients for the simulator, and a record of the calibration.
     simulator : str
         Name of the simulator. The coefficients belong to no other.
     loop : Loop
@@ -61,7 +61,7 @@ class LoopResult:
 
     @property
     def final(self) -> Measurement:
-        """Simulated with the coefficients returned, and with another seed if it was confirmed."""
+        """The simulation that judges the result: `confirmation` if there is one, else `after`."""
         return self.confirmation or self.after
 
     @property

@@ -1,8 +1,8 @@
-"""Rules for the next target of a band: they move it until the simulator has the measured T.
+"""Rules for a band's next target, which the loop moves until the simulator has the measured T.
 
-All but `next_target` work with decay rates R = 1/T in 1/s. A rule takes, for one band, the targets so
-far, the rates that the simulator had for them, the measured rate, and the lowest and highest target
-that the equation can give. It returns the next target.
+All functions but `next_target` work with decay rates R = 1/T in 1/s. A rule takes, for one band, the
+past targets, the simulated rates, the measured rate, and the lowest and highest target that the
+equation can give. It returns the next target.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The closed loop between two simulations: past steps and the next coefficients.
 
-With the coefficients that give an equation the measured T, a simulator has another T. But the
-simulator's T changes with the equation's target (Bellows & Katz 2025, Sects. 4.2 and 4.3). The loop
-therefore moves the target, band by band, by a rule of `rtcal.loop.rules`.
+Coefficients that give the measured T by an equation give another T in a simulator. But the simulator's
+T changes with the equation's target T (Bellows & Katz 2025, Sects. 4.2 and 4.3). The loop therefore
+changes the target of each band by a rule of `rtcal.loop.rules`.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Loop:
     room : Room
         Its alpha and sigma are the prior.
     wanted : array (n_bands,)
-        Measured T in s, NaN where there is none.
+        Measured T in s, NaN where it is missing.
     measured : str
         Fingerprints of the data, for the record of the calibrated room.
     rule : {"secant", "safeguarded", "regression"}
@@ -171,7 +171,7 @@ class Loop:
 
     @property
     def finished(self) -> bool:
-        """Whether another simulation would bring no band nearer."""
+        """Whether no band would gain from another simulation."""
         return bool(self.steps) and "not converging" not in self.status
 
     @checked

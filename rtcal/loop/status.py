@@ -1,4 +1,4 @@
-"""When the closed loop is done with a band: the band's goal, its status, its confirmation."""
+"""The status of each band of a closed loop: its goal, its convergence, its confirmation."""
 
 from __future__ import annotations
 

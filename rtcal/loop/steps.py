@@ -1,4 +1,4 @@
-"""The steps of a closed loop: what was simulated, and the T20 and noise of a measurement."""
+"""The steps of a closed loop, and the T20 and noise of a simulated measurement."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Step:
     alpha : array (n_materials, n_bands)
         Coefficients as simulated.
     simulated : array (n_bands,)
-        Simulated T20 in s, NaN where these coefficients give none.
+        Simulated T20 in s, NaN if these coefficients give none.
     noise : array (n_bands,)
         Standard error in s of the mean T20 over the pairs; 0 if the simulator states none, NaN if
         it is unknown.

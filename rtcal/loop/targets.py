@@ -1,4 +1,4 @@
-"""The targets of a closed loop: the range that its equation gives, and the next one of each band."""
+"""The targets of a closed loop: the range of the equation's T, and each band's next target."""
 
 from __future__ import annotations
 

@@ -5,9 +5,9 @@ estimate (Eq. 10), q = S sigma² the maximum-likelihood estimate (Eq. 25). Unbou
 alpha* and delta = S'e, each leaves the error (I - q S'/(S'q)) e. Bounded, alpha = clip(mu - D q, 0, 1):
 the exact minimiser of the QP with sigma² = q/S.
 
-In a realisation mu and q are the same for all trials. So the piecewise linear delta(D) is tabulated
-once, and a trial that leaves the box costs one look-up: faster here than `rtcal.exact`, which must
-start anew for each problem and to which the tests hold it.
+All trials of a realisation have the same mu and q. The piecewise linear delta(D) is therefore
+tabulated once, and a trial that leaves the box needs one look-up. This is faster than `rtcal.exact`,
+which solves each problem from its start; the tests compare the two.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def directions(mu: Array, sigma: Array, areas: Array) -> Array:
 
 
 _ROUNDING = 64 * float(np.finfo(float).eps)
-"""Share of its summed terms below which an EMSE is rounding error, and is set to 0.
+"""Share of its summed terms below which an EMSE counts as rounding error and is set to 0.
 
 A room of one surface has one unknown and one equation, so every calibration is exact there.
 """
@@ -93,8 +93,9 @@ def realisations(mu: Array, sigma: Array, areas: Array) -> list[Realisation]:
 class TrialSums:
     """Sums over trials.
 
-    ``squares`` e'e; ``products`` delta² and, by calibration, delta e'q, (4,); ``change`` the bounded
-    estimate's e'e minus the unbounded's, (3,); ``active`` the number of trials where they differ, (3,).
+    ``squares`` is e'e; ``products`` (4,) delta² and, by calibration, delta e'q; ``change`` (3,) e'e
+    of the bounded minus that of the unbounded estimate; ``active`` (3,) the number of trials in
+    which they differ.
     """
 
     squares: float
@@ -148,7 +149,7 @@ def score(z: Array, room: Realisation) -> TrialSums:
 
 
 def _score(z: Array, rows: Array, room: Realisation) -> TrialSums:
-    """Do the same with NumPy: the twin of `trials_kernel.score`."""
+    """The NumPy version of `trials_kernel.score`."""
     along = rows @ z
     delta = along[0]
     variance = room.sigma**2

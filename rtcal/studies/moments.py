@@ -19,15 +19,16 @@ ANALYTIC = tuple(f"{m} analytic" for m in METHODS)
 SERIES = SAMPLED + ANALYTIC
 """Names of the eleven EMSE that each realisation has."""
 
-EDGES = np.linspace(0.0, 0.5, 4001)  # of sqrt(EMSE); the last bin takes what is beyond
+EDGES = np.linspace(0.0, 0.5, 4001)  # of sqrt(EMSE); the last bin holds all larger values
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
     """Sums over realisations.
 
-    ``count`` of realisations and ``active`` trials with a bound active by calibration; ``sums`` of
-    the series and ``products`` of each two; the sampled series' histogram of sqrt(EMSE) and extremes.
+    ``count`` is the number of realisations, ``active`` the number of trials with an active bound,
+    by calibration. ``sums`` are those of the series, ``products`` those of each pair of series. The
+    sampled series also have a histogram of sqrt(EMSE) and its extremes.
     """
 
     count: int

@@ -1,4 +1,4 @@
-"""What Bellows & Katz (2025) print of the study, and how far rounding lets it be compared."""
+"""The study's numbers in Bellows & Katz (2025), and the ranges that their rounding allows."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _HALF_DIGIT = 0.005
 
 
 def table_1_orders() -> list[tuple[float, ...]]:
-    """Return the ways in which the shoebox's areas can be S_1 to S_6; the paper names none.
+    """Return the possible orders of the shoebox's areas S_1 to S_6, which the paper does not state.
 
     Opposite walls may not be neighbours in the list, so all 90 are possible.
     """
@@ -52,7 +52,8 @@ def table_1_range(
 ) -> tuple[Array, Array]:
     """Return the least and the most EMSE, (4,), that Table 1's printed mu and sigma allow.
 
-    mu and sigma uniform within half of their last digit; the central ``share`` of EMSE in closed form.
+    mu and sigma are uniform within half of their last digit. EMSE is in closed form, and the range
+    is its central ``share``.
     """
     rng = np.random.default_rng(seed)
     shape = (draws, len(TABLE_1_MU))

@@ -2,8 +2,8 @@
 
 The paper gives the shoebox (5 x 7 x 3 m) in full, but of its lecture hall only N = 23, V = 334 m³ and
 the ratio 66.6 of its largest to its smallest area. `LECTURE_HALL` is a stand-in: a plausible closed
-hall with exactly these. `random_hall` draws others with the same three numbers, not
-chosen by their scores: they show how far the scores depend on what the paper does not say.
+hall with exactly these numbers. `random_hall` draws further halls with the same numbers, to show how
+much the scores depend on the areas that the paper does not state.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ LECTURE_HALL: dict[str, float] = {
 
 
 def random_hall(seed: int) -> tuple[float, ...]:
-    """Return the areas of a closed hall with the paper's three numbers and all else at random.
+    """Return the areas of a random closed hall with the paper's three numbers.
 
-    A box of 334 m³, its floor's proportions and its height drawn; 23 surfaces, at least one a face, the
-    others on faces drawn in proportion to area; each face cut at random; then all cuts made more or
-    less uneven, by one exponent, until largest : smallest is 66.6.
+    The hall is a box of 334 m³ with random proportions. Each face has one of the 23 surfaces; the
+    others are on random faces, in proportion to area. Each face is cut at random. One exponent then
+    makes all cuts more or less uneven, until the ratio of largest to smallest area is 66.6.
     """
     rng = np.random.default_rng(checks.whole("seed", seed, 0))
     height, proportion = rng.uniform(3.0, 5.0), rng.uniform(1.0, 1.8)

@@ -1,8 +1,8 @@
-"""Pieces of a study on many workers: added in order, kept in a folder, resumed from there.
+"""A study in pieces on many workers. Finished pieces are kept in a folder, to resume from.
 
 A piece draws from a generator seeded by (seed, number). The result does not depend on the number of
 workers, nor on which of them computes what. A kept piece states its study and its number, and has a
-checksum; one that does not fit is computed again.
+checksum. A piece with wrong data is computed again.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ def run_pieces(
     Parameters
     ----------
     compute : callable
-        Of a piece's number; picklable where the executor's workers are processes.
+        Computes the piece of a number. It must be picklable if the executor's workers are processes.
     count : int
     identity : dict
-        What the pieces are of; kept in the folder, and another study's folder is refused.
+        Parameters of the study. They are kept in the folder; the folder of another study is refused.
     executor : concurrent.futures.Executor, optional
         For example ``dask.distributed.Client(...).get_executor()`` or a ProcessPoolExecutor; it is
         left open. Default: threads, as NumPy releases the interpreter's lock.
     workers : int, optional
         Number of threads; default the cores of the machine.
     folder : path, optional
-        Where finished pieces are kept and found again.
+        Folder of the finished pieces.
     progress : bool
         Show a bar on standard error after two seconds (extra ``studies``).
 
@@ -112,7 +112,7 @@ def _hand_out(
                 yield waiting.popleft()
         while waiting:
             yield waiting.popleft()
-    finally:  # stopped half-way: what has not begun need not
+    finally:  # after an error, pieces that have not begun are cancelled
         for _, piece in waiting:
             if not isinstance(piece, Moments):
                 piece.cancel()
@@ -137,7 +137,7 @@ class _Store:
         """Return a finished piece; None if it is missing, damaged or from another study."""
         path = self._file(number)
         try:
-            if not path.is_file():  # a pipe would be waited for
+            if not path.is_file():  # opening a pipe would block
                 return None
             with open(path, "rb") as stream:
                 head, _, packed = stream.read(_MAX_PIECE).partition(b"\n")
@@ -151,9 +151,9 @@ class _Store:
         return self.folder / f"piece-{number:08d}.sums"
 
     def _head(self, number: int, packed: bytes) -> bytes:
-        """Return a piece's first line, which says what it is and has its checksum."""
-        said = f"rtcal piece {number} of study {self.study}, sha256 "
-        return f"{said}{hashlib.sha256(said.encode() + packed).hexdigest()}\n".encode()
+        """Return a piece's first line: its number, its study and its checksum."""
+        head = f"rtcal piece {number} of study {self.study}, sha256 "
+        return f"{head}{hashlib.sha256(head.encode() + packed).hexdigest()}\n".encode()
 
 
 def _open(folder: Path, identity: dict[str, Any]) -> _Store:

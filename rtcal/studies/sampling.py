@@ -1,7 +1,7 @@
 """The random rooms of Bellows & Katz (2025), Sect. 3.4: realisations and trials.
 
-A realisation gives every surface a mean mu and a standard deviation sigma, what a practitioner knows;
-a trial draws the true coefficients from the truncated normal (mu, sigma) on [0, 1].
+A realisation draws a mean mu and a standard deviation sigma for every surface, the data of a
+calibration. A trial draws the true coefficients from the truncated normal (mu, sigma) on [0, 1].
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from rtcal.support import jit
 from rtcal.support.types import Array
 
 SIGMA_LIMIT = 0.25
-"""sigma is below this, else the interval (2 sigma, 1 - 2 sigma) for mu is empty."""
+"""Upper limit of sigma, at which the interval (2 sigma, 1 - 2 sigma) of mu becomes empty."""
 
 
 def redrawn_share(sigma_r: float) -> float:
@@ -26,8 +26,8 @@ def realisations(
 ) -> tuple[Array, Array]:
     """Return mu and sigma, each (count, n).
 
-    sigma ~ Rayleigh(sigma_r), redrawn while it is 0.25 or more: drawn at once from the law that
-    redrawing leaves, by inversion. mu ~ uniform(2 sigma, 1 - 2 sigma).
+    sigma ~ Rayleigh(sigma_r), redrawn while it is 0.25 or more. Inversion draws it in one step from the
+    truncated distribution. mu ~ uniform(2 sigma, 1 - 2 sigma).
     """
     below = 1 - redrawn_share(sigma_r)
     sigma = sigma_r * np.sqrt(-2 * np.log1p(-below * (1 - rng.random((count, n)))))
@@ -38,8 +38,8 @@ def realisations(
 def trials(rng: np.random.Generator, mu: Array, sigma: Array, z: Array) -> None:
     """Fill ``z`` (n, trials) with (alpha - mu)/sigma of truncated normals on [0, 1].
 
-    Standard normals, each drawn again while it lies outside: mu is at least 2 sigma from the ends, so
-    at most one in twenty does.
+    Standard normals outside the interval are drawn again. These are at most one in twenty, since mu is
+    at least 2 sigma from the ends.
     """
     rng.standard_normal(out=z)
     low, high = -mu / sigma, (1 - mu) / sigma
@@ -56,6 +56,6 @@ def outside(z: Array, low: Array, high: Array) -> NDArray[np.intp]:
     if jit.available():
         from rtcal.studies import trials_kernel
 
-        found = np.empty(z.size, np.intp)
-        return found[: trials_kernel.outside(z, low, high, found)]
+        indices = np.empty(z.size, np.intp)
+        return indices[: trials_kernel.outside(z, low, high, indices)]
     return np.flatnonzero((z < low[:, np.newaxis]) | (z > high[:, np.newaxis]))

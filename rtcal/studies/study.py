@@ -1,8 +1,8 @@
-"""The paper's stochastic study: how much nearer to the truth a calibration comes.
+"""The paper's stochastic study: how much a calibration reduces the error of the coefficients.
 
-MSE is the mean squared error of a trial (Bellows & Katz 2025, Eq. 28), EMSE its mean over the trials of
-a realisation (Eq. 29), AACE the root of EMSE's mean over realisations (Eq. 32), and the calibration
-score 1 - AACE / AACE of no calibration (Eq. 35), here with the actual AACE of no calibration and not
+MSE is the mean squared error of a trial (Bellows & Katz 2025, Eq. 28). EMSE is its mean over the trials
+of a realisation (Eq. 29). AACE is the root of EMSE's mean over realisations (Eq. 32). The calibration
+score is 1 - AACE / AACE of no calibration (Eq. 35), with the actual AACE of no calibration in place of
 its approximation sqrt(2) sigma_r.
 """
 
@@ -35,10 +35,8 @@ _LARGEST_AREA = 1e8  # m² of one surface: the walls of the largest halls have s
 Table = np.recarray[Any, Any]
 """Rows with named columns: ``table["score"]``, ``table.score``, ``row.method``."""
 
-PIECE = 100  # realisations a piece
-BLOCK = (
-    61_440  # normal numbers at a time: half a megabyte, and products too small for BLAS to thread
-)
+PIECE = 100  # realisations per piece
+BLOCK = 61_440  # normal numbers per step: half a megabyte; BLAS uses one thread
 
 _SCORES = [
     ("method", "U12"),
@@ -51,7 +49,7 @@ _SCORES = [
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A finished study of one room at one sigma_r. Made by `run`."""
+    """A finished study of one room at one sigma_r, as `run` returns it."""
 
     areas: Array
     sigma_r: float
@@ -63,18 +61,18 @@ class Study:
     def scores(self) -> Table:
         """Return method, bounded, aace, score and its standard error, as the paper's simulation.
 
-        Both AACE, the method's and that of no calibration, come from the trials.
+        The AACE of the method and of no calibration are both estimated from the trials.
         """
         rows = [self._row(m, False, {m: 1.0}, {"none": 1.0}) for m in METHODS]
         rows += [self._row(m, True, {f"{m} bounded": 1.0}, {"none": 1.0}) for m in CALIBRATIONS]
         return _table(rows, _SCORES)
 
     def controlled_scores(self) -> Table:
-        """Return the same with the trials' noise removed where its mean is known.
+        """Return the scores with less noise from the trials.
 
-        Unbounded: the closed form on these realisations. Bounded: that plus the simulated
-        difference of bounded and unbounded, which only trials with an active bound have: the
-        unbounded estimate is a control variate whose mean is known.
+        The unbounded scores are in closed form. The bounded scores add the simulated difference between
+        bounded and unbounded, which is 0 in trials without an active bound. The unbounded estimate
+        serves as a control variate.
         """
         baseline = {"none analytic": 1.0}
         rows = [self._row(m, False, {f"{m} analytic": 1.0}, baseline) for m in METHODS]
@@ -82,7 +80,7 @@ class Study:
         return _table(rows, _SCORES)
 
     def bound_effects(self) -> Table:
-        """Return what exact bounds change: score bounded minus unbounded, with its standard error.
+        """Return the effect of exact bounds: bounded minus unbounded score, with its standard error.
 
         ``active_share`` is the share of trials in which a bound is active.
         """
@@ -103,7 +101,7 @@ class Study:
         return _table(rows, columns)
 
     def spread(self) -> Table:
-        """Return least, quartiles and most of sqrt(EMSE) over realisations (the paper's Fig. 4b)."""
+        """Return minimum, quartiles and maximum of sqrt(EMSE) over realisations (as Fig. 4b)."""
         rows = []
         for i, name in enumerate(SAMPLED):
             quartiles = [self.moments.quantile(i, share) for share in (0.25, 0.5, 0.75)]
@@ -152,8 +150,7 @@ def run(
     seed : int
         The same seed gives the same study, on any number of workers of any kind.
     executor, workers, folder, progress
-        See `rtcal.studies.runner.run_pieces`: another executor such as a Dask cluster's, the number
-        of threads, where finished pieces are kept to resume from, a progress bar.
+        Where the pieces are computed and kept; see `rtcal.studies.runner.run_pieces`.
 
     Raises
     ------
@@ -249,8 +246,8 @@ def analytic_scores(areas: ArrayLike, sigma_r: float, realisations: int, seed: i
 def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
     """Return EMSE of no calibration, scaling, LSE and MLE, (..., 4), in closed form.
 
-    Eq. 30 with what it omits: under truncation mu is not the mean, and E(mu - alpha)² is the
-    variance plus the bias squared.
+    Eq. 30, with the term that it omits: mu is not the mean of the truncated normal, so E(mu -
+    alpha)² is the variance plus the squared bias.
     """
     prior = TruncatedNormal(mu, sigma)
     bias = mu - prior.mean()
@@ -272,9 +269,9 @@ def _analytic(areas: Array, sigma_r: float, realisations: int, seed: int) -> Mom
     total: Moments | None = None
     for number in range(-(-realisations // PIECE)):
         _, mu, sigma = _drawn(areas, sigma_r, realisations, seed, number)
-        known = analytic_emse(mu, sigma, areas)
+        exact = analytic_emse(mu, sigma, areas)
         unsampled = np.zeros((len(mu), len(SAMPLED)))
-        piece = Moments.of(np.hstack([unsampled, known]), np.zeros((len(mu), len(CALIBRATIONS))))
+        piece = Moments.of(np.hstack([unsampled, exact]), np.zeros((len(mu), len(CALIBRATIONS))))
         total = piece if total is None else total + piece
     if total is None:
         raise DataError("a study needs at least one realisation")
@@ -314,7 +311,7 @@ def _controlled(method: str) -> dict[str, float]:
 def _areas(areas: ArrayLike) -> Array:
     s = checks.array("areas", areas)
     if s.ndim != 1 or s.size == 0:
-        raise DataError(f"areas has shape {s.shape}; one value in m² a surface is needed: (n,)")
+        raise DataError(f"areas has shape {s.shape}; one value in m² per surface is needed: (n,)")
     for i, value in enumerate(s):
         if not 0 < value <= _LARGEST_AREA:
             raise DataError(
@@ -332,7 +329,7 @@ def _check(sigma_r: float, seed: int, **numbers: int) -> None:
             f"sigma_r = {sigma_r:g} is not from {_LEAST:g} to {_MOST:g}: below that errors are "
             f"rounding, above it sigma is evenly spread over what is below {SIGMA_LIMIT:g}"
         )
-    # Without a seed of its own a study could not be resumed, nor told from another.
+    # The seed identifies a study, so that it can be resumed.
     checks.whole("seed", seed, 0)
     for name, value in numbers.items():
         checks.whole(name, value, 1)

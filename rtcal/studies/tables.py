@@ -1,4 +1,4 @@
-"""Tidy tables to CSV or Parquet, by the ending of the path."""
+"""Write tables as CSV or Parquet, by the ending of the path."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> N
     Raises
     ------
     DataError
-        If the path ends otherwise or cannot be written, or ``table`` is no table.
+        If the path has another ending or cannot be written, or ``table`` is no table.
     MissingDependencyError
         For Parquet where pyarrow is not installed (extra ``studies``).
     """

@@ -1,4 +1,4 @@
-"""The compiled loops over trials; their NumPy twins are in `sampling` and `estimators`."""
+"""The compiled loops over trials. `sampling` and `estimators` have the same in NumPy."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from numpy.typing import NDArray
 from rtcal.support.jit import compiled
 from rtcal.support.types import Array
 
-STRIP = 256  # trials at a time: their sums stay in the innermost cache
+STRIP = 256  # trials per step: their sums stay in the innermost cache
 
 
 @compiled(reorder=True)
-def outside(z: Array, low: Array, high: Array, found: NDArray[np.intp]) -> int:
-    """Write the flat indices of ``z`` below ``low`` or above ``high``; return how many."""
+def outside(z: Array, low: Array, high: Array, indices: NDArray[np.intp]) -> int:
+    """Write the flat indices of ``z`` below ``low`` or above ``high``; return their number."""
     n, trials = z.shape
     count = 0
     for i in range(n):
         below, above = low[i], high[i]
         for start in range(0, trials, STRIP):
             x = z[i, start : start + STRIP]
-            here = 0
+            n_outside = 0
             for t in range(x.size):
-                here += (x[t] < below) | (x[t] > above)
-            if here > 0:
+                n_outside += (x[t] < below) | (x[t] > above)
+            if n_outside > 0:
                 for t in range(x.size):
                     if x[t] < below or x[t] > above:
-                        found[count] = i * trials + start + t
+                        indices[count] = i * trials + start + t
                         count += 1
     return count
 
@@ -57,10 +57,10 @@ def score(
         s3[:] = 0.0
         for i in range(n):
             x = z[i, start : start + count]
-            own = 0.0  # in a loop of its own: the order of a sum beside stores is not fixed
+            square = 0.0  # a separate loop, since the order of a sum beside stores is not fixed
             for t in range(count):
-                own += x[t] * x[t]
-            squares += sigma[i] * sigma[i] * own
+                square += x[t] * x[t]
+            squares += sigma[i] * sigma[i] * square
             add(s0, rows[0, i], x)
             add(s1, rows[1, i], x)
             add(s2, rows[2, i], x)
@@ -103,7 +103,7 @@ def score(
 
 @compiled(reorder=True)
 def add(total: Array, factor: float, x: Array) -> None:
-    """Add ``factor`` times ``x`` to the beginning of ``total``."""
+    """Add ``factor`` times ``x`` to the first values of ``total``."""
     for t in range(x.size):
         total[t] += factor * x[t]
 
