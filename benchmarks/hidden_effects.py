@@ -22,15 +22,16 @@ import multiprocessing
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta, norm
+from scipy.stats import norm
 
 import rtcal as rt
+from benchmarks.judging import first_of, kept_controls, one, rate
 from rtcal.discrepancy import (
     AppliedEffect,
     Case,
@@ -88,31 +89,11 @@ SIZES = {
 }
 
 
-def one(case: Case) -> Case:
-    """T20, EDT and T30 in the first configuration."""
-    return case.only("t20", "edt", "t30", configurations=[case.configurations[0].name])
-
-
-def first_of(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
-    """The control rooms of the first configuration."""
-    return [ControlRooms(c.engine, c.errors[:, :1]) for c in controls]
-
-
 def rmse(alpha: Any, truth: dict[str, Any]) -> float:
     """Area-weighted root mean square error of alpha."""
     area = np.array(truth["areas"])[:, None]
     off = np.asarray(alpha) - np.array(truth["alpha"])
     return float(np.sqrt((area * off**2).sum() / area.sum() / off.shape[1]))
-
-
-def kept_controls(case: Case, path: Path) -> list[ControlRooms]:
-    """The case's control rooms, run once and kept."""
-    if not path.exists():
-        rooms = control_rooms(case)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(path, **{c.engine: c.errors.astype(np.float32) for c in rooms})
-    with np.load(path) as table:
-        return [ControlRooms(name, table[name].astype(float)) for name in table.files]
 
 
 def examined(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) -> dict[str, Any]:
@@ -204,17 +185,6 @@ def rows_of(folder: str | None) -> list[dict[str, Any]]:
 def store(folder: str) -> None:
     text = "\n".join(json.dumps(r, separators=(",", ":")) for r in rows_of(folder))
     STORED.write_bytes(gzip.compress(text.encode(), mtime=0))
-
-
-def rate(hits: Iterable[bool]) -> str:
-    """Share with its 95 % interval (Clopper and Pearson)."""
-    table = list(hits)
-    n, k = len(table), sum(table)
-    if n == 0:
-        return "none"
-    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
-    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
-    return f"{k / n:.3f} [{low:.3f}, {high:.3f}] of {n}"
 
 
 def found(row: dict[str, Any]) -> bool:

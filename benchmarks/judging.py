@@ -1,0 +1,235 @@
+"""What the finder's benchmarks share: kept control rooms, findings as rows, rates with intervals.
+
+A row is what one `find` said, as plain values. A judged room is a row with its truth: the name of the
+effect that is hidden, "none", or "unknown" where no effect of the library was hidden.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+from rtcal.discrepancy import Case, Finding, control_rooms, library
+from rtcal.discrepancy.engines import ControlRooms
+
+NOTHING = "none"
+UNKNOWN = "unknown"
+FLAGS = ("named", "family", "ambiguous", "unknown")
+"""Verdicts that say that the model lacks something."""
+
+
+def one(case: Case) -> Case:
+    """T20, EDT and T30 in the first configuration."""
+    return case.only("t20", "edt", "t30", configurations=[case.configurations[0].name])
+
+
+def first_of(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
+    """The control rooms of the first configuration."""
+    return [ControlRooms(c.engine, c.errors[:, :1]) for c in controls]
+
+
+def kept_controls(case: Case, path: Path) -> list[ControlRooms]:
+    """The case's control rooms, run once and kept."""
+    if not path.exists():
+        rooms = control_rooms(case)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(path, **{c.engine: c.errors.astype(np.float32) for c in rooms})
+    with np.load(path) as table:
+        return [ControlRooms(name, table[name].astype(float)) for name in table.files]
+
+
+def row_of(finding: Finding) -> dict[str, Any]:
+    """The finding as plain values."""
+    size = finding.size
+    return {
+        "verdict": finding.verdict,
+        "effect": finding.effect,
+        "family": getattr(finding, "family", None),
+        "candidates": list(finding.candidates),
+        "score": finding.score,
+        "threshold": finding.threshold,
+        "parameters": dict(finding.parameters),
+        "evidence": {k: round(v, 2) for k, v in finding.evidence.items()},
+        "probabilities": rounded(getattr(finding, "probabilities", {})),
+        "families": rounded(getattr(finding, "families", {})),
+        "size": None if size is None else [size.mean, size.low, size.high],
+    }
+
+
+def rounded(table: Any) -> dict[str, float]:
+    return {k: round(float(v), 4) for k, v in table.items()}
+
+
+def families() -> dict[str, str]:
+    """The family of each effect of the library."""
+    return {e.name: str(getattr(e, "family", "")) for e in library()}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What was hidden and what was said.
+
+    ``truths`` are the names that are right: one, or several that mean the same. ``group`` is how the
+    case states its uncertainty, or any other division of the rooms.
+    """
+
+    truths: frozenset[str]
+    row: dict[str, Any]
+    group: str = ""
+
+    @property
+    def nothing(self) -> bool:
+        return NOTHING in self.truths
+
+    @property
+    def flagged(self) -> bool:
+        return self.row["verdict"] in FLAGS
+
+    @property
+    def single(self) -> bool:
+        """Whether one name is claimed."""
+        return self.row["verdict"] == "named"
+
+    @property
+    def families(self) -> frozenset[str]:
+        """The families that are right."""
+        table = families()
+        return frozenset(table[t] for t in self.truths if t in table)
+
+    @property
+    def right_name(self) -> bool:
+        return self.row["effect"] in self.truths
+
+    @property
+    def right_family(self) -> bool:
+        return self.row["family"] in self.families
+
+    @property
+    def truth_in_set(self) -> bool:
+        """Whether the truth is in what is named: the name, the family, or the candidates."""
+        if self.row["verdict"] == "family":
+            return self.right_family
+        return bool(self.truths & {*self.row["candidates"], self.row["effect"]})
+
+
+def interval(k: int, n: int) -> tuple[float, float]:
+    """The 95 % interval of a share (Clopper and Pearson 1934)."""
+    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
+    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+    return low, high
+
+
+def rate(hits: Iterable[bool]) -> str:
+    """Share with its 95 % interval."""
+    table = [bool(h) for h in hits]
+    n, k = len(table), sum(table)
+    if n == 0:
+        return "none"
+    low, high = interval(k, n)
+    return f"{k / n:.3f} [{low:.3f}, {high:.3f}] of {n}"
+
+
+def calibration_error(
+    stated: Sequence[float], right: Sequence[bool], bins: int = 10
+) -> tuple[float, list[tuple[int, float, float]]]:
+    """Return the expected calibration error, and per bin count, mean probability and frequency.
+
+    Sum over equal bins of count/total |mean probability - frequency| (Naeini, Cooper, Hauskrecht
+    2015).
+    """
+    p, hit = np.asarray(stated, float), np.asarray(right, float)
+    which = np.minimum((p * bins).astype(int), bins - 1)
+    rows = [
+        (int((which == b).sum()), float(p[which == b].mean()), float(hit[which == b].mean()))
+        for b in range(bins)
+        if (which == b).any()
+    ]
+    return sum(n * abs(x - y) for n, x, y in rows) / len(p), rows
+
+
+def stated_probabilities(rooms: Sequence[Judged], what: str) -> tuple[list[float], list[bool]]:
+    """The probability of each room's most probable answer, and whether it was right.
+
+    ``what`` is "probabilities" (of effects) or "families". "none", "unknown" and "coefficients" are
+    answers like any other.
+    """
+    stated, right = [], []
+    for room in rooms:
+        table = room.row[what]
+        if table:
+            best = max(table, key=lambda k: table[k])
+            stated.append(table[best])
+            answers = room.truths if what == "probabilities" else room.truths | room.families
+            right.append(best in answers)
+    return stated, right
+
+
+def print_rates(rooms: Sequence[Judged]) -> None:
+    """Print what the issue asks of one world and one set of data."""
+    controls = [r for r in rooms if r.nothing]
+    hidden = [r for r in rooms if not r.nothing and UNKNOWN not in r.truths]
+    caught = [r for r in hidden if r.flagged]
+    print("controls flagged              ", rate(r.flagged for r in controls))
+    for group in sorted({r.group for r in controls} - {""}):
+        print(f"  {group:28}", rate(r.flagged for r in controls if r.group == group))
+    said = Counter(
+        f"{r.row['verdict']} {r.row['family'] if r.row['verdict'] == 'family' else r.row['effect']}"
+        for r in controls
+        if r.flagged
+    )
+    if said:
+        print("  as:", ", ".join(f"{k} {n}" for k, n in said.most_common()))
+    print("detected                      ", rate(r.flagged for r in hidden))
+    print("a single name claimed         ", rate(r.single for r in caught))
+    print("  and right, of hidden        ", rate(r.right_name for r in caught if r.single))
+    everything = [r for r in rooms if r.single]
+    print("  and right, of all rooms     ", rate(r.right_name for r in everything))
+    for group in sorted({r.group for r in caught} - {""}):
+        print(
+            f"    {group:26}",
+            rate(r.right_name for r in caught if r.single and r.group == group),
+        )
+    family = [r for r in caught if r.row["verdict"] == "family"]
+    print("a family claimed              ", rate(r.row["verdict"] == "family" for r in caught))
+    print("  and right                   ", rate(r.right_family for r in family))
+    print("truth in the set, of detected ", rate(r.truth_in_set for r in caught))
+    unknown = [r for r in rooms if UNKNOWN in r.truths]
+    print("in no library: detected       ", rate(r.flagged for r in unknown))
+    print("  and a name or family claimed", rate(r.row["verdict"] in FLAGS[:2] for r in unknown))
+    for what in ("probabilities", "families"):
+        print_calibration(rooms, what)
+
+
+def print_calibration(rooms: Sequence[Judged], what: str) -> None:
+    """Print the expected calibration error with its 95 % interval, and the bins."""
+    stated, right = stated_probabilities(rooms, what)
+    if not stated:
+        return
+    error, bins = calibration_error(stated, right)
+    rng = np.random.default_rng(0)
+    draws = rng.integers(len(stated), size=(1000, len(stated)))
+    p, hit = np.array(stated), np.array(right)
+    spread = [calibration_error(p[d], hit[d])[0] for d in draws]
+    low, high = np.quantile(spread, [0.025, 0.975])
+    print(f"calibration error, {what:13} {error:.3f} [{low:.3f}, {high:.3f}] of {len(stated)}")
+    print("  stated:right (rooms)  " + "  ".join(f"{x:.2f}:{y:.2f} ({n})" for n, x, y in bins))
+
+
+def print_confusion(rooms: Sequence[Judged], names: Sequence[str]) -> None:
+    """Print what was hidden against the best name of the flagged rooms."""
+    columns = [*dict.fromkeys([*names, *(str(r.row["effect"]) for r in rooms if r.flagged)])]
+    columns = [c for c in columns if c != NOTHING]
+    print("rows: hidden; columns: the best name where flagged; '-' not flagged")
+    print(f"{'':18}{'-':>5}" + "".join(f"{n[:7]:>8}" for n in columns))
+    for name in names:
+        group = [r.row for r in rooms if name in r.truths]
+        if group:
+            count = Counter(str(x["effect"]) if x["verdict"] in FLAGS else "-" for x in group)
+            cells = "".join(f"{count[n] or '.':>8}" for n in columns)
+            print(f"{name:18}{count['-']:5}{cells}")
