@@ -71,6 +71,13 @@ def families() -> dict[str, str]:
     return {e.name: str(getattr(e, "family", "")) for e in library()}
 
 
+def families_of(names: Iterable[str]) -> frozenset[str]:
+    """The families of these effects, and wider ones: "added absorption" of its flat, rising, low."""
+    table = families()
+    narrow = {table[n] for n in names if n in table} - {""}
+    return frozenset(narrow | {f.split(",")[0] for f in narrow})
+
+
 @dataclass(frozen=True)
 class Judged:
     """What was hidden and what was said.
@@ -99,8 +106,7 @@ class Judged:
     @property
     def families(self) -> frozenset[str]:
         """The families that are right."""
-        table = families()
-        return frozenset(table[t] for t in self.truths if t in table)
+        return families_of(self.truths)
 
     @property
     def right_name(self) -> bool:

@@ -1,0 +1,110 @@
+"""The benchmarks that judge the finder: rates, calibration of probabilities, what counts as right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba", reason="the hidden worlds are compiled (extra fast)")
+
+from benchmarks import real_data, real_rooms
+from benchmarks.judging import Judged, calibration_error, interval, stated_probabilities
+from benchmarks.real_rooms import RealCase, every_case, outcome
+
+
+def row(verdict: str, effect: str | None, **more: Any) -> dict[str, Any]:
+    rest = {"family": None, "candidates": [effect], "probabilities": {}, "families": {}}
+    return {"verdict": verdict, "effect": effect, **rest, **more}
+
+
+def test_the_interval_of_a_share_is_clopper_s_and_pearson_s() -> None:
+    # 0 of n: 1 - 0.025^(1/n); the other ends mirror it.
+    assert interval(0, 30) == pytest.approx((0.0, 1 - 0.025 ** (1 / 30)))
+    assert interval(30, 30) == pytest.approx((0.025 ** (1 / 30), 1.0))
+    low, high = interval(5, 10)
+    assert (low, high) == pytest.approx((0.187, 0.813), abs=5e-4)  # a printed table's
+
+
+def test_calibration_error_is_the_mean_distance_over_the_bins() -> None:
+    stated = [0.95] * 10 + [0.55] * 10
+    right = [True] * 9 + [False] + [True] * 5 + [False] * 5
+    error, bins = calibration_error(stated, right)
+    assert error == pytest.approx(0.5 * 0.05 + 0.5 * 0.05)
+    assert [(n, round(f, 2)) for n, _, f in bins] == [(10, 0.5), (10, 0.9)]
+    assert calibration_error([1.0, 0.0], [True, False])[0] == 0  # 1.0 is in the last bin
+
+
+def test_the_most_probable_answer_is_what_is_judged() -> None:
+    table = {"none": 0.2, "air": 0.7, "volume": 0.1}
+    rooms = [
+        Judged(frozenset({name}), row("named", "air", probabilities=table))
+        for name in ("air", "volume", "none")
+    ]
+    assert stated_probabilities(rooms, "probabilities") == ([0.7] * 3, [True, False, False])
+
+
+@pytest.mark.parametrize(
+    ("names", "said", "wanted"),
+    [
+        ({"none"}, row("none", None), "right"),
+        ({"none"}, row("hint", "air"), "right"),
+        ({"none"}, row("unknown", "unknown"), "missed"),
+        ({"none"}, row("named", "air"), "wrong"),
+        ({"air"}, row("named", "air"), "right"),
+        ({"air"}, row("hint", "air"), "missed"),
+        ({"air"}, row("ambiguous", "volume", candidates=["volume", "air"]), "right"),
+        ({"air"}, row("ambiguous", "volume", candidates=["volume", "formula"]), "missed"),
+        ({"air"}, row("named", "volume", candidates=["volume"]), "wrong"),
+        ({"air", "coefficients"}, row("named", "coefficients"), "right"),
+    ],
+)
+def test_what_counts_as_right(names: set[str], said: dict[str, Any], wanted: str) -> None:
+    case = RealCase("x", "judging", "y", frozenset(names), lambda _: None)  # type: ignore[arg-type,return-value]
+    assert outcome(case, said) == wanted
+
+
+def test_the_real_cases_are_enough_and_none_is_of_a_room_kept_for_judging_from_outside() -> None:
+    cases = every_case()
+    assert len({c.file for c in cases}) == len(cases)
+    judging = [c for c in cases if c.part == "judging"]
+    assert len(judging) >= 30
+    assert {c.name.split()[0].rstrip(",") for c in cases} == {
+        "PTB",
+        "dEchorate",
+        "CR2",
+        "CR3",
+        "pyFDN",
+    }
+    assert not [c for c in judging if c.name.startswith("CR2")]
+
+
+def test_the_real_cases_can_be_made(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(real_data, "DATA", shared_data)
+    made = {}
+    for case in every_case():
+        if case.name.startswith(("PTB", "dEchorate")):
+            made[case.name] = case.make(Path())
+    assert len(made) == 46
+    pair = made["PTB open and closed, as stated"]
+    area = pair.room.areas
+    open_, closed = pair.room.alpha, pair.configurations[1].changes[real_rooms.CLOSED].alpha
+    i = pair.room.material_index(real_rooms.CLOSED)
+    # Both sides of 13.92 and 57.41 m² (materials.csv), at 1 kHz.
+    assert area[i] * open_[i, 3] == pytest.approx(2 * 13.92 * 0.7)
+    assert area[i] * closed[3] == pytest.approx(2 * 57.41 * 0.4)
+
+
+def test_the_panels_coefficients_explain_the_measured_times(
+    shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(real_data, "DATA", shared_data)
+    times = real_data.dechorate_times()
+    assert len(times) == 10
+    alpha = real_data.dechorate_alpha(list(times))
+    assert (alpha[1] > 4 * alpha[2]).all()  # what absorbs, and what reflects
+    room = real_data.dechorate_room("011111")
+    assert room.materials == ("floor", "reflecting panels")
+    assert float(np.sum(room.areas)) == pytest.approx(float(real_data.PANEL_AREAS.sum()))
