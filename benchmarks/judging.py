@@ -159,20 +159,23 @@ def calibration_error(
     return sum(n * abs(x - y) for n, x, y in rows) / len(p), rows
 
 
-def stated_probabilities(rooms: Sequence[Judged], what: str) -> tuple[list[float], list[bool]]:
-    """The probability of each room's most probable answer, and whether it was right.
+def stated_probabilities(
+    rooms: Sequence[Judged], what: str, every: bool = False
+) -> tuple[list[float], list[bool]]:
+    """The probability of each room's most probable answer, or of ``every`` answer; whether right.
 
-    ``what`` is "probabilities" (of effects) or "families". "none", "unknown" and "coefficients" are
-    answers like any other.
+    ``what`` is "probabilities" (of effects) or "families", of which those wider than others are left
+    out. "none", "unknown" and "coefficients" are answers like any other.
     """
     stated, right = [], []
     for room in rooms:
         table = room.row[what]
-        if table:
-            best = max(table, key=lambda k: table[k])
-            stated.append(table[best])
-            answers = room.truths if what == "probabilities" else room.truths | room.families
-            right.append(best in answers)
+        wide = {name.split(",")[0] for name in table if "," in name}
+        narrow = {k: p for k, p in table.items() if k not in wide}
+        answers = room.truths if what == "probabilities" else room.truths | room.families
+        for name in narrow if every else sorted(narrow, key=lambda k: -narrow[k])[:1]:
+            stated.append(narrow[name])
+            right.append(name in answers)
     return stated, right
 
 
@@ -213,18 +216,28 @@ def print_rates(rooms: Sequence[Judged]) -> None:
 
 
 def print_calibration(rooms: Sequence[Judged], what: str) -> None:
-    """Print the expected calibration error with its 95 % interval, and the bins."""
-    stated, right = stated_probabilities(rooms, what)
-    if not stated:
-        return
-    error, bins = calibration_error(stated, right)
-    rng = np.random.default_rng(0)
-    draws = rng.integers(len(stated), size=(1000, len(stated)))
-    p, hit = np.array(stated), np.array(right)
-    spread = [calibration_error(p[d], hit[d])[0] for d in draws]
-    low, high = np.quantile(spread, [0.025, 0.975])
-    print(f"calibration error, {what:13} {error:.3f} [{low:.3f}, {high:.3f}] of {len(stated)}")
-    print("  stated:right (rooms)  " + "  ".join(f"{x:.2f}:{y:.2f} ({n})" for n, x, y in bins))
+    """Print calibration errors of the most probable answer and of every one, then the former's bins.
+
+    Beside them what probabilities that are exactly right would show by chance: in so few rooms the
+    error is not 0 even then.
+    """
+    for label, every in (("most probable", False), ("every one", True)):
+        stated, right = stated_probabilities(rooms, what, every)
+        if not stated:
+            return
+        error, bins = calibration_error(stated, right)
+        rng = np.random.default_rng(0)
+        p, hit = np.array(stated), np.array(right)
+        picked = rng.integers(len(p), size=(400, len(p)))
+        low, high = np.quantile(
+            [calibration_error(p[i], hit[i])[0] for i in picked], [0.025, 0.975]
+        )
+        chance = [calibration_error(p, rng.random(len(p)) < p)[0] for _ in range(400)]
+        print(
+            f"calibration error, {what}, {label}: {error:.3f} [{low:.3f}, {high:.3f}] of {len(p)}; "
+            f"by chance {np.mean(chance):.3f} to {np.quantile(chance, 0.95):.3f}"
+        )
+        print("  stated:right (number)  " + "  ".join(f"{x:.2f}:{y:.2f} ({n})" for n, x, y in bins))
 
 
 def print_confusion(rooms: Sequence[Judged], names: Sequence[str]) -> None:

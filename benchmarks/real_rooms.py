@@ -323,7 +323,11 @@ def rows_of(out: Path | None) -> dict[str, dict[str, Any]]:
 
 
 def outcome(each: RealCase, row: dict[str, Any]) -> str:
-    """Return "right", "wrong" (a claim), or "missed" (nothing claimed, and the truth not in it)."""
+    """Return "right", "wrong" (a claim), or "missed" (nothing claimed, and the truth not in it).
+
+    Several candidates are right where the truth is among them, or where all are of families that would
+    have been right: a set is then at least as narrow as the family.
+    """
     judged = Judged(each.names, row)
     accepted = families_of(each.names | each.also)
     if row["verdict"] == "named":
@@ -332,7 +336,13 @@ def outcome(each: RealCase, row: dict[str, Any]) -> str:
         return "right" if row["family"] in accepted else "wrong"
     if row["verdict"] not in FLAGS:
         return "right" if each.control else "missed"
-    return "right" if judged.truth_in_set else "missed"
+    narrow = bool(accepted) and all(families_of([c]) <= accepted for c in row["candidates"])
+    return "right" if judged.truth_in_set or narrow else "missed"
+
+
+def named(row: dict[str, Any]) -> bool:
+    """Whether anything is named: an effect, a family, several candidates."""
+    return row["verdict"] in ("named", "family", "ambiguous")
 
 
 def claim(row: dict[str, Any]) -> str:
@@ -362,11 +372,15 @@ def table(rows: dict[str, dict[str, Any]], part: str) -> dict[str, int]:
             f"{claim(row)}{size if row['verdict'] == 'named' else ''}"
         )
     results = [(c, outcome(c, r)) for c, r in here]
-    claims = [o for (c, o), (_, r) in zip(results, here, strict=True) if r["verdict"] in FLAGS[:2]]
+    claims = [o for (_, o), (_, r) in zip(results, here, strict=True) if r["verdict"] in FLAGS[:2]]
     print("wrong claims                ", rate(o == "wrong" for _, o in results))
     print("  on controls               ", rate(o == "wrong" for c, o in results if c.control))
     print("  of the claims made        ", rate(o == "wrong" for o in claims))
     print("truth in what is named      ", rate(o == "right" for _, o in results))
+    print(
+        "  where something is named  ",
+        rate(o == "right" for (_, o), (_, r) in zip(results, here, strict=True) if named(r)),
+    )
     print("  where something is hidden ", rate(o == "right" for c, o in results if not c.control))
     itself = [
         outcome(replace(c, names=c.names - {COEFFICIENTS}), r) == "right"
