@@ -65,6 +65,7 @@ _SCALES = {
     **dict.fromkeys(("c50", "c80"), _CLARITY),
     **dict.fromkeys(("d50", "ts"), _LINEAR),
     "g": _LEVEL,
+    "level": _LEVEL,
 }
 
 

@@ -13,8 +13,10 @@ UNITS: dict[str, str] = {
     "d50": "",
     "ts": "s",
     "g": "dB",
+    "level": "dB",
 }
-"""Unit of each parameter (ISO 3382-1); D50 is a fraction."""
+"""Unit of each parameter (ISO 3382-1); D50 is a fraction. The level has any reference that all
+receivers of a source share: it is what G is without a calibrated source."""
 
 DECAY_TIMES = ("t20", "t30", "edt")
 T_LIMITS = (0.01, 120.0)
@@ -27,6 +29,7 @@ LIMITS: dict[str, tuple[float, float, str]] = {
     "d50": (0.0, 1.0, "is it in percent? D50 is a fraction"),
     "ts": (0.0, 10.0, "is it in ms?"),
     "g": (-200.0, 200.0, "is it in dB?"),
+    "level": (-200.0, 200.0, "is it in dB?"),
 }
 """Limits of each other parameter in its unit, and the likely mistake of a value beyond them.
 

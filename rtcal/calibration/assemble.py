@@ -14,10 +14,12 @@ from rtcal.acoustics.room import Room
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.measured import MeasuredTimes
+from rtcal.calibration.observed import Observed, Whitened
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms import (
     BoundConstraint,
     FurtherUnknown,
+    LinearObservations,
     Objective,
     ObjectiveTerm,
     SharedMaterials,
@@ -69,6 +71,7 @@ class Assembler:
         configurations: Configurations,
         measured: Sequence[MeasuredTimes],
         weights: Mapping[ObjectiveTerm, float] | None,
+        observed: Mapping[LinearObservations, Observed] | None = None,
     ) -> ProblemData:
         """Return the numbers; DataError where priors, bounds or data break a rule."""
         room = configurations.union
@@ -122,10 +125,22 @@ class Assembler:
             centre=flat(
                 np.where(lower == upper, lower, alpha), [max(t.mean, 0.0) for t in further]
             ),
+            observed=self._observed(observed or {}),
         )
         for soft in self._soft:
             data = replace(data, target_uncertainty=soft.uncertainty(data))
         return data
+
+    def _observed(self, observed: Mapping[LinearObservations, Observed]) -> dict[object, Whitened]:
+        """Return the numbers of each term of linear observations; DataError unless each has some."""
+        terms = [t for t in self.objective.terms if isinstance(t, LinearObservations)]
+        for term, numbers in checks.mapped("observed", observed).items():
+            if term not in terms:
+                raise DataError(f"observed has {term!r}, which is no term of the objective")
+            checks.instance(f"observed[{term!r}]", numbers, Observed)
+        if missing := [t for t in terms if t not in observed]:
+            raise DataError(f"observed lacks {missing[0]!r}: it needs its numbers to be solved")
+        return {term: observed[term].over(self.layout) for term in terms}
 
     def target(self, rooms: Sequence[Room], times: Array) -> Array:
         """Return b in m² for T in s, both (n_configurations, n_bands)."""

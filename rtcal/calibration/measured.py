@@ -90,6 +90,12 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
     )
 
 
+def no_times(room: Room) -> MeasuredTimes:
+    """Return that no T was measured in any band: other observations alone are matched."""
+    nothing = np.full(room.n_bands, np.nan)
+    return MeasuredTimes(nothing, nothing, ("",) * room.n_bands, (), "", "")
+
+
 def _fingerprint(room: Room, times: Array) -> str:
     """A short identifier of the T of every band; equal T from different files have the same."""
     digest = hashlib.sha256()

@@ -15,14 +15,21 @@ from rtcal.calibration.compiled_qp import WhitenedQP
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import ConvexProgram
 from rtcal.calibration.layout import Layout
-from rtcal.calibration.measured import MeasuredTimes, refuse_repeated_data, times_in_room
+from rtcal.calibration.measured import (
+    MeasuredTimes,
+    no_times,
+    refuse_repeated_data,
+    times_in_room,
+)
 from rtcal.calibration.options import SolveKeywords, SolveOptions
 from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.calibration.terms import (
     BoundConstraint,
     ExactMatch,
+    LinearObservations,
     Objective,
     ObjectiveTerm,
+    Observed,
     RowConstraint,
     SharedMaterials,
     SoftMatch,
@@ -177,7 +184,7 @@ def _refuse_too_large(layout: Layout, objective: Objective) -> None:
 
 
 def _measured_times(
-    configurations: Configurations, measured: Sequence[Times]
+    configurations: Configurations, measured: Sequence[Times | None]
 ) -> list[MeasuredTimes]:
     """One measurement per configuration, each in its room's bands."""
     if isinstance(measured, str | Measurement) or not isinstance(measured, Iterable):
@@ -190,7 +197,10 @@ def _measured_times(
             f"{len(measured)} measurements for {len(configurations.rooms)} configurations; each "
             "needs one"
         )
-    return [times_in_room(r, t) for r, t in zip(configurations.rooms, measured, strict=True)]
+    return [
+        no_times(r) if t is None else times_in_room(r, t)
+        for r, t in zip(configurations.rooms, measured, strict=True)
+    ]
 
 
 @checked
@@ -207,10 +217,11 @@ class CalibrationProblem:
 
     def solve(
         self,
-        measured: Times,
+        measured: Times | None,
         room: Room | None = None,
         weights: Mapping[ObjectiveTerm, float] | None = None,
         *,
+        observed: Mapping[LinearObservations, Observed] | None = None,
         method: str = "composed",
         **options: Unpack[SolveKeywords],
     ) -> CalibrationResult:
@@ -218,12 +229,14 @@ class CalibrationProblem:
 
         Parameters
         ----------
-        measured : Measurement, or T in s, (n_bands,)
-            A band with NaN keeps its prior.
+        measured : Measurement, or T in s, (n_bands,), or None
+            A band with NaN keeps its prior. None if no T was measured.
         room : Room, optional
             Other numbers for the same materials and bands; by default the room built with.
         weights : mapping of objective term to weight, optional
             In place of the weights built with.
+        observed : mapping of `rtcal.terms.LinearObservations` to `rtcal.terms.Observed`, optional
+            The numbers of each such term.
         method : str
             The name that the result carries.
         **options
@@ -245,6 +258,7 @@ class CalibrationProblem:
             [measured],
             Configurations([room]),
             weights,
+            observed=observed,
             method=method,
             **options,
         ).results[0]
@@ -272,10 +286,11 @@ class JointProblem:
     @checked
     def solve(
         self,
-        measured: Sequence[Times],
+        measured: Sequence[Times | None],
         configurations: Configurations | None = None,
         weights: Mapping[ObjectiveTerm, float] | None = None,
         *,
+        observed: Mapping[LinearObservations, Observed] | None = None,
         method: str = "composed",
         **options: Unpack[SolveKeywords],
     ) -> JointResult:
@@ -293,7 +308,7 @@ class JointProblem:
             refuse_repeated_data(room, of_room)
         assembler = self._assembler
         solution = self._program.solve(
-            assembler.problem_data(used, times, weights),
+            assembler.problem_data(used, times, weights, observed),
             used.rooms,
             assembler.equation,
             chosen,
@@ -305,7 +320,7 @@ class JointProblem:
             method=method,
             solver=chosen.solver,
             measured_times=tuple(times),
-            assemble=lambda new: assembler.problem_data(used, new, weights),
+            assemble=lambda new: assembler.problem_data(used, new, weights, observed),
         )
 
     @checked

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.calibration.layout import Integers, Layout
+from rtcal.calibration.observed import Whitened
 from rtcal.support.types import Array, read_only_view
 
 __all__ = ["Flags", "Integers", "ProblemData"]
@@ -49,6 +50,8 @@ class ProblemData:
     pinned : array (size,) of bool
         Unknowns fixed at ``centre`` for this solve.
     centre : array (size,)
+    observed : mapping of term to Whitened
+        The numbers of each `rtcal.terms.LinearObservations`.
     """
 
     layout: Layout
@@ -66,6 +69,7 @@ class ProblemData:
     weights: tuple[float, ...]
     pinned: Flags
     centre: Array
+    observed: Mapping[object, Whitened] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, value in list(vars(self).items()):

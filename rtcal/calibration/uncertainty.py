@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.calibration.configurations import Configurations
@@ -13,7 +14,13 @@ from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.calibration.problem_data import ProblemData
-from rtcal.calibration.terms import ExactMatch, PriorDeviation, SoftMatch, match_matrix
+from rtcal.calibration.terms import (
+    ExactMatch,
+    LinearObservations,
+    PriorDeviation,
+    SoftMatch,
+    match_matrix,
+)
 from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands, TruncatedNormal
 from rtcal.posterior.sensitivities import Optimality, linear_estimate_sigma
@@ -111,8 +118,11 @@ def estimate_sigma(
     """Return the standard deviation of the linear estimate's error, (size,) over the unknowns.
 
     The prior's covariance is the room's, also if the method assumes another covariance. An unknown
-    uncertainty of T counts as 0.
+    uncertainty of T counts as 0. With linear observations it is the Gaussian posterior's, with the
+    objective's prior and an exact match that takes T as exact.
     """
+    if any(isinstance(t, LinearObservations) for t in solution.model.objective.terms):
+        return _gaussian_sigma(solution.model, solution.unknowns)
     slopes = [
         equation.target_sensitivity(room, measured.reverberation_time)
         for room, measured in zip(configurations.rooms, measured_times, strict=True)
@@ -121,6 +131,23 @@ def estimate_sigma(
     by_target = np.nan_to_num(np.ravel(slopes))
     gain = by_time / np.where(by_target != 0, by_target, 1.0)
     return linear_estimate_sigma(gain, *_covariances(solution, configurations))
+
+
+def _gaussian_sigma(model: NumpyModel, u: Array) -> Array:
+    """Return the square root of the diagonal of the inverse curvature, within the equalities."""
+    free = model.movable
+    curvature = model.curvature(u)
+    dense = curvature.toarray() if sp.issparse(curvature) else np.diag(curvature)
+    covariance = np.linalg.inv(dense[np.ix_(free, free)])
+    exact = (model.row_lower == model.row_upper) & (model.row_norm > 0)
+    matrix = model.matrix[exact][:, free]
+    if exact.any():
+        rows = matrix.toarray() if sp.issparse(matrix) else matrix
+        across = covariance @ rows.T
+        covariance = covariance - across @ np.linalg.solve(rows @ across, across.T)
+    sigma = np.zeros(len(u))
+    sigma[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return sigma
 
 
 def innovation(solution: Solution, configurations: Configurations) -> tuple[Array, Array]:

@@ -6,22 +6,66 @@ program that is run by hand, use `start`, `Loop.next_alpha` and `Loop.record`, o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal, overload
 
 import numpy as np
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
+from rtcal.calibration.problem import Calibration
 from rtcal.errors import DataError, RtcalError, SimulatorError
+from rtcal.loop.control_runs import ControlRuns, control_runs
+from rtcal.loop.positions import calibrate_positions
+from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
 from rtcal.loop.rules import Rule
 from rtcal.loop.state import Loop, start
 from rtcal.simulators.base import Simulator, run
+from rtcal.simulators.observations import checked_parameters
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
+
+_ALONE = ("t20",)
+
+
+@overload
+def calibrate_simulator(
+    simulator: Simulator,
+    room: Room,
+    measured: Measurement,
+    rule: Rule | None = None,
+    *,
+    match: tuple[Literal["t20"]] = ("t20",),
+    method: str = "mle",
+    equation: LinearEquation | None = None,
+    decimals: int | None = None,
+    tolerance: float = 1.0,
+    max_simulations: int = 12,
+    seed: int = 0,
+    after_step: Callable[[Loop], None] | None = None,
+) -> LoopResult: ...
+
+
+@overload
+def calibrate_simulator(
+    simulator: Simulator,
+    room: Room,
+    measured: Measurement,
+    *,
+    match: Sequence[str],
+    exclude: Sequence[tuple[str, str]] = (),
+    calibration: Calibration | None = None,
+    controls: ControlRuns | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    position_uncertainty: float = 0.1,
+    seed: int = 0,
+    report: Callable[[int, int], None] | None = None,
+) -> LoopResult | PositionsResult: ...
 
 
 @checked
@@ -31,6 +75,13 @@ def calibrate_simulator(
     measured: Measurement,
     rule: Rule | None = None,
     *,
+    match: Sequence[str] = _ALONE,
+    exclude: Sequence[tuple[str, str]] = (),
+    calibration: Calibration | None = None,
+    controls: ControlRuns | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    position_uncertainty: float = 0.1,
+    report: Callable[[int, int], None] | None = None,
     method: str = "mle",
     equation: LinearEquation | None = None,
     decimals: int | None = None,
@@ -38,8 +89,11 @@ def calibrate_simulator(
     max_simulations: int = 12,
     seed: int = 0,
     after_step: Callable[[Loop], None] | None = None,
-) -> LoopResult:
-    """Calibrate a room's coefficients so that a simulator has the measured T20.
+) -> LoopResult | PositionsResult:
+    """Calibrate a room's coefficients so that a simulator has what was measured.
+
+    By default that is the mean T20. With ``match`` it is what every position heard; then a part of
+    the arguments does not apply, and others do.
 
     Parameters
     ----------
@@ -48,6 +102,24 @@ def calibrate_simulator(
         Its alpha and sigma are the prior. In large rooms with hard walls, sigma should be
         proportional to alpha: equal sigmas drive large hard walls to alpha = 0.
     measured : Measurement
+    match : sequence of str
+        What is matched. ``("t20",)`` is the mean T20 over the pairs. Anything else is matched at
+        every pair: some of "t20", "edt", "c80", "ts", "level", "t30" and "c50". The level is the
+        measured G, or "level", whose reference all positions of a source share.
+    exclude : sequence of (source, receiver)
+        Every position: pairs that are left out.
+    calibration : Calibration, optional
+        Every position: prior, further terms and constraints. By default the room's prior alone.
+    controls : ControlRuns, optional
+        Every position: the simulator's error, as ``result.controls`` has it. By default it is
+        simulated for a simulator with a geometry (`rtcal.loop.control_runs`). For others it is
+        not known, and no interval is stated.
+    cache : path, optional
+        Every position: folder in which the control runs are kept.
+    position_uncertainty : float
+        Every position: how far sources and receivers may stand from where they are stated, in m.
+    report : callable, optional
+        Every position: called with the number of finished control runs and their total.
     rule : {"secant", "safeguarded", "regression"}, optional
         See `rtcal.loop.rules`. By default "safeguarded" for a smooth simulator, else "regression".
     method, equation
@@ -68,8 +140,9 @@ def calibrate_simulator(
 
     Returns
     -------
-    LoopResult
-        Its ``status`` says for each band whether it converged and was confirmed.
+    LoopResult or PositionsResult
+        The first for the mean T20; its ``status`` says for each band whether it converged and was
+        confirmed. The second for every position.
 
     Raises
     ------
@@ -77,7 +150,9 @@ def calibrate_simulator(
         From the simulator. The error's ``loop`` is the `Loop` with all steps so far. A band that
         has a T20 for some coefficients only does not raise, but ends as unreachable.
     DataError
-        If simulator and room differ in materials or bands, or an argument breaks its rule.
+        If simulator and room differ in materials or bands, or an argument breaks its rule or does
+        not go with ``match``. For every position also if the measurement has no pair in common with
+        the simulator, or none of the parameters.
 
     References
     ----------
@@ -94,9 +169,50 @@ def calibrate_simulator(
     <LoopResult of "reverb 3000": 2 simulations, 6 of 6 bands converged>
     """
     _check_simulator(simulator, room)
+    of_mean = {
+        "rule": rule is not None,
+        "method": method != "mle",
+        "equation": equation is not None,
+        "decimals": decimals is not None,
+        "tolerance": tolerance != 1.0,
+        "max_simulations": max_simulations != 12,
+        "after_step": after_step is not None,
+    }
+    of_positions = {
+        "exclude": len(exclude) > 0,
+        "calibration": calibration is not None,
+        "controls": controls is not None,
+        "cache": cache is not None,
+        "report": report is not None,
+    }
+    match = checked_parameters(match)
+    checks.whole("seed", seed, 0)
+    for name, stated in (of_positions if match == _ALONE else of_mean).items():
+        if stated:
+            raise DataError(f"{name} does not go with match = {match!r}")
+    if match != _ALONE:
+        if controls is None:
+            controls = control_runs(
+                simulator,
+                room,
+                match,
+                seed=seed,
+                position_uncertainty=position_uncertainty,
+                cache=cache,
+                report=report,
+            )
+        return calibrate_positions(
+            simulator,
+            room,
+            measured,
+            match,
+            exclude=exclude,
+            calibration=calibration,
+            controls=controls,
+            seed=seed,
+        )
     if after_step is not None and not callable(after_step):
         raise DataError(f"after_step = {after_step!r} cannot be called")
-    checks.whole("seed", seed, 0)
     checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
     loop = start(
         room,

@@ -1,7 +1,7 @@
 """The path tracer's inner loops, compiled. `rtcal.simulators.path_numpy` does the same in NumPy.
 
-Both modules have `trace` and `histogram` with the same arguments, and trace the same paths up to
-rounding. Only `rtcal.simulators.paths` imports them, inside a function.
+Both modules have `trace`, `histogram` and `histogram_gradient` with the same arguments, and trace the
+same paths up to rounding. Only `rtcal.simulators.paths` imports them, inside a function.
 """
 
 from __future__ import annotations
@@ -82,9 +82,10 @@ def trace(
 ) -> tuple[Any, Any, Any, Any, Array]:
     """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.paths.Batch`), counts.
 
+    ``owners`` has the face of each triangle, ``scattering`` the coefficient of each face.
     ``counts``: paths lost; free paths, their sum and their sum of squares.
     """
-    n_paths, n_receivers, n_materials = len(directions), len(receivers), len(scattering)
+    n_paths, n_receivers, n_faces = len(directions), len(receivers), len(scattering)
     starts = np.zeros(n_paths + 1, np.int64)
     events = np.empty(64 * n_paths + 64, np.uint16)
     lengths = np.empty(4 * n_paths + 64, np.float32)
@@ -122,7 +123,7 @@ def trace(
                         weight = 1.0 / (math.pi * square)
                         if not diffuse:
                             weight *= 0.5 * (1.0 + math.sqrt(max(1 - square / length**2, 0.0)))
-                        events[n_events] = n_materials + r
+                        events[n_events] = n_faces + r
                         lengths[n_heard] = length
                         weights[n_heard] = weight
                         n_events += 1
@@ -130,12 +131,12 @@ def trace(
             travelled += t
             if travelled >= longest:
                 break
-            material = owners[triangle]
-            events[n_events] = material
+            face = owners[triangle]
+            events[n_events] = face
             n_events += 1
             reflections += 1
             choice, u, w = uniform(state), uniform(state), uniform(state)
-            s = scattering[material]
+            s = scattering[face]
             nx, ny, nz = planes[triangle, 0], planes[triangle, 1], planes[triangle, 2]
             across = v[0] * nx + v[1] * ny + v[2] * nz
             for i in range(3):
@@ -180,7 +181,7 @@ def histogram(
     out: Array,
 ) -> None:
     """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins)."""
-    n_materials, n_bands = log_reflection.shape
+    n_faces, n_bands = log_reflection.shape
     n_bins = out.shape[2]
     level = np.empty(n_bands)
     heard = 0
@@ -188,15 +189,60 @@ def histogram(
         level[:] = 0.0
         for e in range(starts[path], starts[path + 1]):
             code = np.int64(events[e])
-            if code < n_materials:
+            if code < n_faces:
                 for k in range(n_bands):
                     level[k] += log_reflection[code, k]
                 continue
-            receiver, length = code - n_materials, np.float64(lengths[heard])
+            receiver, length = code - n_faces, np.float64(lengths[heard])
             place = math.floor((length - first[receiver]) / bin_length)
             if 0 <= place < n_bins:
                 for k in range(n_bands):
                     out[receiver, k, place] += weights[heard] * math.exp(
                         level[k] - attenuation[k] * length
                     )
+            heard += 1
+
+
+@compiled(reorder=False)
+def histogram_gradient(
+    events: Any,
+    starts: Any,
+    lengths: Any,
+    weights: Any,
+    log_reflection: Array,
+    attenuation: Array,
+    first: Array,
+    bin_length: float,
+    groups: Any,
+    out: Array,
+    gradient: Array,
+) -> None:
+    """Add the energy to ``out``, and its products with the hits on each group to ``gradient``.
+
+    ``out`` (n_receivers, n_bands, n_bins), ``gradient`` (n_receivers, n_bins, n_groups, n_bands).
+    """
+    n_faces, n_bands = log_reflection.shape
+    n_bins, n_groups = out.shape[2], gradient.shape[2]
+    level, energy, hits = np.empty(n_bands), np.empty(n_bands), np.empty(n_groups)
+    heard = 0
+    for path in range(len(starts) - 1):
+        level[:] = 0.0
+        hits[:] = 0.0
+        for e in range(starts[path], starts[path + 1]):
+            code = np.int64(events[e])
+            if code < n_faces:
+                for k in range(n_bands):
+                    level[k] += log_reflection[code, k]
+                hits[groups[code]] += 1.0
+                continue
+            receiver, length = code - n_faces, np.float64(lengths[heard])
+            place = math.floor((length - first[receiver]) / bin_length)
+            if 0 <= place < n_bins:
+                for k in range(n_bands):
+                    energy[k] = weights[heard] * math.exp(level[k] - attenuation[k] * length)
+                    out[receiver, k, place] += energy[k]
+                for j in range(n_groups):
+                    if hits[j] > 0.0:
+                        for k in range(n_bands):
+                            gradient[receiver, place, j, k] += hits[j] * energy[k]
             heard += 1

@@ -56,7 +56,7 @@ def trace(
     radii: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
     """Trace paths; returns the same as `rtcal.simulators.path_numba.trace`."""
-    n_paths, n_materials = len(directions), len(scattering)
+    n_paths, n_faces = len(directions), len(scattering)
     p, v = np.broadcast_to(origin, directions.shape).copy(), directions.copy()
     state, travelled = seeds.copy(), np.zeros(n_paths)
     diffuse = np.zeros(n_paths, dtype=bool)
@@ -84,7 +84,7 @@ def trace(
                 events.append(
                     (
                         alive[hit],
-                        np.full(hit.sum(), n_materials + r),
+                        np.full(hit.sum(), n_faces + r),
                         length[hit],
                         weight / (np.pi * radius**2),
                     )
@@ -94,9 +94,9 @@ def trace(
         alive, p, v, travelled, state, diffuse, triangle, t = _kept(
             on, alive, p, v, travelled, state, diffuse, triangle, t
         )
-        material, normal = owners[triangle], planes[triangle, :3]
+        face, normal = owners[triangle], planes[triangle, :3]
         nothing = np.full(alive.size, np.nan)
-        events.append((alive, material, nothing, nothing))
+        events.append((alive, face, nothing, nothing))
         choice, u, w = _uniform(state), _uniform(state), _uniform(state)
         p = p + t[:, np.newaxis] * v
         v = v - 2 * np.sum(v * normal, axis=1, keepdims=True) * normal
@@ -106,7 +106,7 @@ def trace(
             [round_ * np.cos(2 * np.pi * w), round_ * np.sin(2 * np.pi * w), up], axis=1
         )
         lambert /= np.sqrt(np.sum(lambert**2, axis=1, keepdims=True) + 1e-30)
-        s = scattering[material]
+        s = scattering[face]
         spread = s > 0 if vector else choice < s
         share = np.where(spread, s if vector else 1.0, 0.0)[:, np.newaxis]
         v = share * lambert + (1 - share) * v
@@ -115,7 +115,7 @@ def trace(
         step += 1
     path, code, length, weight = (np.concatenate(column) for column in zip(*events, strict=True))
     order = np.argsort(path, kind="stable")  # keeps the order of the steps of each path
-    heard = order[code[order] >= n_materials]
+    heard = order[code[order] >= n_faces]
     starts = np.concatenate([[0], np.cumsum(np.bincount(path, minlength=n_paths))])
     return (
         code[order].astype(np.uint16),
@@ -138,22 +138,78 @@ def histogram(
     out: Array,
 ) -> None:
     """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins)."""
-    n_materials, n_bands = log_reflection.shape
-    n_receivers, _, n_bins = out.shape
-    heard = np.flatnonzero(events >= n_materials)
-    if not heard.size:
-        return
-    receiver = events[heard].astype(np.int64) - n_materials
+    shape = (out.shape[0], out.shape[2])
+    _, energy, flat, in_bins = _heard(
+        events, starts, lengths, weights, log_reflection, attenuation, first, bin_length, shape
+    )
+    out += np.moveaxis(_sums(flat, energy, in_bins, shape), 2, 1)
+
+
+def histogram_gradient(
+    events: NDArray[np.uint16],
+    starts: NDArray[np.int64],
+    lengths: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    log_reflection: Array,
+    attenuation: Array,
+    first: Array,
+    bin_length: float,
+    groups: NDArray[np.int64],
+    out: Array,
+    gradient: Array,
+) -> None:
+    """Add energy and derivatives as `rtcal.simulators.path_numba.histogram_gradient` does."""
+    shape = (out.shape[0], out.shape[2])
+    heard, energy, flat, in_bins = _heard(
+        events, starts, lengths, weights, log_reflection, attenuation, first, bin_length, shape
+    )
+    sums = _sums(flat, energy, in_bins, shape)
+    out += np.moveaxis(sums, 2, 1)
+    wall = events < len(log_reflection)
+    group = np.where(wall, groups[np.where(wall, events, 0)], -1)
+    path = np.searchsorted(starts, heard, side="right") - 1
+    for j in range(gradient.shape[2]):
+        hits = np.concatenate([[0], np.cumsum(group == j)])
+        number = (hits[heard] - hits[starts[path]])[:, np.newaxis]
+        gradient[:, :, j] += _sums(flat, number * energy, in_bins, shape)
+
+
+def _sums(
+    flat: NDArray[np.int64], energy: Array, in_bins: NDArray[np.bool_], shape: tuple[int, int]
+) -> Array:
+    """Return the energy of each receiver's bins, (n_receivers, n_bins, n_bands)."""
+    size = shape[0] * shape[1]
+    sums = [np.bincount(flat[in_bins], column[in_bins], minlength=size) for column in energy.T]
+    return np.stack(sums, axis=1).astype(float).reshape(*shape, energy.shape[1])
+
+
+def _heard(
+    events: NDArray[np.uint16],
+    starts: NDArray[np.int64],
+    lengths: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    log_reflection: Array,
+    attenuation: Array,
+    first: Array,
+    bin_length: float,
+    shape: tuple[int, int],
+) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.bool_]]:
+    """Return each reception's event and energy, (n, n_bands), its bin, and whether there is one.
+
+    The bins are counted over all receivers; ``shape`` is (n_receivers, n_bins).
+    """
+    n_faces, n_bands = log_reflection.shape
+    heard = np.flatnonzero(events >= n_faces)
+    receiver = events[heard].astype(np.int64) - n_faces
     length = lengths.astype(float)
     place = np.floor((length - first[receiver]) / bin_length).astype(np.int64)
-    in_bins = (place >= 0) & (place < n_bins)
     path = np.searchsorted(starts, heard, side="right") - 1
     # -inf for a wall that reflects nothing would make a difference of sums NaN; exp(-800) is 0 too.
-    steps = np.vstack([np.maximum(log_reflection, -800), np.zeros((n_receivers, n_bands))])
+    steps = np.vstack([np.maximum(log_reflection, -800), np.zeros((shape[0], n_bands))])
+    energy = np.empty((len(heard), n_bands))
     for k in range(n_bands):
         level = np.concatenate([[0.0], np.cumsum(steps[events, k])])
-        energy = weights * np.exp(level[heard] - level[starts[path]] - attenuation[k] * length)
-        flat = np.bincount(
-            (receiver * n_bins + place)[in_bins], energy[in_bins], minlength=n_receivers * n_bins
+        energy[:, k] = weights * np.exp(
+            level[heard] - level[starts[path]] - attenuation[k] * length
         )
-        out[:, k] += flat.reshape(n_receivers, n_bins)
+    return heard, energy, receiver * shape[1] + place, (place >= 0) & (place < shape[1])

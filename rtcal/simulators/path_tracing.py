@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.errors import DataError
-from rtcal.simulators import paths
+from rtcal.simulators import observations, paths
 from rtcal.simulators.base import check_alpha
-from rtcal.simulators.tracer import Tracer
+from rtcal.simulators.observations import MATCH, Observations
+from rtcal.simulators.tracer import Tracer, decay_long_enough
 from rtcal.support import checks
 from rtcal.support.types import Array
+
+_LARGEST_ALPHA = 0.999
+"""Largest alpha in a derivative: n E / (1 - alpha) is 0 / 0 where nothing is reflected."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -113,6 +120,105 @@ class PathTracing(Tracer):
             energy[:, :, :, bands] = decay[..., :n_bins]
         return energy
 
+    def observe(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Observations:
+        """Return what each position hears for alpha (n_materials, n_bands).
+
+        The level is G of a source whose power is known. Raises as `simulate` does.
+        """
+        alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        energy = decay_long_enough(
+            lambda seconds: self.energy(alpha, seconds, seed=seed),
+            self.room,
+            alpha,
+            _longest(match),
+        ).mean(axis=0)
+        energy = energy.reshape(len(self.pairs), *energy.shape[2:])
+        return observations.of_decays(
+            energy, self.bin_width, match, self.pairs, self.centre_frequencies
+        )
+
+    def jacobian(
+        self,
+        alpha: Array,
+        match: Sequence[str] = MATCH,
+        *,
+        seed: int = 0,
+        by: Literal["material", "surface"] = "material",
+    ) -> Array:
+        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_unknowns).
+
+        One sweep of the paths gives those by all materials or surfaces, because a path that hit
+        material j n times has dE / d alpha_j = -n E / (1 - alpha_j). Coefficients
+        above 0.999 count as 0.999.
+
+        Parameters
+        ----------
+        alpha : array (n_materials, n_bands)
+        match : sequence of str
+        seed : int
+        by : {"material", "surface"}
+            Surfaces are the faces of the geometry, in their order.
+
+        Raises
+        ------
+        DataError, TooShortError
+            As `simulate` does, and for another ``by``.
+        """
+        alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        alpha = np.minimum(alpha, _LARGEST_ALPHA)
+        owners = self._materials()
+        if by not in ("material", "surface"):
+            raise DataError(f'by = {by!r} is not "material" or "surface"')
+        surface = by == "surface"
+        groups = np.arange(len(owners)) if surface else owners
+        n_unknowns = len(owners) if surface else self.room.n_materials
+        sweeps: list[list[tuple[Array, Array]]] = []
+
+        def trace(seconds: float) -> Array:
+            sweeps[:] = [
+                self._sweep(bands, alpha, seconds, groups, seed)
+                for bands in self._bands_by_scattering()
+            ]
+            n_bins = min(energy.shape[-1] for sweep in sweeps for energy, _ in sweep)
+            shape = (1, len(self.sources), len(self.receivers), self.room.n_bands, n_bins)
+            out = np.empty(shape)
+            for bands, sweep in zip(self._bands_by_scattering(), sweeps, strict=True):
+                for s, (energy, _) in enumerate(sweep):
+                    out[0, s][:, bands] = energy[..., :n_bins]
+            return out
+
+        decays = decay_long_enough(trace, self.room, alpha, _longest(match))[0]
+        out = np.zeros((len(match), *decays.shape[:3], n_unknowns))
+        for bands, sweep in zip(self._bands_by_scattering(), sweeps, strict=True):
+            for s, (_, gradient) in enumerate(sweep):
+                out[:, s][:, :, bands, : gradient.shape[2]] = observations.chained(
+                    decays[s][:, bands], gradient[:, : decays.shape[-1]], self.bin_width, match
+                )
+        return out.reshape(len(match), len(self.pairs), self.room.n_bands, n_unknowns)
+
+    def _sweep(
+        self,
+        bands: NDArray[np.int64],
+        alpha: Array,
+        seconds: float,
+        groups: NDArray[np.int64],
+        seed: int,
+    ) -> list[tuple[Array, Array]]:
+        """Return energies and gradients by source; see `rtcal.simulators.paths.Paths`."""
+        traced = self.traced(int(bands[0]), seconds, seed=seed)
+
+        def of_source(source: int) -> tuple[Array, Array]:
+            return traced.energy_gradient(
+                source,
+                alpha[:, bands],
+                self.room.air_attenuation[bands],
+                self.room.speed_of_sound * self.bin_width,
+                groups,
+            )
+
+        with ThreadPoolExecutor(self.workers) as pool:
+            return list(pool.map(of_source, range(len(self.sources))))
+
     def traced(self, band: int, seconds: float, *, seed: int = 0) -> paths.Paths:
         """Return the paths of a band, followed for ``seconds`` or longer.
 
@@ -128,13 +234,17 @@ class PathTracing(Tracer):
             self._traced[key] = self._trace(self.scattering[:, band], longest, seed)
         return self._traced[key]
 
+    def _materials(self) -> NDArray[np.int64]:
+        """Return the number of each face's material, (n_faces,)."""
+        return np.array([self.room.material_index(m) for m in self.geometry.materials])
+
     def _trace(self, scattering: Array, longest: float, seed: int) -> paths.Paths:
         sources, receivers = self._points()
         return paths.trace(
             self.geometry,
             sources,
             receivers,
-            materials=np.array([self.room.material_index(m) for m in self.geometry.materials]),
+            materials=self._materials(),
             scattering=scattering,
             radii=self._radii(),
             longest=longest,
@@ -144,3 +254,8 @@ class PathTracing(Tracer):
             seed=seed,
             workers=self.workers,
         )
+
+
+def _longest(match: Sequence[str]) -> str:
+    """Return the decay time that needs the longest decay."""
+    return "t30" if "t30" in match else "t20"

@@ -1,12 +1,13 @@
 """Sound paths in a polyhedron, traced once and weighed for any alpha.
 
 The walls that a path hits do not depend on their absorption. A path is therefore stored as the
-sequence of materials it hits and receivers that hear it. A receiver hears the energy
+sequence of faces it hits and receivers that hear it. A receiver hears the energy
 
     E = w product over hits (1 - alpha) exp(-m L),
 
 where L is the length travelled, m the attenuation of air, and w the path's share of the source
-energy per cross-section of the receiver. The same paths give E for every alpha, band and air.
+energy per cross-section of the receiver. The same paths give E for every alpha, band and air. A path
+that hit material j n times has dE / d alpha_j = -n E / (1 - alpha_j), so they give the derivatives too.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ _LOST = 1e-4
 class Batch:
     """Paths from one source: wall hits and receptions in order.
 
-    ``events[starts[i]:starts[i + 1]]`` belongs to path i: the number of the material for a wall
-    hit, n_materials + receiver for a reception. ``lengths`` (m) and ``weights`` (1/m²) have one
+    ``events[starts[i]:starts[i + 1]]`` belongs to path i: the number of the face for a wall hit,
+    n_faces + receiver for a reception. ``lengths`` (m) and ``weights`` (1/m²) have one
     value per reception. All arrays are read-only.
     """
 
@@ -74,6 +75,8 @@ class Paths:
     ----------
     batches : tuple of tuples of Batch
         By source and batch. Batches are independent, so their spread gives the standard error.
+    materials : int array (n_faces,)
+        Number of each face's material.
     n_materials, n_paths : int
         ``n_paths`` per source.
     longest : float
@@ -85,6 +88,7 @@ class Paths:
     """
 
     batches: tuple[tuple[Batch, ...], ...]
+    materials: NDArray[np.int64]
     n_materials: int
     n_paths: int
     longest: float
@@ -93,8 +97,8 @@ class Paths:
 
     def __post_init__(self) -> None:
         # The paths do not depend on alpha, so every simulation reads the same arrays.
-        self.direct.setflags(write=False)
-        self.first.setflags(write=False)
+        for values in (self.materials, self.direct, self.first):
+            values.setflags(write=False)
 
     @property
     def nbytes(self) -> int:
@@ -136,17 +140,9 @@ class Paths:
             As many bins as every pair fills. Energy per area in 1/m² for a source of unit energy:
             the direct sound is 1/(4 pi r²). The estimate is the mean over batches.
         """
-        alpha = np.asarray(alpha, dtype=float)
-        attenuation = np.ascontiguousarray(air_attenuation, dtype=float)
-        if alpha.ndim != 2 or alpha.shape != (self.n_materials, len(attenuation)):
-            raise DataError(
-                f"alpha has shape {alpha.shape}; the paths ask for (n_materials, n_bands) = "
-                f"({self.n_materials}, {len(attenuation)})"
-            )
-        with np.errstate(divide="ignore"):
-            log_reflection = np.log1p(-alpha)
+        log_reflection, attenuation = self._weights(alpha, air_attenuation)
         n_sources, n_receivers = self.first.shape
-        n_bins = max(int((self.longest - self.first.max()) / bin_length), 1)
+        n_bins = self._n_bins(bin_length)
         n_batches, n_bands = len(self.batches[0]), len(attenuation)
         out = np.zeros((n_batches, n_sources, n_receivers, n_bands, n_bins))
         histogram = kernels().histogram
@@ -164,10 +160,80 @@ class Paths:
                     out[b, s],
                 )
                 out[b, s] /= len(batch.starts) - 1
-        length = self.direct[..., np.newaxis]
-        direct = np.exp(-attenuation * length) / (4 * np.pi * length**2)
-        out[..., 0] += np.nan_to_num(direct)
+        out[..., 0] += self._direct_sound(attenuation)
         return out
+
+    def energy_gradient(
+        self,
+        source: int,
+        alpha: Array,
+        air_attenuation: Array,
+        bin_length: float,
+        groups: NDArray[np.int64],
+    ) -> tuple[Array, Array]:
+        """Return the energies of one source, and their derivatives, in one sweep of its paths.
+
+        Parameters
+        ----------
+        source : int
+        alpha, air_attenuation, bin_length
+            As for `energy`; no alpha is 1.
+        groups : int array (n_faces,)
+            Number of the group that each face belongs to. The faces of a group have one material.
+
+        Returns
+        -------
+        energy : array (n_receivers, n_bands, n_bins)
+            Mean over the batches.
+        gradient : array (n_receivers, n_bins, n_groups, n_bands)
+            d energy / d alpha of each group's faces.
+        """
+        log_reflection, attenuation = self._weights(alpha, air_attenuation)
+        n_receivers, n_bands = self.first.shape[1], len(attenuation)
+        n_bins, n_groups = self._n_bins(bin_length), int(groups.max()) + 1
+        energy = np.zeros((n_receivers, n_bands, n_bins))
+        gradient = np.zeros((n_receivers, n_bins, n_groups, n_bands))
+        for batch in self.batches[source]:
+            kernels().histogram_gradient(
+                batch.events,
+                batch.starts,
+                batch.lengths,
+                batch.weights,
+                log_reflection,
+                attenuation,
+                self.first[source],
+                float(bin_length),
+                groups,
+                energy,
+                gradient,
+            )
+        material = np.zeros(n_groups, dtype=np.int64)
+        material[groups] = self.materials
+        energy /= self.n_paths
+        # The kernel sums n E, n being the number of hits on the group's faces.
+        gradient /= -self.n_paths * (1 - alpha[material])
+        energy[..., 0] += self._direct_sound(attenuation)[source]
+        return energy, gradient
+
+    def _weights(self, alpha: Array, air_attenuation: Array) -> tuple[Array, Array]:
+        """Return ln(1 - alpha) of every face, (n_faces, n_bands), and m of every band."""
+        alpha = np.asarray(alpha, dtype=float)
+        attenuation = np.ascontiguousarray(air_attenuation, dtype=float)
+        if alpha.ndim != 2 or alpha.shape != (self.n_materials, len(attenuation)):
+            raise DataError(
+                f"alpha has shape {alpha.shape}; the paths ask for (n_materials, n_bands) = "
+                f"({self.n_materials}, {len(attenuation)})"
+            )
+        with np.errstate(divide="ignore"):
+            return np.log1p(-alpha)[self.materials], attenuation
+
+    def _n_bins(self, bin_length: float) -> int:
+        return max(int((self.longest - self.first.max()) / bin_length), 1)
+
+    def _direct_sound(self, attenuation: Array) -> Array:
+        """Return the direct sound's energy, (n_sources, n_receivers, n_bands); 0 where hidden."""
+        length = self.direct[..., np.newaxis]
+        return np.nan_to_num(np.exp(-attenuation * length) / (4 * np.pi * length**2))
 
 
 def kernels() -> ModuleType:
@@ -229,7 +295,7 @@ def trace(
         If more than one path in 10,000 hits no wall: the faces leave gaps or cut each other.
     """
     planes, sides = _planes(geometry)
-    owners = materials[geometry.triangle_faces]
+    by_face = np.ascontiguousarray(np.asarray(scattering, dtype=float)[materials])
     per_batch = -(-n_paths // n_batches)
     run = kernels().trace
 
@@ -245,8 +311,8 @@ def trace(
             float(longest),
             planes,
             sides,
-            owners,
-            np.ascontiguousarray(scattering, dtype=float),
+            geometry.triangle_faces,
+            by_face,
             scattering_model == "vector",
             receivers,
             np.ascontiguousarray(radii, dtype=float),
@@ -265,14 +331,14 @@ def trace(
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
     direct = direct_lengths(geometry, sources, receivers)
-    n_materials = len(scattering)
     return Paths(
         batches=batches,
-        n_materials=n_materials,
+        materials=materials.copy(),
+        n_materials=len(scattering),
         n_paths=per_batch * n_batches,
         longest=float(longest),
         direct=direct,
-        first=_first(batches, direct, n_materials, longest),
+        first=_first(batches, direct, len(materials), longest),
     )
 
 
@@ -320,13 +386,11 @@ def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Ar
 
 
 def _first(
-    batches: tuple[tuple[Batch, ...], ...], direct: Array, n_materials: int, longest: float
+    batches: tuple[tuple[Batch, ...], ...], direct: Array, n_faces: int, longest: float
 ) -> Array:
     """Return the length of the first sound: direct, else first heard, else ``longest``."""
     first = direct.copy()
     for s, r in np.argwhere(np.isnan(direct)):
-        heard = [
-            b.lengths[b.events[b.events >= n_materials] == n_materials + r] for b in batches[s]
-        ]
+        heard = [b.lengths[b.events[b.events >= n_faces] == n_faces + r] for b in batches[s]]
         first[s, r] = min((float(x.min()) for x in heard if x.size), default=longest)
     return first

@@ -191,8 +191,10 @@ def measurement(
     )
 
 
-def decay_long_enough(trace: Callable[[float], Array], room: Room, alpha: Array) -> Array:
-    """Return ``trace(seconds)``, (n_batches, ...), with seconds doubled until it holds T20.
+def decay_long_enough(
+    trace: Callable[[float], Array], room: Room, alpha: Array, parameter: str = "t20"
+) -> Array:
+    """Return ``trace(seconds)``, (n_batches, ...), with seconds doubled until it holds the parameter.
 
     Starts with Eyring's T for alpha, and stops at `LONGEST`.
     """
@@ -200,6 +202,6 @@ def decay_long_enough(trace: Callable[[float], Array], room: Room, alpha: Array)
     seconds = float(np.clip(np.max(times), 0.2, LONGEST))
     while True:
         energy = trace(seconds)
-        if seconds >= LONGEST or not decay.too_short(energy.mean(axis=0)).any():
+        if seconds >= LONGEST or not decay.too_short(energy.mean(axis=0), parameter).any():
             return energy
         seconds = min(2 * seconds, LONGEST)

@@ -37,6 +37,7 @@ from rtcal.calibration.terms.match import (
     SoftMatch,
     match_matrix,
 )
+from rtcal.calibration.terms.observations import LinearObservations, Observed
 from rtcal.calibration.terms.prior import HuberDeviation, PriorDeviation
 
 __all__ = [
@@ -51,10 +52,12 @@ __all__ = [
     "FurtherUnknown",
     "GroupAbsorption",
     "HuberDeviation",
+    "LinearObservations",
     "MatchConstraint",
     "MatchWithin",
     "Objective",
     "ObjectiveTerm",
+    "Observed",
     "PriorDeviation",
     "RowConstraint",
     "Rows",

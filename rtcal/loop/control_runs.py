@@ -1,0 +1,316 @@
+"""The simulator's own error, from control runs in the room's own geometry.
+
+A control run is a path tracing of the same room in which everything differs that is not known: how the
+walls scatter, where exactly sources and receivers stand, the random numbers, and alpha, which is drawn
+from the prior. What it hears less what the simulator hears for the same alpha is an error as the
+simulator may have against the real room. The errors' mean corrects the simulator, and their covariance
+says how far to trust it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError, RtcalError
+from rtcal.simulators.base import Simulator
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.observations import observe
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.paths import ScatteringModel
+from rtcal.simulators.shoebox import ShoeboxSimulator
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.files import make_folder, write_bytes
+from rtcal.support.types import Array, read_only
+from rtcal.support.version import __version__
+
+RUNS = 16
+"""Traces for the control runs."""
+POSITION = 0.1
+"""Standard uncertainty in m of where sources and receivers stand, along each axis over sqrt(3)."""
+SCATTERING = (0.1, 0.85)
+_MODELS: tuple[ScatteringModel, ...] = ("random", "vector")
+_BETWEEN_MATERIALS = 0.12
+_PATHS = 6000
+
+Report = Callable[[int, int], None]
+"""Called with the number of finished runs and their total."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ControlRuns:
+    """Errors of a simulator in control runs.
+
+    Attributes
+    ----------
+    parameters, pairs : tuple
+        As in `rtcal.simulators.Observations`.
+    errors : array (n_runs, n_parameters, n_pairs, n_bands)
+        What a control run hears less what the simulator hears for the same alpha.
+    """
+
+    parameters: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    errors: Array
+
+    def __post_init__(self) -> None:
+        errors = read_only(checks.array("errors", self.errors))
+        if (
+            errors.ndim != 4
+            or errors.shape[1:3] != (len(self.parameters), len(self.pairs))
+            or len(errors) < 2
+            or not np.isfinite(errors).all()
+        ):
+            raise DataError(
+                f"errors of shape {errors.shape} are no finite errors of {len(self.parameters)} "
+                f"parameters at {len(self.pairs)} pairs in at least 2 runs"
+            )
+        object.__setattr__(self, "errors", errors)
+
+    def __repr__(self) -> str:
+        return f"<ControlRuns: {len(self.errors)} runs, {len(self.pairs)} pairs>"
+
+    @property
+    def bias(self) -> Array:
+        """Mean error, (n_parameters, n_pairs, n_bands)."""
+        return np.asarray(self.errors.mean(axis=0))
+
+    def at(self, parameters: Sequence[str], pairs: Sequence[tuple[str, str]]) -> ControlRuns:
+        """Return the errors of some parameters and pairs; DataError if one is missing."""
+        if missing := [p for p in parameters if p not in self.parameters] or [
+            " to ".join(p) for p in pairs if p not in self.pairs
+        ]:
+            raise DataError(f"the control runs lack {missing[0]}: they belong to another simulator")
+        rows = [self.parameters.index(p) for p in parameters]
+        columns = [self.pairs.index(p) for p in pairs]
+        return ControlRuns(
+            parameters=tuple(parameters),
+            pairs=tuple(pairs),
+            errors=self.errors[:, rows][:, :, columns],
+        )
+
+    def covariance(self) -> Array:
+        """Return the covariance of the simulator's error, (n, n), n = parameters x pairs x bands.
+
+        The runs are far fewer than the values, so the sample covariance is drawn towards one in
+        which all pairs are alike: a part that is common to all pairs and a part of each pair, each
+        the product of a covariance between parameters and a correlation between bands.
+        """
+        n_runs = len(self.errors)
+        size = self.errors[0].size
+        centred = self.errors - self.bias
+        sample = centred.reshape(n_runs, size).T @ centred.reshape(n_runs, size) / (n_runs - 1)
+        target = _exchangeable(centred)
+        mixed = _SHRINKAGE * target + (1 - _SHRINKAGE) * sample
+        # The mean over the runs has an error of its own.
+        return np.asarray(mixed * (1 + 1 / n_runs))
+
+
+_SHRINKAGE = 0.5
+
+
+def _exchangeable(centred: Array) -> Array:
+    """Return the covariance, (n, n), in which all pairs are alike."""
+    n_runs, n_parameters, n_pairs, n_bands = centred.shape
+    common = centred.mean(axis=2)
+    local = centred - common[:, :, np.newaxis]
+    between = _product(common[:, :, np.newaxis] * np.sqrt(n_runs / (n_runs - 1)))
+    if n_pairs == 1:
+        return np.asarray(between.reshape(n_parameters * n_bands, -1))
+    within = _product(local * np.sqrt(n_runs / (n_runs - 1) * n_pairs / (n_pairs - 1)))
+    every, each = np.ones((n_pairs, n_pairs)), np.eye(n_pairs)
+    # The mean over the pairs holds 1 / n_pairs of the local part.
+    full = np.einsum("pkql,ij->pikqjl", between, every)
+    full += np.einsum("pkql,ij->pikqjl", within, each - every / n_pairs)
+    return np.asarray(full.reshape(n_parameters * n_pairs * n_bands, -1))
+
+
+def _product(errors: Array) -> Array:
+    """Return the separable covariance, (parameters, bands, parameters, bands), of (runs, p, i, k)."""
+    deviation = np.sqrt((errors**2).mean(axis=(0, 2)))  # (p, k)
+    z = errors / np.where(deviation > 0, deviation, 1.0)[:, np.newaxis]
+    samples = z.shape[0] * z.shape[2]
+    parameters = np.einsum("npik,nqik->pq", z, z) / (samples * z.shape[3])
+    of_bands = np.einsum("npik,npil->kl", z, z) / (samples * z.shape[1])
+    return np.asarray(np.einsum("pk,pq,kl,ql->pkql", deviation, parameters, of_bands, deviation))
+
+
+@checked
+def control_runs(
+    simulator: Simulator,
+    room: Room,
+    match: Sequence[str],
+    *,
+    seed: int = 0,
+    position_uncertainty: float = POSITION,
+    cache: str | os.PathLike[str] | None = None,
+    report: Report | None = None,
+) -> ControlRuns | None:
+    """Return the errors of a simulator in `RUNS` control runs; None if it has no geometry to trace.
+
+    `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have one.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    room : Room
+        Alpha is drawn from its prior.
+    match : sequence of str
+    seed : int
+    position_uncertainty : float
+        Of sources and receivers, in m.
+    cache : path, optional
+        Folder in which the errors are kept, by a hash of everything they depend on.
+    report : callable, optional
+        Called with the number of finished runs and their total.
+    """
+    uncertainty = checks.positive("position_uncertainty", position_uncertainty, "m")
+    base = _tracing(simulator)
+    if base is None:
+        return None
+    path = None
+    if cache is not None:
+        path = (
+            checks.path("cache", cache)
+            / f"{_key(base, simulator, room, match, seed, uncertainty)}.npy"
+        )
+        if (kept := _read(path, match, base)) is not None:
+            return kept
+    rng = np.random.default_rng([seed, 20])
+    errors = []
+    for run in range(RUNS):
+        control = _varied(base, rng, run, uncertainty)
+        alpha = _draw(room, rng)
+        heard = observe(control, alpha, match, seed=seed + 1 + run)
+        errors.append(heard.values - observe(simulator, alpha, match, seed=seed).values)
+        if report is not None:
+            report(run + 1, RUNS)
+    runs = ControlRuns(parameters=tuple(match), pairs=base.pairs, errors=np.array(errors))
+    if path is not None:
+        _write(path, runs)
+    return runs
+
+
+def _tracing(simulator: Simulator) -> PathTracing | None:
+    """Return a path tracing of the simulator's room."""
+    if isinstance(simulator, PathTracing):
+        return simulator
+    if isinstance(simulator, ShoeboxSimulator):
+        box = simulator.box
+        return PathTracing(
+            geometry=Polyhedron.shoebox(
+                box.dimensions.tolist(),
+                dict(zip(SHOEBOX_WALLS, (simulator.materials[w] for w in box.walls), strict=True)),
+            ),
+            room=simulator.room,
+            sources=simulator.sources,
+            receivers=simulator.receivers,
+            scattering=0.5,
+        )
+    return None
+
+
+def _varied(
+    base: PathTracing, rng: np.random.Generator, run: int, uncertainty: float
+) -> PathTracing:
+    """Return the tracing with other scattering and positions."""
+    low, high = SCATTERING
+    share = (run // 2 + rng.uniform()) / (RUNS / 2)
+    level = low + (high - low) * share
+    by_material = level + _BETWEEN_MATERIALS * rng.standard_normal(base.room.n_materials)
+    moved = [
+        {
+            name: _moved(base.geometry, np.array(point), rng, uncertainty)
+            for name, point in points.items()
+        }
+        for points in (base.sources, base.receivers)
+    ]
+    return replace(
+        base,
+        scattering=np.clip(by_material, low, high),
+        scattering_model=_MODELS[run % 2],
+        sources=moved[0],
+        receivers=moved[1],
+        n_paths=_PATHS,
+    )
+
+
+def _moved(
+    geometry: Polyhedron, point: Array, rng: np.random.Generator, uncertainty: float
+) -> Array:
+    """Return the point moved by about ``uncertainty``, within the room."""
+    for _ in range(20):
+        trial = point + uncertainty / np.sqrt(3) * rng.standard_normal(3)
+        if geometry.contains([trial])[0] and geometry.wall_distance([trial])[0] > 0.01:
+            return np.asarray(trial)
+    return point
+
+
+def _draw(room: Room, rng: np.random.Generator) -> Array:
+    """Draw alpha from the prior, in [0.001, 0.99]."""
+    correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
+    factor = np.linalg.cholesky(correlation + 1e-10 * np.eye(room.n_bands))
+    z = rng.standard_normal(room.alpha.shape) @ factor.T
+    return np.asarray(np.clip(room.alpha + room.sigma * z, 0.001, 0.99))
+
+
+def _key(
+    base: PathTracing,
+    simulator: Simulator,
+    room: Room,
+    match: Sequence[str],
+    seed: int,
+    uncertainty: float,
+) -> str:
+    """Return a hash of all that the errors depend on."""
+    geometry = base.geometry
+    settings = {
+        name: value
+        for name, value in vars(simulator).items()
+        if isinstance(value, (int, float, str, bool, type(None)))
+    }
+    content = [
+        simulator.name,
+        settings,
+        [room.to_dict()[name] for name in ("alpha", "sigma", "centre_frequencies", "air")],
+        room.band_correlation,
+        geometry.vertices.tolist(),
+        [list(map(int, face)) for face in geometry.faces],
+        list(geometry.materials),
+        {name: list(map(float, p)) for name, p in {**base.sources, **base.receivers}.items()},
+        np.asarray(base.scattering).tolist(),
+        list(match),
+        [seed, uncertainty, RUNS, __version__],
+    ]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _read(path: Path, match: Sequence[str], base: PathTracing) -> ControlRuns | None:
+    """Return the errors that a file holds; None if it cannot be used."""
+    try:
+        errors = np.load(path, allow_pickle=False)
+        runs = ControlRuns(parameters=tuple(match), pairs=base.pairs, errors=errors)
+    except (OSError, ValueError, EOFError, BadZipFile, RtcalError, AttributeError):
+        return None
+    return runs if errors.shape[3] == base.room.n_bands else None
+
+
+def _write(path: Path, runs: ControlRuns) -> None:
+    content = io.BytesIO()
+    np.save(content, runs.errors, allow_pickle=False)
+    try:
+        make_folder(path.parent)
+        write_bytes(path, content.getvalue())
+    except (OSError, DataError):
+        return  # a folder that is read-only

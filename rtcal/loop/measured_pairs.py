@@ -1,0 +1,219 @@
+"""What was measured at each position, ready to be matched, and how uncertain it is.
+
+Where a measurement states no uncertainty, two parts are taken. In a band of bandwidth B a response is
+noise-like: the energy within dt scatters by 1 / sqrt(B dt), differently at each pair, and every
+parameter follows. And a part common to all pairs of a band, from equipment and evaluation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics.decay_gradients import gradients
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.simulators.observations import LOGARITHMIC, Observations
+from rtcal.support.types import Array
+
+Pair = tuple[str, str]
+
+_BETWEEN_TEAMS = {
+    "t20": (0.046, 0.013),
+    "t30": (0.046, 0.013),
+    "edt": (0.10, 0.033),
+    "ts": (0.10, 0.033),
+    "c50": (0.83, 0.35),
+    "c80": (0.83, 0.35),
+    "level": (2.0, 0.55),
+}
+"""Standard deviations between teams at one pair, at 125 Hz and 4 kHz: relative, or in dB (I. Bork,
+Report on the 3rd round robin on room acoustical computer simulation, Part I, Acta Acustica united with
+Acustica 91, 740-752, 2005). C50 is taken as C80, Ts as EDT."""
+_COMMON = 0.5
+"""Share of it that all pairs of a team have in common. Positions differed between teams, too."""
+_OFFSET = 100.0
+"""Standard deviation in dB of a source's unknown power: far more than any, so that it says nothing."""
+_BINS = 4000
+"""Bins of the exponential decay that stands for a noise-like response, over twice its T."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredPairs:
+    """Measured observations in the simulator's pairs and the room's bands.
+
+    Attributes
+    ----------
+    observations : Observations
+        NaN where missing or left out.
+    covariance : array (n_used, n_used)
+        Of the errors of the values that are there, in the order of ``values[used]``.
+    level : {"absolute", "relative", ""}
+        Whether G was measured, or levels that one source's positions share a reference of.
+    notes : tuple of str
+        What was left out, and why.
+    """
+
+    observations: Observations
+    covariance: Array
+    level: str
+    notes: tuple[str, ...]
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Where there is a value, (n_parameters, n_pairs, n_bands)."""
+        return np.isfinite(self.observations.values)
+
+
+def measured_pairs(
+    room: Room,
+    measured: Measurement,
+    match: Sequence[str],
+    pairs: Sequence[Pair],
+    exclude: Sequence[Pair] = (),
+) -> MeasuredPairs:
+    """Return what was measured at the simulator's pairs, without those of ``exclude``.
+
+    Raises
+    ------
+    DataError
+        If the measurement is a summary over pairs, if no pair is the simulator's, if none of the
+        parameters was measured, or if ``exclude`` names a pair that was not measured.
+    """
+    if measured.is_summary:
+        raise DataError(
+            "the measurement is a mean over pairs; to match every position it needs a row for each "
+            'source and receiver. match=("t20",) matches the mean'
+        )
+    notes = []
+    for pair in exclude:
+        if pair not in measured.pairs:
+            raise DataError(f"exclude has {' to '.join(pair)}, which the measurement lacks")
+    unknown = [p for p in measured.pairs if p not in pairs]
+    kept = tuple(p for p in pairs if p in measured.pairs and p not in exclude)
+    if not kept:
+        raise DataError(
+            f"no pair is left: the measurement has {_names(measured.pairs)}, the simulator "
+            f"{_names(pairs)}" + (f", and {_names(exclude)} is excluded" if exclude else "")
+        )
+    if unknown:
+        notes.append(f"Left out, since the simulator has no such pair: {_names(unknown)}.")
+    if exclude:
+        notes.append(f"Left out, as asked for: {_names(exclude)}.")
+    in_room = band_conversion.measurement_in_room_bands(measured, room.centre_frequencies)
+    level = ""
+    if "level" in match:
+        level = "relative" if "level" in measured.values else "absolute"
+        if level == "absolute" and "g" not in measured.values:
+            level = ""
+    observations = Observations.of_measurement(in_room, match, kept)
+    absent = [
+        p
+        for p, of_parameter in zip(match, observations.values, strict=True)
+        if np.isnan(of_parameter).all()
+    ]
+    if len(absent) == len(match):
+        raise DataError(
+            f"the measurement has none of {', '.join(p.upper() for p in match)} at the "
+            "simulator's pairs"
+        )
+    if absent:
+        notes.append(f"Left out, since it was not measured: {', '.join(map(str.upper, absent))}.")
+        present = [p for p in match if p not in absent]
+        observations = Observations.of_measurement(in_room, present, kept)
+    return MeasuredPairs(
+        observations=observations,
+        covariance=_covariance(observations, in_room, level),
+        level="" if "level" in absent else level,
+        notes=tuple(notes),
+    )
+
+
+def _names(pairs: Sequence[Pair]) -> str:
+    return ", ".join(" to ".join(pair) for pair in pairs)
+
+
+def _covariance(observations: Observations, measured: Measurement, level: str) -> Array:
+    """Return the covariance of the measurement's errors, over the values that are there."""
+    parameters, pairs = observations.parameters, observations.pairs
+    frequencies = observations.centre_frequencies
+    shape = observations.values.shape
+    _, n_pairs, n_bands = shape
+    full = np.zeros((*shape, *shape))
+    times = _decay_times(observations, measured)
+    common = _between_teams(parameters, frequencies) * _COMMON
+    for k in range(n_bands):
+        noise = response_noise(
+            parameters, times[k], float(bands.bandwidth_factor(frequencies) * frequencies[k])
+        )
+        for i in range(n_pairs):
+            full[:, i, k, :, i, k] = noise
+        full[:, :, k, :, :, k] += np.einsum(
+            "pq,ij->piqj", np.diag(common[:, k] ** 2), np.ones((n_pairs,) * 2)
+        )
+    _state(full, observations, measured)
+    if level == "relative" and "level" in parameters:
+        p = parameters.index("level")
+        sources = np.array([s for s, _ in pairs])
+        same = (sources[:, np.newaxis] == sources).astype(float)
+        for k in range(n_bands):
+            full[p, :, k, p, :, k] += _OFFSET**2 * same
+    used = np.isfinite(observations.values).ravel()
+    size = observations.values.size
+    return np.asarray(full.reshape(size, size)[np.ix_(used, used)])
+
+
+def _state(full: Array, observations: Observations, measured: Measurement) -> None:
+    """Put the stated uncertainties in the place of the assumed ones; they are independent."""
+    rows = [measured.pairs.index(pair) for pair in observations.pairs]
+    for p, name in enumerate(observations.parameters):
+        key = "g" if name == "level" and "level" not in measured.values else name
+        if key not in measured.uncertainty:
+            continue
+        stated = measured.uncertainty[key][rows]
+        if name in LOGARITHMIC:
+            stated = stated / measured.values[key][rows]
+        for i, k in np.argwhere(np.isfinite(stated)):
+            full[p, i, k] = 0.0
+            full[:, :, :, p, i, k] = 0.0
+            full[p, i, k, p, i, k] = stated[i, k] ** 2
+
+
+def _decay_times(observations: Observations, measured: Measurement) -> Array:
+    """Return a T per band for the noise of a response, (n_bands,): that of T20, T30, EDT or Ts."""
+    times = np.full(len(observations.centre_frequencies), np.nan)
+    for name, factor in (("t20", 1.0), ("t30", 1.0), ("edt", 1.0), ("ts", 6 * np.log(10))):
+        mean = measured.mean(name) * factor
+        times = np.where(np.isfinite(times), times, mean)
+    return np.where(np.isfinite(times), times, 1.0)
+
+
+def _between_teams(parameters: Sequence[str], frequencies: Array) -> Array:
+    """Return standard deviations, (n_parameters, n_bands), log-linear between 125 Hz and 4 kHz."""
+    position = np.clip(np.log2(frequencies / 125) / 5, 0, 1)
+    ends = np.array([_BETWEEN_TEAMS[p] for p in parameters])
+    return np.asarray(np.exp(np.log(ends[:, :1]) * (1 - position) + np.log(ends[:, 1:]) * position))
+
+
+def response_noise(parameters: Sequence[str], decay_time: float, bandwidth: float) -> Array:
+    """Return the covariance of the parameters of one noise-like response, (n_parameters, n_parameters).
+
+    The response decays exponentially, with ``decay_time`` in s and ``bandwidth`` in Hz. Its energy
+    in a bin has the relative variance 1 / (bandwidth width). ISO 3382-2's standard deviation of T20
+    is nearly the same.
+
+    Examples
+    --------
+    >>> noise = response_noise(["t20", "level"], 1.0, 710.0)
+    >>> print(np.sqrt(np.diag(noise)).round(3))
+    [0.034 0.428]
+    """
+    width = 2 * decay_time / _BINS
+    energy = np.asarray(10.0 ** (-6 * np.arange(_BINS) * width / decay_time))
+    by_bin = gradients(energy, width, parameters) * energy
+    return np.asarray(by_bin @ by_bin.T) / (bandwidth * width)

@@ -1,0 +1,265 @@
+"""What each position hears: room-acoustic parameters by pair and band, and their derivatives by alpha.
+
+An `Observations` holds numbers that are nearly linear in alpha: ln T20, ln T30, ln EDT and ln Ts, and
+C50, C80 and the level in dB. `observe` and `jacobian` give them for any simulator. A simulator that
+can weigh its paths anew has methods of its own (`Observable`); others are differentiated by central
+differences with the same seed, so that their random numbers cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands, decay
+from rtcal.acoustics.decay_gradients import LIMITS, PARAMETERS, gradients
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import DECAY_TIMES
+from rtcal.errors import DataError, SimulatorError, TooShortError
+from rtcal.simulators import base
+from rtcal.simulators.base import Simulator
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.types import Array, read_only
+
+MATCH = ("t20", "edt", "c80", "ts", "level")
+"""Parameters that are matched where nothing else is asked for."""
+LOGARITHMIC = (*DECAY_TIMES, "ts")
+"""Parameters whose logarithm is observed; the others are in dB."""
+STEP = 0.01
+"""Step in alpha of the differences. T of a diffuse field changes by 1 to 20 % over it, far more than
+rounding, and its curvature adds less than 1 % to the slope."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observations:
+    """Parameters by pair and band, in units in which they are nearly linear in alpha.
+
+    Attributes
+    ----------
+    parameters : tuple of str (n_parameters,)
+        Of `MATCH`, "t30" and "c50". Decay times and Ts are logarithms, the others in dB.
+    pairs : tuple of (source, receiver) (n_pairs,)
+    centre_frequencies : array (n_bands,)
+        Hz.
+    values : array (n_parameters, n_pairs, n_bands)
+        NaN where missing.
+    """
+
+    parameters: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    centre_frequencies: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        shape = (len(self.parameters), len(self.pairs), len(self.centre_frequencies))
+        values = read_only(checks.array("observations", self.values))
+        if values.shape != shape:
+            raise DataError(
+                f"observations have shape {values.shape}; (n_parameters, n_pairs, n_bands) = {shape}"
+            )
+        object.__setattr__(self, "values", values)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Observations of {', '.join(p.upper() for p in self.parameters)}: "
+            f"{len(self.pairs)} pairs, {bands.span(self.centre_frequencies)}>"
+        )
+
+    @checked
+    def natural(self, parameter: str) -> Array:
+        """Return a parameter in its own unit, s or dB, (n_pairs, n_bands)."""
+        values = self.values[self.parameters.index(parameter)]
+        return np.asarray(np.exp(values) if parameter in LOGARITHMIC else values)
+
+    @classmethod
+    @checked
+    def of_measurement(
+        cls, measurement: Measurement, parameters: Sequence[str], pairs: Sequence[tuple[str, str]]
+    ) -> Observations:
+        """Return the observations of measured or simulated values, NaN where missing.
+
+        Parameters
+        ----------
+        measurement : Measurement
+        parameters : sequence of str
+            The level is ``"level"``, or else ``"g"``.
+        pairs : sequence of (source, receiver)
+            NaN where the measurement lacks a pair.
+        """
+        rows = {pair: i for i, pair in enumerate(measurement.pairs)}
+        values = np.full((len(parameters), len(pairs), len(measurement.centre_frequencies)), np.nan)
+        for of_parameter, name in zip(values, checked_parameters(parameters), strict=True):
+            key = "g" if name == "level" and "level" not in measurement.values else name
+            if key not in measurement.values:
+                continue
+            for of_pair, pair in zip(of_parameter, pairs, strict=True):
+                if pair in rows:
+                    of_pair[:] = measurement.values[key][rows[pair]]
+            if name in LOGARITHMIC:
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    of_parameter[:] = np.log(of_parameter)
+        return cls(
+            parameters=tuple(parameters),
+            pairs=tuple(pairs),
+            centre_frequencies=measurement.centre_frequencies,
+            values=np.where(np.isfinite(values), values, np.nan),
+        )
+
+
+@runtime_checkable
+class Observable(Protocol):
+    """A `Simulator` that gives observations and their derivatives itself."""
+
+    def observe(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Observations:
+        """Return the observations for alpha (n_materials, n_bands)."""
+        ...
+
+    def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
+        """Return their derivatives, (n_parameters, n_pairs, n_bands, n_materials).
+
+        No observation depends on alpha of another band.
+        """
+        ...
+
+
+def given(measurement: Measurement) -> tuple[str, ...]:
+    """Return the parameters that a measurement has; G is a level too."""
+    level = ("level",) if "g" in measurement.values else ()
+    return (*measurement.values, *level)
+
+
+def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of parameters; DataError for an unknown one, a repeated one or none."""
+    names = checks.listed("match", match)
+    if not names:
+        raise DataError("match is empty; it has at least one parameter")
+    for name in names:
+        if name not in PARAMETERS:
+            raise DataError(f'match has "{name}"; it has some of {", ".join(PARAMETERS)}')
+    if len(set(names)) < len(names):
+        raise DataError(f"match has a parameter twice: {', '.join(names)}")
+    return tuple(names)
+
+
+@checked
+def observe(
+    simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
+) -> Observations:
+    """Return what a simulator's positions hear for alpha (n_materials, n_bands).
+
+    Raises
+    ------
+    DataError
+        For an unknown parameter, a seed or an alpha that breaks its rule.
+    SimulatorError
+        If the simulator raises it, or does not give a parameter. The message names it.
+    """
+    match = checked_parameters(match)
+    if isinstance(simulator, Observable):
+        return simulator.observe(base.check_alpha(simulator, alpha), match, seed=seed)
+    simulated = base.run(simulator, alpha, seed=seed)
+    if lacking := [m.upper() for m in match if m not in given(simulated)]:
+        raise SimulatorError(
+            f"{simulator.name} does not give {', '.join(lacking)}, only "
+            f"{', '.join(p.upper() for p in simulated.values)}; leave it out of match"
+        )
+    return Observations.of_measurement(simulated, match, simulated.pairs)
+
+
+@checked
+def jacobian(
+    simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
+) -> Array:
+    """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_materials).
+
+    A simulator without a method of its own is differentiated by `differences`.
+    """
+    match = checked_parameters(match)
+    if isinstance(simulator, Observable):
+        return simulator.jacobian(base.check_alpha(simulator, alpha), match, seed=seed)
+    return differences(simulator, alpha, match, seed=seed)
+
+
+@checked
+def differences(
+    simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
+) -> Array:
+    """Return the derivatives by differences, (n_parameters, n_pairs, n_bands, n_materials).
+
+    Each material takes two simulations with alpha changed by `STEP` in all bands. Both have the same
+    seed, so that random numbers that do not depend on alpha cancel.
+    """
+    alpha = base.check_alpha(simulator, alpha)
+    columns = []
+    for j in range(len(alpha)):
+        ends = []
+        for step in (-STEP, STEP):
+            moved = alpha.copy()
+            moved[j] = np.clip(alpha[j] + step, 0.0, 1.0)
+            ends.append((moved[j], observe(simulator, moved, match, seed=seed).values))
+        (low, below), (high, above) = ends
+        columns.append((above - below) / (high - low))
+    return np.stack(columns, axis=-1)
+
+
+def of_decays(
+    energy: Array,
+    bin_width: float,
+    match: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    centre_frequencies: Array,
+) -> Observations:
+    """Return the observations of energy decays, (n_pairs, n_bands, n_bins) in 1/m².
+
+    The level is that of a source of unit energy, relative to 10 m in the free field: G.
+
+    Raises
+    ------
+    TooShortError
+        If a decay is cut off before it holds a decay time.
+    DataError
+        If a decay lacks a parameter, since too little is reflected.
+    """
+    values = np.empty((len(match), *energy.shape[:-1]))
+    for row, name in zip(values, match, strict=True):
+        if name in DECAY_TIMES:
+            row[:] = decay.decay_time(energy, bin_width, name)
+        elif name in LIMITS:
+            row[:] = decay.clarity(energy, bin_width, LIMITS[name])
+        elif name == "ts":
+            row[:] = decay.centre_time(energy, bin_width)
+        else:
+            with np.errstate(divide="ignore"):
+                row[:] = 10 * np.log10(400 * np.pi * energy.sum(-1))
+        if name in LOGARITHMIC:
+            row[:] = np.log(row)
+        if (lost := ~np.isfinite(row)).any():
+            pair, band = (int(i) for i in np.argwhere(lost)[0])
+            place = f"{' to '.join(pairs[pair])}, {bands.label(centre_frequencies[band])}"
+            if name in DECAY_TIMES and decay.too_short(energy, name)[pair, band]:
+                raise TooShortError(f"the decay from {place} is too short to hold {name.upper()}")
+            raise DataError(
+                f"the decay from {place} has no {name.upper()}: too little is reflected"
+            )
+    return Observations(
+        parameters=tuple(match),
+        pairs=tuple(pairs),
+        centre_frequencies=centre_frequencies,
+        values=values,
+    )
+
+
+def chained(
+    energy: Array, gradient: Array, bin_width: float, match: Sequence[str]
+) -> NDArray[np.float64]:
+    """Return the derivatives of the observations, (n_parameters, n_pairs, n_bands, n_unknowns).
+
+    ``energy`` (n_pairs, n_bands, n_bins), its ``gradient`` (n_pairs, n_bins, n_unknowns, n_bands).
+    """
+    by_bin = gradients(energy, bin_width, match)
+    return np.asarray(np.einsum("prkb,rbjk->prkj", by_bin, gradient, optimize=True))

@@ -1,0 +1,162 @@
+"""Linear observations in the QP: against generalised least squares, compiled once, wrong numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal import terms
+from rtcal.calibration.convex_program import ConvexProgram
+from rtcal.errors import DataError
+
+ROOM = rt.Room(
+    name="box",
+    volume=300,
+    materials=["floor", "ceiling", "wall"],
+    areas=[60, 60, 110],
+    alpha=[[0.2, 0.3], [0.3, 0.25], [0.15, 0.2]],
+    sigma=[[0.03, 0.04], [0.05, 0.02], [0.03, 0.03]],
+    centre_frequencies=[500, 1000],
+    air=rt.Air(),
+)
+TERM = terms.LinearObservations()
+
+
+def draw(seed, n=9, shift=0.01):
+    """Return observations of alpha + shift with correlated errors."""
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(n, ROOM.alpha.size))
+    root = rng.normal(size=(n, n))
+    covariance = 1e-3 * (root @ root.T + np.eye(n))
+    values = matrix @ (ROOM.alpha.ravel() + shift) + 1e-3 * rng.normal(size=n)
+    return terms.Observed(matrix=matrix, values=values, covariance=covariance)
+
+
+def least_squares(numbers, precision):
+    inverse = np.linalg.inv(numbers.covariance)
+    information = numbers.matrix.T @ inverse @ numbers.matrix
+    pull = numbers.matrix.T @ inverse @ numbers.values
+    return np.linalg.solve(information + precision, pull + precision @ ROOM.alpha.ravel())
+
+
+@pytest.mark.parametrize("n", [2, 6, 40])
+def test_without_an_active_bound_it_is_generalised_least_squares(n):
+    numbers = draw(n, n)
+    problem = rt.Calibration(terms.PriorDeviation() + TERM, []).build(ROOM)
+    result = problem.solve(None, observed={TERM: numbers})
+    precision = np.diag(1 / ROOM.sigma.ravel() ** 2)
+    expected = least_squares(numbers, precision)
+    assert (expected > 0).all()
+    np.testing.assert_allclose(result.alpha.ravel(), expected, rtol=0, atol=1e-12)
+    assert result.certificate.worst < 1e-9
+
+
+def test_correlated_prior_and_a_weight_enter_as_they_should():
+    numbers = draw(1)
+    prior = terms.PriorDeviation(band_correlation=0.6)
+    problem = rt.Calibration(prior + 0.5 * TERM, []).build(ROOM)
+    result = problem.solve(None, observed={TERM: numbers})
+    correlation = np.kron(np.eye(3), [[1, 0.6], [0.6, 1]])
+    sigma = ROOM.sigma.ravel()
+    precision = np.linalg.inv(sigma[:, np.newaxis] * correlation * sigma)
+    expected = least_squares(
+        terms.Observed(
+            matrix=numbers.matrix, values=numbers.values, covariance=2 * numbers.covariance
+        ),
+        precision,
+    )
+    np.testing.assert_allclose(result.alpha.ravel(), expected, rtol=0, atol=1e-12)
+
+
+def test_bounds_and_other_terms_stand_beside_it():
+    numbers = draw(2, 30, shift=-0.3)
+    calibration = rt.Calibration(
+        terms.PriorDeviation() + terms.SoftMatch(relative=0.05) + TERM,
+        [terms.Bounds(0.1, 1), terms.GroupAbsorption(["floor", "ceiling"], least=14)],
+    )
+    result = calibration.build(ROOM).solve([1.2, 1.1], observed={TERM: numbers})
+    assert result.certificate.worst < 1e-9
+    assert result.alpha.min() == pytest.approx(0.1, abs=1e-12)
+    assert (60 * (result.alpha[0] + result.alpha[1])).min() > 14 - 1e-9
+    exact = rt.Calibration(terms.PriorDeviation() + TERM, [terms.ExactMatch()]).build(ROOM)
+    matched = exact.solve([0.6, 0.7], observed={TERM: draw(2, 30)})
+    np.testing.assert_allclose(matched.reverberation_time_after, [0.6, 0.7], rtol=1e-9)
+
+
+def test_shared_materials_add_their_columns_up():
+    room = ROOM.replace(
+        alpha=[[0.2, 0.3], [0.2, 0.3], [0.15, 0.2]], sigma=[[0.04, 0.04]] * 2 + [[0.03, 0.03]]
+    )
+    numbers = draw(3)
+    shared = rt.Calibration(terms.PriorDeviation() + TERM, [terms.Shared("floor", "ceiling")])
+    result = shared.build(room).solve(None, observed={TERM: numbers})
+    one = numbers.matrix.reshape(-1, 3, 2)
+    columns = np.concatenate([(one[:, 0] + one[:, 1]), one[:, 2]], axis=1)
+    sigma, mu = np.array([0.04, 0.04, 0.03, 0.03]), np.array([0.2, 0.3, 0.15, 0.2])
+    inverse = np.linalg.inv(numbers.covariance)
+    expected = np.linalg.solve(
+        columns.T @ inverse @ columns + np.diag(1 / sigma**2),
+        columns.T @ inverse @ numbers.values + mu / sigma**2,
+    )
+    np.testing.assert_allclose(result.alpha[[0, 2]].ravel(), expected, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(result.alpha[0], result.alpha[1])
+
+
+def test_it_is_compiled_once_for_any_number_of_observations(monkeypatch):
+    made = []
+    init = ConvexProgram.__init__
+
+    def counted(self, *args):
+        made.append(self)
+        init(self, *args)
+
+    monkeypatch.setattr(ConvexProgram, "__init__", counted)
+    problem = rt.Calibration(terms.PriorDeviation() + TERM, []).build(ROOM)
+    compiled = problem._joint._program._compiled
+    for n in (3, 12, 50):
+        problem.solve(None, observed={TERM: draw(n, n)})
+    assert len(made) == 1
+    assert problem._joint._program._compiled is compiled
+
+
+def test_posterior_sigma_is_that_of_the_gaussian():
+    numbers = draw(4, 30)
+    result = (
+        rt.Calibration(terms.PriorDeviation() + TERM, [])
+        .build(ROOM)
+        .solve(None, observed={TERM: numbers})
+    )
+    information = numbers.matrix.T @ np.linalg.solve(numbers.covariance, numbers.matrix)
+    covariance = np.linalg.inv(information + np.diag(1 / ROOM.sigma.ravel() ** 2))
+    expected = np.sqrt(np.diag(covariance)).reshape(ROOM.sigma.shape)
+    np.testing.assert_allclose(result.joint.posterior_sigma, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"values": np.full(9, np.nan)}, "not finite"),
+        ({"values": np.zeros(4)}, "shape"),
+        ({"covariance": np.zeros((9, 9))}, "not positive definite"),
+        ({"covariance": np.triu(np.ones((9, 9)))}, "not symmetric"),
+        ({"matrix": np.zeros((3, 6))}, "a row for each"),
+    ],
+)
+def test_wrong_numbers_are_refused(changes, said):
+    numbers = draw(0)
+    fields = {n: getattr(numbers, n) for n in ("matrix", "values", "covariance")}
+    with pytest.raises(DataError, match=said):
+        terms.Observed(**fields | changes)
+
+
+def test_numbers_that_do_not_belong_are_refused():
+    problem = rt.Calibration(terms.PriorDeviation() + TERM, []).build(ROOM)
+    with pytest.raises(DataError, match="observed lacks"):
+        problem.solve([1.0, 1.0])
+    other = terms.LinearObservations("other")
+    with pytest.raises(DataError, match="no term of the objective"):
+        problem.solve(None, observed={other: draw(0)})
+    with pytest.raises(DataError, match="columns"):
+        narrow = terms.Observed(matrix=np.ones((2, 3)), values=[1, 2], covariance=np.eye(2))
+        problem.solve(None, observed={TERM: narrow})

@@ -1,0 +1,144 @@
+"""What positions hear, and its derivatives: against differences, by material and by surface."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.acoustics import decay
+from rtcal.acoustics.decay_gradients import gradients
+from rtcal.datasets import halls
+from rtcal.errors import DataError, SimulatorError
+from rtcal.simulators import Observable, PathTracing, path_numba, path_numpy, paths
+from rtcal.simulators.observations import MATCH, differences, jacobian, observe
+
+
+@pytest.fixture(scope="module")
+def tracer():
+    hall = halls.lecture_hall()
+    return PathTracing(
+        geometry=hall.geometry,
+        room=hall.room,
+        sources=dict(list(hall.sources.items())[:1]),
+        receivers=hall.receivers,
+        n_paths=1600,
+        scattering=np.linspace(0.3, 0.7, hall.room.n_materials),
+    )
+
+
+def bent_decay(share):
+    """A decay of two slopes, in bins so fine that the ranges' ends move smoothly."""
+    time = np.arange(60000) * 5e-5
+    return (1 - share) * 10 ** (-6 * time / 0.5) + share * 10 ** (-6 * time / 0.7)
+
+
+@pytest.mark.parametrize("parameter", ["t20", "t30", "edt", "c50", "c80", "ts", "level"])
+def test_gradient_of_a_parameter_is_its_difference(parameter):
+    def value(share):
+        energy = bent_decay(share)
+        if parameter in decay.RANGES:
+            return np.log(decay.decay_time(energy, 5e-5, parameter))
+        if parameter == "ts":
+            return np.log(decay.centre_time(energy, 5e-5))
+        if parameter == "level":
+            return 10 * np.log10(energy.sum())
+        return decay.clarity(energy, 5e-5, int(parameter[1:]) / 1000)
+
+    step = 0.01
+    expected = (value(0.3 + step) - value(0.3 - step)) / (2 * step)
+    by_bin = gradients(bent_decay(0.3), 5e-5, [parameter])[0]
+    change = by_bin @ (bent_decay(1.0) - bent_decay(0.0))
+    # The ends of the ranges move as those of a straight decay do; of this one, nearly so.
+    assert change == pytest.approx(expected, rel=0.03)
+
+
+def test_path_tracing_differentiates_as_differences_do(tracer):
+    assert isinstance(tracer, Observable)
+    alpha = tracer.room.alpha
+    exact = tracer.jacobian(alpha, seed=3)
+    by_difference = differences(tracer, alpha, seed=3)
+    size = np.abs(by_difference).max(axis=(1, 2, 3))
+    off = np.abs(exact - by_difference).mean(axis=(1, 2, 3)) / size
+    # T20 and EDT jump where a bin enters the regression; the others differ by the step's curvature.
+    assert (off < [0.05, 0.05, 1e-4, 1e-4, 1e-4]).all()
+
+
+def test_surfaces_add_up_to_their_material(tracer):
+    by_material = tracer.jacobian(tracer.room.alpha, ["ts", "t20"])
+    by_surface = tracer.jacobian(tracer.room.alpha, ["ts", "t20"], by="surface")
+    assert by_surface.shape[-1] == len(tracer.geometry.faces)
+    owners = np.array([tracer.room.material_index(m) for m in tracer.geometry.materials])
+    summed = np.stack(
+        [by_surface[..., owners == j].sum(-1) for j in range(tracer.room.n_materials)], axis=-1
+    )
+    np.testing.assert_allclose(summed, by_material, rtol=0, atol=1e-12)
+    assert (by_surface[..., owners == 0] != by_material[..., :1] / (owners == 0).sum()).any()
+
+
+def test_both_kernels_give_the_same_derivatives(tracer, monkeypatch):
+    alpha = tracer.room.alpha.copy()
+    alpha[1, 0] = 1.0
+    found = []
+    for kernels in (path_numba, path_numpy):
+        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
+        found.append(tracer.jacobian(alpha, ["c80", "level"], seed=1))
+    np.testing.assert_allclose(*found, rtol=1e-9, atol=1e-12)
+    assert np.isfinite(found[0]).all()
+
+
+def test_bands_with_other_scattering_have_their_own_paths():
+    hall = halls.lecture_hall()
+    room = hall.room
+    scattering = np.full(room.alpha.shape, 0.5)
+    scattering[:, -1] = 0.2
+    options = {
+        "geometry": hall.geometry,
+        "room": room,
+        "sources": dict(list(hall.sources.items())[:1]),
+        "receivers": hall.receivers,
+        "n_paths": 800,
+    }
+    mixed = PathTracing(scattering=scattering, **options)
+    plain = PathTracing(scattering=0.5, **options)
+    two, one = (t.jacobian(room.alpha, ["level"]) for t in (mixed, plain))
+    np.testing.assert_allclose(two[:, :, :-1], one[:, :, :-1], rtol=1e-3)
+    assert (np.abs(two[:, :, -1] - one[:, :, -1]) > 1e-6).any()
+    heard = mixed.observe(room.alpha, ["level", "t20"])
+    simulated = mixed.simulate(room.alpha)
+    np.testing.assert_allclose(heard.natural("t20"), simulated.values["t20"], rtol=1e-12)
+
+
+def test_other_simulators_are_differentiated_by_differences():
+    room, _ = rt.datasets.bras_cr2()
+    simulator = rt.simulators.EquationSimulator(room=room, equation=rt.Sabine())
+    found = jacobian(simulator, room.alpha, ["t20"])
+    loss = room.areas @ room.alpha + 4 * room.air_attenuation * room.volume
+    expected = -room.areas[np.newaxis] / loss[:, np.newaxis]  # d ln T / d alpha = -S / A
+    np.testing.assert_allclose(found[0, 0], expected, rtol=0.02)
+
+
+def test_parameters_that_a_simulator_does_not_give_are_named():
+    room, _ = rt.datasets.bras_cr2()
+    simulator = rt.simulators.EquationSimulator(room=room, equation=rt.Sabine())
+    with pytest.raises(SimulatorError, match="does not give C80, LEVEL"):
+        observe(simulator, room.alpha, MATCH[:1] + MATCH[2:3] + MATCH[4:])
+
+
+@pytest.mark.parametrize(
+    ("match", "said"),
+    [
+        (("t20", "loudness"), 'match has "loudness"'),
+        ((), "match is empty"),
+        (("t20", "t20"), "twice"),
+        ("t20", "match"),
+    ],
+)
+def test_wrong_parameters_are_refused(tracer, match, said):
+    with pytest.raises(DataError, match=said):
+        tracer.observe(tracer.room.alpha, match)
+
+
+def test_nothing_reflected_has_no_c80(tracer):
+    with pytest.raises(DataError, match="has no"):
+        tracer.observe(np.ones_like(tracer.room.alpha), ["c80"])
