@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,18 +17,29 @@ import pytest
 
 from rtcal.support import transaction
 
-EVENTS = ("open", "write", "fsync", "replace", "link", "unlink", "mkdir", "chmod", "close")
+EVENTS = (
+    "open",
+    "write",
+    "fsync",
+    "replace",
+    "link",
+    "unlink",
+    "mkdir",
+    "chmod",
+    "close",
+    "rmtree",
+)
 KILLED = 77
 
 
 class FaultyOs:
-    """The module ``os`` in which the nth event fails; ``count`` says how many there were."""
+    """The modules ``os`` and ``shutil``; the nth event fails, and ``count`` events there were."""
 
     def __init__(self, nth: int | None, fault: Callable[[str], None]) -> None:
         self.count, self.nth, self.fault = 0, nth, fault
 
     def __getattr__(self, name: str) -> Any:
-        real = getattr(os, name)
+        real = getattr(os if hasattr(os, name) else shutil, name)
         if name not in EVENTS:
             return real
 
@@ -36,6 +48,8 @@ class FaultyOs:
             if self.count == self.nth:
                 if name == "write":  # half of it arrives
                     real(arguments[0], bytes(arguments[1])[: len(arguments[1]) // 2])
+                if name == "rmtree":  # one of its files is gone
+                    os.unlink(next(p for p in sorted(arguments[0].iterdir()) if p.is_file()))
                 if name == "close":  # Linux closes also where it says that it failed
                     real(*arguments)
                 self.fault(name)
@@ -62,6 +76,7 @@ def faulty(nth: int | None, fault: Callable[[str], None] = full) -> Iterator[Fau
     with pytest.MonkeyPatch.context() as patch:
         layer = FaultyOs(nth, fault)
         patch.setattr(transaction, "os", layer)
+        patch.setattr(transaction, "shutil", layer)
         yield layer
 
 

@@ -6,8 +6,8 @@ import re
 import struct
 import time
 import tracemalloc
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,28 @@ import numpy as np
 from hypothesis import strategies as st
 
 import rtcal as rt
+from rtcal.discrepancy import Case
 from rtcal.errors import DataError
 from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, sigma_table, tables
 from rtcal.io.material_list import MaterialList
+from rtcal.loop import Loop
+from rtcal.report import saved
+from tests import fuzz_native as native
 
 
 @dataclass(frozen=True)
 class Reader:
+    """A reader and good files for it.
+
+    ``holds`` raises AssertionError where what was read is nonsense. ``beside`` are files in the same
+    folder that its files refer to.
+    """
+
     read: Callable[[str], Any]
     suffix: str
     seeds: tuple[bytes, ...]
+    holds: Callable[[Any], object] = bool
+    beside: Mapping[str, bytes] = field(default_factory=dict)
 
 
 CATT = (
@@ -77,21 +89,52 @@ def _decay() -> bytes:
     return wav(0.9 * np.exp(-6.9 * t / 0.3) * rng.uniform(-1, 1, len(t)))
 
 
+def material_list_holds(result: MaterialList) -> None:
+    """Every alpha is where the file has it, and writing it back changes nothing."""
+    for material in result.materials:
+        assert all(0 <= a <= 1 for a in material.alpha)
+        for a, (begin, end) in zip(material.alpha, material.spans, strict=True):
+            number = float(result.text.characters[begin:end])
+            assert abs(number * material.unit - a) <= 1e-12
+    if set.intersection(*(set(m.centre_frequencies) for m in result.materials)):
+        room = result.room(name="", volume=1, areas=dict.fromkeys(result.names, 1.0))
+        assert result.with_alpha(room)[0] == Path(result.path).read_bytes()
+
+
+def table_holds(result: tables.Table) -> None:
+    native.measurement_holds(result.measurement)
+
+
 READERS: dict[str, Reader] = {
-    "catt": Reader(catt.read, ".geo", CATT),
-    "odeon": Reader(odeon.read, ".Li8", ODEON),
-    "pyroomacoustics": Reader(pyroomacoustics.read, ".json", PRA),
-    "bras": Reader(bras.read, ".csv", BRAS),
+    "catt": Reader(catt.read, ".geo", CATT, material_list_holds),
+    "odeon": Reader(odeon.read, ".Li8", ODEON, material_list_holds),
+    "pyroomacoustics": Reader(pyroomacoustics.read, ".json", PRA, material_list_holds),
+    "bras": Reader(bras.read, ".csv", BRAS, material_list_holds),
     "obj": Reader(obj.read, ".obj", OBJ),
     "sigma": Reader(sigma_table.read, ".csv", SIGMA),
-    "tables": Reader(tables.read, ".csv", TABLES),
-    "room": Reader(rt.Room.from_file, ".toml", ROOM),
-    "measurement": Reader(rt.Measurement.from_file, ".csv", MEASURED),
+    "tables": Reader(tables.read, ".csv", TABLES, table_holds),
+    "room": Reader(rt.Room.from_file, ".toml", ROOM, native.room_holds),
+    "measurement": Reader(rt.Measurement.from_file, ".csv", MEASURED, native.measurement_holds),
     "wav": Reader(lambda p: impulse_responses.read(p, bands=[1000]), ".wav", (_decay(),)),
+    "case": Reader(Case.from_file, ".json", native.CASE, native.case_holds),
+    "case in TOML": Reader(
+        Case.from_file, ".toml", native.CASE_TOML, native.case_holds, native.BESIDE_CASE
+    ),
+    "loop": Reader(Loop.load, ".json", native.LOOP, native.loop_holds),
+    "loop result": Reader(
+        native.read_loop_result, ".json", native.LOOP_RESULT, native.loop_result_holds
+    ),
+    "result": Reader(saved.read, ".json", native.RESULT, native.result_holds),
+    "piece": Reader(native.read_piece, ".sums", native.PIECE, native.piece_holds),
+    "study": Reader(native.read_study, ".json", native.STUDY),
+    "journal": Reader(native.read_journal, ".json", native.JOURNAL),
 }
 
 LINES = ("bras", "catt", "odeon", "pyroomacoustics", "sigma", "tables")
 """Readers whose messages always name a line; a mesh that does not close has none."""
+
+OTHERS = ("case in TOML", "study", "journal")
+"""Readers whose messages may name the folder, or another file in it."""
 
 TOKENS = (
     b"",
@@ -135,6 +178,7 @@ TOKENS = (
     "\u0661\u0662".encode(),
     "\u2028".encode(),
     b"2020-01-01",
+    b"../precious",
     b"v 1e308 0 0\n",
     b"f 1 1 1\n",
     b"\\\n",
@@ -180,26 +224,21 @@ def check(name: str, content: bytes, folder: Path) -> bool:
     """Return whether the file was read; AssertionError unless it was refused as it must be."""
     path = folder / f"file{READERS[name].suffix}"
     path.write_bytes(content)
+    for beside, text in READERS[name].beside.items():
+        if not (folder / beside).exists():
+            (folder / beside).write_bytes(text)
     start = time.perf_counter()
     try:
         result = READERS[name].read(str(path))
     except DataError as error:
         message = str(error)
-        assert str(path) in message or name == "wav", message
+        assert str(folder if name in OTHERS else path) in message or name == "wav", message
         if name in LINES:
             assert re.search(r"line \d+", message), message
         return False
     finally:
         assert time.perf_counter() - start < 20, "a reader hangs"
-    if isinstance(result, MaterialList):
-        for material in result.materials:
-            assert all(0 <= a <= 1 for a in material.alpha)
-            for a, (begin, end) in zip(material.alpha, material.spans, strict=True):
-                number = float(result.text.characters[begin:end])
-                assert abs(number * material.unit - a) <= 1e-12
-        if set.intersection(*(set(m.centre_frequencies) for m in result.materials)):
-            room = result.room(name="", volume=1, areas=dict.fromkeys(result.names, 1.0))
-            assert result.with_alpha(room)[0] == content
+    READERS[name].holds(result)
     return True
 
 

@@ -33,7 +33,6 @@ _T_LIMITS = (
     1e6,
 )  # s; wide, since T of a hard room without air is longer than any measured one
 _KEYS = (
-    "rtcal",
     "room",
     "measured",
     "wanted",
@@ -72,7 +71,7 @@ def attributes(
     ``equation`` replaces the one in the dict. Raises DataError or ModelError for an entry that
     breaks a rule.
     """
-    state = Entries("", data, _KEYS, ("result", "coefficients"))
+    state = Entries("", data, _KEYS, ("rtcal", "result", "coefficients"))
     room = Room.from_text(state.text("room"), "room")
     method = state.text("method")
     preset(method, room)

@@ -1,0 +1,209 @@
+"""rtcal's own files for the fuzzers: good ones of each kind, how they are read, and what must hold."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rtcal as rt
+from rtcal import studies
+from rtcal.discrepancy import Case
+from rtcal.discrepancy.case import AppliedEffect
+from rtcal.errors import DataError
+from rtcal.loop import Loop, start
+from rtcal.report import loop_words, saved, words
+from rtcal.studies.moments import Moments
+from rtcal.studies.runner import _open, _Store
+from rtcal.support import transaction
+from rtcal.support.decode import json_object
+from tests.test_discrepancy import opened
+
+_ROOM, _MEASURED = rt.datasets.bras_cr2()
+
+ROOM = (_ROOM.to_text().encode(),)
+MEASURED = (_MEASURED.to_text().encode(),)
+
+
+def room_holds(room: rt.Room) -> None:
+    """A room's numbers are possible ones, and its text is the same room."""
+    assert ((room.alpha >= 0) & (room.alpha <= 1)).all()
+    assert (np.isfinite(room.sigma) & (room.sigma >= 0)).all()
+    assert (np.isfinite(room.areas) & (room.areas > 0)).all()
+    assert 0 < room.volume < np.inf
+    again = rt.Room.from_text(room.to_text(), "again")
+    assert {**again.to_dict(), **room.to_dict()} == again.to_dict()
+
+
+def measurement_holds(measured: rt.Measurement) -> None:
+    """No value is infinite, and the plain values are the same measurement."""
+    for values in (*measured.values.values(), *measured.uncertainty.values()):
+        assert not np.isinf(values).any()
+    plain = measured.to_dict()
+    assert rt.Measurement.from_dict(plain).to_dict() == plain
+
+
+def _case() -> bytes:
+    case = replace(opened(), applied=(AppliedEffect("opening", {"area": 2.0}, (1.0, 3.0)),))
+    return case.to_json().encode()
+
+
+CASE = (_case(),)
+CASE_TOML = (
+    b'room = "room.toml"\nequation = "sabine"\n[uncertainty]\ntime = 0.02\nlevel = 0.3\n'
+    b'[[configuration]]\nname = "empty"\nmeasured = "measured.csv"\ndistances = [3.0]\n'
+    b'[[configuration]]\nname = "planned"\nparameters = ["t20", "edt"]\npositions = 4\n'
+    b"air = { temperature = 21, humidity = 60 }\nsuspect_removed = true\n"
+    b'[configuration.changes."plaster"]\nalpha = [0.1, 0.1, 0.1, 0.1, 0.1, 0.1]\n'
+    b"sigma = [0.1, 0.1, 0.1, 0.1, 0.1, 0.1]\n",
+)
+BESIDE_CASE = {"room.toml": ROOM[0], "measured.csv": MEASURED[0]}
+
+
+def case_holds(case: Case) -> None:
+    """What a case holds is possible, and its text is the same case."""
+    room_holds(case.room)
+    for configuration in case.configurations:
+        measurement_holds(configuration.measured)
+    assert Case.from_dict(json.loads(case.to_json())).to_dict() == case.to_dict()
+
+
+def _loop() -> Loop:
+    loop = start(_ROOM, _MEASURED, decimals=3)
+    for factor in (1.3, 1.1):
+        times = factor * rt.Eyring().time(_ROOM, _ROOM.areas @ loop.next_alpha)
+        simulated = rt.Measurement.from_values(_ROOM.centre_frequencies, t20=times)
+        loop = loop.record(loop.next_alpha, simulated)
+    return loop
+
+
+_LOOP = _loop()
+LOOP = (_LOOP.to_json().encode(), start(_ROOM, _MEASURED).to_json().encode())
+
+
+def loop_holds(loop: Loop) -> None:
+    """A state's targets and coefficients are possible, and its text is the same loop."""
+    room_holds(loop.room)
+    for step in loop.steps:
+        assert ((step.alpha >= 0) & (step.alpha <= 1)).all()
+        assert not (step.target <= 0).any()
+    if loop.steps:
+        assert len(loop.status) == loop.room.n_bands
+    assert Loop.from_dict(loop.to_dict()).to_dict() == loop.to_dict()
+
+
+_TIMES = {"t20": [1.0, 1.1, None, 1.2, 1.3, 1.4], "c80": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}
+LOOP_RESULT = (
+    json.dumps(
+        {
+            "simulator": "Kuttruff",
+            "confirmed": True,
+            "status": ["converged"] * 5 + ["not confirmed"],
+            "before": _TIMES,
+            "after": _TIMES,
+        }
+    ).encode(),
+)
+
+
+def read_loop_result(path: str) -> dict[str, Any]:
+    try:
+        value = json_object(Path(path).read_text(encoding="utf-8", errors="replace"))
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+    return loop_words.read_ends(_LOOP, value, path)
+
+
+def loop_result_holds(ends: Mapping[str, Any]) -> None:
+    """The page can say it."""
+    assert loop_words.confirmed(_LOOP, dict(ends))
+    assert loop_words.summary(_LOOP, ends["status"])
+
+
+RESULT = (
+    rt.calibrate(_ROOM, _MEASURED).to_json().encode(),
+    rt.calibrate(_ROOM.replace(air=None), _MEASURED, method="lse").to_json().encode(),
+)
+
+
+def result_holds(result: saved.Saved) -> None:
+    """The page can say it."""
+    assert words.summary(result)
+    assert words.assumed(result)
+    words.verdict(result)
+    words.command(result)
+    words.large_shifts(result)
+
+
+_STUDY = ([35.0, 20.0], 0.05, 30, 5, 0)
+_IDENTITY = dict(zip(("areas", "sigma_r", "realisations", "trials", "seed"), _STUDY, strict=True))
+_SUMS = studies.run(*_STUDY).moments.to_bytes()
+
+
+def _piece(folder: Path) -> Path:
+    return folder / "piece-00000000.sums"
+
+
+def _good_piece() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        _Store(Path(folder), "0" * 16).write(0, Moments.from_bytes(_SUMS))
+        return _piece(Path(folder)).read_bytes()
+
+
+PIECE = (_good_piece(),)
+
+
+def read_piece(path: str) -> Moments:
+    """Read a file as the first piece of a study; also its bytes as unpacked sums."""
+    content = Path(path).read_bytes()
+    Path(path).rename(_piece(Path(path).parent))
+    with suppress(ValueError):
+        assert Moments.from_bytes(content).to_bytes() == content
+    sums = _Store(Path(path).parent, "0" * 16).read(0)
+    if sums is None:
+        raise DataError(f"{path}: computed again")
+    return sums
+
+
+def piece_holds(sums: Moments) -> None:
+    """Nothing but the good piece is read."""
+    assert sums.to_bytes() == _SUMS
+
+
+STUDY = (json.dumps(_IDENTITY, sort_keys=True, indent=1).encode() + b"\n",)
+
+
+def read_study(path: str) -> _Store:
+    """Open a folder in which a file is the record of a study."""
+    Path(path).rename(Path(path).with_name("study.json"))
+    return _open(Path(path).parent, _IDENTITY)
+
+
+JOURNAL = (
+    b'[["a", ".rtcal-0/0.new", ".rtcal-0/0.old", true], ["b", ".rtcal-0/1.new", ".rtcal-0/1.old", '
+    b"false]]",
+)
+
+
+def read_journal(path: str) -> None:
+    """Recover a folder from an interrupted write that left a file as its journal."""
+    folder = Path(path).parent / "folder"
+    shutil.rmtree(folder, ignore_errors=True)
+    left = folder / f"{transaction.PREFIX}0"
+    left.mkdir(parents=True)
+    Path(path).rename(left / "journal")
+    for name in ("a", "b", ".rtcal-0/0.old", ".rtcal-0/1.old"):
+        (folder / name).write_text("kept")
+    (left / "folders").write_text(f'["{left.name}"]')
+    precious = folder.parent / "precious"
+    precious.write_text("kept")
+    transaction.recover([folder])
+    assert precious.read_text() == "kept"
+    assert not left.exists()
