@@ -24,6 +24,7 @@ from rtcal.studies.moments import Moments
 from rtcal.studies.runner import _open, _Store
 from rtcal.support import transaction
 from rtcal.support.decode import json_object
+from tests import faults
 from tests.test_discrepancy import opened
 
 _ROOM, _MEASURED = rt.datasets.bras_cr2()
@@ -204,6 +205,7 @@ def read_journal(path: str) -> None:
     (left / "folders").write_text(f'["{left.name}"]')
     precious = folder.parent / "precious"
     precious.write_text("kept")
-    transaction.recover([folder])
+    with faults.faulty(None):  # no fsync
+        transaction.recover([folder])
     assert precious.read_text() == "kept"
     assert not left.exists()

@@ -12,8 +12,9 @@ import rtcal as rt
 from rtcal.acoustics.priors import TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.acoustics.quality import agreement, explained, plausibility
 from rtcal.calibration import closed_form
+from rtcal.calibration.terms import SoftMatch
 from rtcal.discrepancy import Change, Configuration
-from rtcal.errors import DataError
+from rtcal.errors import RtcalError
 from rtcal.loop.state import start
 from rtcal.studies import analytic_scores
 
@@ -43,6 +44,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* is it in percent'),
     (lambda: room(sigma=[[1e160, 0.1], [0.1, 0.1]]), r"1e\+160 is not in \[0, 1\]"),
     (lambda: sigma_relative([0.1, 0.2], 30), "fraction = 30 is not from 0 to 1: is it in percent"),
+    (lambda: SoftMatch(relative=30), "relative=30.* at most 1: is it in percent"),
     (lambda: measured(ts=[80, 70]), r"ts, 500 Hz\] = 80 is not from 0 to 10 s: is it in ms"),
     (lambda: measured(d50=[50, 60]), "= 50 is not from 0 to 1: is it in percent"),
     (lambda: measured(c80=[500, 1]), "= 500 is not from -200 to 200 dB: is it in dB"),
@@ -81,7 +83,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
 def test_a_wrong_unit_is_refused_with_what_it_looks_like(
     call: Callable[[], Any], message: str
 ) -> None:
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(RtcalError, match=message):
         call()
 
 

@@ -147,7 +147,8 @@ class SoftMatch(BaseTerm):
     Parameters
     ----------
     relative : float, optional
-        u_T / T for bands whose measurement states no uncertainty. Without it those are refused.
+        u_T / T, at most 1, for bands whose measurement states no uncertainty. Without it those are
+        refused.
     """
 
     relative: float | None = None
@@ -155,8 +156,11 @@ class SoftMatch(BaseTerm):
     def __post_init__(self) -> None:
         if self.relative is not None:
             relative = checks.number("SoftMatch: relative", self.relative, ModelError)
-            if not (np.isfinite(relative) and relative > 0):
-                raise ModelError(f"SoftMatch(relative={relative:g}): it must be above 0")
+            if not 0 < relative <= 1:
+                percent = ": is it in percent?" if 1 < relative <= 100 else ""
+                raise ModelError(
+                    f"SoftMatch(relative={relative:g}): it is not above 0 and at most 1{percent}"
+                )
 
     def uncertainty(self, data: ProblemData) -> Array:
         """Return u_b in m², (n_configurations, n_bands); DataError where it is unknown or 0."""
