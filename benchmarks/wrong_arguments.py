@@ -1,22 +1,26 @@
-"""Call every public function with wrong arguments: `python benchmarks/wrong_arguments.py [--list]`.
+"""Call every public function with wrong arguments: `python benchmarks/wrong_arguments.py`.
 
 Each function gets valid arguments, then one of them is replaced by each of `WRONG`: None, texts, empty
 and object arrays, NaN, wrong shapes. A call may work or raise a typed error (`rtcal.errors`). Counted
 are the untyped exceptions (asked: at most 1 %) and the calls without an end within `LIMIT` (asked: 0).
 Public are the names that the packages list, the functions of the modules among them, and the methods
-of the classes for which `instances` has an example. ``--list`` prints each untyped call.
+of the classes for which `instances` has an example.
+
+``--list`` prints each untyped call, ``--only TEXT`` takes the functions with TEXT in their name, and
+``--slow`` prints the processor time by function.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import inspect
 import io
 import os
 import resource
 import signal
-import sys
 import tempfile
+import time
 import traceback
 import types
 import warnings
@@ -26,13 +30,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 import rtcal as rt
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.discrepancy import AppliedEffect, Case, Change, Configuration, find, plan, verify
-from rtcal.errors import RtcalError
+from rtcal.errors import ModelError, RtcalError
 from rtcal.loop.state import start
 from rtcal.posterior.distributions import posterior
+from rtcal.report.saved import saved
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
@@ -198,6 +204,7 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         "Generator": np.random.default_rng(1),
         "ObjectiveTerm": rt.terms.PriorDeviation(),
         "ModelDiscrepancy": finding.discrepancy,
+        "Saved": saved(result),
     }
     room.save(str(folder / "room.toml"))
     measured.save(str(folder / "t.csv"))
@@ -301,6 +308,10 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         "faces": geometry.faces,
         "area": 2.0,
         "key": "eyring",
+        "axes": Figure().subplots(),
+        "error": ModelError("text"),
+        "bands": [0],
+        "most": 3,
     }
     return by_class, by_name
 
@@ -352,52 +363,77 @@ def arguments(
     return out
 
 
-def main(verbose: bool) -> None:
+def functions(by_class: dict[str, Any]) -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Yield each public function with a parameter once; a method of an instance is bound to it."""
+    seen: set[Any] = set()
+    for name, thing in public("rt", rt):
+        function = thing
+        if inspect.isfunction(thing) and "self" in inspect.signature(thing).parameters:
+            owner = by_class.get(name.split(".")[-2])
+            if owner is None:
+                continue
+            function = getattr(owner, thing.__name__)
+        key = getattr(thing, "__func__", thing)
+        if key not in seen and inspect.signature(function).parameters:
+            seen.add(key)
+            yield name, function
+
+
+def wrong_calls(
+    function: Callable[..., Any], valid: dict[str, Any]
+) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """Yield a parameter, a wrong value and all arguments of the call."""
+    for p in inspect.signature(function).parameters.values():
+        if p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL):
+            continue
+        for wrong in WRONG:
+            if p.default is not wrong or isinstance(wrong, float):
+                yield p.name, wrong, valid | {p.name: wrong}
+
+
+def main() -> None:
     """Print the counts, and the functions that raise untyped errors."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--list", action="store_true", help="print each untyped call")
+    parser.add_argument("--slow", action="store_true", help="print the time by function")
+    parser.add_argument("--only", default="", metavar="TEXT", help="only functions of this name")
+    chosen = parser.parse_args()
     warnings.simplefilter("ignore")
     np.seterr(all="ignore")
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     counts: Counter[str] = Counter()
     untyped: Counter[str] = Counter()
-    seen: set[Any] = set()
+    seconds: Counter[str] = Counter()
     bare = []
     with tempfile.TemporaryDirectory() as made:
         os.chdir(made)
         by_class, by_name = instances(Path(made))
-        for name, thing in public("rt", rt):
-            function = thing
-            if inspect.isfunction(thing) and "self" in inspect.signature(thing).parameters:
-                owner = by_class.get(name.split(".")[-2])
-                if owner is None:
-                    continue
-                function = getattr(owner, thing.__name__)
-            key = getattr(thing, "__func__", thing)
-            if key in seen or not inspect.signature(function).parameters:
+        for name, function in functions(by_class):
+            if chosen.only not in name:
                 continue
-            seen.add(key)
+            began = time.process_time()
             valid = arguments(name, function, by_class, by_name)
             if call(function, valid)[0] == "untyped":
                 bare.append(name)
-            for p in inspect.signature(function).parameters.values():
-                if p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL):
-                    continue
-                for wrong in WRONG:
-                    if p.default is wrong and not isinstance(wrong, float):
-                        continue
-                    end, why = call(function, valid | {p.name: wrong})
-                    counts[end] += 1
-                    if end in ("untyped", "endless"):
-                        untyped[name] += 1
-                        if verbose:
-                            print(f"{name}({p.name}={str(wrong)[:30]!r}): {end} {why}", flush=True)
+            for parameter, wrong, keywords in wrong_calls(function, valid):
+                end, why = call(function, keywords)
+                counts[end] += 1
+                if end in ("untyped", "endless"):
+                    untyped[name] += 1
+                    if chosen.list:
+                        print(f"{name}({parameter}={str(wrong)[:30]!r}): {end} {why}", flush=True)
+            seconds[name] += round(time.process_time() - began, 1)
     total = counts.total()
     print(
-        f"{len(seen)} functions, {total} calls: " + ", ".join(f"{v} {k}" for k, v in counts.items())
+        f"{len(seconds)} functions, {total} calls: "
+        + ", ".join(f"{v} {k}" for k, v in counts.items())
     )
     print(f"untyped {100 * counts['untyped'] / total:.2f} %, without an end {counts['endless']}")
     print("by function:", ", ".join(f"{n} {c}" for n, c in untyped.most_common()))
     print("valid arguments raise an untyped error:", ", ".join(bare) or "none")
+    if chosen.slow:
+        print("seconds:", ", ".join(f"{n} {s:.1f}" for n, s in seconds.most_common(30)))
 
 
 if __name__ == "__main__":
-    main("--list" in sys.argv)
+    main()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration import contradiction, feasibility, separable, solvers
-from rtcal.calibration.certificate import Certificate, by_band, certify
+from rtcal.calibration.certificate import Certificate, certify
 from rtcal.calibration.compiled_qp import CompiledQP, WhitenedQP
 from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Layout
@@ -301,7 +301,7 @@ def _failure(solution: Solution, solver: str) -> str:
     steepness = _ACCEPTED * model.steepness(u)[:n_bands]
     curvature, size = abs(model.curvature(u)), np.abs(u)
     products = model.sigma * (curvature @ size if sp.issparse(curvature) else curvature * size)
-    rounding = 16 * np.finfo(float).eps * by_band(products, model.data.layout, np.max)
+    rounding = 16 * np.finfo(float).eps * model.data.layout.by_band(products, np.max)
     if not model.separate(u):
         rounding = np.full(n_bands, np.max(rounding))
     if (

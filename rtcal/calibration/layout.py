@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +70,12 @@ class Layout:
     def first(self) -> Integers:
         """Index of the first material of each row, (n_rows,)."""
         return np.array([self.rows.index(row) for row in range(self.n_rows)])
+
+    def by_band(self, values: Array, reduce: Callable[..., Any]) -> Array:
+        """Reduce over the rows of alpha, (n_bands,); a further unknown counts in every band."""
+        alpha = values[: self.n_alpha].reshape(self.n_rows, self.n_bands)
+        further = np.repeat(values[self.n_alpha :, np.newaxis], self.n_bands, axis=1)
+        return np.asarray(reduce(np.concatenate([alpha, further]), axis=0), dtype=float)
 
     def index(self, material: str | None = None, band: float | None = None) -> Integers:
         """Return the indices of the coefficients of one material in one band; None stands for all.

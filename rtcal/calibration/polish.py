@@ -65,7 +65,7 @@ def polish(
     at_lower = (at_lower & ~forced_upper) | forced_lower
     at_upper = (at_upper & ~at_lower) | forced_upper
     fixed_row = model.row_lower == model.row_upper
-    side = np.where(fixed_row, 1, np.sign(_active_rows(model, alpha, multipliers.rows)))
+    side = np.where(fixed_row, 1, np.sign(active_rows(model, alpha, multipliers.rows)))
     alpha = np.where(model.movable, alpha, model.data.centre)
     worst, patience = np.inf, _PATIENCE
     for _ in range(_ROUNDS):
@@ -120,7 +120,7 @@ def polish(
     return None
 
 
-def _active_rows(model: NumpyModel, alpha: Array, rows: Array) -> Array:
+def active_rows(model: NumpyModel, alpha: Array, rows: Array) -> Array:
     """Multiplier of each inequality row judged active (scaled multiplier > scaled slack), else 0."""
     if np.array_equal(model.row_lower, model.row_upper):
         return np.zeros(len(rows))

@@ -24,7 +24,7 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.paths import ScatteringModel
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
-from rtcal.simulators.tracer import Tracer
+from rtcal.simulators.tracer import LONGEST, Tracer
 from rtcal.support.types import Array
 
 _AXIS_OF_WALL = (0, 0, 1, 1, 2, 2)
@@ -220,7 +220,7 @@ def _rays(setup: Setup) -> Simulation:
 
 def _tracer_features(tracer: Tracer, seed: int) -> Simulation:
     def simulate(alpha: Array, duration: float) -> Array:
-        energy = tracer.energy(alpha, duration, seed=seed)
+        energy = tracer.energy(alpha, min(duration, LONGEST), seed=seed)
         return _features(energy.mean((0, 1)), tracer.bin_width, 400 * np.pi)
 
     return simulate

@@ -14,7 +14,7 @@ from rtcal.errors import DataError
 from rtcal.simulators import observations, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.observations import MATCH, Observations
-from rtcal.simulators.tracer import Tracer, decay_long_enough
+from rtcal.simulators.tracer import Tracer, check_seconds, decay_long_enough
 from rtcal.support import checks
 from rtcal.support.types import Array
 
@@ -102,7 +102,8 @@ class PathTracing(Tracer):
         """Return energy decays, (n_batches, n_sources, n_receivers, n_bands, n_bins), in 1/m².
 
         The source has unit energy. The first bin starts with the first sound. The decays end at
-        least ``seconds`` after the emission; see `rtcal.simulators.paths.Paths.energy`.
+        least ``seconds`` after the emission; see `rtcal.simulators.paths.Paths.energy`. DataError
+        for ``seconds`` above `rtcal.simulators.tracer.LONGEST`.
         """
         alpha = check_alpha(self, alpha)
         groups = self._bands_by_scattering()
@@ -222,10 +223,11 @@ class PathTracing(Tracer):
     def traced(self, band: int, seconds: float, *, seed: int = 0) -> paths.Paths:
         """Return the paths of a band, followed for ``seconds`` or longer.
 
-        The paths of the last seed are kept and returned again.
+        The paths of the last seed are kept and returned again. DataError for ``seconds`` above
+        `rtcal.simulators.tracer.LONGEST`.
         """
         checks.whole("seed", seed, 0)
-        longest = checks.positive("seconds", seconds, "s") * self.room.speed_of_sound
+        longest = check_seconds(seconds) * self.room.speed_of_sound
         columns = [tuple(column) for column in self.scattering.T]
         key = (seed, columns.index(columns[band]))
         if key not in self._traced or self._traced[key].longest < longest:

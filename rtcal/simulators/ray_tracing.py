@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.simulators import paths
 from rtcal.simulators.base import check_alpha
-from rtcal.simulators.tracer import Tracer
+from rtcal.simulators.tracer import Tracer, check_seconds
 from rtcal.support import checks
 from rtcal.support.types import Array
 
@@ -99,7 +99,7 @@ class RayTracing(Tracer):
         1/(4 pi r²). Later energy is up to twice too high, since scattered sound is heard twice.
         """
         alpha = np.maximum(check_alpha(self, alpha), LEAST_ALPHA)
-        checks.positive("seconds", seconds, "s")
+        check_seconds(seconds)
         rng = np.random.default_rng(checks.whole("seed", seed, 0))
         groups = [
             group

@@ -30,6 +30,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _LEAST, _MOST = 1e-9, 10.0
+_MOST_NUMBERS = 2**53  # the moments are summed in double precision
 _LARGEST_AREA = 1e8  # m² of one surface: the walls of the largest halls have some 1e5
 
 Table = np.recarray[Any, Any]
@@ -332,4 +333,7 @@ def _check(sigma_r: float, seed: int, **numbers: int) -> None:
     # The seed identifies a study, so that it can be resumed.
     checks.whole("seed", seed, 0)
     for name, value in numbers.items():
-        checks.whole(name, value, 1)
+        if checks.whole(name, value, 1) > _MOST_NUMBERS:
+            raise DataError(
+                f"{name} = {checks.shown(value)} is above 2**53, up to which a sum counts in ones"
+            )
