@@ -291,8 +291,8 @@ def _failure(solution: Solution, solver: str) -> str:
     """Return why an answer is not optimal to `_ACCEPTED`; empty text if it is.
 
     The dual residual of a band is relative to the objective's steepness there. A soft match with a
-    tiny u_b has a gradient that is a difference of huge numbers. Its rounding error, a few eps |H| |u|,
-    is allowed as well.
+    tiny u_b has a gradient that is a difference of huge numbers. Its rounding error is allowed as well:
+    16 eps |H| |u|, the error of a sum of 1000 products whose roundings of eps / 2 have random signs.
     """
     model, u, certificate = solution.model, solution.unknowns, solution.certificate
     if certificate.worst <= _ACCEPTED:

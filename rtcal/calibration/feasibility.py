@@ -103,7 +103,9 @@ def _box(data: ProblemData) -> tuple[Array, Array]:
 def end_tolerance(data: ProblemData) -> Array:
     """Return the distance in m² up to which b counts as an end, (n_configurations, n_bands).
 
-    In floats the areas' sum exceeds the rational sum half of the time, so equality would be luck.
+    b of a T at an end is an end only up to rounding. A sum of n products has an error of at most
+    n eps / 2 times the sum of their absolute values (Higham 2002, Sect. 3.1). From alpha to T and back,
+    b has at most 1.5 eps sum S (benchmarks/end_rounding.py). So 16 n is eight times their sum or more.
     """
     upper = data.alpha(_box(data)[1])
     n = data.areas.shape[1]

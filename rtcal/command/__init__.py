@@ -1,1 +1,1 @@
-"""The `rtcal` command: parse, call, print, exit code."""
+"""The `rtcal` command: each module parses the arguments, calls the package and prints."""

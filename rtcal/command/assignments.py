@@ -27,7 +27,7 @@ def as_options(text: str, arguments: Sequence[str]) -> str:
 
 @contextmanager
 def errors_name_options(*arguments: str) -> Iterator[None]:
-    """Let a DataError name the command's options in place of Python's arguments."""
+    """Replace Python's arguments by the command's options in the message of a DataError."""
     try:
         yield
     except DataError as error:
@@ -35,7 +35,7 @@ def errors_name_options(*arguments: str) -> Iterator[None]:
 
 
 def texts(option: str, stated: Sequence[str], value_name: str) -> dict[str, str]:
-    """Return the texts by name; DataError for another form and for a name given twice."""
+    """Return the texts by name; DataError for another form and for a repeated name."""
     by_name: dict[str, str] = {}
     for text in stated:
         name, _, value = text.rpartition("=")

@@ -35,7 +35,7 @@ from rtcal.command.console import (
     type=click.Choice(("raise", "nearest")),
     default="raise",
     show_default=True,
-    help="Where no coefficients give the measured T: stop, or take the nearest.",
+    help="If no coefficients give the measured T: stop, or use the nearest T.",
 )
 @click.option(
     "--out",
@@ -60,7 +60,7 @@ def calibrate(
 
     Example: rtcal calibrate room.toml t20.csv --out calibrated
 
-    `rtcal report calibrated` makes a page of what was written.
+    `rtcal report calibrated` makes a page of the results.
     """
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room

@@ -43,9 +43,9 @@ class CannotPrint(click.ClickException):
 
 
 def tell(text: str, record: Mapping[str, Any], *, quiet: bool, as_json: bool) -> None:
-    """Print a text, or with ``--json`` the record of the same; nothing with ``--quiet``.
+    """Print a text, or with ``--json`` its record; nothing with ``--quiet``.
 
-    Commands write their files before they print: the reader may close the output (``| head``).
+    Commands write their files before they print, since a reader may close the output (``| head``).
     Raises CannotPrint where the output is closed or full.
     """
     if quiet:
@@ -65,13 +65,13 @@ def printing() -> Iterator[None]:
             sys.stdout.flush()
     except OSError as error:
         if sys.stdout is sys.__stdout__:
-            # Python flushes once more when it ends; there, nobody could catch the error.
+            # Python flushes again at its end, where the error could not be caught.
             os.dup2(os.open(os.devnull, os.O_WRONLY), _STANDARD_OUTPUT)
         raise CannotPrint(f"cannot print: {error.strerror or error}") from error
 
 
 def warn(message: object) -> None:
-    """Print one line on standard error; where that is closed or full, nothing can be said."""
+    """Print one line on standard error, unless that is closed or full."""
     with suppress(OSError):
         click.echo(f"rtcal: {printable(' '.join(str(message).split()))}", err=True)
 
@@ -94,7 +94,7 @@ def output_folder(option: str, path: str | None) -> Path | None:
 
 
 def bar_wanted(quiet: bool) -> bool:
-    """Whether to show a progress bar: someone looks at a terminal, and tqdm is there to draw it."""
+    """Whether to show a progress bar: on a terminal, if tqdm is installed."""
     return (
         not quiet
         and sys.stderr is not None
@@ -104,13 +104,13 @@ def bar_wanted(quiet: bool) -> bool:
 
 
 def written(paths: Sequence[object]) -> str:
-    """Return the line that names the files written, or one line per file where it gets too long."""
+    """Return a line that names the written files, or one line per file if that is too long."""
     line = f"Written: {', '.join(map(str, paths))}"
     return line if len(line) <= width() else "\n  ".join(["Written:", *map(str, paths)])
 
 
 def _json_text(record: Mapping[str, Any]) -> str:
-    """Return a record as JSON, with escapes for what the output lacks or a terminal would obey."""
+    """Return a record as JSON; characters that a terminal lacks or interprets are escaped."""
     text = json_text(record)
     try:
         text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
@@ -121,7 +121,7 @@ def _json_text(record: Mapping[str, Any]) -> str:
 
 
 def without_air_warning() -> warnings.catch_warnings[None]:
-    """Return a context in which a room without air does not warn: the printed page says it."""
+    """Return a context without the warning of a missing air, which the printed text contains."""
     from rtcal.errors import MissingAirWarning
 
     return warnings.catch_warnings(action="ignore", category=MissingAirWarning)

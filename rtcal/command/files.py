@@ -34,12 +34,12 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
     "ranges",
     multiple=True,
     metavar="PARAMETER=DB",
-    help="The impulse-to-noise ratio that a parameter needs, in place of ISO 3382's: t30=38.",
+    help="Impulse-to-noise ratio in dB that a parameter needs, in place of ISO 3382's: t30=38.",
 )
 @click.option(
     "--channels",
     metavar="N|receivers",
-    help="Which channel to read of files that have several, or that each is a receiver.",
+    help="In files of several channels: the one to read, or 'receivers' if each is a receiver.",
 )
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
 @json_option
@@ -53,7 +53,7 @@ def measure(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """T20, T30, EDT, C50, C80, D50 and Ts of RESPONSES (WAV), and why any is missing.
+    """T20, T30, EDT, C50, C80, D50 and Ts of RESPONSES (WAV), and the reasons for missing values.
 
     Example: rtcal measure *.wav --out t.csv
     """
@@ -84,10 +84,10 @@ def measure(
 
 @click.command(short_help="A measuring system's table (CSV) to a measurement.")
 @click.argument("path", type=click.Path())
-@click.option("--decay-time", help="t20 or t30: what a column RT60 or T60 holds.")
-@click.option("--parameter", help="What the values are, where the table does not say it.")
+@click.option("--decay-time", help="t20 or t30: the decay time in a column RT60 or T60.")
+@click.option("--parameter", help="The parameter of the values, if the table does not name it.")
 @click.option(
-    "--where", multiple=True, metavar="COLUMN=ENTRY", help="Take only rows with this entry."
+    "--where", multiple=True, metavar="COLUMN=ENTRY", help="Read only rows with this entry."
 )
 @click.option("--ignore", multiple=True, metavar="COLUMN", help="Leave a column out.")
 @click.option("--sources", type=click.IntRange(1), help="The values are means over N sources.")
@@ -107,7 +107,7 @@ def table(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Read a measuring system's table (CSV) and say how each column was read.
+    """Read a measuring system's table (CSV) and print how each column was read.
 
     Example: rtcal table dirac.csv --decay-time t20 --out t.csv
     """
@@ -133,7 +133,7 @@ def table(
 def _write_and_tell(
     analysis: Analysis | Table, notes: dict[str, Any], out: str | None, as_json: bool, quiet: bool
 ) -> None:
-    """Write the file before the text is printed: ``| head`` closes the output half-way."""
+    """Write the file, then print the text, since ``| head`` closes the output early."""
     measurement = analysis.measurement
     if out is not None:
         measurement.save(out)
@@ -165,7 +165,7 @@ def _write_and_tell(
     type=click.Choice(("refuse", "nearest")),
     default="refuse",
     show_default=True,
-    help="A new list's bands that the room lacks (CATT, ODEON): none, or as the nearest band.",
+    help="If the room lacks a band of a new list (CATT, ODEON): refuse, or use the nearest band.",
 )
 @json_option
 @quiet_option
@@ -179,7 +179,7 @@ def export(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Write ROOM's coefficients into a program's MATERIALS; print what that does to T.
+    """Write ROOM's coefficients into a program's MATERIALS; print the effect of the rounding on T.
 
     Example: rtcal export catt calibrated/room.toml hall.geo
     """

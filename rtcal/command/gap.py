@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from rtcal.discrepancy import Case, Finding
 
 NOTHING_TO_ADD = 6
-"""The exit code of ``rtcal gap apply`` where the model lacks nothing that could be added."""
+"""Exit code of ``rtcal gap apply`` if the finding names nothing to add to the model."""
 
 
 @click.group(short_help="Find what a model misses.")
 def gap() -> None:
-    """Find what a model misses, add it, and see whether the gap shrinks where alpha cannot make it.
+    """Find what a model misses, add it, and verify it by the gaps that alpha cannot close.
 
     CASE is a TOML file: a room, its equation, and measurements by configuration (docs/discrepancy.md).
     """
@@ -35,7 +35,10 @@ def _common(command: Any) -> Any:
         quiet_option,
         json_option,
         click.option(
-            "--seed", default=0, show_default=True, help="Of the control rooms and the bootstrap."
+            "--seed",
+            default=0,
+            show_default=True,
+            help="Seed of the control rooms and the bootstrap.",
         ),
         click.option(
             "--engine",
@@ -50,18 +53,18 @@ def _common(command: Any) -> Any:
     return command
 
 
-@gap.command(short_help="Which effects the data could tell apart.")
+@gap.command(short_help="Which effects the data could distinguish.")
 @click.argument("case", type=click.Path())
 @click.option(
     "--change",
     default=0.2,
     show_default=True,
-    help="How much the effects are to change T, at the most changed band.",
+    help="Relative change of T by each effect, in the band that changes most.",
 )
 @json_option
 @quiet_option
 def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
-    """Say which effects CASE's data could tell apart, before measuring.
+    """Print which effects CASE's data could distinguish, before measuring.
 
     A configuration may state parameters = ["t20", "edt"] in place of measured.
 
@@ -69,14 +72,14 @@ def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
     """
     from rtcal.discrepancy import plan as planned_with
 
-    made = planned_with(_case(case), change=change)
-    tell(str(made), made.to_dict(), quiet=quiet, as_json=as_json)
+    result = planned_with(_case(case), change=change)
+    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
-@gap.command(short_help="Say whether the model misses something, and what.")
+@gap.command(short_help="Whether the model misses something, and what.")
 @_common
 def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool) -> None:
-    """Say whether CASE's model misses something, where it shows, and what it is.
+    """Print whether CASE's model misses something, where it shows, and what it is.
 
     Example: rtcal gap find case.toml
     """
@@ -92,7 +95,7 @@ def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: b
 @click.option(
     "--room",
     type=click.Path(dir_okay=False),
-    help="The room with the effect (TOML), for rtcal calibrate; what absorbs is a material of it.",
+    help="The room with the effect (TOML), for rtcal calibrate. Absorbers are materials of it.",
 )
 def apply(
     case: str,
@@ -103,12 +106,12 @@ def apply(
     out: str,
     room: str | None,
 ) -> None:
-    """Add the named effect to CASE's model, and say what calibration then gives.
+    """Add the named effect to CASE's model, and print the calibration with it.
 
-    Where the finding is ambiguous, the best candidate is added, and the others are named. Where there
-    is nothing to add, nothing is written and the exit code is 6.
+    If the finding is ambiguous, the best candidate is added, and the others are printed. If there is
+    nothing to add, nothing is written and the exit code is 6.
 
-    The case that is written is a case like any other; it and the room are not calibrated yet.
+    The written case can be used like any other. Neither it nor the room is calibrated.
 
     Example: rtcal gap apply case.toml --out corrected.json --room corrected.toml
     """
@@ -129,8 +132,8 @@ def apply(
 def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
-    That tells whether the model gets better, not whether the name is right: its rivals are printed with
-    it. Where there is nothing to add, that is said.
+    This shows whether the model gets better, not whether the name is right, so the rivals are printed
+    too. If there is nothing to add, the output says so.
 
     Example: rtcal gap verify case.toml
     """
@@ -155,7 +158,7 @@ def report(
 ) -> None:
     """Write finding, verification and their figures into a folder.
 
-    The page says what is missing and how sure that is, and has the coefficients with it in the model.
+    The page names the missing effect, its certainty, and the coefficients with the effect in the model.
 
     Example: rtcal gap report case.toml --out gap
     """
@@ -178,7 +181,7 @@ def report(
 
 
 def _case(path: str, written: Sequence[str] = ()) -> Case:
-    """Read the case; DataError if a file to be written is one that it is read from."""
+    """Read the case; DataError if a file to be written is also one of the case's files."""
     from rtcal.discrepancy import Case
     from rtcal.discrepancy.case_files import files as files_of
 
@@ -189,7 +192,7 @@ def _case(path: str, written: Sequence[str] = ()) -> Case:
 
 
 def _find(path: str, case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Finding:
-    """Find what the case lacks; control rooms are kept beside its file."""
+    """Find what the case's model misses; control rooms are kept beside its file."""
     from rtcal import discrepancy
     from rtcal.discrepancy.cache import FOLDER
 

@@ -45,8 +45,12 @@ if TYPE_CHECKING:
 @click.option(
     "--bands", metavar="octave|third-octave|HZ,HZ...", help="The room's bands; else the list's."
 )
-@click.option("--temperature", type=float, help="Of the air, °C (20 with --humidity alone).")
-@click.option("--humidity", type=float, help="Of the air, % (50 with --temperature alone).")
+@click.option(
+    "--temperature", type=float, help="Temperature of the air in °C (20 with --humidity alone)."
+)
+@click.option(
+    "--humidity", type=float, help="Relative humidity in % (50 with --temperature alone)."
+)
 @click.option(
     "--sigma", "sigma_table", type=click.Path(), help="CSV: material,sigma or one per band."
 )
@@ -54,9 +58,11 @@ if TYPE_CHECKING:
     "--sigma-relative", type=float, default=0.3, show_default=True, help="Share of alpha."
 )
 @click.option("--sigma-minimum", type=float, default=0.01, show_default=True, help="Least sigma.")
-@click.option("--iso-12999-2", is_flag=True, help="sigma at least that between laboratories.")
+@click.option("--iso-12999-2", is_flag=True, help="Use at least the sigma between laboratories.")
 @click.option("--in-situ-factor", type=float, default=1.0, show_default=True, help="Times sigma.")
-@click.option("--scattering", type=float, help="Of materials that state none.")
+@click.option(
+    "--scattering", type=float, help="Scattering coefficient of materials that state none."
+)
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room (TOML) to write.")
 @json_option
 @quiet_option
@@ -83,7 +89,8 @@ def import_room(
 ) -> None:
     """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
 
-    A list states neither uncertainty nor air. State them, or the output says what was assumed.
+    A list states neither uncertainty nor air. Without the options for them, the output prints the
+    assumptions.
 
     Example: rtcal import catt hall.geo --volume 2000 --area wood=300 --out room.toml
     """
@@ -139,7 +146,7 @@ def _materials(program: str, path: str | None) -> MaterialList:
 def _geometry(
     mesh: str | None, unit: float, volume: float | None, areas: tuple[str, ...]
 ) -> tuple[float, Sequence[Surface]]:
-    """Return volume in m³ and surfaces, from the mesh or as stated."""
+    """Return volume in m³ and surfaces, from the mesh or from the options."""
     from rtcal.acoustics.materials import Surface
     from rtcal.io import obj
 
@@ -158,9 +165,9 @@ def _geometry(
 def _from_catalogue(
     listed: MaterialList, program: str, used: Sequence[str], chosen: dict[str, str]
 ) -> dict[str, ListedMaterial]:
-    """Return the room's materials that are taken from the catalogue.
+    """Return the room's materials from the catalogue.
 
-    Raises DataError, with proposals, for materials that are neither in the list nor chosen.
+    Raises DataError, with proposals, for materials that are in neither the list nor the options.
     """
     if unknown := [name for name in chosen if name not in used]:
         raise DataError(f'--catalogue: "{unknown[0]}" is no material of the room')
@@ -232,7 +239,7 @@ def _used(
 def _notes(
     room: Room, rule: object, sigma: dict[str, Any], scattering: dict[str, Any]
 ) -> list[str]:
-    """Return what was assumed beyond the list."""
+    """Return the assumptions beyond the list, in words."""
     stated = "" if not sigma else f"; stated: {', '.join(sigma)}"
     notes = [f"{rule}{stated}"]
     if room.air is None:

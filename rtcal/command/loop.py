@@ -97,9 +97,9 @@ def start(
     first = begun.calibrated(begun.wanted)
     by_hand.write(begun, state, out)
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
-    taken = [p.upper() for p in sorted(set(times_in_room(begun.room, data).parameter)) if p]
-    record = {"state": state, "simulate": out, "unreachable": beyond, "measured": taken}
-    lines = [f"Measured T: {' and '.join(taken)}.", *beyond, f"Simulate {out} first."]
+    parameters = [p.upper() for p in sorted(set(times_in_room(begun.room, data).parameter)) if p]
+    record = {"state": state, "simulate": out, "unreachable": beyond, "measured": parameters}
+    lines = [f"Measured T: {' and '.join(parameters)}.", *beyond, f"Simulate {out} first."]
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 

@@ -1,4 +1,4 @@
-"""The command `rtcal`: its subcommands, its exit codes, and how errors are told."""
+"""The command `rtcal`: its subcommands, its exit codes, and the printing of errors."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def cli() -> None:
     rtcal calibrate room.toml t20.csv --out calibrated
     rtcal report calibrated
 
-    A room is a TOML file, a measurement a CSV file. Every command takes --quiet and --json. It says
-    in one line what is wrong, and writes its files whole or not at all. `rtcal COMMAND --help` has
+    A room is a TOML file, a measurement a CSV file. Every command takes --quiet and --json. It prints
+    an error in one line, and writes all its files or none. `rtcal COMMAND --help` has
     an example of each.
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
 
@@ -84,7 +84,7 @@ def _run(arguments: Sequence[str] | None) -> int:
             code = cli.main(args=arguments, prog_name="rtcal", standalone_mode=False)
     except click.exceptions.Abort:
         return 130
-    except SystemExit:  # click exits by itself where the reader of a help text has closed the pipe
+    except SystemExit:  # click exits by itself if the reader of a help text has closed the pipe
         return CannotPrint.exit_code
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
@@ -103,8 +103,8 @@ def _run(arguments: Sequence[str] | None) -> int:
 def _fill_closed_descriptors() -> None:
     """Open the null device in place of standard streams that the shell has closed (``>&-``).
 
-    Else the next file opened would get the stream's number, and libraries that print there would
-    write into it.
+    Otherwise the next opened file would get the stream's number, and libraries that print would write
+    into this file.
     """
     for descriptor in range(3):
         try:

@@ -1,4 +1,4 @@
-"""``rtcal report``: what was saved as one HTML page."""
+"""``rtcal report``: a saved result as one HTML page."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _FIGURES = 5
 @click.option(
     "--out",
     type=click.Path(dir_okay=False),
-    help="Page (HTML) to write; report.html beside the result if not given.",
+    help="Page (HTML) to write; by default report.html beside the result.",
 )
 @json_option
 @quiet_option
 def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
-    """Write RESULT as one HTML page: summary, what not to believe, pictures, tables.
+    """Write RESULT as one HTML page: summary, doubts, figures, tables.
 
-    RESULT is the folder that `rtcal calibrate --out` wrote, its result.json, the state of an
-    `rtcal loop`, or what `LoopResult.save` wrote. The page needs no network and no other file.
+    RESULT is the folder of `rtcal calibrate --out`, its result.json, the state of an `rtcal loop`, or
+    the file of `LoopResult.save`. The page needs no network and no other file.
 
     Example: rtcal report calibrated --out calibrated.html
     """

@@ -16,8 +16,8 @@ from rtcal.command.console import bar_wanted, json_option, output_folder, quiet_
     multiple=True,
     default=("shoebox",),
     show_default=True,
-    help="shoebox: Tables 1 and 2. lecture-hall: Table 3 with a stand-in for the hall, whose areas "
-    "the paper does not give. halls: five halls at random, analytic. May be given several times.",
+    help="shoebox: Tables 1 and 2. lecture-hall: Table 3, with a stand-in, since the paper does not "
+    "state the areas. halls: five random halls, analytic. The option may be repeated.",
 )
 @click.option(
     "--sigma-r",
@@ -25,7 +25,7 @@ from rtcal.command.console import bar_wanted, json_option, output_folder, quiet_
     type=float,
     default=(0.01, 0.05, 0.1),
     show_default=True,
-    help="Parameter of the Rayleigh distribution of sigma. May be given several times.",
+    help="Parameter of the Rayleigh distribution of sigma. The option may be repeated.",
 )
 @click.option(
     "--realisations",
@@ -39,20 +39,20 @@ from rtcal.command.console import bar_wanted, json_option, output_folder, quiet_
     type=click.IntRange(0),
     default=10_000,
     show_default=True,
-    help="Draws of the true coefficients for each room; 0: the analytic study only.",
+    help="Draws of the true coefficients per room; 0 for the analytic study only.",
 )
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
-    help="Of the random numbers: the same seed, the same tables.",
+    help="Seed of the random numbers; the same seed gives the same tables.",
 )
 @click.option("--workers", type=click.IntRange(1), help="Threads; default: all cores.")
 @click.option(
     "--folder",
     type=click.Path(file_okay=False),
-    help="Keep finished pieces here and go on from them after an interruption.",
+    help="Folder of finished pieces, from which an interrupted study resumes.",
 )
 @click.option(
     "--out",

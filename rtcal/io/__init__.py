@@ -2,7 +2,7 @@
 
 `catt`, `odeon`, `pyroomacoustics` and `bras` hold material lists, `obj` a room's mesh, `tables`
 measured values in CSV. `impulse_responses` turns WAV files into a `Measurement` and needs
-``rtcal[measurement]``. Each module is imported when it is first used.
+``rtcal[measurement]``. Each module is imported at its first use.
 """
 
 from typing import TYPE_CHECKING

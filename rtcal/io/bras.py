@@ -7,8 +7,8 @@ known, scattering; its name is the file's::
     0.069, 0.055, 0.04, 0.023
     0.1, 0.1, 0.1, 0.1
 
-Or it holds a table with a header: a column ``material``, one column per band, and further columns that
-rows can be selected by::
+Or it holds a table with a header: a column ``material``, one column per band, and further columns, by
+which rows can be selected::
 
     room,set,material,20,25,31.5
     CR2,initial,ceiling,0.069,0.055,0.04
@@ -65,7 +65,8 @@ def write(
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
-    Without either a new table is made. Returns what the rounding does to T, as `catt.write`.
+    If neither exists, the file is a new table. Returns the effect of the rounding on T, as
+    `catt.write`.
     """
     return write_list(
         room,
@@ -94,7 +95,7 @@ def parse(
     if len(header) > MAX_BANDS:
         raise DataError(f"{path}, line {line}: {len(header)} columns; at most {MAX_BANDS} are read")
     if re.match(r"[\d.]", header[0][0]):
-        return MaterialList(path=path, text=text, materials=(_one(rows, path, where),))
+        return MaterialList(path=path, text=text, materials=(_single_material(rows, path, where),))
     return MaterialList(path=path, text=text, materials=_table(rows, path, where or {}))
 
 
@@ -110,11 +111,11 @@ def _cells(raw: str, start: int) -> list[Cell]:
 
 
 def _bands(frequencies: list[float], place: str) -> Array:
-    """Return the bands in Hz; the published tables miss some of them by up to 3 %."""
+    """Return the bands in Hz; frequencies in the published tables are off by up to 3 %."""
     return bands.as_bands([nearest_band(f) or f if f > 0 else f for f in frequencies], place)
 
 
-def _one(
+def _single_material(
     rows: list[tuple[int, list[Cell]]], path: str, where: Mapping[str, str] | None
 ) -> ListedMaterial:
     if where:

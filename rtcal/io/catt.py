@@ -9,8 +9,8 @@
     ABS floorabs = carpet                                 ; another name for carpet
 
 Sources: the examples in CATT-Acoustic v8.0 User's Manual (CATT 2007, the shoebox and the tutorial
-hall) and the lists that I-Simpa's documentation reads. `docs/io.md` says what could not be checked
-in the program.
+hall) and the lists that I-Simpa's documentation reads. `docs/io.md` lists what was not
+checked in the program.
 """
 
 from __future__ import annotations
@@ -57,20 +57,20 @@ def write(
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
-    Only numbers that change are written; everything else keeps its bytes. Without either file a
-    new list is made, of the octaves 125 Hz to 4 kHz and up to 16 kHz if the room has them.
+    Only numbers that change are written; everything else keeps its bytes. If neither file exists, the
+    file is a new list of the octaves 125 Hz to 4 kHz, with 8 and 16 kHz if the room has them.
 
     Parameters
     ----------
     room : Room
     path, template : path
     equation : LinearEquation, optional
-        Predicts what the rounding does to T; Eyring by default.
+        Predicts the effect of the rounding on T; Eyring's by default.
     decimals : int, optional
         Decimals of a coefficient, 3 for a tenth of a percent; the format's own by default.
     missing_bands : {"refuse", "nearest"}
-        What a new list has in an octave from 125 Hz to 4 kHz that the room lacks: no list is made,
-        or the octave has the coefficients of the nearest one.
+        If the room lacks an octave from 125 Hz to 4 kHz: refuse to write a new list, or write the
+        coefficients of the nearest octave.
 
     Returns
     -------

@@ -1,15 +1,15 @@
 """Impulse responses (WAV, or pyfar ``Signal``) to T20, T30, EDT, C50, C80, D50 and Ts by band.
 
 Each band is filtered backwards in time (Jacobsen & Rindel 1987), so that the filter's ringing precedes
-the sound. A decay keeps its slope as long as B T is above 4; the forward filter needs 16. The noise is
-subtracted. The decay curve ends where Lundeby et al. (1995) find the noise; the energy beyond is added
-(Guski & Vorlaender 2014), and the curve is divided by its start. A parameter is given only where the
-impulse-to-noise ratio
+the sound. A decay then keeps its slope for B T above 4; the forward filter needs 16. The noise is
+subtracted. The decay curve ends at the noise by the method of Lundeby et al. (1995). The energy beyond
+is added (Guski & Vorlaender 2014), and the curve is divided by its start. A parameter is returned only
+if the impulse-to-noise ratio
 
     INR = 10 lg(E 6 ln(10) / (EDT N)) dB,   E the energy, N the noise's energy per second,
 
-reaches what ISO 3382 asks: noise 10 dB below the range that is evaluated. No other module imports
-pyfar and pyrato (``rtcal[measurement]``).
+is as large as ISO 3382 requires: the noise is 10 dB below the evaluation range. No other module
+imports pyfar and pyrato (``rtcal[measurement]``).
 
 References: ISO 3382-1:2009; ISO 3382-2:2008, 5.3.3; Jacobsen and Rindel, J. Sound Vib. 117 (1987);
 Lundeby, Vigran, Bietz, Vorlaender, Acustica 81 (1995); Guski and Vorlaender, Acta Acust. united Ac.
@@ -48,10 +48,10 @@ MINIMUM_RANGE: dict[str, float] = {
     "d50": 20.0,
     "ts": 20.0,
 }
-"""Impulse-to-noise ratio in dB that each parameter needs: its range, 10 dB more, and T's -5 dB."""
+"""Impulse-to-noise ratio in dB that each parameter needs: its range plus 10 dB, and 5 dB more for T."""
 
 LEAST_BT = 4.0
-"""Bandwidth times T from which a backward filter leaves the decay alone (Jacobsen & Rindel 1987)."""
+"""Bandwidth times T above which a backward filter does not bias T (Jacobsen & Rindel 1987)."""
 
 PARAMETERS = ("edt", "t20", "t30", "c50", "c80", "d50", "ts")
 LEAST_SILENCE = 0.01
@@ -63,10 +63,10 @@ _NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+)", re.I |
 
 @dataclass(frozen=True, kw_only=True)
 class Analysis:
-    """What impulse responses tell, and what they do not.
+    """The parameters of impulse responses, the reasons for missing values, and notes.
 
-    ``impulse_to_noise_ratio`` in dB, (n_pairs, n_bands); ``missing`` gives the reason for each value
-    that is missing, ``notes`` the doubts about values that are not.
+    ``impulse_to_noise_ratio`` is in dB, (n_pairs, n_bands). ``missing`` has the reason for each missing
+    value, ``notes`` has doubts about the other values.
     """
 
     measurement: Measurement
@@ -105,8 +105,9 @@ def read(
     bands, minimum_range, progress
         See `analyse`.
     channels : int or "receivers", optional
-        What files of several channels hold: the number of the channel to read, from 1 (that of the
-        pressure in a file of a figure-of-eight or Ambisonics microphone); or one receiver each.
+        For files of several channels: the number of the channel to read, from 1, or "receivers" if each
+        channel is one receiver. For a figure-of-eight or Ambisonics microphone, state the channel of
+        the pressure.
 
     Raises
     ------
@@ -176,7 +177,7 @@ def analyse(
         All octaves from 63 Hz to 8 kHz, all third-octaves from 50 Hz to 10 kHz, as far as the
         sampling rate holds them; or centre frequencies in Hz.
     minimum_range : mapping of str to float, optional
-        dB, in place of `MINIMUM_RANGE` for the parameters named.
+        In dB, in place of `MINIMUM_RANGE`, for some parameters.
     progress : callable, optional
         Called after each response.
 
@@ -253,8 +254,8 @@ def of_energy(
 ) -> tuple[dict[str, float], float, tuple[str, ...]]:
     """Return parameters, the INR in dB and the reasons for what is missing, of one squared response.
 
-    ``energy``, (n_samples,), begins with the direct sound; ``early`` is what the filter has moved
-    before it (over ``early_samples``), which counts as early sound in C50, C80, D50 and Ts.
+    ``energy``, (n_samples,), begins with the direct sound. ``early`` is the energy that the filter has
+    moved before it, over ``early_samples``; it counts as early sound in C50, C80, D50 and Ts.
     """
     needed = _ranges(minimum_range)
     total = float(np.sum(energy))
@@ -266,7 +267,7 @@ def of_energy(
     if len(curve) < 10 or not noise >= 0:
         return {}, -np.inf, ("no decay stands out of the noise",)
     level = 10 * np.log10(curve / curve[0])
-    # What lies below every range counts for no regression, and would cost it memory.
+    # Levels below every evaluation range are left out, which saves memory in the regressions.
     lowest = min(last for _, last in decay.RANGES.values())
     in_range = level[: int(np.max(np.flatnonzero(level >= lowest))) + 1]
     times = {
@@ -300,8 +301,7 @@ def _curve_and_noise(
 ) -> tuple[Array, float]:
     """Return the decay curve without noise, and the noise's energy per sample.
 
-    The curve has at least one value, positive throughout. It is empty where no decay stands out of
-    the noise.
+    All values of the curve are positive. It is empty if no decay is above the noise.
     """
     pyfar, pyrato = _libraries()
     options = {
@@ -327,9 +327,9 @@ def _curve_and_noise(
 
 
 def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
-    """Return C50, C80, D50 and Ts of a decay curve that falls from all the energy to its end.
+    """Return C50, C80, D50 and Ts of a decay curve, which begins at the whole energy.
 
-    A ratio whose limit comes after the curve's end is not known.
+    A ratio is left out if its limit is after the end of the curve.
     """
     energy = np.maximum(-np.diff(curve, append=0.0), 0.0)
     values = decay.parameters(energy, 1 / rate, ("c50", "c80", "d50", "ts"))
@@ -356,8 +356,8 @@ def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
 def _checked(signal: Any, place: str) -> tuple[Array, int, float]:
     """Return the samples scaled to a peak of 1, the sample of the onset, and the silence in s.
 
-    Digital silence at the end, a run of equal samples, is left out: it is no noise, and the search
-    for the noise would end in it. The onset is 20 dB below the peak (ISO 3382-1:2009, 5.3.2).
+    Digital silence at the end, a run of equal samples, is left out. It is no noise, and would
+    mislead the search for the noise. The onset is 20 dB below the peak (ISO 3382-1:2009, 5.3.2).
     """
     time = np.asarray(signal.time, dtype=float)
     if time.ndim != 2 or time.shape[0] != 1:
@@ -417,7 +417,7 @@ def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
 
 
 def _libraries() -> tuple[Any, Any]:
-    """The one door to pyfar and pyrato."""
+    """Return pyfar and pyrato; MissingDependencyError if one of them is missing."""
     try:
         import pyfar
         import pyrato

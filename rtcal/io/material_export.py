@@ -1,4 +1,4 @@
-"""Export of a room into a material list: what is written, and what that does to T."""
+"""Export of a room into a material list, and the effect of its rounding on T."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport:
-    """What a program reads from the file that was written, and what that does to T.
+    """The room as a program reads it from the written file, and the effect on T.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class ExportReport:
     equation : str
         The reverberation equation that gives both T.
     room : Room
-        The room as the program reads it: in the file's bands, rounded to its decimals.
+        The room as read from the file: in the file's bands, rounded to its decimals.
     reverberation_time : array (n_bands,)
         T in s of the room that was exported, converted to the file's bands.
     reverberation_time_as_read : array (n_bands,)
@@ -49,7 +49,7 @@ class ExportReport:
 
     @property
     def change(self) -> Array:
-        """What writing does to T, in JND, signed, (n_bands,)."""
+        """Change of T by the conversion and rounding, in JND, signed, (n_bands,)."""
         return quality.gap_jnd(self.reverberation_time_as_read, self.reverberation_time)
 
     def __str__(self) -> str:
@@ -83,11 +83,12 @@ def write_list(
     new_bands: Sequence[float] = (),
     missing_bands: str = "refuse",
 ) -> ExportReport:
-    """Write a room's coefficients into the template, else into the file that exists, else anew.
+    """Write a room's coefficients into the template, else into the existing file, else into a new file.
 
-    ``read`` and ``new_list`` are the format's: a file's material list, and a new one for a room.
-    ``new_bands`` are those that a new file needs; ``missing_bands`` is "refuse" or "nearest", which
-    gives a band that the room lacks the coefficients of its nearest one.
+    ``read`` and ``new_list`` are functions of the format: they return the material list of a file,
+    and a new one for a room. ``new_bands`` are the bands of a new file. With
+    ``missing_bands="nearest"``, bands that the room lacks have the coefficients of the nearest
+    band; with "refuse" they are an error.
     """
     if missing_bands not in ("refuse", "nearest"):
         raise DataError(f'missing_bands = "{missing_bands}" is neither "refuse" nor "nearest"')
@@ -130,15 +131,15 @@ def write_list(
 def _in_new_bands(
     room: Room, needed: Sequence[float], missing_bands: str, path: str
 ) -> tuple[Room, list[str]]:
-    """Return the room in the bands that a new file needs, and how they were filled."""
+    """Return the room in the bands of a new file, with notes on bands that were filled."""
     if not needed:
         return room, []
     obtainable = band_conversion.obtainable(room.centre_frequencies, needed)
     missing = [f for f in needed if f not in obtainable]
     if missing and (missing_bands == "refuse" or not obtainable.size):
         raise DataError(
-            f"{path}: a new file of this program needs {bands.label(missing[0])}, which the room has "
-            'not; write into the program\'s own file (template), or state missing_bands="nearest"'
+            f"{path}: a new file of this program needs {bands.label(missing[0])}, which the room "
+            'lacks; write into the program\'s own file (template), or state missing_bands="nearest"'
         )
     converted = band_conversion.room(room, obtainable)
     nearest = [int(np.argmin(np.abs(np.log(obtainable / f)))) for f in needed]

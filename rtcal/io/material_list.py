@@ -1,7 +1,7 @@
 """Material lists of other programs: a room from a list, and calibrated coefficients back into it.
 
-Each format's module reads the materials and the position of every number. This module does what all
-formats share. Only numbers that change are written; all other bytes stay.
+Each format's module reads the materials and the position of every number. This module converts bands
+and writes numbers, for all formats. Only numbers that change are written; all other bytes stay.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class SigmaRule:
-    """The sigma of materials that state none; see `rtcal.acoustics.priors`.
+    """A rule for the sigma of materials that state none; see `rtcal.acoustics.priors`.
 
-    sigma = in_situ_factor * max(relative * alpha, minimum, that of ISO 12999-2 if ``iso_12999_2``).
+    sigma = in_situ_factor * max(relative * alpha, minimum), or with ``iso_12999_2`` the maximum also of
+    ISO 12999-2's sigma_R.
     """
 
     relative: float = 0.3
@@ -62,9 +63,9 @@ class ListedMaterial:
     spans : sequence of (start, end) (n_bands,)
         Characters of the file's text that hold each coefficient.
     unit : float
-        alpha = number in the file * unit: 0.01 for percent.
+        Factor from the file's number to alpha: 0.01 for percent.
     decimals : int or None
-        Decimals of a number that is written; None writes all digits.
+        Decimals of written numbers; None for all digits.
     scattering : sequence (n_bands,), optional
         Scattering coefficients, 0 to 1. They are read and never changed.
     source : str
@@ -89,7 +90,7 @@ class ListedMaterial:
             raise DataError(f"{place}: {error}") from error
 
     def rounded(self, alpha: float) -> tuple[str, float]:
-        """Return the number as it is written, and the coefficient that is read from it."""
+        """Return the text of a written number, and the coefficient that is read from it."""
         if self.decimals is None:
             return repr(alpha / self.unit), alpha
         text = f"{alpha / self.unit:.{self.decimals}f}"
@@ -160,26 +161,27 @@ class MaterialList:
         volume : float
             m³.
         areas : mapping of str to float, or sequence of Surface
-            Area of each material in m², by name or alias; or surfaces (of a mesh: `rtcal.io.obj`).
+            Area of each material in m², by name or alias; or surfaces, for example of a mesh
+            (`rtcal.io.obj`).
         centre_frequencies : sequence, optional
             The room's bands in Hz, converted from the list's if they are of another width; by
             default the bands that all of the room's materials have.
         sigma_rule : SigmaRule, optional
             A list states no uncertainty; by default sigma = max(0.3 alpha, 0.01).
         sigma : mapping of str to ListedMaterial or float, optional
-            Materials whose sigma is stated, in any bands or as one number.
+            Stated sigma of some materials, in any bands or as one number.
         scattering : float, optional
-            Of materials that state none. Where some state it and others do not, the room has no
-            scattering without it.
+            Scattering coefficient of materials that state none. Without it, the room has scattering
+            only if all its materials state it.
         others : mapping of str to ListedMaterial, optional
-            Materials that come from elsewhere, for instance a catalogue.
+            Materials from another source, for instance a catalogue.
         air : Air, optional
 
         Raises
         ------
         DataError
-            For a material that the list lacks, for no area, for a band that a material lacks, and
-            as `Room` does.
+            For a material that the list lacks, a missing area, a band that a material lacks, and as
+            `Room` does.
         """
         surfaces = (
             [Surface(n, n, a) for n, a in areas.items()]
@@ -248,12 +250,12 @@ class MaterialList:
         return band_conversion.room(room, obtainable)
 
     def with_alpha(self, room: Room) -> tuple[bytes, Room]:
-        """Return the file with the room's coefficients in it, and the room as it is then read.
+        """Return the file with the room's coefficients, and the room as read from this file.
 
-        A room in thirds is written into a file in octaves as the means of the thirds, and a room in
-        octaves into a file in thirds as the octaves' values; the room that is returned is then in
-        the file's bands. A number is written only where the coefficient, rounded to the file's
-        decimals, differs from the one that stands there.
+        If the file has octaves and the room thirds, the file gets the means of the thirds. If the file
+        has thirds and the room octaves, each third gets its octave's value. The returned room has the
+        file's bands. A number is replaced only if the coefficient, rounded to the file's decimals,
+        differs from it.
 
         Raises
         ------
@@ -300,9 +302,9 @@ class MaterialList:
 
 
 def coefficient(value: float, unit: float) -> float:
-    """Return the coefficient that a number of the file means.
+    """Return the coefficient of a number in the file.
 
-    Percent are divided by 100, so that 7 gives 0.07 to the last bit.
+    Percent are divided by 100, not multiplied by 0.01, so that 7 gives exactly the float 0.07.
     """
     return value / round(1 / unit) if unit < 1 else value
 

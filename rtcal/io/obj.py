@@ -70,7 +70,7 @@ _IGNORED = {
 
 @checked
 def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
-    """Return a room; DataError names file, line and rule, or says where the walls do not close.
+    """Return a room; DataError names file, line and rule, or the edge at which the walls do not close.
 
     ``unit`` is the length of the file's unit in m: 0.001 for a model in mm.
     """
@@ -132,7 +132,7 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
 
 
 def _check_volume(volume: float, unit: float, path: str) -> None:
-    """Raise DataError for a volume that no room has, with what it is in other units."""
+    """Raise DataError for a volume that no room has; the message has the volume in other units."""
     low, high = VOLUME_LIMITS
     if low <= volume <= high:
         return

@@ -11,8 +11,8 @@ between materials are kept. A material's name is its number and description; the
 suffices where no other material has it.
 
 Sources: ODEON Room Acoustics Software User's Manual, "Materials" (Odeon A/S), and the reader of
-Just4RIR (Sorbonne Universite, 2018), which reads ODEON's own library. `docs/io.md` says what could
-not be checked in the program.
+Just4RIR (Sorbonne Universite, 2018), which reads ODEON's own library. `docs/io.md` lists what was
+not checked in the program.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ def write(
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
-    Without either a new library is made. It needs all eight octaves; ``missing_bands="nearest"`` gives
-    those that the room lacks the coefficients of the nearest one. Its materials are "number
-    description"; a material without a number gets one from 10001 on. Returns what the rounding does
-    to T, as `catt.write`.
+    If neither exists, the file is a new library. It has all eight octaves; with
+    ``missing_bands="nearest"``, octaves that the room lacks have the coefficients of the nearest
+    one. A material's name is "number description"; names without a number get numbers from 10001
+    on. Returns the effect of the rounding on T, as `catt.write`.
     """
     return write_list(
         room,

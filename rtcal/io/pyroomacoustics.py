@@ -37,7 +37,7 @@ MAX_DEPTH = 32
 
 _TOKEN = re.compile(r'[ \t\r\n]*("(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s{}\[\]:,"]+)', re.S)
 Keys = tuple[str | int, ...]
-"""The keys and indices that lead to a value."""
+"""The path to a value: keys of objects and indices of lists."""
 
 
 def read(path: str | os.PathLike[str]) -> MaterialList:
@@ -56,8 +56,8 @@ def write(
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
-    Without either a new data base is made. All digits are written unless ``decimals`` are stated, so
-    T does not change; the report says so.
+    If neither exists, the file is a new data base. Without ``decimals`` all digits are written, so
+    that T does not change.
     """
     return write_list(
         room,
@@ -138,7 +138,7 @@ def parse(content: bytes, path: str = "JSON file") -> MaterialList:
                 name=str(where[-2]) if len(where) > 1 else "material",
                 line=line,
                 alpha=tuple(values),
-                # pyroomacoustics reads a shorter list of a data base as beginning at its lowest band.
+                # In pyroomacoustics, a shorter list begins at the lowest band of its data base.
                 centre_frequencies=tuple(float(f) for f in frequencies[: len(values)]),
                 spans=tuple((b, e) for _, b, e in numbers),
             )

@@ -18,7 +18,7 @@ from rtcal.support.files import read_bytes
 
 
 def read(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float]:
-    """Return sigma by material; its bands may be others than the room's.
+    """Return sigma by material; its bands may differ from the room's.
 
     Raises
     ------

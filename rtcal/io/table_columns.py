@@ -1,7 +1,7 @@
-"""The columns of a table of measured values: what each header means.
+"""The columns of a table of measured values, and the meanings of their headers.
 
 A header names a parameter, a band, a position or a value, with or without its unit, in the usual
-English and German spellings. "RT60" does not say which decay time it is; that must be stated.
+English and German spellings. "RT60" may be T20 or T30, which the user must state.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ MAX_HEADER = 200
 """Largest length of a header in characters; the patterns are slow on longer ones."""
 
 LEAST_BAND = 10.0
-"""Least centre frequency in Hz. A smaller number in a header is a value: the header line is missing."""
+"""Least centre frequency in Hz. A smaller number is no band but a value, so the line is no header."""
 
 BAND_TOLERANCE = 0.03
-"""A stated frequency may miss the exact centre of its band by this share; neighbouring thirds are 26 %
-apart. BRAS's published tables write 155 Hz for the third of 158.5 Hz, which is called 160 Hz."""
+"""Largest relative difference of a stated frequency from the exact centre of its band. Neighbouring
+thirds are 26 % apart. BRAS's published tables write 155 Hz for the third of 158.5 Hz, which is
+called 160 Hz."""
 
 _PARAMETER_SPELLINGS = {
     "t20": "t20",
@@ -134,19 +135,19 @@ _FREQUENCY = re.compile(r"(\d{1,6}(?:[.,]\d{1,3})?)\s*(k?)(?:Hz)?", re.I | re.AS
 
 @dataclass(frozen=True)
 class Column:
-    """What a column of the table holds.
+    """The meaning of a column.
 
     Parameters
     ----------
     kind : str
-        "of" for values of the ``parameter``, the ``band`` or both; else the kind of a row's entry:
+        "of" for a column of values of the ``parameter``, the ``band`` or both. Other columns hold:
         "source", "receiver", "parameter", "band", "value", "unit", "statistic", "uncertainty",
-        "standard_deviation", "sources", "receivers"; "" for a column that is left out.
+        "standard_deviation", "sources" or "receivers"; "" for an ignored column.
     header : str
     parameter : str
-        Empty where each row names it.
+        Empty if each row names it.
     band : float
-        Hz; NaN where each row names it.
+        In Hz; NaN if each row names it.
     unit : str
         Empty if the header has none.
     """
@@ -165,7 +166,7 @@ class Column:
     def completed(self, below: Column) -> Column | None:
         """Return the column of two merged headers, one with the parameter, one with the band.
 
-        None if the two do not complete each other.
+        None for any other two headers.
         """
         if self.kind != "of" or below.kind != "of":
             return None
@@ -180,7 +181,7 @@ class Column:
         )
 
     def description(self, stated: str | None) -> str:
-        """Return how the column is read; ``stated`` is the parameter that the user states."""
+        """Return the meaning of the column in words; ``stated`` is the user's parameter."""
         content = self.kind.replace("_", " ") or "left out"
         if self.kind == "of":
             name = self.parameter or stated
@@ -194,7 +195,7 @@ class Column:
 
 
 def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
-    """Return the parameter that a spelling means, None if none; DataError for "RT60"."""
+    """Return the parameter of a spelling, None for an unknown one; DataError for "RT60"."""
     key = re.sub(r"[\s_]+", "", text.lower())
     if key in _PARAMETER_SPELLINGS:
         return _PARAMETER_SPELLINGS[key]
@@ -243,12 +244,12 @@ def nominal_band(frequency: float, place: str) -> float:
 
 
 def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
-    """Return what the column of a header holds, None if the header is unknown.
+    """Return the column of a header, None if the header is unknown.
 
     Raises
     ------
     DataError
-        If the header is known but not enough: an unknown unit, "RT60", a frequency that is no band.
+        If the header is incomplete: an unknown unit, "RT60", a frequency that is no band.
     """
     if len(header) > MAX_HEADER:
         return None

@@ -1,4 +1,4 @@
-"""The layout of a table: its separator, the lines before the header, merged headers and units."""
+"""The layout of a table: separator, lines before the header, headers of two lines, units."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Row = tuple[int, list[str]]
 
 @dataclass(frozen=True)
 class Layout:
-    """A table, cut into columns and rows.
+    """A table, divided into columns and rows.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Layout:
     rows : sequence of (line, cells)
         Each with n_columns cells.
     notes : sequence of str
-        What was read in another way than a plain table.
+        How the text differs from a plain table.
     """
 
     columns: tuple[Column, ...]
@@ -53,7 +53,7 @@ def layout_of(
     path : str
         The file's name in messages.
     decay_time : str or None
-        What a column "RT60" holds.
+        The decay time in a column "RT60".
     extra_columns : collection of str
         Headers of columns that hold no values.
 
@@ -131,12 +131,12 @@ class _Headers:
         return column_of(header, place, self.decay_time)
 
     def names(self, cells: list[str]) -> tuple[int, bool]:
-        """Return how many cells name a column otherwise than by a number, and whether all do."""
+        """Return the number of cells that name a column by more than a number, and whether all do."""
         count, complete = 0, True
         for cell in filter(None, cells):
             try:
                 column = self.column(cell, "")
-            except DataError:  # the name is known, its unit or band is not
+            except DataError:  # a name with an unknown unit or band
                 count += not _BARE_NUMBER.fullmatch(cell)
                 complete = False
                 continue
@@ -145,7 +145,7 @@ class _Headers:
         return count, complete
 
     def complete(self, rows: list[Row]) -> int | None:
-        """Return the row that is a header without doubt: all its cells name columns."""
+        """Return the row whose cells all name columns, None without such a row."""
         for i, (_, cells) in enumerate(rows[:MAX_LINES_BEFORE_HEADER]):
             if sum(map(bool, cells)) + (not cells[0]) < 2 or len(cells) > MAX_COLUMNS:
                 continue
@@ -157,7 +157,7 @@ class _Headers:
         return None
 
     def header(self, rows: list[Row]) -> int:
-        """Return the header's row, or the row that comes nearest to one."""
+        """Return the header's row: `complete`, or the row in which most cells name columns."""
         complete = self.complete(rows)
         if complete is not None:
             return complete
@@ -202,8 +202,8 @@ class _Headers:
     def merged(self, top: list[str], body: list[Row], line: int) -> list[Column] | None:
         """Return the columns of a header of two lines, None if the header has one.
 
-        The upper line's cells are merged over several columns: in CSV the first has the name and the
-        others are empty. The lower line completes each with its band or its parameter.
+        A cell of the upper line extends over several columns: in CSV the first has the name and the
+        others are empty. The cells of the lower line add the band or the parameter.
         """
         if not body or not any(top):
             return None
@@ -233,14 +233,16 @@ class _Headers:
     def with_units(
         self, header: list[str], body: list[Row]
     ) -> tuple[list[str], list[Row], int | None]:
-        """Return the header with the units of the line below it, and what follows that line."""
+        """Return the header with the units of the line below it, the rows after it, and its number."""
         if not body:
             return header, body, None
         line, cells = body[0]
         units = (cells + [""] * len(header))[: len(header)]
         is_unit = [u.strip("[]()").lower() in UNIT_WORDS for u in units]
-        named = [u for u, known in zip(units, is_unit, strict=True) if known and u not in "-1"]
-        if not named or not all(known or not u for u, known in zip(units, is_unit, strict=True)):
+        named = [u for u, is_word in zip(units, is_unit, strict=True) if is_word and u not in "-1"]
+        if not named or not all(
+            is_word or not u for u, is_word in zip(units, is_unit, strict=True)
+        ):
             return header, body, None
         with_unit = [
             f"{h} [{u.strip('[]()')}]" if u else h for h, u in zip(header, units, strict=True)
@@ -270,7 +272,7 @@ class _Headers:
         return columns
 
     def unnamed(self, others: list[Column], cells: list[str]) -> Column:
-        """Return what the first column holds if its header is empty, by its cells."""
+        """Return the meaning of a first column without header, which follows from its cells."""
         if any(c.parameter for c in others) and all(frequency_of(c) for c in cells):
             return Column("band")
         if any(c.has_band for c in others) and all(self.is_parameter(c) for c in cells):

@@ -6,9 +6,9 @@ The header decides between three shapes:
 - *bands across*: one row per parameter or position, one column per band;
 - *bands down*: one row per band, one column per parameter.
 
-Columns are separated by ``;``, tab or ``,``. Decimals may have a comma where columns are not separated
-by one, or where the cell is quoted. Nothing is guessed: the result says how each column was read, and
-an error says what must be stated.
+Columns are separated by ``;``, tab or ``,``. Decimals may have a comma if columns are not separated by
+commas, or if the cell is quoted. Nothing is guessed: the result describes how each column was read, and
+an error names what the user must state.
 """
 
 from __future__ import annotations
@@ -101,15 +101,15 @@ def read(
     ----------
     path : path
     decay_time : {"t20", "t30"}, optional
-        What a column "RT60" or "T60" holds.
+        The decay time in a column "RT60" or "T60".
     parameter : str, optional
-        What the values are where the table does not say it.
+        The parameter of values for which the table names none.
     where : mapping of str to str, optional
         Selects rows by the entry of a column: ``{"room": "CR2"}``.
     ignore : collection of str, optional
-        Columns that are left out.
+        Columns to ignore.
     n_sources, n_receivers : int, optional
-        State that the values are means over this many sources and receivers.
+        Numbers of sources and receivers, if the values are means over several pairs.
 
     Raises
     ------
@@ -167,8 +167,8 @@ def parse(
 class _Reader:
     """Reads the rows of a table.
 
-    A row has a value for each column of values, and may have a value's uncertainty, the statistic
-    that its values are, or how many positions they are means over.
+    A row has a value for each column of values. It may also have an uncertainty, a statistic (mean or
+    standard deviation), and the number of positions of a mean.
     """
 
     def __init__(
@@ -245,7 +245,7 @@ class _Reader:
         return rows
 
     def _statistic(self, entries: Mapping[str, str], place: str) -> str | None:
-        """Return what the values of a row of means or deviations are; None for single values."""
+        """Return the statistic of a row of means or deviations; None for single values."""
         if "statistic" in entries:
             word = entries["statistic"].lower()
             if word not in _STATISTICS:

@@ -1,4 +1,4 @@
-"""The text of a foreign file: decoded once, then read line by line and number by number."""
+"""The text of another program's file: its encoding, lines and numbers."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _UNMARKED = ("utf-8", "cp1252", "latin-1")
 _NAMES = {"cp1252": "Windows-1252", "latin-1": "ISO 8859-1"}
 _LINE = re.compile(r"([^\r\n]*)(\r\n|\r|\n|\Z)")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?\Z", re.ASCII)
-_TYPOGRAPHIC_MINUS = re.compile("[\u2212\u2013](?=[\\d.,])")  # a minus sign, or a dash as one
+_TYPOGRAPHIC_MINUS = re.compile("[\u2212\u2013](?=[\\d.,])")  # a minus sign, or a dash in its place
 
 
 @dataclass(frozen=True)
 class Text:
-    """The characters of a file, and what it takes to write them back to the same bytes."""
+    """The characters of a file, with its encoding and byte order mark, to write it back."""
 
     characters: str
     codec: str = "utf-8"
@@ -61,7 +61,7 @@ def decode(content: bytes, path: str = "file") -> Text:
     Raises
     ------
     DataError
-        If the file breaks the encoding that its byte order mark names.
+        If the bytes violate the encoding of the byte order mark.
     """
     for mark, codec in _BYTE_ORDER_MARKS.items():
         if content.startswith(mark):

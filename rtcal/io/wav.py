@@ -14,13 +14,13 @@ MAX_SAMPLES = 2**22
 MAX_CHANNEL_SAMPLES = 900_000
 """Largest number of samples of a channel: 18 s at 48 kHz."""
 
-_FORMATS = {1: (16, 24, 32), 3: (32, 64)}  # PCM and float; 8 bits hold less than a T20 needs
+_FORMATS = {1: (16, 24, 32), 3: (32, 64)}  # PCM and float; the range of 8 bits is too small for T20
 
 
 def check_header(path: str | os.PathLike[str]) -> None:
     """Raise DataError unless a WAV file's format, channels, rate and length can be read.
 
-    Libraries that read sound trust the header; a broken one costs them memory without end.
+    Libraries that read sound trust the header, so a broken one may exhaust the memory.
     """
     try:
         if not Path(path).is_file():

@@ -1,4 +1,4 @@
-"""What ``rtcal gap apply`` writes and says: the case with the effect, and its room."""
+"""The output of ``rtcal gap apply``: the case with the effect, its room and the printed text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rtcal.discrepancy.recalibration import recalibrate, table
 
 @dataclass(frozen=True)
 class Correction:
-    """The text, its record, and the files to write by path; no file where there is nothing to add."""
+    """The text, its record, and the files to write by path; no files if there is nothing to add."""
 
     text: str
     record: Mapping[str, Any]
@@ -23,7 +23,7 @@ class Correction:
         return self.text
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values and arrays: what the text says."""
+        """Return the contents of the text as plain values and arrays."""
         return dict(self.record)
 
 
@@ -34,9 +34,9 @@ def correct(finding: Finding, case_path: str, room_path: str | None = None) -> C
     ----------
     finding : Finding
     case_path : str
-        Of the case with the effect (JSON).
+        Path of the case with the effect (JSON).
     room_path : str, optional
-        Of the room with the effect (TOML).
+        Path of the room with the effect (TOML).
     """
     record: dict[str, Any] = {
         "verdict": finding.verdict,

@@ -1,7 +1,7 @@
-"""The pictures of a calibration over frequency. The one module that imports matplotlib.
+"""The figures of a calibration over frequency. No other module imports matplotlib.
 
-Told apart in grey and by colour-blind eyes: each line has its own marker and style, each bar its own
-hatch, and the colours are Okabe and Ito's (2008).
+The figures can be read in grey and by colour-blind readers: each line has its own marker and style,
+each bar its own hatch, and the colours are Okabe and Ito's (2008).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def new_figure(
 
 @checked
 def shown(name: str, longest: int = _LONGEST_NAME) -> str:
-    r"""Return a name as a figure shows it: one short line, and dollars are dollars, not formulae.
+    r"""Return a name for a figure: one short line, with escaped dollars, which would begin a formula.
 
     Examples
     --------
@@ -63,7 +63,7 @@ def shown(name: str, longest: int = _LONGEST_NAME) -> str:
 
 @checked
 def band_axis(axes: Any, frequencies: Array, below: list[str] | None = None) -> None:
-    """Make x a logarithmic axis with the bands' centres, and a text below each where given."""
+    """Make x a logarithmic axis with the bands' centres, each with its text of ``below``."""
     many = len(frequencies) > _MANY_BANDS
     labels = [f"{f:g}" for f in frequencies]
     if below is not None:
@@ -79,7 +79,7 @@ def jnd_band(axes: Any, frequencies: Array, measured: Array) -> None:
     """Draw T ± one JND in grey; bands without T interrupt it."""
     low, high = (1 - JND["t20"]) * measured, (1 + JND["t20"]) * measured
     axes.fill_between(frequencies, low, high, color="0.85", label="measured ± 1 JND")
-    axes.vlines(frequencies, low, high, color="0.85", linewidth=8)  # also of a band on its own
+    axes.vlines(frequencies, low, high, color="0.85", linewidth=8)  # visible also for a single band
 
 
 @checked
@@ -91,12 +91,12 @@ def reverberation_time(result: CalibrationResult | Saved) -> Any:
     calibration = saved(result)
     figure, axes = new_figure()
     f, measured = calibration.centre_frequencies, calibration.measured
-    here = np.isfinite(measured)
+    has_t = np.isfinite(measured)
     jnd_band(axes, f, measured)
     axes.errorbar(
-        f[here],
-        measured[here],
-        yerr=np.nan_to_num(calibration.uncertainty)[here],
+        f[has_t],
+        measured[has_t],
+        yerr=np.nan_to_num(calibration.uncertainty)[has_t],
         color=BLACK,
         marker="o",
         capsize=3,
@@ -116,9 +116,9 @@ def reverberation_time(result: CalibrationResult | Saved) -> Any:
         label="after calibration",
     )
     band_axis(axes, f, [letters(calibration.trust_marks, v) for v in f])
-    found = [f"{m.letter} {m.title}".strip() for m in calibration.trust_marks]
-    if found:
-        key = f"\ndo not trust: {', '.join(dict.fromkeys(found))}"
+    marks = [f"{m.letter} {m.title}".strip() for m in calibration.trust_marks]
+    if marks:
+        key = f"\ndo not trust: {', '.join(dict.fromkeys(marks))}"
         axes.set_xlabel(axes.get_xlabel() + key)
     axes.set_ylabel("Reverberation time T / s")
     axes.set_ylim(bottom=0)
@@ -173,7 +173,7 @@ def rendered(figure: Any, kind: str) -> bytes:
     stream = io.BytesIO()
     undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     with warnings.catch_warnings(), matplotlib.rc_context({"svg.hashsalt": "rtcal"}):
-        # A name in a script that the font lacks is shown as boxes; it stops nothing.
+        # Characters that the font lacks appear as boxes, without a warning.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
         figure.savefig(stream, format=kind, dpi=150, metadata=undated)
     return stream.getvalue()

@@ -1,4 +1,4 @@
-"""The pictures of a finding: what was measured, where the model differs, what explains it."""
+"""The figures of a finding: the measured T, the residuals, the evidence, decay and shifts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_PANELS = 12
 _STRONG = 4.0
 """Residual in standard deviations at which the colours of the map saturate."""
 _BENT = 0.01
-"""The least change of ln EDT/T20 or ln T30/T20 that a drawn decay shows."""
+"""Least visible change of ln EDT/T20 or ln T30/T20 in a drawn decay."""
 
 
 @checked
@@ -91,7 +91,7 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
         axis.set_yticks(range(len(rows)), labels, fontsize=8)
         axis.set_xticks(range(len(f)), [f"{v:g}" for v in f], rotation=90 if len(f) > 10 else 0)
         axis.set_title(shown(title), fontsize=9)
-    # One bar for all maps: beside a flat one its label would not fit.
+    # One colour bar for all maps, since its label does not fit beside a flat map.
     all_cells = np.array([[table[c, k] for c, k in rows] for _, table in maps])
     beyond = np.array([np.nanmin(all_cells) < -_STRONG, np.nanmax(all_cells) > _STRONG])
     extend = {(1, 1): "both", (1, 0): "min", (0, 1): "max"}.get(tuple(beyond), "neither")
@@ -110,16 +110,16 @@ def evidence(finding: Finding) -> Any:
     top = max(float(values.max()), finding.threshold)
     figure, axes = new_figure(7.0, 0.8 + 0.28 * len(names))
     at = np.arange(len(names))[::-1]
-    here = [n in finding.candidates for n in names]
-    # What is far below nothing is told apart no more: its bar is cut, which an arrow marks.
+    is_candidate = [n in finding.candidates for n in names]
+    # Bars of large negative evidence are cut, and marked by an arrow.
     low = -0.15 * top
     drawn = np.maximum(values, low)
     axes.barh(
         at,
         drawn,
-        color=["#9DC6E0" if h else "0.85" for h in here],
+        color=["#9DC6E0" if h else "0.85" for h in is_candidate],
         edgecolor=BLACK,
-        hatch=["//" if h else "" for h in here],
+        hatch=["//" if h else "" for h in is_candidate],
     )
     for y, value, end in zip(at, values, drawn, strict=True):
         axes.text(max(end, 0.0), y, f" {value:+.1f}", va="center", fontsize=8)
@@ -147,14 +147,14 @@ def evidence(finding: Finding) -> Any:
 
 @checked
 def bends(verification: Verification) -> bool:
-    """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change by what one can see."""
-    shapes = [found.features[:, 1:3] for found in (verification.plain, verification.corrected)]
+    """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change visibly."""
+    shapes = [model.features[:, 1:3] for model in (verification.plain, verification.corrected)]
     return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
 
 
 @checked
 def decay(verification: Verification) -> Any:
-    """Return the decay of the band whose shape is most off: measured slopes, plain and corrected."""
+    """Return the decay of the band with the largest residual of shape: measured, plain, corrected."""
     finding = verification.finding
     case = finding.case
     first = case.configurations[0]
@@ -178,13 +178,13 @@ def decay(verification: Verification) -> Any:
                 alpha=0.5,
                 label=f"measured {name.upper()} {value:.2f} s",
             )
-    for found, colour, style, label in (
+    for model, colour, style, label in (
         (verification.plain, GREEN, "-.", "plainly calibrated"),
         (verification.corrected, BLUE, "-", f"with {finding.effect}"),
     ):
         axes.plot(
             t,
-            _level(found.case, found.alpha, band, t),
+            _level(model.case, model.alpha, band, t),
             color=colour,
             linestyle=style,
             label=shown(label),
@@ -197,14 +197,14 @@ def decay(verification: Verification) -> Any:
 
 
 def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
-    made = state(case, case.configurations[0], alpha)
-    decayed = made.decay()
+    room_state = state(case, case.configurations[0], alpha)
+    decayed = room_state.decay()
     weights, rates = decayed.weights[band], decayed.rates[band]
     left = (weights / rates * np.exp(-np.outer(t, rates))).sum(1)
     total = (weights / rates).sum()
-    if made.floor_db is not None:
-        density = 10 ** (made.floor_db / 10) * weights.sum()
-        end = made.record * 6 * np.log(10) * total / weights.sum()
+    if room_state.floor_db is not None:
+        density = 10 ** (room_state.floor_db / 10) * weights.sum()
+        end = room_state.record * 6 * np.log(10) * total / weights.sum()
         left, total = left + density * np.maximum(end - t, 0), total + density * end
     return np.asarray(10 * np.log10(np.maximum(left / total, 1e-9)))
 
@@ -213,11 +213,12 @@ def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
 def shifts(verification: Verification) -> Any:
     """Return each material's shift of alpha by band, plain and corrected, with 90 % intervals.
 
-    The prior's own interval is grey. Of many materials those whose absorption area moved most.
+    The prior's interval is grey. If there are more than `MOST_PANELS` materials, the figure shows those
+    whose absorption area moved most.
     """
     room = verification.finding.case.room
-    found = (verification.plain, verification.corrected)
-    moved = np.max([np.abs(x.alpha - room.alpha).max(1) for x in found], axis=0) * room.areas
+    models = (verification.plain, verification.corrected)
+    moved = np.max([np.abs(x.alpha - room.alpha).max(1) for x in models], axis=0) * room.areas
     drawn = np.sort(np.argsort(-moved, kind="stable")[:MOST_PANELS])
     columns = min(3, len(drawn))
     rows = -(-len(drawn) // columns)
@@ -230,8 +231,8 @@ def shifts(verification: Verification) -> Any:
         axes.fill_between(f, *ends, color="0.88", label="prior, 90 %")
         axes.axhline(0, color=BLACK, linewidth=0.8)
         for by, x, colour, marker, label in (
-            (0.95, found[0], GREEN, "^", "plainly calibrated, 90 %"),
-            (1.05, found[1], BLUE, "D", f"with {verification.finding.effect}, 90 %"),
+            (0.95, models[0], GREEN, "^", "plainly calibrated, 90 %"),
+            (1.05, models[1], BLUE, "D", f"with {verification.finding.effect}, 90 %"),
         ):
             low, high = x.interval
             bars = [x.alpha[i] - low[i], high[i] - x.alpha[i]]

@@ -24,7 +24,7 @@ from rtcal.support.files import make_folder, write_all
 
 FIGURES = ("evidence", "residuals", "reverberation_time", "decay", "shifts")
 WRITTEN = ("finding.json", "report.html", *(f"{name}.png" for name in FIGURES))
-"""The files of a report; ``decay`` only where the effect bends the decay."""
+"""The files of a report; ``decay`` only if the effect bends the decay."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def write(finding: Finding, folder: Path, reproduction: Reproduction | None = No
 def summary(
     finding: Finding, verification: Verification | None, reproduction: Reproduction | None = None
 ) -> dict[str, Any]:
-    """Return what the page says of a finding: `rtcal.report.page.page` has the keys."""
+    """Return the finding as plain values for the page; `rtcal.report.page.page` describes the keys."""
     size = finding.size_in_words
     sentences = [
         finding.sentence,
@@ -151,7 +151,7 @@ def summary(
 
 
 def _corrected(verification: Verification) -> dict[str, Any]:
-    """The coefficients with the effect in the model, and how much there is of it."""
+    """The coefficients with the effect in the model, and the effect's size."""
     room, corrected = verification.finding.case.room, verification.corrected
     names = [f'"{c.name}"' for c in verification.finding.case.configurations]
     use = {
@@ -171,7 +171,7 @@ def _corrected(verification: Verification) -> dict[str, Any]:
 
 
 def _unknowable(finding: Finding, supported: bool) -> str:
-    """What no calibration tells: whether the name is right."""
+    """Return the sentence on what no calibration can show: whether the name is right."""
     others = finding.rivals
     next_to = (
         f"{listed(others)} would explain the data about as well"

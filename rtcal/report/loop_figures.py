@@ -1,4 +1,4 @@
-"""The picture of a closed loop's path."""
+"""The figure of a closed loop's steps."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _STYLES = ("-", "--", "-.", ":")
 def path(loop: Loop) -> Any:
     """Return the figure of a loop's path, like Fig. 7 of Bellows & Katz (2025).
 
-    Left: T20 wanted with its band of one JND, first simulated, simulated in between and nearest at
-    the end. Right: each band's gap in JND over simulations.
+    Left: the measured T20 with its band of one JND, and the simulated T20 of the first, the
+    intermediate and each band's best step. Right: each band's gap in JND over the simulations.
 
     Raises
     ------

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rtcal.loop.state import Loop
 
 _SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
-_LIMITS = (-1e6, 1e6)  # s and dB: no parameter of a room comes near
+_LIMITS = (-1e6, 1e6)  # s and dB: far beyond any parameter of a room
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
     "unreachable": "cannot be reached: no coefficients within the equation's range bring it nearer",
@@ -56,7 +56,7 @@ def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
 
 
 def assumed(loop: Loop) -> list[str]:
-    """Return the assumptions of the loop, and the valid use of its coefficients."""
+    """Return the assumptions of the loop, and the use for which its coefficients are valid."""
     equation = (loop.equation or Eyring()).name
     return [
         "The coefficients belong to the simulator that they were calibrated with, to its geometry, its "
@@ -73,7 +73,7 @@ def assumed(loop: Loop) -> list[str]:
 
 
 def equation_option(loop: Loop) -> str:
-    """Return what `rtcal loop start` needs to be told of the equation; nothing for Eyring's."""
+    """Return the equation as an option of `rtcal loop start`; empty for Eyring's, the default."""
     if loop.equation is None or loop.equation == Eyring():
         return ""
     return f" --equation {loop.equation.key}"
@@ -96,7 +96,7 @@ def bands_table(loop: Loop, status: Sequence[str]) -> dict[str, Any]:
 
 
 def at_ends(loop: Loop) -> list[str]:
-    """Return which coefficients of the nearest simulations stand at 0 or 1 and did not before."""
+    """Return sentences on coefficients that moved to 0 or 1, in each band's best simulation."""
     sentences = []
     for row in materials_table(loop):
         for end in (0.0, 1.0):
@@ -127,9 +127,9 @@ def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
 
 
 def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
-    """Return the simulator's name and the rows of what it had before and after; see `LoopResult.ends`.
+    """Return the simulator's name, and the parameters before and after; see `LoopResult.ends`.
 
-    DataError, with place, value and rule, if it is nothing of the kind.
+    Raises DataError, with place, value and rule, if ``result`` breaks a rule.
     """
     n = loop.room.n_bands
     means = named(partial(Entries.array, shape=(n,), limits=_LIMITS, missing=True))
@@ -161,7 +161,7 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
 
 
 def materials_table(loop: Loop) -> list[dict[str, Any]]:
-    """Return name, area and coefficients, stated and in each band's nearest run."""
+    """Return name, area and coefficients, stated and in each band's best run."""
     room = loop.room
     after = loop.best_alpha
     return material_rows(room.materials, room.areas, room.alpha, after)

@@ -1,4 +1,4 @@
-"""The pictures of a calibration by material: coefficients, shares of the absorption, the plane."""
+"""The figures of a calibration by material: coefficients, shares of the absorption, a plane of two."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
 MOST_PANELS = 12
-"""Largest number of materials that `coefficients` draws; a page has them all in its table."""
+"""Largest number of materials that `coefficients` draws; the table of a page lists more."""
 _COLUMNS = 3
 _NORMAL_90 = 1.6449  # standard deviations on each side that hold 90 % of a normal distribution
 _SHARES = (
@@ -34,9 +34,9 @@ _SHARES = (
 def coefficients(result: CalibrationResult | Saved) -> Any:
     """Return the figure of alpha by material and band: prior and calibrated, with 90 % intervals.
 
-    Of more than twelve materials those with the largest absorption area. The prior's interval is
-    mu ± 1.645 sigma within the bounds; the calibrated coefficients' is exact where it is known, else
-    alpha ± 1.645 sigma of the linear estimate within the bounds.
+    Of more than twelve materials, it shows those with the largest absorption area. The prior's
+    interval is mu ± 1.645 sigma within the bounds. The interval of the calibrated coefficients is
+    exact if it was computed, else alpha ± 1.645 sigma of the linear estimate within the bounds.
     """
     calibration = saved(result)
     size = np.max(calibration.areas[:, np.newaxis] * calibration.alpha_after, axis=1)
@@ -124,9 +124,9 @@ def intervals(calibration: Saved) -> tuple[Array, Array]:
 
 @checked
 def shares(result: CalibrationResult | Saved) -> Any:
-    """Return the figure of who absorbs, after calibration: parts of the whole by band in %.
+    """Return the figure of each material's share of the calibrated absorption by band, in %.
 
-    Materials by S alpha, effects, and the air by its share; the smallest materials together.
+    It includes effects and the air. The smallest materials are one part.
     """
     calibration = saved(result)
     names, parts = absorption_shares(calibration, len(_SHARES))
@@ -163,7 +163,7 @@ def shares(result: CalibrationResult | Saved) -> Any:
 def absorption_shares(calibration: Saved, most: int) -> tuple[list[str], Array]:
     """Return names and shares in %, (n_names, n_bands), of materials, effects and, last, the air.
 
-    Not more than ``most`` names beside the air: the smallest materials are put together.
+    There are at most ``most`` names beside the air, so the smallest materials are one part.
     """
     area = calibration.areas[:, np.newaxis] * calibration.alpha_after
     order = np.argsort(-area.sum(axis=1), kind="stable")
@@ -192,8 +192,8 @@ def plane_of(
 ) -> Any:
     """Return the figure of a calibration in the plane of two of its materials; see `plane`.
 
-    The other materials stay at their calibrated coefficients. If not given: the two materials with
-    the largest S sigma, which a calibration moves most, and the band whose gap was largest.
+    The other materials keep their calibrated coefficients. By default the plane has the two materials
+    with the largest S sigma, which a calibration changes most, in the band with the largest gap.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def plane_of(
     for entry in calibration.record["material_correlation"]:
         if set(entry["materials"]) == set(names):
             correlation = float(entry["value"])
-    rest = f", the {len(others)} others as calibrated" if len(others) else ""
+    fixed = f", the {len(others)} others as calibrated" if len(others) else ""
     return plane(
         calibration.alpha_before[rows, k],
         calibration.sigma_before[rows, k],
@@ -231,21 +231,21 @@ def plane_of(
         calibration.alpha_after[rows, k],
         names=names,
         correlation=correlation,
-        title=f"{calibration.centre_frequencies[k]:g} Hz{rest}",
+        title=f"{calibration.centre_frequencies[k]:g} Hz{fixed}",
     )
 
 
 def _band(calibration: Saved, frequency: float | None) -> int:
-    """Place of a matched band: the one asked for, else the one with the largest gap before."""
+    """Index of the matched band at ``frequency``; for None, of that with the largest gap before."""
     if frequency is None:
         if not calibration.matched.any():
             raise DataError("no band was matched, so there is no plane to show")
         gap = np.abs(np.where(calibration.matched, np.nan_to_num(calibration.gap_before), -1.0))
         return int(np.argmax(np.where(calibration.matched, gap, -1.0)))
-    found = np.flatnonzero((calibration.centre_frequencies == frequency) & calibration.matched)
-    if not len(found):
+    matching = np.flatnonzero((calibration.centre_frequencies == frequency) & calibration.matched)
+    if not len(matching):
         raise DataError(f"{frequency:g} Hz is no band of the room that was matched")
-    return int(found[0])
+    return int(matching[0])
 
 
 @checked
@@ -263,8 +263,9 @@ def plane(
 ) -> Any:
     """Return the figure of a calibration of two coefficients (Bellows & Katz 2025, Figs. 1 and 3).
 
-    The prior's ellipses of 1, 2 and 3 standard deviations about mu, the line S'alpha = b of all
-    coefficients that give the measured T, and the step to the likeliest of them.
+    It shows the prior's ellipses of 1, 2 and 3 standard deviations about mu, the line S'alpha = b
+    of all coefficients with the measured T, and the step from mu to the likeliest point of the
+    line.
 
     Parameters
     ----------
@@ -274,9 +275,9 @@ def plane(
         b in m².
     names : (str, str)
     correlation : float
-        Of the two priors.
+        Correlation of the two priors.
     truth : array (2,), optional
-        Where it is known.
+        True coefficients, if they are known.
     title : str
     """
     mu, sigma, areas, alpha = (np.asarray(v, dtype=float) for v in (mu, sigma, areas, alpha))

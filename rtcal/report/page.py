@@ -1,6 +1,6 @@
 """A self-contained HTML page of a result, for readers without Python.
 
-The one module that imports jinja2, with autoescaping: whatever a material is called, it is text.
+No other module imports jinja2. Autoescaping makes every name plain text.
 """
 
 from __future__ import annotations
@@ -45,19 +45,19 @@ def page(
     finding_figures: Sequence[tuple[Any, str]] = (),
     progress: Callable[[], None] | None = None,
 ) -> str:
-    """Return a calibration as one self-contained HTML page, no script, no network, under 2 MB.
+    """Return a calibration as one HTML page under 2 MB, without scripts and links to the network.
 
     Parameters
     ----------
     result : CalibrationResult or Saved
     finding : mapping, optional
-        What the model may be missing: ``summary`` (list of sentences), ``verdict``, ``effect``,
+        A finding about the model: ``summary`` (list of sentences), ``verdict``, ``effect``,
         ``candidates`` (list of names), ``evidence`` (name to nats) and ``notes`` (list of
-        sentences), each optional; ``plain`` (what the calibration's own tables are called then),
+        sentences), each optional; ``plain`` (title of the tables without the effect),
         ``corrected`` (title, use, effects, materials with their cells), ``unknowable`` (a sentence),
         ``reproduce`` (command, files, seed, engines).
     finding_figures : sequence of (figure, caption)
-        Its figures.
+        Figures of the finding.
     progress : callable, optional
         Called after each figure.
 
@@ -127,10 +127,10 @@ def loop_page(
     place: str = "result",
     progress: Callable[[], None] | None = None,
 ) -> str:
-    """Return a closed loop as such a page; DataError if nothing has been simulated yet.
+    """Return a closed loop as one HTML page; DataError if it has no simulation.
 
-    ``ends``, as `LoopResult.ends` gives it, belongs to a `Loop`; a `LoopResult` has its own.
-    ``place`` names it in messages.
+    A `Loop` needs ``ends``, as `LoopResult.ends` returns it; a `LoopResult` has its own. Messages name
+    it by ``place``.
     """
     loop = result.loop if isinstance(result, LoopResult) else result
     if isinstance(result, LoopResult):
@@ -167,7 +167,7 @@ def loop_page(
 
 @checked
 def page_of(path: str | os.PathLike[str], progress: Callable[[], None] | None = None) -> str:
-    """Return the page of what rtcal saved: ``result.json``, its folder, a loop's state or result."""
+    """Return the page of a saved result: ``result.json``, its folder, a loop's state or result."""
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
     record = read_json(place)
     if record.get("rtcal") == loop_files.KIND:
@@ -210,7 +210,7 @@ def _render(template: str, values: Mapping[str, Any]) -> str:
 
 
 def _blocks(n_bands: int) -> list[slice]:
-    """Bands that stand side by side in a table, so that it fits a sheet of paper."""
+    """Return the bands of each part of a table, so that it fits a sheet of paper."""
     return [slice(k, k + _BANDS_ABREAST) for k in range(0, n_bands, _BANDS_ABREAST)]
 
 
@@ -231,7 +231,7 @@ def _signed(value: float, digits: int) -> str:
 
 
 def _source(figure: Any, step: Callable[[], None]) -> str:
-    """A figure as a data URI: its own document, so that its ids and names stay in it."""
+    """Return a figure as a data URI, a separate document whose ids do not clash with the page's."""
     content = base64.b64encode(figures.rendered(figure, "svg")).decode()
     step()
     return f"data:image/svg+xml;base64,{content}"
@@ -305,7 +305,7 @@ def _finding(
 
 
 def _band_rows(calibration: Saved) -> list[tuple[str, Any, int, bool]]:
-    """Name, values, decimals and whether the sign is shown, of each row of the band table."""
+    """Return each row of the band table: name, values, decimals, and whether to show the sign."""
     return [
         ("measured T / s", calibration.measured, 3, False),
         ("its uncertainty / s", calibration.uncertainty, 3, False),
@@ -348,7 +348,7 @@ def _interval_note(calibration: Saved) -> str:
 
 
 def _inputs(calibration: Saved) -> dict[str, str] | None:
-    """The two files as data URIs; None for a room that is larger than a room's file may be."""
+    """Return the two files as data URIs; None if the room exceeds the largest size of a file."""
     texts = {key: calibration.record["inputs"][key].encode() for key in ("room", "measured")}
     if len(texts["room"]) > room_files.MAX_BYTES:
         return None

@@ -20,7 +20,7 @@ FILES = (ROOM, NUMBERS, FIGURE)
 
 
 def refuse_inputs(folder: Path, inputs: Sequence[str | os.PathLike[str]]) -> None:
-    """Raise DataError if `write` would write over one of the files that a calibration reads."""
+    """Raise DataError if `write` would overwrite one of the files that a calibration reads."""
     spare([folder / name for name in FILES], inputs)
 
 

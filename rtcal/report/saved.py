@@ -1,4 +1,4 @@
-"""A saved calibration, as figures and page read it: the same from a file and from a result."""
+"""A saved calibration, from a file or from a result, as the figures and the page use it."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 MAX_BYTES = 2**25
 """Largest size of a saved result in bytes: a hundred times a usual one."""
 
-_LARGEST = 1e30  # no quantity of a room comes near; squares of larger ones overflow
+_LARGEST = 1e30  # far above any quantity of a room; the square of larger numbers may overflow
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Saved:
-    """A saved calibration, as `CalibrationResult.to_dict` has it, with its numbers as arrays.
+    """A saved calibration with its numbers as arrays; see `CalibrationResult.to_dict`.
 
     Attributes
     ----------
     record : mapping
-        Everything, as it was read.
+        The whole record, as read.
     centre_frequencies : array (n_bands,)
         Hz.
     measured, uncertainty, before, after : array (n_bands,)
@@ -44,13 +44,13 @@ class Saved:
     gap_before, gap_after : array (n_bands,)
         JND.
     z, target, target_uncertainty, air_share, added_absorption : array (n_bands,)
-        b and what effects add in m².
+        z; b and its uncertainty in m²; the air's share; the effects' absorption area in m².
     materials : tuple of str
     areas : array (n_materials,)
         m².
     alpha_before, sigma_before, alpha_after, sigma_after : array (n_materials, n_bands)
     interval : array (2, n_materials, n_bands) or None
-        Ends of the coefficients' exact 90 % interval, where it is known.
+        Ends of the coefficients' exact 90 % interval; None if it was not computed.
     shift_in_sigmas : array (n_materials, n_bands)
     at_bound : array (n_materials, n_bands) of str
         "lower", "upper" or "".
@@ -110,7 +110,7 @@ def read(path: str | os.PathLike[str]) -> Saved:
 def from_dict(record: Mapping[str, Any], place: str = "result") -> Saved:
     """Return a record as arrays.
 
-    Raises DataError, with place, value and rule, where it is no saved calibration.
+    Raises DataError, with place, value and rule, if the record is no saved calibration.
     """
     if record.get("rtcal") != KIND:
         raise DataError(f'{place}: no saved calibration: its "rtcal" is not "{KIND}"')

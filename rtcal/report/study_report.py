@@ -31,7 +31,7 @@ _PAPER_SCORES = {"shoebox": paper.TABLE_2, "lecture-hall": paper.TABLE_3}
 
 @dataclass(frozen=True)
 class StudyReport:
-    """What a study prints, its tables as plain records, and its files by name."""
+    """The printed lines of a study, its tables as plain records, and its files by name."""
 
     lines: list[str] = field(default_factory=list)
     records: list[dict[str, Any]] = field(default_factory=list)
@@ -62,7 +62,7 @@ def report(
     sigma_r : sequence of float
         Parameters of the Rayleigh distribution of sigma.
     realisations, trials, seed, workers, progress
-        As `rtcal.studies.run` has them; with 0 trials the analytic scores alone.
+        As for `rtcal.studies.run`; 0 trials compute only the analytic scores.
     folder : Path, optional
         For the finished pieces of `rtcal.studies.run`.
     with_files : bool
@@ -75,22 +75,22 @@ def report(
     MissingDependencyError
         With files but without matplotlib, before anything is computed.
     """
-    made = StudyReport()
+    result = StudyReport()
     if with_files:
         new_figure()
     for room in dict.fromkeys(rooms):
         if room == "halls":
-            _add_halls(made, sigma_r, realisations, seed)
+            _add_halls(result, sigma_r, realisations, seed)
             continue
-        made.lines.append(_HEADINGS[room])
+        result.lines.append(_HEADINGS[room])
         for level in sigma_r:
             stem = f"{room}-{level:g}"
             if trials == 0:
                 table = analytic_scores(AREAS[room], level, realisations, seed)
-                made.lines.append(_scores(room, level, table))
-                made.records.append({"room": room, "sigma_r": level, "scores": table})
+                result.lines.append(_scores(room, level, table))
+                result.records.append({"room": room, "sigma_r": level, "scores": table})
                 if with_files:
-                    made.files[f"{stem}-analytic-scores.csv"] = table_csv(table)
+                    result.files[f"{stem}-analytic-scores.csv"] = table_csv(table)
                 continue
             study = run(
                 AREAS[room],
@@ -102,19 +102,19 @@ def report(
                 folder=None if folder is None else folder / stem,
                 progress=progress,
             )
-            _add_study(made, room, study)
+            _add_study(result, room, study)
             if with_files:
-                made.files.update(_study_files(study, stem))
+                result.files.update(_study_files(study, stem))
         if room == "shoebox":
-            made.lines.append(_table_1())
+            result.lines.append(_table_1())
     if with_files:
-        made.files.update(_prior_files())
-    return made
+        result.files.update(_prior_files())
+    return result
 
 
-def _add_study(made: StudyReport, room: str, study: Study) -> None:
-    made.lines.extend([_scores(room, study.sigma_r, study.scores()), _bound_effects(study)])
-    made.records.append(
+def _add_study(result: StudyReport, room: str, study: Study) -> None:
+    result.lines.extend([_scores(room, study.sigma_r, study.scores()), _bound_effects(study)])
+    result.records.append(
         {
             "room": room,
             "sigma_r": study.sigma_r,
@@ -125,7 +125,7 @@ def _add_study(made: StudyReport, room: str, study: Study) -> None:
 
 
 def _scores(room: str, sigma_r: float, table: Table) -> str:
-    """Return the scores of each method, unbounded beside the paper's where it has this sigma_r."""
+    """Return the scores of each method, with the paper's if it states this sigma_r."""
     lines = [
         f"\nsigma_R = {sigma_r:g} ({100 * redrawn_share(sigma_r):.4f} % of sigma drawn again)",
         f"{'method':<8}{'bounds':<8}{'AACE':>9}{'score':>9}{'± s.e.':>9}{'paper':>8}",
@@ -153,8 +153,8 @@ def _bound_effects(study: Study) -> str:
     return "\n".join(lines)
 
 
-def _add_halls(made: StudyReport, sigma_r: Sequence[float], realisations: int, seed: int) -> None:
-    made.lines.extend(
+def _add_halls(result: StudyReport, sigma_r: Sequence[float], realisations: int, seed: int) -> None:
+    result.lines.extend(
         [
             "Five halls at random with the paper's N, V and ratio of areas",
             "(analytic, unbounded; %)",
@@ -165,11 +165,11 @@ def _add_halls(made: StudyReport, sigma_r: Sequence[float], realisations: int, s
     for hall in HALL_SEEDS:
         for level in sigma_r:
             table = analytic_scores(random_hall(hall), level, realisations, seed)
-            made.records.append({"room": f"hall {hall}", "sigma_r": level, "scores": table})
+            result.records.append({"room": f"hall {hall}", "sigma_r": level, "scores": table})
             cells = "".join(
                 f"{100 * row.score:>9.2f} ± {100 * row.standard_error:.2f}" for row in table[1:]
             )
-            made.lines.append(f"{hall:<6}{level:>8g}{cells}")
+            result.lines.append(f"{hall:<6}{level:>8g}{cells}")
 
 
 def _table_1() -> str:

@@ -1,4 +1,4 @@
-"""The outcome of a calibration, in words that a client can read."""
+"""The outcome of a calibration, in sentences for a reader who is no acoustician."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LARGE_SHIFT = 2.0
 """Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""
 _MOST_SHIFTS = 20
 _MET = 0.05
-"""Gap in JND below which a band is reported as met."""
+"""Gap in JND below which the words count the measured T as met: too small to hear by a factor of 20."""
 
 _AGAINST = "The measurement contradicts what was stated of the materials"
 
@@ -37,7 +37,7 @@ _METHODS = {
 
 @dataclass(frozen=True)
 class Doubt:
-    """Trust marks of one kind: title, letter, where and what (one text each), what to do."""
+    """Trust marks of one kind: title, letter, one text per fact, and the advice."""
 
     title: str
     letter: str
@@ -47,7 +47,7 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Shift:
-    """A coefficient that moved far: by how many of the prior's standard deviations."""
+    """A coefficient with a large shift, in standard deviations of the prior."""
 
     material: str
     frequency: float
@@ -57,7 +57,7 @@ class Shift:
 
 
 def hertz(frequencies: Sequence[float]) -> str:
-    """Return bands as they stand in a sentence.
+    """Return a list of bands for a sentence.
 
     Examples
     --------
@@ -110,7 +110,10 @@ def _after(calibration: Saved) -> str:
 
 
 def verdict(calibration: Saved) -> tuple[str, str, str]:
-    """Return agrees, contradicts or open (measurement and prior); a heading; a sentence."""
+    """Return the agreement of measurement and prior: a word, a heading and a sentence.
+
+    The word is "agrees", "contradicts" or "open".
+    """
     plausibility = calibration.record["plausibility"]
     numbers = (
         f"Q = {plausibility['q']:.1f}, {plausibility['degrees_of_freedom']:.0f} degrees of freedom"
@@ -175,7 +178,7 @@ def usable(calibration: Saved) -> tuple[list[float], list[float]]:
 
 
 def doubts(marks: Sequence[TrustMark]) -> list[Doubt]:
-    """Return the trust marks, those of one kind together."""
+    """Return the trust marks, grouped by kind."""
     out = []
     for kind in dict.fromkeys(mark.kind for mark in marks):
         of_kind = [mark for mark in marks if mark.kind == kind]
@@ -190,7 +193,7 @@ def doubts(marks: Sequence[TrustMark]) -> list[Doubt]:
 
 
 def large_shifts(calibration: Saved) -> tuple[list[Shift], int]:
-    """Return the shifts beyond `LARGE_SHIFT`, largest first and 20 at most, and how many there are."""
+    """Return the shifts beyond `LARGE_SHIFT`, the 20 largest in order, and the number of all."""
     sigmas = np.nan_to_num(calibration.shift_in_sigmas)
     places = [(int(i), int(k)) for i, k in np.argwhere(np.abs(sigmas) > LARGE_SHIFT)]
     places.sort(key=lambda at: -abs(sigmas[at]))
@@ -303,8 +306,8 @@ def _measured(calibration: Saved) -> str:
 def command(calibration: Saved) -> str | None:
     """Return the shell command that gives the same result from the two files of the page.
 
-    None where the shell cannot: a composed calibration, an equation with other parameters than its
-    usual ones, or one that is not rtcal's.
+    None for a calibration that the command cannot repeat: a composed one, or an equation that is not
+    rtcal's or whose parameters are not the default ones.
     """
     record = calibration.record
     keys = {equation.name: key for key, equation in EQUATIONS.items()}
