@@ -250,8 +250,8 @@ def verdict(rows: Sequence[Row]) -> str:
     for setting in EPS:
         c, o = score(rows, DEFAULT, setting), score(rows, OTHER, setting)
         levels.append(
-            f"at {EPS[setting]:.0e} Clarabel fails on {c.failed} (worst error {c.worst}) and "
-            f"OSQP on {o.failed} ({o.worst})"
+            f"Polished from {EPS[setting]:.0e}, Clarabel fails on {c.failed} (worst error {c.worst}) and "
+            f"OSQP on {o.failed} ({o.worst})."
         )
     return f"""**Keep the default: Clarabel at 1e-10 with rtcal's polish and certificate.** Of {own.feasible} feasible problems it failed on
 {own.failed}. It called {own.wrong} wrong answers solved (an error above 1e-4; {own.off} above 1e-6). Its worst error in alpha is {own.worst} against exact
@@ -266,8 +266,8 @@ Time does not decide either. OSQP's time over Clarabel's is {_ratio(rows, "hard"
 {_ratio(rows, "random", 320)} on 40 x 8 and {_ratio(rows, "sizes", largest)} at {largest} unknowns. Who calibrates large rooms well inside their reach may prefer
 `solver="osqp"`.
 
-The settings matter only before the polish. Polished, {"; ".join(levels)}. Not
-polished, Clarabel at its own default of 1e-8 is off by {plain.worst}, at 1e-10 by {raw.worst}. Tighter still it fails (1e-9 with no
+The settings matter only before the polish. {" ".join(levels)}
+Before it, Clarabel has an error of {plain.worst} at its own default of 1e-8, and of {raw.worst} at 1e-10. Tighter still it fails (1e-9 with no
 relative gap: {tight.failed})."""
 
 
@@ -341,14 +341,14 @@ that was stopped before). A route that took over {TOO_SLOW:.0f} s at some size w
 
 ## OSQP's iterations, cold and warm
 
-Medians at eps 1e-8, without polishing: from nothing; from the paper's closed form, primal and dual; from the same with
-violators of the box held at their bound and the rest solved again, which is what rtcal's `warm_start="closed_form"` does; from
-the answer of the room before; from the exact answer. Clarabel has no warm start.
+Medians at eps 1e-8, without polishing. The five starts: cold; the paper's closed form, primal and dual; the closed form with
+violators of the box fixed at their bound and the others solved again; the answer of the room before; the exact answer. The third is
+rtcal's `warm_start="closed_form"`. Clarabel has no warm start.
 
 {_iterations(also)}
 
-The closed form is the answer where no bound is active, and saves nothing where one is; with the violators held it is the
-answer there too. Another room's answer is no start at all.
+If no bound is active, the closed form is the answer. If one is active, it saves no iterations; with the violators fixed it
+is then the answer too. Another room's answer is no useful start.
 
 ## Throughput
 
@@ -367,12 +367,11 @@ One-band problems: a batch by `rtcal.exact`, and one by one by the quickest solv
 - A setting means to each solver what it takes it to mean; qpbenchmark's table of settings is used as it is. cvxpy passes only
   some of them on (to ProxQP no gap tolerance).
 - qpsolvers tells only "found" or not, so an infeasible problem counts as detected if it is not called solved.
-- Beside the sizes on which it met the time limit, HiGHS fails at its default on {_named(rows, "qpsolvers:highs")}:
-  one row's bound is below 1e-7 there ("excessively small"), its own closing check calls its point infeasible by 1e-6 to 1e-5,
-  and it returns "Solve error". The point it holds is right to 1e-13.
-- rtcal's "raw" rows exist only where the polished answer passed its certificate, and rtcal checks what
-  can be reached before any solver runs: no solver sees an unreachable target there, and coefficients that a target at an
-  end pins do not come from the solver.
+- Beside the sizes on which it met the time limit, HiGHS fails at its default on {_named(rows, "qpsolvers:highs")}.
+  In these, one row's bound is below 1e-7 ("excessively small"). Its own final check calls its point infeasible by 1e-6 to
+  1e-5, and it returns "Solve error". The point is right to 1e-13.
+- rtcal's "raw" rows exist only where the polished answer passed its certificate. rtcal checks feasibility before any solver
+  runs. So its solvers see no unreachable target, and coefficients that a target at an end pins do not come from the solver.
 - Solvers that have a time limit had {RUNTIME:.0f} s. Dense solvers were given at most {DENSE_LIMIT} variables, cvxpy {CVXPY_LIMIT} unknowns, SLSQP {SLSQP_LIMIT}.
 - SciPy stands for general nonlinear solvers by SLSQP only.
 - quadprog is GPL: it is run where the user has it, and is not a dependency.
