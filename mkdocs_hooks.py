@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import re
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,12 @@ from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 from nbconvert import MarkdownExporter
 
-from rtcal.support.version import __version__
-
 NOTEBOOKS = Path(__file__).parent / "notebooks"
 
 
 def on_config(config: Any) -> Any:
     """Put the version into the footer of every page."""
-    config.copyright = f"rtcal {__version__}"
+    config.copyright = f"rtcal {version('rtcal')}"
     return config
 
 
