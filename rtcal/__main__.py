@@ -1,14 +1,19 @@
-"""The script ``rtcal`` and ``python -m rtcal``. Ctrl-C prints no traceback, also while they load."""
+"""The script ``rtcal`` and ``python -m rtcal``: the command, and what Ctrl-C does to it."""
 
 from __future__ import annotations
 
 import os
+import signal
+
+from rtcal.support import transaction
 
 INTERRUPTED = 130
 
 
 def main() -> None:
     """Load and run the command; exit with 130 where it is interrupted."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     try:
         from rtcal.command.main import main as command
 
@@ -21,11 +26,19 @@ def main() -> None:
         raise
 
 
-def _end() -> None:
-    """End the process now. Python would wait for threads that nobody needs any more.
+def _interrupt(*_: object) -> None:
+    """End at once, or undo first what is being written.
 
-    All files are whole at any moment (`rtcal.support.transaction`), and errors print unbuffered.
+    An exception that may come anywhere does harm: libraries turn it into others while they load, and
+    a lock that was just taken is never let go. Files are whole at any moment, also after a kill.
     """
+    if transaction.writing():
+        raise KeyboardInterrupt
+    _end()
+
+
+def _end() -> None:
+    """End the process now. Python would wait for threads that nobody needs any more."""
     os._exit(INTERRUPTED)
 
 

@@ -76,6 +76,35 @@ def test_an_interrupt_within_a_futures_lock_does_not_hang() -> None:
     assert done.stderr.strip() == ""
 
 
+SWALLOWED = """
+import os, signal
+from rtcal.report import study_report
+
+def report(*arguments, **options):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        while True:
+            pass
+    except BaseException as error:
+        raise ImportError("a library that loads") from error
+
+study_report.report = report
+"""
+"""An interrupt that a library turns into another exception, as one does while it loads."""
+
+
+def test_an_interrupt_that_a_library_swallows_ends_the_command() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED + STARTED, "study"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 130
+    assert done.stderr.strip() == ""
+
+
 def test_interrupts_at_random_moments(tmp_path: Path) -> None:
     assert 130 in check(tmp_path, 3, 0.8)
 

@@ -36,6 +36,12 @@ _FOLDERS, _JOURNAL = "folders", "journal"
 
 _thread_lock = threading.RLock()
 _locked: dict[Path, int] = {}  # folders that this process has locked, and how often
+_writing = threading.Event()
+
+
+def writing() -> bool:
+    """Return whether files are being written, so that an exception undoes it."""
+    return _writing.is_set()
 
 
 @contextmanager
@@ -181,6 +187,7 @@ def write(targets: Mapping[Path, bytes]) -> None:
         recover(parents)
         name = f"{PREFIX}{uuid.uuid4().hex[:12]}"
         dirs = [parent / name for parent in parents]
+        _writing.set()
         try:
             _move_in(targets, dict(zip(parents, dirs, strict=True)))
         except BaseException as error:
@@ -192,6 +199,8 @@ def write(targets: Mapping[Path, bytes]) -> None:
                     f"there, which failed now: {failed.strerror or failed}"
                 ) from error
             raise
+        finally:
+            _writing.clear()
         with suppress(OSError):  # the files are in place; the next command tidies up
             for parent in parents:
                 _sync_folder(parent)
