@@ -126,6 +126,9 @@ READERS: dict[str, Reader] = {
     ),
     "result": Reader(saved.read, ".json", native.RESULT, native.result_holds),
     "piece": Reader(native.read_piece, ".sums", native.PIECE, native.piece_holds),
+    "kept array": Reader(
+        native.read_kept_array, ".array", native.KEPT_ARRAY, native.kept_array_holds
+    ),
     "study": Reader(native.read_study, ".json", native.STUDY),
     "journal": Reader(native.read_journal, ".json", native.JOURNAL),
 }

@@ -22,7 +22,7 @@ from rtcal.loop import Loop, start
 from rtcal.report import loop_words, saved, words
 from rtcal.studies.moments import Moments
 from rtcal.studies.runner import _open, _Store
-from rtcal.support import transaction
+from rtcal.support import kept_arrays, transaction
 from rtcal.support.decode import json_object
 from tests import faults
 from tests.test_discrepancy import opened
@@ -209,3 +209,26 @@ def read_journal(path: str) -> None:
         transaction.recover([folder])
     assert precious.read_text() == "kept"
     assert not left.exists()
+
+
+def _kept_array() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "kept.array"
+        kept_arrays.write(place, np.arange(12.0).reshape(2, 6))
+        return place.read_bytes()
+
+
+KEPT_ARRAY = (_kept_array(),)
+
+
+def read_kept_array(path: str) -> np.ndarray:
+    """Read a file as an array that was kept under the name kept.array."""
+    array = kept_arrays.read(Path(path).rename(Path(path).with_name("kept.array")))
+    if array is None:
+        raise DataError(f"{path}: computed again")
+    return array
+
+
+def kept_array_holds(array: np.ndarray) -> None:
+    """Nothing but the good array is read."""
+    np.testing.assert_array_equal(array, np.arange(12.0).reshape(2, 6))

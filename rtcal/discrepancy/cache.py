@@ -7,22 +7,17 @@ the seed, the engine and the version of rtcal. The folder can be deleted at any 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from zipfile import BadZipFile
-
-import numpy as np
 
 from rtcal.discrepancy.bootstrap import checked_controls, checked_engines
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.engines import ENGINES, ControlRooms, Report, no_report
 from rtcal.errors import DataError
-from rtcal.support import checks
+from rtcal.support import checks, kept_arrays
 from rtcal.support.arguments import checked
-from rtcal.support.files import make_folder, write_bytes
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.version import __version__
 
@@ -58,11 +53,11 @@ def cached_control_rooms(
     checks.whole("seed", seed, 0)
     where, rooms = checks.path("folder", folder), []
     for name in checked_engines(engines):
-        path = where / f"{_key(case, seed, name)}.npy"
+        path = where / f"{_key(case, seed, name)}.array"
         controls = _read(path, case, name)
         if controls is None:
             controls = ENGINES[name].run(case, seed, report)
-            _write(path, controls)
+            kept_arrays.write(path, controls.errors)
         rooms.append(controls)
     return tuple(rooms)
 
@@ -73,18 +68,10 @@ def _key(case: Case, seed: int, engine: str) -> str:
 
 
 def _read(path: Path, case: Case, engine: str) -> ControlRooms | None:
-    try:
-        errors = np.load(path, allow_pickle=False)
-        return checked_controls(case, [ControlRooms(engine, errors)], least=1)[0]
-    except (OSError, ValueError, EOFError, BadZipFile, DataError, AttributeError):
+    errors = kept_arrays.read(path)
+    if errors is None:
         return None
-
-
-def _write(path: Path, controls: ControlRooms) -> None:
-    content = io.BytesIO()
-    np.save(content, controls.errors, allow_pickle=False)
     try:
-        make_folder(path.parent)
-        write_bytes(path, content.getvalue())
-    except (OSError, DataError):
-        return  # a folder that is read-only
+        return checked_controls(case, [ControlRooms(engine, errors)], least=1)[0]
+    except DataError:
+        return None

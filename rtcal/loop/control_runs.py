@@ -10,13 +10,11 @@ says how far to trust it.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -29,9 +27,8 @@ from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.paths import ScatteringModel
 from rtcal.simulators.shoebox import ShoeboxSimulator
-from rtcal.support import checks
+from rtcal.support import checks, kept_arrays
 from rtcal.support.arguments import checked
-from rtcal.support.files import make_folder, write_bytes
 from rtcal.support.types import Array, read_only
 from rtcal.support.version import __version__
 
@@ -183,7 +180,7 @@ def control_runs(
     if cache is not None:
         path = (
             checks.path("cache", cache)
-            / f"{_key(base, simulator, room, match, seed, uncertainty)}.npy"
+            / f"{_key(base, simulator, room, match, seed, uncertainty)}.array"
         )
         if (kept := _read(path, match, base)) is not None:
             return kept
@@ -198,7 +195,7 @@ def control_runs(
             report(run + 1, RUNS)
     runs = ControlRuns(parameters=tuple(match), pairs=base.pairs, errors=np.array(errors))
     if path is not None:
-        _write(path, runs)
+        kept_arrays.write(path, runs.errors)
     return runs
 
 
@@ -298,19 +295,11 @@ def _key(
 
 def _read(path: Path, match: Sequence[str], base: PathTracing) -> ControlRuns | None:
     """Return the errors that a file holds; None if it cannot be used."""
+    errors = kept_arrays.read(path)
+    if errors is None:
+        return None
     try:
-        errors = np.load(path, allow_pickle=False)
         runs = ControlRuns(parameters=tuple(match), pairs=base.pairs, errors=errors)
-    except (OSError, ValueError, EOFError, BadZipFile, RtcalError, AttributeError):
+    except RtcalError:
         return None
     return runs if errors.shape[3] == base.room.n_bands else None
-
-
-def _write(path: Path, runs: ControlRuns) -> None:
-    content = io.BytesIO()
-    np.save(content, runs.errors, allow_pickle=False)
-    try:
-        make_folder(path.parent)
-        write_bytes(path, content.getvalue())
-    except (OSError, DataError):
-        return  # a folder that is read-only
