@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration import uncertainty
+from rtcal.calibration import joint_solution, uncertainty
 from rtcal.errors import ModelError
 
 
@@ -47,6 +47,20 @@ def test_memory_of_a_calibration_is_linear_in_the_materials() -> None:
 def test_soft_match_beyond_memory_is_refused_before_the_work() -> None:
     with pytest.raises(ModelError, match=r"SoftMatch couples every two of 2000 materials .* 2\.4e"):
         rt.calibrate(large_room(2000), np.full(6, 0.8), method="soft")
+
+
+def test_what_configurations_share_is_calculated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    rooms = [large_room(4, seed, f"state {seed}") for seed in range(5)]
+    times = [1.1 * rt.Eyring().reverberation_time(room) for room in rooms]
+    joint = rt.calibrate(rt.Configurations(rooms), times, method="joint")
+    innovation, density = Mock(side_effect=uncertainty.innovation), Mock()
+    monkeypatch.setattr(joint_solution, "innovation", innovation)
+    monkeypatch.setattr(joint_solution, "density", density)
+    records = [result.to_dict() for result in joint.results]
+    assert innovation.call_count == 1
+    assert density.call_count == 0
+    assert [record["room"] for record in records] == [room.name for room in rooms]
+    assert all(m["interval_after"] is None for record in records for m in record["materials"])
 
 
 def test_derivative_with_respect_to_every_time_takes_two_assemblies(

@@ -16,7 +16,7 @@ from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms import MatchConstraint, SoftMatch
-from rtcal.calibration.uncertainty import density, estimate_sigma, optimality
+from rtcal.calibration.uncertainty import density, estimate_sigma, innovation, optimality
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.sensitivities import Optimality
 from rtcal.support.types import Array
@@ -94,6 +94,11 @@ class JointSolution:
     def optimality(self) -> Optimality:
         """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
         return optimality(self.solution, self.measured_times, self.assemble, bounds=True)
+
+    @cached_property
+    def innovation(self) -> tuple[Array, Array]:
+        """b - S'mu and its covariance, over configurations and bands."""
+        return innovation(self.solution, self.configurations)
 
     @cached_property
     def _estimate_sigma(self) -> Array:

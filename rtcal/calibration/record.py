@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -31,7 +32,12 @@ _BOUNDS = {-1: "lower", 0: "", 1: "upper"}
 def versions() -> dict[str, str]:
     """Return the versions of rtcal, Python and the required libraries."""
     rtcal_and_python = {"rtcal": __version__, "Python": platform.python_version()}
-    return rtcal_and_python | {name: metadata.version(name) for name in _LIBRARIES}
+    return rtcal_and_python | {name: _version(name) for name in _LIBRARIES}
+
+
+@functools.cache
+def _version(library: str) -> str:
+    return metadata.version(library)  # it reads and parses a file
 
 
 def inputs(room: Room, measured: MeasuredTimes) -> dict[str, Any]:

@@ -27,7 +27,6 @@ from rtcal.calibration.joint_solution import JointSolution
 from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.table import html_table, text_table
-from rtcal.calibration.uncertainty import innovation
 from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.distributions import exact_interval
@@ -192,7 +191,7 @@ class CalibrationResult:
     @cached_property
     def plausibility(self) -> Plausibility:
         """Distance of the measured T from the prior, with the room's sigma; see `Plausibility`."""
-        deviation, covariance = innovation(self.joint.solution, self.joint.configurations)
+        deviation, covariance = self.joint.innovation
         bands = slice(
             self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
         )
@@ -248,6 +247,8 @@ class CalibrationResult:
         Exact, from `rtcal.posterior`. None if that would need samples (correlations, order,
         several configurations), or if the method has no posterior (`lse`, `robust`).
         """
+        if len(self.joint.configurations.rooms) > 1:
+            return None
         try:
             density = self.joint.density()
         except ModelError:  # the method has no posterior

@@ -70,7 +70,7 @@ def toml_table(text: str) -> dict[str, Any]:
     return value
 
 
-_MOST_KEYS = 12  # that a message names, the nearest first
+_MOST_KEYS = 12  # that a message names: the nearest
 _TOO_DEEP = f"more than {MAX_DEPTH} levels"
 
 
@@ -140,9 +140,10 @@ class Entries:
         for key in self.values:
             if key not in self.needed and key not in self.optional:
                 keys = {*self.needed, *self.optional}
-                allowed = ", ".join(get_close_matches(str(key)[:40], sorted(keys), _MOST_KEYS, 0))
+                nearest = get_close_matches(str(key)[:40], keys, _MOST_KEYS, 0)
                 raise DataError(
-                    f'{self.name} has the key "{str(key)[:40]}", which is not one of {allowed}'
+                    f'{self.name} has the key "{str(key)[:40]}", which is not one of '
+                    f"{', '.join(sorted(nearest))}"
                     f"{', ...' if len(keys) > _MOST_KEYS else ''}"
                 )
 
