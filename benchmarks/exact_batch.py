@@ -84,9 +84,9 @@ def batch(rows: int) -> list[tuple[str, float, str, bool]]:
     print(f"{rows:,} problems of {N}, {100 * share:.1f} % with an active bound, one thread:")
     print(
         f"  closed form {1e9 * closed / rows:.0f} ns, exact {1e9 * per:.0f} ns, "
-        f"NumPy twin {1e9 * numpy_time / 200_000:.0f} ns a problem"
+        f"NumPy engine {1e9 * numpy_time / 200_000:.0f} ns a problem"
     )
-    print(f"  NumPy twin / kernel {numpy_time / kernel:.1f}")
+    print(f"  NumPy engine / kernel {numpy_time / kernel:.1f}")
     general = [one_daqp(mu, sigma, areas, target), one_cvxpy(mu, sigma, areas, target)]
     return [
         ("exact / closed form", exact / closed, "at most 2.5", exact / closed <= 2.5),

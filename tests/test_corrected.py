@@ -238,6 +238,13 @@ def test_a_geometric_simulator_takes_the_absorber_on_its_walls() -> None:
     )
 
 
+def other_bands(room: rt.Room) -> rt.Room:
+    """The room with its first two columns of coefficients at 250 and 500 Hz."""
+    return room.replace(
+        alpha=room.alpha[:, :2], sigma=room.sigma[:, :2], centre_frequencies=[250, 500]
+    )
+
+
 def test_what_a_simulator_cannot_have_is_refused() -> None:
     case = boxed()
     for effect, message in (("coupled room", "second room"), ("noise floor", "take the noise off")):
@@ -256,6 +263,8 @@ def test_what_a_simulator_cannot_have_is_refused() -> None:
     )
     with pytest.raises(DataError, match="has the materials all; the case has"):
         simulator(case, lambda room: images(other))
+    with pytest.raises(DataError, match="2 bands, 250 to 500 Hz; the case has "):
+        simulator(case, lambda room: images(other_bands(room)))
     moved = replace(case, applied=[AppliedEffect("volume", {"ratio": 1.2})])
     with pytest.raises(DataError, match="states no dimensions"):
         simulator(moved, images)  # the box's sides are not known any more

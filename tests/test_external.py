@@ -120,12 +120,7 @@ def test_what_a_command_started_is_ended_with_it(cr2, tmp_path):
     run = command([sys.executable, "-c", program], room, time_limit=3.0)
     with pytest.raises(SimulatorError, match="ran for longer than 3 s"):
         external(room, run).simulate(room.alpha)
-    child = int(number.read_text())
-    for _ in range(50):
-        if ended(child):
-            break
-        time.sleep(0.1)
-    assert ended(child)
+    assert ends_soon(int(number.read_text()))
 
 
 def ended(number):
@@ -136,6 +131,15 @@ def ended(number):
         return True
     state = pathlib.Path(f"/proc/{number}/stat")
     return state.exists() and state.read_text().rsplit(")", 1)[1].split()[0] == "Z"
+
+
+def ends_soon(process: int) -> bool:
+    """Whether a process ends within five seconds."""
+    for _ in range(50):
+        if ended(process):
+            return True
+        time.sleep(0.1)
+    return False
 
 
 @pytest.mark.parametrize(
@@ -319,12 +323,7 @@ def test_a_child_in_a_session_of_its_own_is_ended_too(cr2, tmp_path):
     run = command([sys.executable, "-c", program], room, time_limit=4.0)
     with pytest.raises(SimulatorError, match=r"ran for longer than 4 s$"):
         run(room.alpha, 0)
-    child = int(number.read_text())
-    for _ in range(50):
-        if ended(child):
-            break
-        time.sleep(0.1)
-    assert ended(child)
+    assert ends_soon(int(number.read_text()))
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "one", None, True])

@@ -73,7 +73,7 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def _header(line: str, place: str) -> list[str]:
     header = [cell.strip().lower() for cell in _cells(line, place)]
-    if repeated := next((c for c, times in Counter(header).items() if times > 1), None):
+    if repeated := next((c for c, n in Counter(header).items() if n > 1), None):
         raise DataError(f'{place}: column "{repeated}" is given twice')
     for column in _COLUMNS:
         if column not in header:

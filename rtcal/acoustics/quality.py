@@ -53,9 +53,9 @@ P_CONTRADICTION = 0.05
 P_TOO_GOOD = 0.99
 """Above this p-value, prior and measurement agree too well to be true.
 
-If prior and measurement are right, the p-value is uniform, so 1 room in 100 is marked by chance. With
-all standard deviations f times too large, the share of rooms marked is P(chi² < f² chi²_0.01): in six
-octaves 25 % for f = 2 and 75 % for f = 3, in 18 thirds 94 % for f = 2."""
+If prior and measurement are right, the p-value is uniform, so 1 room in 100 is marked by chance. If
+all standard deviations are f times too large, P(chi² < f² chi²_0.01) of the rooms are marked. In
+six octaves these are 25 % for f = 2 and 75 % for f = 3, in 18 thirds 94 % for f = 2."""
 
 
 @dataclass(frozen=True, eq=False)

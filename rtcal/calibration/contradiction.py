@@ -15,9 +15,9 @@ _NOTHING = 1e-9
 def explain(model: NumpyModel) -> None:
     """Raise InfeasibleError, with the smallest relaxation, if the constraints contradict each other.
 
-    An elastic linear programme (Chinneck 2008, ch. 6): minimise the sum of all relaxations, each in
-    absorption coefficients (a row's in units of the sum of its coefficients of one sign), subject
-    to every row and every bound of a term, relaxed. 0 <= alpha <= 1 and fixed unknowns are not
+    An elastic linear programme (Chinneck 2008, ch. 6): minimise the sum of all relaxations, subject to
+    every row and every bound of a term, relaxed. Relaxations are in absorption coefficients; a row's is
+    divided by the sum of its coefficients of one sign. 0 <= alpha <= 1 and fixed unknowns are not
     relaxed.
     """
     from scipy.optimize import linprog

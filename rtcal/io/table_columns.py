@@ -140,7 +140,7 @@ class Column:
     Parameters
     ----------
     kind : str
-        "of" for a column of values of the ``parameter``, the ``band`` or both. Other columns hold:
+        "data" for a column of values of the ``parameter``, the ``band`` or both. Other columns hold:
         "source", "receiver", "parameter", "band", "value", "unit", "statistic", "uncertainty",
         "standard_deviation", "sources" or "receivers"; "" for an ignored column.
     header : str
@@ -168,7 +168,7 @@ class Column:
 
         None for any other two headers.
         """
-        if self.kind != "of" or below.kind != "of":
+        if self.kind != "data" or below.kind != "data":
             return None
         if self.has_band == below.has_band or bool(self.parameter) == bool(below.parameter):
             return None
@@ -183,7 +183,7 @@ class Column:
     def description(self, stated: str | None) -> str:
         """Return the meaning of the column in words; ``stated`` is the user's parameter."""
         content = self.kind.replace("_", " ") or "left out"
-        if self.kind == "of":
+        if self.kind == "data":
             name = self.parameter or stated
             content = name.upper() if name else "the row's parameter"
             if self.has_band:
@@ -262,7 +262,7 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
                 f'{place}: column "{shown(header)}" is no band; is the line with the names of the '
                 "columns missing?"
             )
-        return Column("of", header, band=nominal_band(frequency, place))
+        return Column("data", header, band=nominal_band(frequency, place))
     key = re.sub(r"[\s_]+", "", name.lower())
     if key in _COLUMN_SPELLINGS:
         kind = _COLUMN_SPELLINGS[key]
@@ -273,14 +273,14 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
     parameter = parameter_of(name, place, decay_time)
     if parameter is not None:
         scale_of(parameter, unit, place)
-        return Column("of", header, parameter, unit=unit)
+        return Column("data", header, parameter, unit=unit)
     both = _BOTH.fullmatch(name)
     if both:
         parameter, frequency = parameter_of(both[1], place, decay_time), frequency_of(both[2])
         if parameter is not None and frequency is not None:
             scale_of(parameter, unit if unit.lower() not in ("hz", "khz") else "", place)
             frequency *= 1000 if unit.lower() == "khz" else 1
-            return Column("of", header, parameter, nominal_band(frequency, place))
+            return Column("data", header, parameter, nominal_band(frequency, place))
     return None
 
 

@@ -266,7 +266,7 @@ class _Headers:
             columns.append(column)
         if columns and columns[0].kind == "first":
             columns[0] = self.unnamed(columns[1:], [r[0] for _, r in body if r and r[0]])
-        for kind in {c.kind for c in columns} - {"of", ""}:
+        for kind in {c.kind for c in columns} - {"data", ""}:
             if [c.kind for c in columns].count(kind) > 1:
                 raise DataError(f"{place}: two columns are the {kind}")
         return columns

@@ -193,7 +193,7 @@ class _Reader:
         is_summary = bool(counts) or {"sources", "receivers", "standard_deviation"} & {*kinds}
         self.pair = (SUMMARY, SUMMARY) if is_summary and not self.has_positions else ("S1", "R1")
         if {"uncertainty", "standard_deviation"} & {*kinds} and (
-            kinds.count("of") + kinds.count("value") > 1
+            kinds.count("data") + kinds.count("value") > 1
         ):
             raise DataError(
                 f"{self.header_place}: a column of uncertainties needs one value per row; there "
@@ -210,7 +210,7 @@ class _Reader:
             entries = {
                 column.kind: cell
                 for column, cell in zip(self.layout.columns, cells, strict=True)
-                if column.kind not in ("of", "")
+                if column.kind not in ("data", "")
             }
             statistic = self._statistic(entries, place)
             values = single if statistic is None else of_several
@@ -270,7 +270,7 @@ class _Reader:
             self._row_band(entries, place),
         )
         for column, cell in zip(self.layout.columns, cells, strict=True):
-            if column.kind not in ("of", "value") or cell.lower() in _MISSING:
+            if column.kind not in ("data", "value") or cell.lower() in _MISSING:
                 continue
             parameter = column.parameter or row_parameter
             band = column.band if column.has_band else row_band
@@ -334,7 +334,7 @@ class _Reader:
         commas = points = 0
         for line, cells in self.layout.rows:
             for column, cell in zip(self.layout.columns, cells, strict=True):
-                if column.kind in ("of", "value"):
+                if column.kind in ("data", "value"):
                     match = _WITH_UNIT.fullmatch(cell[: MAX_CELL + 1])
                     digits = match[1].strip() if match else cell
                     if _NUMBER.fullmatch(digits):
