@@ -22,12 +22,14 @@ UNSTATED_TIME = 0.03
 """Relative standard uncertainty of a decay time that states none.
 
 Between teams T30 at one pair differed by 4.6 % (125 Hz) to 1.3 % (4 kHz) (standard deviations, Bork
-2005; see `Measurement.mean_uncertainty`); 3 % is the middle."""
+2005; see `Measurement.mean_uncertainty`); 3 % is the middle. Half of it changes the finding in 1 of 8
+rooms with single pairs, twice of it in none (benchmarks/unstated_uncertainty.py)."""
 UNSTATED_LEVEL = 0.5
 """Standard uncertainty in dB of C80 and G that state none: half a JND (ISO 3382-1, Table A.1: 1 dB).
 
-Chosen, without a study of its effect. State the uncertainty of G where the source's calibration is
-less certain."""
+Chosen. Half of it changes the finding in none of 8 rooms with single pairs, twice of it in 2, whose
+finding was ambiguous or a hint (benchmarks/unstated_uncertainty.py). State the uncertainty of G if the
+source's calibration is less certain."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,7 +107,7 @@ class State:
         return replace(self, objects=self.objects + absorption_area)
 
 
-def _each(states: Sequence[State], name: str) -> Array:
+def _attribute(states: Sequence[State], name: str) -> Array:
     """One attribute of all states, (n, n_bands)."""
     out = np.empty((len(states), len(states[0].air)))
     for i, s in enumerate(states):
@@ -132,7 +132,7 @@ def _mean(equation: MeanEquation, states: Sequence[State]) -> Array:
     """Return the equation's mean over the walls, (n, n_bands), within the equation's range."""
     areas, alpha = _stacked(states)
     walls = equation.contribution(np.minimum(alpha, equation.largest_alpha))
-    total = np.einsum("nm,nmk->nk", areas, walls) + _each(states, "covering")
+    total = np.einsum("nm,nmk->nk", areas, walls) + _attribute(states, "covering")
     highest = (1 - _FROM_ENDS) * equation.largest_mean
     return np.asarray(np.clip(total / areas.sum(1)[:, None], _FROM_ENDS, highest))
 
@@ -150,8 +150,8 @@ def surface_absorption(states: Sequence[State]) -> Array:
 def rates(states: Sequence[State]) -> Array:
     """Return k = c (S a + 4 m V + A_objects) / 4 V in 1/s of many states, (n, n_bands)."""
     volume = np.array([s.volume for s in states])[:, None]
-    absorbed = surface_absorption(states) + 4 * _each(states, "air") * volume
-    absorbed += _each(states, "objects")
+    absorbed = surface_absorption(states) + 4 * _attribute(states, "air") * volume
+    absorbed += _attribute(states, "objects")
     return np.asarray(states[0].speed_of_sound * absorbed / (4 * volume))
 
 

@@ -1,0 +1,65 @@
+"""What the uncertainty of values that state none decides: `python -m benchmarks.unstated_uncertainty`.
+
+Rooms of the second hidden world's development population, of which only the first source-receiver pair
+counts, so that no uncertainty follows from the spread over pairs. Prints verdict and effect for
+`features.UNSTATED_TIME` and `UNSTATED_LEVEL`, and for half and twice of each.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+
+import numpy as np
+
+from rtcal.discrepancy import Case, control_rooms, features, find
+from tests.second_world.generate import read
+
+PARAMETERS = ("t20", "edt", "t30", "c80", "g")
+FACTORS = ((1.0, 1.0), (0.5, 1.0), (2.0, 1.0), (1.0, 0.5), (1.0, 2.0))
+
+
+def first_pair(data: dict) -> Case:
+    """The case with one pair per configuration, and no stated uncertainty."""
+    configurations = []
+    for entry in data["configurations"]:
+        kept = {
+            k: v for k, v in entry.items() if k in ("name", "changes", "suspect_removed", "air")
+        }
+        for key in (*PARAMETERS, "distance"):
+            if key in entry:
+                pairs = key == "distance" or isinstance(entry[key][0], list)
+                kept[key] = entry[key][:1] if pairs else entry[key]
+        configurations.append(kept)
+    return Case.from_dict(
+        {"room": data["room"], "equation": data["equation"], "configurations": configurations}
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rooms", type=int, default=8)
+    count = parser.parse_args().rooms
+    warnings.simplefilter("ignore")
+    cases, truths = read(0, "case"), read(0, "truth")
+    time, level = features.UNSTATED_TIME, features.UNSTATED_LEVEL
+    changed = np.zeros(len(FACTORS), dtype=int)
+    for i in np.linspace(0, len(cases) - 1, count).astype(int):
+        case = first_pair(cases[i])
+        controls = control_rooms(case)
+        results = []
+        for of_time, of_level in FACTORS:
+            features.UNSTATED_TIME, features.UNSTATED_LEVEL = of_time * time, of_level * level
+            finding = find(case, controls=controls)
+            results.append((finding.verdict, finding.effect))
+        features.UNSTATED_TIME, features.UNSTATED_LEVEL = time, level
+        changed += [r != results[0] for r in results]
+        print(truths[i]["kind"], *results, sep=" | ")
+        sys.stdout.flush()
+    for (of_time, of_level), n in zip(FACTORS, changed, strict=True):
+        print(f"time x {of_time:g}, level x {of_level:g}: another finding in {n} of {count} rooms")
+
+
+if __name__ == "__main__":
+    main()
