@@ -6,7 +6,7 @@ are the untyped exceptions (asked: at most 1 %) and the calls without an end wit
 Public are the names that the packages list, the functions of the modules among them, and the methods
 of the classes for which `instances` has an example.
 
-``--list`` prints each untyped call, ``--only TEXT`` takes the functions with TEXT in their name, and
+``--list`` prints each untyped call. ``--only TEXT ...`` takes the functions with a TEXT in their name.
 ``--slow`` prints the processor time by function.
 """
 
@@ -312,6 +312,7 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         "error": ModelError("text"),
         "bands": [0],
         "most": 3,
+        "protocol": rt.terms.ObjectiveTerm,
     }
     return by_class, by_name
 
@@ -396,7 +397,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--list", action="store_true", help="print each untyped call")
     parser.add_argument("--slow", action="store_true", help="print the time by function")
-    parser.add_argument("--only", default="", metavar="TEXT", help="only functions of this name")
+    parser.add_argument("--only", nargs="+", default=[""], help="only functions with such a name")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")
     np.seterr(all="ignore")
@@ -409,7 +410,7 @@ def main() -> None:
         os.chdir(made)
         by_class, by_name = instances(Path(made))
         for name, function in functions(by_class):
-            if chosen.only not in name:
+            if not any(text in name for text in chosen.only):
                 continue
             began = time.process_time()
             valid = arguments(name, function, by_class, by_name)

@@ -67,7 +67,12 @@ def of_bands(error: E, bands: Iterable[int]) -> E:
     >>> of_bands(ModelError("no T"), [2]).bands
     (2,)
     """
-    error.bands = tuple(int(k) for k in bands)
+    if not isinstance(error, RtcalError):
+        raise DataError(f"error = {error!r} is none of rtcal's errors")
+    try:
+        error.bands = tuple(int(k) for k in bands)
+    except (TypeError, ValueError, OverflowError) as cause:
+        raise DataError(f"bands = {bands!r} is not a list of whole numbers") from cause
     return error
 
 

@@ -148,3 +148,60 @@ def test_the_decorator_stands_below_the_others() -> None:
                 names = [ast.unparse(d) for d in node.decorator_list]
                 if "checked" in names:
                     assert names[-1] == "checked", f"{path}:{node.lineno}"
+
+
+@checked
+def combined(first: Array, second: Array, weights: Sequence[float] | Array = (1.0,)) -> Array:
+    return first @ second.T * np.asarray(weights)[0]
+
+
+def test_a_number_a_list_nothing_and_shapes_that_do_not_fit_are_named() -> None:
+    square = np.ones((2, 2))
+    for wrong, reason in (
+        (0.5, "second = 0.5 is a single number; an array is needed"),
+        ([], "second is empty"),
+        ([[1.0, 2.0]], r"second = \[\[1.0, 2.0\]\] is a list; an array is needed"),
+        (np.ones((3, 3)), r"shapes that do not fit: first \(2, 2\), second \(3, 3\)"),
+        (10**400, "second = .* is not an array of real numbers"),
+    ):
+        with pytest.raises(DataError, match=f"test_arguments.combined: {reason}"):
+            combined(square, wrong)  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="weights is empty"):
+        combined(square, square, [])
+
+
+def test_what_would_have_no_end_is_refused() -> None:
+    hall = rt.datasets.halls.corridor()
+    tracer = rt.simulators.PathTracing(
+        geometry=hall.geometry,
+        room=hall.room,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=32,
+    )
+    with pytest.raises(DataError, match=r"seconds = 1e\+300 s is above 60 s"):
+        tracer.traced(0, 1e300)
+    with pytest.raises(DataError, match="seconds = 61 s is above 60 s"):
+        tracer.energy(hall.room.alpha, 61)
+    for scores in (
+        lambda n: rt.studies.analytic_scores([10, 20], 0.05, n),
+        lambda n: rt.studies.calibration_scores([10, 20], 0.05, n, 10),
+    ):
+        with pytest.raises(DataError, match=r"realisations = .* is above 2\*\*53"):
+            scores(10**400)
+
+
+def test_the_figures_and_names_of_places_are_checked() -> None:
+    figures, room = rt.report.figures, rt.datasets.bras_cr2()[0]
+    with pytest.raises(DataError, match="height = -1"):
+        figures.new_figure(height=-1)
+    with pytest.raises(DataError, match="text: a figure ends with"):
+        figures.rendered(figures.new_figure()[0], "text")
+    with pytest.raises(DataError, match="rendered: figure = None is not a Figure"):
+        figures.rendered(None, "png")
+    with pytest.raises(DataError, match="band = 99 is not from 0 to 5"):
+        room.place("alpha", 0, 99)
+    with pytest.raises(DataError, match="is none of rtcal's errors"):
+        rt.errors.of_bands(None, [1])
+    with pytest.raises(DataError, match="is not a list of whole numbers"):
+        rt.errors.of_bands(rt.errors.ModelError("no T"), ["a"])

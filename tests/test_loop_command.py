@@ -358,3 +358,48 @@ def test_two_commands_at_once_do_not_lose_a_step(cr2, tmp_path, monkeypatch):
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
     assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
+
+
+@pytest.mark.parametrize("name", ["sabine", "kuttruff"])
+def test_the_equation_of_the_loop_is_chosen_at_its_start(name: str, cr2, tmp_path):
+    room, measured = cr2
+    room.save(str(tmp_path / "room.toml"))
+    measured.save(str(tmp_path / "t.csv"))
+    state, out = tmp_path / "loop.json", tmp_path / "next.toml"
+    files = ["--state", str(state), "--out", str(out)]
+    tables = [str(tmp_path / "room.toml"), str(tmp_path / "t.csv")]
+    done = CliRunner().invoke(cli, ["loop", "start", *tables, "--equation", name, *files])
+    assert done.exit_code == 0, done.output
+    assert json.loads(state.read_text(encoding="utf-8"))["equation"]["name"].lower() == name
+    equation = {"sabine": rt.Sabine(), "kuttruff": rt.Kuttruff()}[name]
+    expected = rt.calibrate(room, measured, equation=equation, unreachable="nearest").alpha
+    np.testing.assert_allclose(rt.Room.from_file(str(out)).alpha, expected, rtol=0, atol=1e-9)
+    refused = CliRunner().invoke(cli, ["loop", "start", *tables, "--equation", "fitzroy", *files])
+    assert refused.exit_code == 2
+    assert "fitzroy" in refused.output
+
+
+def test_a_bent_decay_is_a_reservation_of_the_loop(cr2, tmp_path, capsys):
+    room, measured = cr2
+    t = measured.decay_time().mean
+    bent = rt.Measurement.from_values(room.centre_frequencies, t20=t, edt=0.5 * t, t30=1.4 * t)
+    room.save(str(tmp_path / "room.toml"))
+    bent.save(str(tmp_path / "t.csv"))
+    files = ["--state", str(tmp_path / "loop.json"), "--out", str(tmp_path / "next.toml")]
+    for step in (["start", str(tmp_path / "room.toml"), str(tmp_path / "t.csv")], None):
+        if step is None:
+            simulated = rt.Room.from_file(str(tmp_path / "next.toml"))
+            times = 1.1 * rt.Eyring().reverberation_time(simulated)
+            table = rt.Measurement.from_values(room.centre_frequencies, t20=times)
+            table.save(str(tmp_path / "s.csv"))
+            step = ["next", str(tmp_path / "room.toml"), str(tmp_path / "s.csv")]
+        with pytest.raises(SystemExit) as stop:
+            main(["loop", *step, *files])
+        assert stop.value.code == 0
+    assert "the decay is bent" in unwrapped(capsys.readouterr().out)
+    loop = rt.loop.Loop.load(str(tmp_path / "loop.json"))
+    assert {m.frequency for m in loop.trust_marks if m.kind == "bent"} == set(
+        room.centre_frequencies
+    )
+    straight = rt.Measurement.from_values(room.centre_frequencies, t20=t, edt=t, t30=t)
+    assert not rt.loop.start(room, straight).bent

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,8 @@ import rtcal as rt
 from rtcal.discrepancy import Case
 from rtcal.errors import DataError
 from rtcal.loop import Loop, start
-from rtcal.report import saved
+from rtcal.report import gap_report, saved
+from rtcal.support.decode import json_object
 from tests.test_discrepancy import opened
 
 
@@ -77,6 +79,27 @@ def test_json_readers_are_strict(reader: tuple[str, str, Callable[..., None]]) -
     check(text.replace(entry, f'"{key}": "\\ud800"'), "half of a surrogate pair")
     check("[1]", "not a JSON object")
     check("", "not JSON")
+
+
+@pytest.mark.parametrize("name", sorted(READERS))
+def test_json_in_latin_1_is_refused(name: str, tmp_path: Path) -> None:
+    """JSON is UTF-8 (RFC 8259): a guess would change names in silence."""
+    make, read, _ = READERS[name]
+    path = tmp_path / f"{name}.json"
+    text = make().replace("seminar room", "Saal in München").replace('"hall"', '"Bühne"')
+    assert "ü" in text
+    path.write_text(text, encoding="utf-8")
+    read(str(path))
+    path.write_bytes(text.encode("latin-1", "replace"))
+    refused(lambda: read(str(path)), str(path), "UTF-8")
+
+
+def test_a_findings_file_holds_no_nan(tmp_path: Path) -> None:
+    """NaN is no JSON: strict readers refuse the file."""
+    unknown = dataclasses.replace(rt.discrepancy.find(opened()), score=float("nan"))
+    gap_report.write(unknown, tmp_path / "out")
+    text = (tmp_path / "out" / "finding.json").read_text(encoding="utf-8")
+    assert json_object(text)["score"] is None
 
 
 @pytest.mark.parametrize("value", ["true", '"1.5"', "null", "[]", "1" + "0" * 350, "1e999", "{}"])

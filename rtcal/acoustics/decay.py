@@ -132,8 +132,7 @@ def slope_time(level: Array, bin_width: float, parameter: str = "t20") -> Array:
     DataError
         For an unknown parameter or a width not above 0.
     """
-    if parameter not in RANGES:
-        raise DataError(f'"{parameter}" is no decay time; known are {", ".join(RANGES)}')
+    _check_decay_time(parameter)
     width = _width(bin_width)
     upper, lower = RANGES[parameter]
     with np.errstate(invalid="ignore"):
@@ -152,7 +151,13 @@ def slope_time(level: Array, bin_width: float, parameter: str = "t20") -> Array:
 @checked
 def too_short(energy: Array, parameter: str = "t20") -> NDArray[np.bool_]:
     """Return whether the decay is cut off too early to hold a decay time, (...)."""
+    _check_decay_time(parameter)
     return np.asarray(cut_off_db(energy) > RANGES[parameter][1] - MARGIN_DB)
+
+
+def _check_decay_time(parameter: str) -> None:
+    if parameter not in RANGES:
+        raise DataError(f'"{parameter}" is no decay time; known are {", ".join(RANGES)}')
 
 
 def early_energy(energy: Array, bin_width: float, limit: float) -> Array:
@@ -200,6 +205,10 @@ def parameters(
     }
     values = {}
     for name in names:
+        if name not in RANGES and name not in functions:
+            raise DataError(
+                f'"{name}" is no parameter; known are {", ".join([*RANGES, *functions])}'
+            )
         value = decay_time(energy, bin_width, name) if name in RANGES else functions[name]()
         values[name] = np.where(np.isfinite(value), value, np.nan)
     return values

@@ -288,6 +288,13 @@ def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
 
 
 @checked
+def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
+    """Return the trust marks of bands whose decay is bent."""
+    letter, advice = _ADVICE["bent"]
+    return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
+
+
+@checked
 def trust_marks(
     room: Room,
     measured: Array,
@@ -359,9 +366,7 @@ def trust_marks(
             mark("below_schroeder", f, f"below the Schroeder frequency, {limit:.0f} Hz")
         if f in unreachable:
             mark("unreachable", f, "no coefficients within the bounds give this T")
-        for decay in bent:
-            if decay.frequency == f:
-                mark("bent", f, decay.text)
+        marks += bent_marks([band for band in bent if band.frequency == f])
         if air_share[k] > _AIR_SHARE:
             mark("air", f, "the air absorbs more than the surfaces")
         if uncertainty[k] > JND["t20"] * measured[k]:

@@ -323,6 +323,12 @@ class Room:
     @checked
     def place(self, name: str, material: int, band: int) -> str:
         """Return the name of one value in messages: ``alpha["carpet", 500 Hz]``."""
+        for axis, place, count in (
+            ("material", material, self.n_materials),
+            ("band", band, self.n_bands),
+        ):
+            if not 0 <= place < count:
+                raise DataError(f"{axis} = {checks.shown(place)} is not from 0 to {count - 1}")
         frequency = bands.label(self.centre_frequencies[band])
         return f'{name}["{self.materials[material]}", {frequency}]'
 

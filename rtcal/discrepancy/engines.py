@@ -232,7 +232,7 @@ def _network(setup: Setup) -> Simulation:
     first = [round(d * _RATE / setup.room.speed_of_sound) for d in _distances(setup)]
 
     def simulate(alpha: Array, duration: float) -> Array:
-        energy = network.impulse_responses(alpha, duration) ** 2
+        energy = network.impulse_responses(alpha, min(duration, network.longest)) ** 2
         length = energy.shape[-1] - max(first)
         aligned = np.stack([e[:, s : s + length] for e, s in zip(energy, first, strict=True)])
         return _features(aligned, 1 / _RATE, 100.0)

@@ -154,7 +154,7 @@ def _material(
         scattering_list = _LIST.match(tail)
         if not scattering_list:
             raise DataError(f"{place}: L, the scattering, lacks its <6 to 8 values>")
-        diffuse, _ = _numbers(scattering_list.group(1), 0, place)
+        diffuse, _ = _numbers(scattering_list.group(1), 0, place, " of L, the scattering")
         if len(diffuse) != len(values):
             raise DataError(
                 f"{place}: {len(values)} absorption and {len(diffuse)} scattering values; "
@@ -177,7 +177,9 @@ def _material(
     )
 
 
-def _numbers(text: str, offset: int, place: str) -> tuple[list[float], tuple[tuple[int, int], ...]]:
+def _numbers(
+    text: str, offset: int, place: str, which: str = ""
+) -> tuple[list[float], tuple[tuple[int, int], ...]]:
     values: list[float] = []
     spans: list[tuple[int, int]] = []
     for token in re.finditer(r"[^\s:]+|:", text):
@@ -191,7 +193,9 @@ def _numbers(text: str, offset: int, place: str) -> tuple[list[float], tuple[tup
         values.append(number(token.group(), place))
         spans.append((offset + token.start(), offset + token.end()))
     if not 6 <= len(values) <= 8:
-        raise DataError(f"{place}: {len(values)} values; 6 to 8 octaves from 125 Hz are needed")
+        raise DataError(
+            f"{place}: {len(values)} values{which}; 6 to 8 octaves from 125 Hz are needed"
+        )
     return values, tuple(spans)
 
 

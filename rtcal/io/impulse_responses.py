@@ -193,6 +193,9 @@ def analyse(
     signals = dict(signals) if isinstance(signals, Mapping) else {("S1", "R1"): signals}
     if not signals:
         raise DataError("no impulse response is given")
+    for pair, signal in signals.items():
+        if not hasattr(signal, "sampling_rate"):
+            raise DataError(f"signals: {checks.shown(signal)} of {pair} is no pyfar.Signal")
     rate = min(float(s.sampling_rate) for s in signals.values())
     centres, fractions = _centres(bands, rate)
     values = {p: np.full((len(signals), len(centres)), np.nan) for p in PARAMETERS}
@@ -258,6 +261,7 @@ def of_energy(
     moved before it, over ``early_samples``; it counts as early sound in C50, C80, D50 and Ts.
     """
     needed = _ranges(minimum_range)
+    checks.positive("sampling_rate", sampling_rate, "Hz")
     total = float(np.sum(energy))
     if not (np.isfinite(total) and total > 0 and len(energy) >= sampling_rate / 20):
         return {}, -np.inf, ("no decay: the response is silent or shorter than 50 ms",)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.equations import LinearEquation, linear_equation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.presets import preset
@@ -71,7 +72,7 @@ def attributes(
     ``equation`` replaces the one in the dict. Raises DataError or ModelError for an entry that
     breaks a rule.
     """
-    state = Entries("", data, _KEYS, ("rtcal", "result", "coefficients"))
+    state = Entries("", data, _KEYS, ("rtcal", "result", "coefficients", "bent"))
     room = Room.from_text(state.text("room"), "room")
     method = state.text("method")
     preset(method, room)
@@ -87,9 +88,15 @@ def attributes(
         "equation": equation or _equation(data["equation"]),
         "decimals": checked_decimals(data["decimals"]),
         "tolerance": checks.positive("tolerance", data["tolerance"], "JND"),
+        "bent": tuple(_bent(i, band) for i, band in enumerate(state.listed("bent", ()))),
     }
     steps = [_step(i, step, room, wanted) for i, step in enumerate(state.listed("steps"))]
     return loop, steps
+
+
+def _bent(i: int, data: Any) -> BentDecay:
+    band = Entries(f"bent[{i}].", data, ("frequency", "text"))
+    return BentDecay(band.number("frequency", limits=(0.0, 1e6)), band.text("text"))
 
 
 def _step(i: int, data: Any, room: Room, wanted: Array) -> dict[str, Array]:

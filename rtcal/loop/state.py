@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.quality import JND, TrustMark, gap_jnd
+from rtcal.acoustics.quality import JND, TrustMark, bent_marks, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import data_history, refuse_repeated_data, times_in_room
 from rtcal.calibration.presets import preset
@@ -70,6 +71,8 @@ class Loop:
     tolerance : float
         In JND.
     steps : tuple of Step
+    bent : tuple of BentDecay
+        Bands whose measured decay is not straight.
 
     Examples
     --------
@@ -91,6 +94,7 @@ class Loop:
     decimals: int | None = None
     tolerance: float = 1.0
     steps: tuple[Step, ...] = ()
+    bent: tuple[BentDecay, ...] = ()
     _problems: list[CalibrationProblem] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -142,10 +146,12 @@ class Loop:
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Bands of the `outcome` whose coefficients are at a bound, or contradict the prior (z over 2).
 
+        Also bands whose measured decay is bent.
         A simulator can be brought to almost any T, so a small gap does not confirm the coefficients.
         """
         kinds = ("at_bound", "implausible")
-        return tuple(mark for mark in self.outcome.trust_marks if mark.kind in kinds)
+        marks = [mark for mark in self.outcome.trust_marks if mark.kind in kinds]
+        return (*marks, *bent_marks(self.bent))
 
     @property
     def goal(self) -> Array:
@@ -319,6 +325,7 @@ class Loop:
             "equation": {"name": self._equation.name, **asdict(self._equation)},
             "decimals": self.decimals,
             "tolerance": self.tolerance,
+            "bent": [vars(band) for band in self.bent],
             "steps": [
                 {name: json_numbers(values) for name, values in vars(step).items()}
                 for step in self.steps
@@ -396,4 +403,5 @@ def start(
         equation=equation,
         decimals=decimals,
         tolerance=tolerance,
+        bent=data.bent,
     )

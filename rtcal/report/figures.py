@@ -16,16 +16,21 @@ import numpy as np
 from rtcal.acoustics.quality import JND, letters
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.report.saved import Saved, saved
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from rtcal.calibration.result import CalibrationResult
 
 BLACK, ORANGE, BLUE, GREEN = "#000000", "#D55E00", "#0072B2", "#009E73"
 _LONGEST_NAME = 40
 _MANY_BANDS = 10
+_MOST_PANELS = 10_000  # a panel takes 0.1 MB
 
 
 @checked
@@ -43,6 +48,10 @@ def new_figure(
         raise MissingDependencyError(
             "figures need matplotlib: pip install 'rtcal[report]'"
         ) from error
+    checks.positive("width", width, "in")
+    checks.positive("height", height, "in")
+    if checks.whole("rows", rows, 1) * checks.whole("columns", columns, 1) > _MOST_PANELS:
+        raise DataError(f"rows and columns of more than {_MOST_PANELS} panels")
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns)
 
@@ -62,7 +71,7 @@ def shown(name: str, longest: int = _LONGEST_NAME) -> str:
 
 
 @checked
-def band_axis(axes: Any, frequencies: Array, below: list[str] | None = None) -> None:
+def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) -> None:
     """Make x a logarithmic axis with the bands' centres, each with its text of ``below``."""
     many = len(frequencies) > _MANY_BANDS
     labels = [f"{f:g}" for f in frequencies]
@@ -75,7 +84,7 @@ def band_axis(axes: Any, frequencies: Array, below: list[str] | None = None) -> 
 
 
 @checked
-def jnd_band(axes: Any, frequencies: Array, measured: Array) -> None:
+def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
     """Draw T ± one JND in grey; bands without T interrupt it."""
     low, high = (1 - JND["t20"]) * measured, (1 + JND["t20"]) * measured
     axes.fill_between(frequencies, low, high, color="0.85", label="measured ± 1 JND")
@@ -166,10 +175,11 @@ def gap(result: CalibrationResult | Saved) -> Any:
 
 
 @checked
-def rendered(figure: Any, kind: str) -> bytes:
+def rendered(figure: Figure, kind: str) -> bytes:
     """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file, the same each time."""
     import matplotlib
 
+    _check_kind(kind, kind)
     stream = io.BytesIO()
     undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     with warnings.catch_warnings(), matplotlib.rc_context({"svg.hashsalt": "rtcal"}):
@@ -183,6 +193,10 @@ def rendered(figure: Any, kind: str) -> bytes:
 def save(figure: Any, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG, SVG or PDF by the path's ending, whole or not at all."""
     kind = os.path.splitext(os.fspath(path))[1].lstrip(".").lower()
-    if kind not in ("png", "svg", "pdf"):
-        raise DataError(f'{path}: a figure ends with .png, .svg or .pdf, not ".{kind}"')
+    _check_kind(kind, os.fspath(path))
     write_bytes(path, rendered(figure, kind))
+
+
+def _check_kind(kind: str, place: str) -> None:
+    if kind not in ("png", "svg", "pdf"):
+        raise DataError(f'{place}: a figure ends with .png, .svg or .pdf, not ".{kind}"')

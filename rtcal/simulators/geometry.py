@@ -248,7 +248,7 @@ class Polyhedron:
 def _points(place: str, values: Any) -> Array:
     try:
         points = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{place}: {error}; a point is three numbers in m") from error
     if points.ndim != 2 or points.shape[1] != 3:
         raise DataError(f"{place} has shape {points.shape}; points have shape (n, 3)")

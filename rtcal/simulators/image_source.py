@@ -111,7 +111,8 @@ class ImageSource(ShoeboxSimulator):
         decay.bins(self.bin_width)
         super().__post_init__()
         radius = self.duration * self.room.speed_of_sound
-        number = 4 / 3 * np.pi * radius**3 / np.prod(self.box.dimensions)
+        with np.errstate(over="ignore"):
+            number = 4 / 3 * np.pi * np.float64(radius) ** 3 / np.prod(self.box.dimensions)
         if number > _MOST_IMAGES:
             raise DataError(
                 f"duration = {self.duration:g} s needs {number / 1e6:.0f} million image sources per "

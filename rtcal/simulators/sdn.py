@@ -147,11 +147,12 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
     def impulse_responses(self, alpha: Array, duration: float) -> Array:
         """Return the pressure responses, (n_pairs, n_bands, n_samples), from the emission on.
 
-        ``duration`` is in s. A band's response is the full-band response with its coefficients, not
-        filtered.
+        ``duration`` is in s, at most ``longest``. A band's response is the full-band response with its
+        coefficients, not filtered.
         """
         alpha = check_alpha(self, alpha)
-        checks.positive("duration", duration, "s")
+        if checks.positive("duration", duration, "s") > self.longest:
+            raise DataError(f"duration = {duration:g} s is above longest = {self.longest:g} s")
         n = max(int(np.ceil(duration * self.sampling_rate)), 1)
         reflection = np.sqrt(1 - alpha[self.box.walls])
         out = np.empty((len(self.networks), alpha.shape[1], n))

@@ -2,7 +2,8 @@
 
 `checked` does nothing if a call succeeds or raises one of `rtcal.errors`. After any other exception it
 compares the arguments with the annotations. An argument of another type becomes a DataError that names
-function, argument, value and rule. So a successful call costs no check, and the functions' own, more
+function, argument, value and rule. So does a number or nothing in place of an array, and so do arrays
+whose shapes NumPy cannot combine. A successful call costs no check, and the functions' own, more
 precise messages take precedence.
 
 typeguard and beartype check before each call and take annotations literally. This module is looser: a
@@ -71,14 +72,17 @@ def _wrapped(function: Callable[..., Any], place: str) -> Callable[..., Any]:
     ]
     rules: dict[str, Rule | None] = {}
 
-    def violation(args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> str | None:
+    def violation(args: tuple[Any, ...], kwargs: Mapping[str, Any], error: Exception) -> str | None:
         if not rules:
             rules.update(_rules(function, parameters))
-        for name, value in [*zip(positional, args, strict=False), *kwargs.items()]:
+        values = dict([*zip(positional, args, strict=False), *kwargs.items()])
+        for name, value in values.items():
             rule = rules.get(name)
             if rule is not None and not rule[0](value):
                 return f"{place}: {name} = {shown(value)} is not {rule[1]}"
-        return None
+        arrays = {n: v for n, v in values.items() if v is not None and _of_arrays(rules.get(n))}
+        reason = _unfit(arrays, error)
+        return None if reason is None else f"{place}: {reason}"
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -87,12 +91,50 @@ def _wrapped(function: Callable[..., Any], place: str) -> Callable[..., Any]:
         except RtcalError:
             raise
         except Exception as error:
-            message = violation(args, kwargs)
+            message = violation(args, kwargs, error)
             if message is None:
                 raise
             raise DataError(message) from error
 
     return call
+
+
+_SHAPE_WORDS = (
+    "broadcast",
+    "matmul",
+    "shape",
+    "dimension",
+    "mismatch",
+    "out of bounds",
+    "too many indices",
+    "axis",
+    "setting an array element",
+    "zip()",
+)
+"""Parts of the messages about shapes and lengths that NumPy and Python raise."""
+
+
+def _of_arrays(rule: Rule | None) -> bool:
+    """Whether a rule asks for an array or a list of numbers, and not for a single number either."""
+    if rule is None or "a number" in rule[1].split(" or "):
+        return False
+    return rule[0](np.ones(1)) and not rule[0]("")
+
+
+def _unfit(arrays: Mapping[str, Any], error: Exception) -> str | None:
+    """Return why arrays of the right type may have raised an error, None if nothing tells."""
+    arrays = {n: v for n, v in arrays.items() if np.ndim(v) or isinstance(v, numbers.Real)}
+    for name, value in arrays.items():
+        if np.ndim(value) == 0:
+            return f"{name} = {shown(value)} is a single number; an array is needed"
+        if np.size(value) == 0:
+            return f"{name} is empty"
+        if isinstance(value, list | tuple) and type(value).__name__ in str(error):
+            return f"{name} = {shown(value)} is a {type(value).__name__}; an array is needed"
+    if isinstance(error, ValueError | IndexError) and any(w in str(error) for w in _SHAPE_WORDS):
+        shapes = ", ".join(f"{name} {np.shape(value)}" for name, value in arrays.items())
+        return f"shapes that do not fit: {shapes} ({error})" if shapes else None
+    return None
 
 
 def _rules(
@@ -163,6 +205,8 @@ def _rule(annotation: Any) -> Rule | None:
         return None
     if annotation is object:
         return None
+    if annotation is type:
+        return lambda v: isinstance(v, type), "a class"
     return lambda v: isinstance(v, annotation) and not isinstance(v, type), _article(annotation)
 
 
@@ -220,11 +264,18 @@ def _mapping(keys: Rule | None = None, values: Rule | None = None) -> Rule:
 
 
 def _is_number(value: Any) -> bool:
-    if type(value) is float or type(value) is int:
+    if type(value) is float:
         return True
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return isinstance(value, int | float | np.integer | np.floating) and _is_finite(value)
+
+
+def _is_finite(value: object) -> bool:
+    """Whether a number is no True and no whole number beyond double precision."""
+    return not isinstance(value, bool) and (
+        not isinstance(value, int) or abs(value) <= sys.float_info.max
+    )
 
 
 def _is_array(value: Any) -> bool:
@@ -236,10 +287,8 @@ def _is_array(value: Any) -> bool:
     except (TypeError, ValueError, OverflowError):
         return False
     if array.dtype.kind == "O":
-        real = numbers.Real
-        return array.size > 0 and all(
-            isinstance(v, real) and not isinstance(v, bool) for v in array.ravel().tolist()
-        )
+        members = array.ravel().tolist()
+        return bool(members) and all(isinstance(v, numbers.Real) and _is_finite(v) for v in members)
     return array.dtype.kind in "fiub"
 
 

@@ -88,14 +88,14 @@ def as_objective(term: ObjectiveTerm | Objective) -> Objective:
 
 
 @checked
-def lacking(thing: object, *protocols: type) -> str:
+def lacking(thing: object, protocol: type, *others: type) -> str:
     """Return the members that ``thing`` lacks of the most similar protocol, as ": it lacks ...".
 
     Empty where it has nothing of any of them.
     """
     members = [
         {n for n in (*vars(p), *vars(p).get("__annotations__", ())) if not n.startswith("_")}
-        for p in protocols
+        for p in (protocol, *others)
     ]
     present = [sum(hasattr(thing, name) for name in names) for names in members]
     nearest = present.index(max(present))
