@@ -165,7 +165,6 @@ class ConvexProgram:
         # Coefficients at an end are pinned only for the solver; the certificate judges the original
         # problem.
         model = NumpyModel(replace(data, target=reachable.target), self.objective, self.rows)
-        failure = ""
         try:
             raw = self._solver_answer(model, reachable, options)
         except SolverError as error:

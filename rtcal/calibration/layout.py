@@ -75,7 +75,7 @@ class Layout:
         """Reduce over the rows of alpha, (n_bands,); a further unknown counts in every band."""
         alpha = values[: self.n_alpha].reshape(self.n_rows, self.n_bands)
         further = np.repeat(values[self.n_alpha :, np.newaxis], self.n_bands, axis=1)
-        return np.asarray(reduce(np.concatenate([alpha, further]), axis=0), dtype=float)
+        return np.asarray(reduce(np.concatenate([alpha, further]), axis=0))
 
     def index(self, material: str | None = None, band: float | None = None) -> Integers:
         """Return the indices of the coefficients of one material in one band; None stands for all.

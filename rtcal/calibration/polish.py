@@ -155,7 +155,7 @@ def _solve(
         step, pull = kkt.solve(hessian, matrix, -force, residual)
     except SolverError:
         return None
-    if not (np.isfinite(step).all() and np.isfinite(pull).all()):
+    if not np.isfinite(np.concatenate([step, pull])).all():
         return None
     trial = alpha.copy()
     trial[free] += scale * step

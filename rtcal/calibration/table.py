@@ -141,7 +141,7 @@ def _material_rows(record: Mapping[str, Any]) -> list[text.Row]:
 
 def _numbers(values: Sequence[float | None] | Array) -> Array:
     """The values as an array, NaN where one is missing."""
-    return np.array([np.nan if v is None else v for v in values], dtype=float)
+    return np.array([np.nan if v is None else v for v in values])
 
 
 def _cells(values: Array, form: str) -> list[str]:

@@ -70,7 +70,7 @@ class BandSmoothness(BaseTerm):
         """D over the whitened unknowns; a difference with a sigma of 0 is left out."""
         layout = data.layout
         n, k = layout.n_rows, layout.n_bands
-        one = sp.diags_array([-np.ones(k - 1), np.ones(k - 1)], offsets=[0, 1], shape=(k - 1, k))
+        one = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(k - 1, k))
         over_all = sp.hstack(
             [sp.kron(sp.eye_array(n), one), sp.csr_array((n * (k - 1), layout.size - n * k))]
         )
