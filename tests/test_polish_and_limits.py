@@ -11,7 +11,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.feasibility import reach, restrict_to_reach
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
-from rtcal.calibration.polish import _active_rows, polish
+from rtcal.calibration.polish import active_rows, polish
 from rtcal.errors import SolverError
 from rtcal.support import kkt
 
@@ -56,7 +56,7 @@ def test_inequality_row_with_the_right_sign_is_kept(factor: float, side: float) 
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-4])
-def test_active_rows_are_the_same_in_any_unit_of_area(unit: float) -> None:
+def testactive_rows_are_the_same_in_any_unit_of_area(unit: float) -> None:
     volume = unit**1.5 * ROOM.volume
     room = ROOM.replace(areas=unit * ROOM.areas, surfaces=(), volume=volume)
     t = rt.Eyring().reverberation_time(room) * [0.8, 0.8, 1.0, 1.0, 1.25, 1.25]
@@ -64,7 +64,7 @@ def test_active_rows_are_the_same_in_any_unit_of_area(unit: float) -> None:
     solution = calibration.build(room).solve(t).joint.solution
     rows = solution.multipliers.rows
     np.testing.assert_array_equal(np.sign(rows), [-1, -1, 0, 0, 1, 1])
-    np.testing.assert_array_equal(_active_rows(solution.model, solution.unknowns, rows), rows)
+    np.testing.assert_array_equal(active_rows(solution.model, solution.unknowns, rows), rows)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
