@@ -31,7 +31,7 @@ import numpy as np
 from scipy.stats import norm
 
 import rtcal as rt
-from benchmarks.judging import first_of, kept_controls, one, rate
+from benchmarks.judging import FLAGS, first_of, kept_controls, one, rate, row_of
 from rtcal.discrepancy import (
     AppliedEffect,
     Case,
@@ -99,18 +99,8 @@ def rmse(alpha: Any, truth: dict[str, Any]) -> float:
 def examined(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) -> dict[str, Any]:
     """Find, add, verify; what came of it."""
     finding = find(case, controls=controls)
-    size = finding.size
-    row: dict[str, Any] = {
-        "verdict": finding.verdict,
-        "effect": finding.effect,
-        "candidates": list(finding.candidates),
-        "score": finding.score,
-        "threshold": finding.threshold,
-        "parameters": dict(finding.parameters),
-        "evidence": {k: round(v, 2) for k, v in finding.evidence.items()},
-        "size": None if size is None else [size.mean, size.low, size.high],
-    }
-    if finding.verdict in ("named", "ambiguous"):
+    row = row_of(finding)
+    if named(row):
         seen = verify(finding)
         row |= {
             "rmse": [
@@ -129,10 +119,17 @@ def examined(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
                 "effect": again.effect,
                 "candidates": list(again.candidates),
             }
-            if again.verdict in ("named", "ambiguous") and again.effect != finding.effect:
+            if named(row_of(again)) and again.effect != finding.effect:
                 mended = verify(again)
                 row["second"]["rmse"] = rmse(mended.corrected.alpha, truth)
     return row
+
+
+def named(row: dict[str, Any]) -> bool:
+    """Whether there is an effect to add."""
+    return (
+        row["verdict"] in FLAGS and row["effect"] in NAMES.values() and row["effect"] != "unknown"
+    )
 
 
 def work(job: tuple[int, int, str]) -> None:
@@ -144,7 +141,7 @@ def work(job: tuple[int, int, str]) -> None:
     case = Case.from_dict(ROOMS[population][index])
     truth = TRUTHS[population][index]
     controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
-    row: dict[str, Any] = {"kind": truth["seed"][1], "truth": truth["effects"]}
+    row: dict[str, Any] = {"index": index, "kind": truth["seed"][1], "truth": truth["effects"]}
     row["one"] = examined(one(case), first_of(controls), truth)
     if len(case.configurations) > 1:
         row["all"] = examined(case, controls, truth)
@@ -165,11 +162,11 @@ def load(population: int) -> None:
     ROOMS[population], TRUTHS[population] = read(population, "case"), read(population, "truth")
 
 
-def run(population: int, folder: str, step: int) -> None:
+def run(population: int, folder: str, step: int, workers: int) -> None:
     load(population)
     order = np.random.default_rng(0).permutation(len(ROOMS[population]))[::step]
     jobs = [(population, int(i), folder) for i in order]
-    with multiprocessing.Pool(2) as pool:
+    with multiprocessing.Pool(workers) as pool:
         for done, _ in enumerate(pool.imap_unordered(work, jobs), 1):
             print(f"\r{done}/{len(jobs)}", end="", flush=True)
     print()
@@ -188,7 +185,7 @@ def store(folder: str) -> None:
 
 
 def found(row: dict[str, Any]) -> bool:
-    return row["verdict"] in ("named", "ambiguous", "unknown")
+    return row["verdict"] in FLAGS
 
 
 def table(folder: str | None) -> None:
@@ -210,7 +207,7 @@ def naming(here: list[Any], data: str, rows: list[dict[str, Any]]) -> None:
     print("controls flagged          ", rate(found(x) for x in controls))
     if data == "one":
         for label in ("half", "double"):
-            flagged = [r[label] in ("named", "ambiguous", "unknown") for r in rows if label in r]
+            flagged = [r[label] in FLAGS for r in rows if label in r]
             print(f"  sigma stated at {label:6}    ", rate(flagged))
     hidden = [(NAMES[r["kind"]], x) for r, x in here if 1 <= r["kind"] <= 12]
     caught = [(n, x) for n, x in hidden if found(x)]
@@ -723,11 +720,12 @@ def main() -> None:
     parser.add_argument("--folder")
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument("--step", type=int, default=1, help="every so many rooms")
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--first", type=int, default=0, help="room to begin with")
     parser.add_argument("--rooms", type=int, default=40)
     given = parser.parse_args()
     if given.what == "run":
-        run(given.population, given.folder, given.step)
+        run(given.population, given.folder, given.step, given.workers)
     elif given.what == "store":
         store(given.folder)
     elif given.what == "table":

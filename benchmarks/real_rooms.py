@@ -204,7 +204,7 @@ def dechorate_cases() -> Iterator[RealCase]:
             f"dEchorate {few} to {more}",
             part,
             "a panel reflects",
-            set_of("area", "closed door", COEFFICIENTS),
+            set_of("area", "covered surface", COEFFICIENTS),
             dechorate(few, more),
         )
         yield RealCase(
