@@ -1,0 +1,109 @@
+"""A position room as rtcal takes it. It is the one module of this folder that imports rtcal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+import rtcal as rt
+from rtcal.acoustics.measurement import Measurement
+from rtcal.simulators import PathTracing, Polyhedron
+from tests.position_rooms.generate import read
+from tests.position_rooms.parameters import PARAMETERS
+from tests.position_rooms.rooms import sigma_of
+
+SCATTERING = 0.4
+"""Assumed of every surface, since nothing is stated. The truth has 0.1 to 0.8."""
+SOURCES = ("S1", "S2")
+RECEIVERS = ("R1", "R2", "R3", "R4", "R5", "R6")
+
+
+@dataclass(frozen=True)
+class PositionRoom:
+    """What a user knows and measured. The pairs run over receivers first."""
+
+    room: rt.Room
+    geometry: Polyhedron
+    sources: dict[str, np.ndarray]
+    receivers: dict[str, np.ndarray]
+    measured: Measurement
+
+    def simulator(self, receivers: Sequence[str] = RECEIVERS, **options: Any) -> PathTracing:
+        """Return a path tracer with these receivers."""
+        return PathTracing(
+            geometry=self.geometry,
+            room=self.room,
+            sources=self.sources,
+            receivers={r: self.receivers[r] for r in receivers},
+            **options,
+        )
+
+    def measured_at(self, receivers: Sequence[str]) -> Measurement:
+        """Return the measurement at these receivers."""
+        return at(self.measured, receivers)
+
+
+def at(measured: Measurement, receivers: Sequence[str]) -> Measurement:
+    kept = [i for i, (_, r) in enumerate(measured.pairs) if r in receivers]
+    return Measurement(
+        centre_frequencies=measured.centre_frequencies,
+        values={p: v[kept] for p, v in measured.values.items()},
+        pairs=[measured.pairs[i] for i in kept],
+    )
+
+
+@lru_cache(maxsize=4)
+def stored(population: int, part: str) -> list[dict[str, Any]]:
+    return read(population, part)
+
+
+def as_measurement(bands: Any, values: dict[str, Any]) -> Measurement:
+    return Measurement(
+        centre_frequencies=bands,
+        values={p: np.array(values[p], dtype=float) for p in PARAMETERS},
+        pairs=[(s, r) for s in SOURCES for r in RECEIVERS],
+    )
+
+
+def load(population: int, index: int, prior: str) -> PositionRoom:
+    """Return room ``index`` of a population with its "wide" or "narrow" prior."""
+    data = stored(population, "rooms")[index]
+    stated = data["stated"]
+    materials = [f"surface {i + 1}" for i in range(len(stated["faces"]))]
+    alpha = np.array(stated["alpha"])
+    geometry = Polyhedron(
+        vertices=np.array(stated["vertices"]), faces=stated["faces"], materials=materials
+    )
+    room = rt.Room(
+        name=f"position room {population}.{index}",
+        volume=geometry.volume,
+        materials=materials,
+        areas=geometry.face_areas,
+        alpha=alpha,
+        sigma=sigma_of(prior, alpha),
+        centre_frequencies=stated["bands"],
+        air=rt.Air(temperature=stated["air"][0], humidity=stated["air"][1]),
+        scattering=np.full(alpha.shape, SCATTERING),
+    )
+    return PositionRoom(
+        room,
+        geometry,
+        dict(zip(SOURCES, np.array(stated["sources"]), strict=True)),
+        dict(zip(RECEIVERS, np.array(stated["receivers"]), strict=True)),
+        as_measurement(stated["bands"], data["measured"][prior]),
+    )
+
+
+def true_alpha(population: int, index: int, prior: str) -> np.ndarray:
+    """Return the true coefficients (n_materials, n_bands)."""
+    return np.array(stored(population, "truth")[index]["alpha"][prior])
+
+
+def without_noise(population: int, index: int, prior: str) -> Measurement:
+    """Return what the true positions hear, without the measurement's noise."""
+    bands = stored(population, "rooms")[index]["stated"]["bands"]
+    return as_measurement(bands, stored(population, "truth")[index]["values"][prior])
