@@ -100,10 +100,10 @@ def load(population: int, index: int, prior: str) -> PositionRoom:
 
 def true_alpha(population: int, index: int, prior: str) -> np.ndarray:
     """Return the true coefficients (n_materials, n_bands)."""
-    return np.array(stored(population, "truth")[index]["alpha"][prior])
+    return np.array(stored(population, "truth")[index]["truth"]["alpha"][prior])
 
 
 def without_noise(population: int, index: int, prior: str) -> Measurement:
     """Return what the true positions hear, without the measurement's noise."""
     bands = stored(population, "rooms")[index]["stated"]["bands"]
-    return as_measurement(bands, stored(population, "truth")[index]["values"][prior])
+    return as_measurement(bands, stored(population, "truth")[index]["truth"]["values"][prior])
