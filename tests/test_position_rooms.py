@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("numba", reason="the position rooms are compiled (extra fast)")
 
 from rtcal.acoustics import decay
-from tests.position_rooms import load, parameters, rooms, shapes
+from tests.position_rooms import generate, load, parameters, rooms, shapes
 from tests.position_rooms.tracer import Scene, sees, trace
 
 C = 343.2
@@ -149,3 +149,43 @@ def test_measured_values_scatter_as_theory_says() -> None:
     assert found["t20"].std() == pytest.approx(0.88 * theory, rel=0.15)
     assert found["edt"].std() == pytest.approx(1.6 * theory, rel=0.15)
     assert noisy.mean() == pytest.approx(energy.mean(), rel=0.01)
+
+
+@pytest.mark.parametrize(("population", "index"), [(0, 1), (1, 7), (1, 30)])
+def test_a_frozen_room_is_what_its_seed_draws(population: int, index: int) -> None:
+    stated, _, sources, truths = rooms.draw(population, index)
+    frozen = generate.read(population, "rooms")[index]["stated"]
+    assert generate.stored({"stated": stated})["stated"] == frozen
+    for k, prior in enumerate(rooms.PRIORS):
+        stored = load.true_alpha(population, index, prior)
+        np.testing.assert_allclose(stored, truths[k], rtol=1e-4)
+    off = np.linalg.norm(np.array(frozen["sources"]) - sources, axis=1)
+    np.testing.assert_allclose(off, rooms.OFF, atol=0.001)
+
+
+def test_the_frozen_rooms_are_what_the_issue_asks_for() -> None:
+    frozen = [r["stated"] for r in generate.read(1, "rooms")]
+    volumes = np.array([r["volume"] for r in frozen])
+    surfaces = np.array([len(r["faces"]) for r in frozen])
+    assert len(frozen) == 60
+    assert volumes.min() >= 120
+    assert volumes.max() <= 5000
+    assert (surfaces[::2] == 6).all()
+    assert surfaces[1::2].min() >= 10
+    assert surfaces[1::2].max() <= 30
+    assert {len(r["bands"]) for r in frozen} == {6, 8}
+    for truth in generate.read(1, "truth"):
+        s = np.array(truth["truth"]["scattering"])
+        assert s.min() >= 0.1
+        assert s.max() <= 0.8
+
+
+@pytest.mark.parametrize("index", range(8))
+def test_the_package_closes_the_same_room_with_the_same_air(index: int) -> None:
+    stated, scene, _, _ = rooms.draw(0, index)
+    case = load.load(0, index, "wide")
+    assert case.geometry.volume == pytest.approx(stated["volume"], rel=1e-5)
+    np.testing.assert_allclose(case.room.areas, stated["areas"], rtol=1e-3)
+    n = case.room.n_bands
+    np.testing.assert_allclose(case.room.air_attenuation, scene.air[:n], rtol=2e-3)
+    np.testing.assert_allclose(case.room.speed_of_sound, scene.c, rtol=1e-4)

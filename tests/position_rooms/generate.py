@@ -1,6 +1,6 @@
 """Write a population of position rooms: ``python -m tests.position_rooms.generate 1``.
 
-Two files per population: what a calibration may read and, apart from it, the truth. It takes 20 s of
+Two files per population: what a calibration may read and, apart from it, the truth. It takes 7 s of
 processor time per room.
 """
 

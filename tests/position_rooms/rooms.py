@@ -28,9 +28,9 @@ COUNTS = {0: 10, 1: 60}
 PRIORS = ("wide", "narrow")
 WIDTH = 0.001  # of the bins, s
 OFF = 0.05  # of the positions, m
-REFLECTIONS = 4e7
-"""Traced per source. T20 and EDT then have a noise of about 1 % per pair, C80 of 0.1 dB (two seeds of
-four rooms). At 4 kHz a measured T20 of 1 s scatters by 1.7 %."""
+REFLECTIONS = 2e7
+"""Traced per source. By two seeds of four rooms, T20 and EDT then have a noise of about 1 % per pair, C80
+of 0.1 dB. At 4 kHz a measured T20 of 1 s scatters by 1.7 %."""
 
 
 def sigma_of(prior: str, alpha: np.ndarray) -> np.ndarray:

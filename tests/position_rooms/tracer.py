@@ -70,6 +70,25 @@ def _uniform_direction(out):
 
 
 @numba.njit(cache=True)
+def _leave(u, n, s, vectors, lambert):
+    """Turn the direction u into one that leaves a surface with the normal n."""
+    across = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
+    if not vectors:
+        s = 1.0 if np.random.random() < s else 0.0
+    if s > 0:
+        _uniform_direction(lambert)
+        side = -1.0 if across > 0 else 1.0
+        x, y, z = lambert[0] + side * n[0], lambert[1] + side * n[1], lambert[2] + side * n[2]
+        length = np.sqrt(x * x + y * y + z * z) + 1e-12
+        lambert[0], lambert[1], lambert[2] = x / length, y / length, z / length
+    for a in range(3):
+        u[a] = s * lambert[a] + (1 - s) * (u[a] - 2 * across * n[a])
+    length = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+    for a in range(3):
+        u[a] /= length
+
+
+@numba.njit(cache=True)
 def _next_surface(p, u, normals, offsets, edges, corners, last):
     """Return the surface that a ray from p meets first, and its distance; -1 if it meets none."""
     nearest, surface = np.inf, -1
@@ -127,8 +146,8 @@ def _trace(
         p[:] = source
         _uniform_direction(u)
         energy[:] = share
-        path, last = 0.0, -1
-        while path < longest and energy.max() > 1e-8 * share:
+        path, last, loudest = 0.0, -1, share
+        while path < longest and loudest > 1e-8 * share:
             surface, free = _next_surface(p, u, normals, offsets, edges, corners, last)
             if surface < 0:
                 lost += 1
@@ -157,25 +176,12 @@ def _trace(
             for a in range(3):
                 p[a] += u[a] * free
             path += free
-            energy *= kept[surface]
+            loudest = 0.0
+            for b in range(n_columns):
+                energy[b] *= kept[surface, b]
+                loudest = max(loudest, energy[b])
             last = surface
-            n = normals[surface]
-            across = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
-            s = scattering[surface]
-            diffuse = vectors or np.random.random() < s
-            if diffuse:
-                _uniform_direction(scattered)
-                side = -1.0 if across > 0 else 1.0
-                for a in range(3):
-                    scattered[a] += side * n[a]
-                scattered /= np.sqrt((scattered**2).sum()) + 1e-12
-            if not diffuse:
-                s = 0.0
-            elif not vectors:
-                s = 1.0
-            for a in range(3):
-                u[a] = s * scattered[a] + (1 - s) * (u[a] - 2 * across * n[a])
-            u /= np.sqrt((u**2).sum())
+            _leave(u, normals[surface], scattering[surface], vectors, scattered)
     return echogram, lost
 
 

@@ -1,0 +1,318 @@
+"""The calibration to every position beside T20 alone, on the frozen position rooms.
+
+    python -m benchmarks.positions run --folder out --stride 3      # can be resumed
+    python -m benchmarks.positions table                            # of the stored run, or --folder out
+    python -m benchmarks.positions speed --folder out               # traces and seconds
+    python -m benchmarks.positions cr2 --data DIRECTORY             # a real room, where its data are
+
+tests/position_rooms describes the rooms. `run` fits all pairs for alpha, and those of three receivers
+for the gaps at the other three. A method is "t20" (the loop of `rtcal.calibrate_simulator`) or
+"positions" (the same with ``match``). The gaps of the stated and of the true alpha stand beside them.
+
+The other program is in benchmarks/positions_peer.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+import rtcal as rt
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.quality import gap_jnd
+from rtcal.simulators import PathTracing, paths
+from tests.position_rooms.generate import HERE
+from tests.position_rooms.load import PositionRoom, at, load, true_alpha, without_noise
+from tests.position_rooms.rooms import COUNTS, PRIORS
+
+MATCH = ("t20", "edt", "c80", "ts", "level")
+FITTED, HELD_OUT = ("R1", "R2", "R3"), ("R4", "R5", "R6")
+GAPS = ("edt", "c80", "g")
+PATHS = 8000
+SEED = 100
+"""Of the simulations that judge; a calibration uses others."""
+STORED = HERE / "population_1_results.jsonl"
+RNG = 20261122
+ALLOWED = 0.05
+"""An error of alpha that is at most so much larger than the prior's counts as no worse."""
+FITTING = {"t20": "T20 alone", "positions": "every position"}
+METHODS = {**FITTING, "truth": "true alpha", "stated": "stated alpha"}
+GAP_KINDS = {"gap_without_noise": "to what is heard", "gap": "to what was measured"}
+"""At the held-out pairs. What is heard has no noise. What was measured has it, and with it a gap that no
+alpha closes: that of the true one."""
+
+
+class Traces:
+    """Counts the traces of the path tracer while it is entered."""
+
+    def __enter__(self) -> Traces:
+        self.number, self._trace = 0, paths.trace
+
+        def counted(*args: Any, **options: Any) -> Any:
+            self.number += 1
+            return self._trace(*args, **options)
+
+        paths.trace = counted
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        paths.trace = self._trace
+
+
+def calibrate(method: str, simulator: PathTracing, room: rt.Room, measured: Measurement) -> Any:
+    """Return the result of "t20" or "positions"."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if method == "t20":
+            return rt.calibrate_simulator(simulator, room, measured)
+        return rt.calibrate_simulator(simulator, room, measured, match=MATCH)
+
+
+def simulated(simulator: PathTracing, alpha: np.ndarray) -> Measurement:
+    """Return what a tracer hears, and G: a source of unit energy has 1 / (400 pi) at 10 m."""
+    values = simulator.simulate(alpha, seed=SEED)
+    longest = 1.2 * float(np.nanmax(values.values["t20"]))
+    energy = simulator.energy(alpha, longest, seed=SEED).mean(0).sum(-1)
+    g = 10 * np.log10(400 * np.pi * energy.reshape(len(values.pairs), -1))
+    return Measurement(
+        centre_frequencies=values.centre_frequencies,
+        values={**values.values, "g": g},
+        pairs=values.pairs,
+    )
+
+
+def mean_gaps(model: Measurement, measured: Measurement) -> dict[str, float]:
+    """Return the mean absolute gap over pairs and bands per parameter, in JND."""
+    return {
+        p: float(np.nanmean(np.abs(gap_jnd(model.values[p], measured.values[p], p)))) for p in GAPS
+    }
+
+
+def error(room: rt.Room, alpha: np.ndarray, truth: np.ndarray) -> float:
+    """Return the area-weighted RMSE of alpha over surfaces and bands."""
+    return float(np.sqrt(np.average(((alpha - truth) ** 2).mean(1), weights=room.areas)))
+
+
+def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> list[dict[str, Any]]:
+    """Return a row per method for one room and prior."""
+    case = load(population, index, prior)
+    truth = true_alpha(population, index, prior)
+    held_out = case.measured_at(HELD_OUT), at(without_noise(population, index, prior), HELD_OUT)
+    judge = case.simulator(HELD_OUT, n_paths=PATHS, workers=1)
+    rows = []
+    for method in methods:
+        row: dict[str, Any] = {
+            "index": index,
+            "prior": prior,
+            "method": method,
+            "surfaces": case.room.n_materials,
+            "bands": case.room.n_bands,
+            "volume": round(case.room.volume),
+            "prior_error": error(case.room, case.room.alpha, truth),
+        }
+        if method in ("stated", "truth"):
+            alpha = case.room.alpha if method == "stated" else truth
+        else:
+            row |= fitted(method, case, truth)
+            half = case.simulator(FITTED, n_paths=PATHS)
+            alpha = calibrate(method, half, case.room, case.measured_at(FITTED)).alpha
+        heard = simulated(judge, alpha)
+        row["gap"] = mean_gaps(heard, held_out[0])
+        row["gap_without_noise"] = mean_gaps(heard, held_out[1])
+        rows.append(row)
+    return rows
+
+
+def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> dict[str, Any]:
+    """Return what a method makes of all pairs."""
+    simulator = case.simulator(n_paths=PATHS)
+    with Traces() as traces:
+        clock, processor = time.perf_counter(), time.process_time()
+        result = calibrate(method, simulator, case.room, case.measured)
+        row: dict[str, Any] = {
+            "seconds": time.perf_counter() - clock,
+            "processor": time.process_time() - processor,
+            "traces": traces.number,
+            "error": error(case.room, result.alpha, truth),
+        }
+    if method == "positions" and result.interval is not None:
+        low, high = result.interval
+        row["covered"] = int(((low <= truth) & (truth <= high)).sum())
+        row["coefficients"] = int(truth.size)
+    return row
+
+
+def run(folder: Path, population: int, indices: Sequence[int], methods: Sequence[str]) -> None:
+    """Judge the rooms that are not in the folder's results yet; written after each."""
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / "results.jsonl"
+    done = {(r["index"], r["prior"], r["method"]) for r in read(target)}
+    for index in indices:
+        for prior in PRIORS:
+            missing = [m for m in methods if (index, prior, m) not in done]
+            if not missing:
+                continue
+            rows = judged(population, index, prior, missing)
+            with target.open("a", encoding="utf-8") as file:
+                file.writelines(json.dumps(rounded(row)) + "\n" for row in rows)
+            print(
+                index, prior, *(f"{r['method']} {r.get('error', 0):.4f}" for r in rows), flush=True
+            )
+
+
+def rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: rounded(v) for k, v in value.items()}
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    return (
+        [json.loads(line) for line in path.read_text("utf-8").splitlines()] if path.exists() else []
+    )
+
+
+def bootstrap(
+    statistic: Callable[[np.ndarray], float], n: int, draws: int = 4000
+) -> tuple[float, float, float]:
+    """Return a statistic of rooms' numbers 0 to n - 1 with its 95 % interval over rooms."""
+    rng = np.random.default_rng(RNG)
+    values = [statistic(rng.integers(n, size=n)) for _ in range(draws)]
+    low, high = np.quantile(values, [0.025, 0.975])
+    return statistic(np.arange(n)), float(low), float(high)
+
+
+def share(hits: int, n: int) -> tuple[float, float, float]:
+    """Return a share with its 95 % interval (Clopper & Pearson 1934)."""
+    low = beta.ppf(0.025, hits, n - hits + 1) if hits else 0.0
+    high = beta.ppf(0.975, hits + 1, n - hits) if hits < n else 1.0
+    return hits / n, float(low), float(high)
+
+
+def median_ratio(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+    return bootstrap(lambda i: float(np.median((a / b)[i])), len(a))
+
+
+def ratio_of_sums(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+    return bootstrap(lambda i: float(a[i].sum() / b[i].sum()), len(a))
+
+
+def no_worse(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+    return share(int((a <= (1 + ALLOWED) * b).sum()), len(a))
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> dict[str, tuple[float, float, float]]:
+    """Return the figures of the table by name, each with its 95 % interval."""
+    found: dict[str, tuple[float, float, float]] = {}
+    for prior in PRIORS:
+        of = {
+            method: sorted(
+                (r for r in rows if r["prior"] == prior and r["method"] == method),
+                key=lambda r: int(r["index"]),
+            )
+            for method in METHODS
+        }
+        base = np.array([r["prior_error"] for r in of["t20"]])
+        errors = {m: np.array([r["error"] for r in of[m]]) for m in FITTING if of[m]}
+        every = errors.get("positions")
+        if every is not None:
+            found[f"{prior}: error, every position / T20 alone"] = median_ratio(
+                every, errors["t20"]
+            )
+        for method, name in FITTING.items():
+            if method in errors:
+                found[f"{prior}: error, {name} / prior"] = median_ratio(errors[method], base)
+                found[f"{prior}: {name} no worse than the prior"] = no_worse(errors[method], base)
+        if stating := [r for r in of["positions"] if "covered" in r]:
+            found[f"{prior}: coverage of 90 % intervals"] = ratio_of_sums(
+                *(np.array([r[n] for r in stating]) for n in ("covered", "coefficients"))
+            )
+        for kind, name in GAP_KINDS.items():
+            gaps = {
+                m: np.array([np.mean([r[kind][p] for p in GAPS]) for r in of[m]])
+                for m in METHODS
+                if of[m]
+            }
+            for method in ("positions", "truth", "stated"):
+                if method in gaps:
+                    label = f"{prior}: gap {name}, {METHODS[method]} / T20 alone"
+                    found[label] = ratio_of_sums(gaps[method], gaps["t20"])
+    return found
+
+
+def table(rows: Sequence[dict[str, Any]]) -> None:
+    rooms = sorted({r["index"] for r in rows})
+    boxes = sum(i % 2 == 0 for i in rooms)
+    print(f"{len(rooms)} rooms, {boxes} boxes; 95 % intervals over rooms")
+    for name, (value, low, high) in summary(rows).items():
+        print(f"{name:58} {value:6.3f}  {low:.3f} to {high:.3f}")
+    for method in ("t20", "positions"):
+        chosen = [r for r in rows if r["method"] == method]
+        if chosen:
+            seconds, processor, traces = (
+                np.median([r[k] for r in chosen]) for k in ("seconds", "processor", "traces")
+            )
+            print(
+                f"{method}: median {seconds:.1f} s, {processor:.1f} s of processor, {traces:.0f} traces"
+            )
+
+
+def speed(population: int) -> None:
+    """Print the seconds and traces of a first and of a second calibration of one room.
+
+    The room: 12 pairs, 8 bands, and as near to 10 surfaces as there is one.
+    """
+    cases = [load(population, i, "wide") for i in range(COUNTS[population])]
+    eight = [c for c in cases if c.room.n_bands == 8 and c.room.n_materials >= 10]
+    case = min(eight, key=lambda c: c.room.n_materials)
+    warm = load(0, 0, "wide")
+    for method in ("t20", "positions"):
+        calibrate(method, warm.simulator(n_paths=PATHS), warm.room, warm.measured)  # compiles
+        simulator = case.simulator(n_paths=PATHS)
+        for which in ("first", "second"):
+            with Traces() as traces:
+                clock, processor = time.perf_counter(), time.process_time()
+                calibrate(method, simulator, case.room, case.measured)
+                print(
+                    f"{case.room.n_materials} surfaces, {case.room.n_bands} bands, 12 pairs: {method}, "
+                    f"{which}: {time.perf_counter() - clock:.1f} s, "
+                    f"{time.process_time() - processor:.1f} s of processor, {traces.number} traces",
+                    flush=True,
+                )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("command", choices=["run", "table", "speed", "cr2"])
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--population", type=int, default=1)
+    parser.add_argument("--stride", type=int, default=1, help="each n-th box and polyhedron")
+    parser.add_argument("--methods", default="stated,truth,t20,positions")
+    parser.add_argument("--data", type=Path, help="directory of CR2's measured.json and scene9.ac")
+    arguments = parser.parse_args()
+    stored = arguments.folder / "results.jsonl" if arguments.folder else STORED
+    if arguments.command == "run":
+        pairs = range(0, COUNTS[arguments.population] // 2, arguments.stride)
+        indices = [2 * i + odd for i in pairs for odd in (0, 1)]
+        folder = arguments.folder or Path("positions_run")
+        run(folder, arguments.population, indices, arguments.methods.split(","))
+    elif arguments.command == "table":
+        table(read(stored))
+    elif arguments.command == "speed":
+        speed(arguments.population)
+    else:
+        from benchmarks.positions_cr2 import main as cr2
+
+        cr2(arguments.data)
+
+
+if __name__ == "__main__":
+    main()
