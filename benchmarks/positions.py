@@ -46,8 +46,8 @@ ALLOWED = 0.05
 FITTING = {"t20": "T20 alone", "positions": "every position"}
 METHODS = {**FITTING, "truth": "true alpha", "stated": "stated alpha"}
 GAP_KINDS = {"gap_without_noise": "to what is heard", "gap": "to what was measured"}
-"""At the held-out pairs. What is heard has no noise. What was measured has it, and with it a gap that no
-alpha closes: that of the true one."""
+"""At the held-out pairs. What is heard has no noise. What was measured has it, and with it a gap that
+no alpha closes: that of the true one."""
 
 
 class Traces:

@@ -1,0 +1,173 @@
+"""acoustic-spaces beside the calibration to every position: `python -m benchmarks.positions_peer run`.
+
+acoustic-spaces 4.0.0 (GPL-3, PyPI) fits T20, EDT and C80 of every pair in JND by weighing its rays anew.
+It takes at most 16 materials: of the judging rooms (tests/position_rooms), six boxes and the first six
+polyhedra that have no more. Both programs get the same room, the wide prior, scattering 0.4 and one
+thread, in one run; the processor time includes all traces. Its search box is 0.01 to 0.99, and what it
+takes for the prior is where it starts: the stated alpha.
+
+Run it where acoustic-spaces and rtcal are installed side by side; rtcal does not depend on it.
+`python -m benchmarks.positions_peer table` reads what was stored.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.positions import PATHS, calibrate, error, median_ratio, read, rounded, share
+from tests.position_rooms.generate import HERE
+from tests.position_rooms.load import SCATTERING, PositionRoom, load, true_alpha
+from tests.position_rooms.parameters import OCTAVES
+
+STORED = HERE / "population_1_peer.jsonl"
+FITTED = ("t20", "edt", "c80")
+MOST_MATERIALS = 16
+RAYS = 5000
+"""As in benchmarks/acoustic_spaces_peer.py; its default is more."""
+
+
+def rooms() -> list[int]:
+    """Return the rooms' numbers: boxes spread over the volumes, and polyhedra by the limit."""
+    boxes = list(range(0, 60, 10))
+    polyhedra = [
+        i for i in range(1, 60, 2) if load(1, i, "wide").room.n_materials <= MOST_MATERIALS
+    ]
+    return boxes + polyhedra[:6]
+
+
+def obj(case: PositionRoom) -> str:
+    """The room as a Wavefront file, a group per surface."""
+    geometry = case.geometry
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in geometry.triangles.reshape(-1, 3)]
+    for i, face in enumerate(geometry.triangle_faces):
+        lines.append(f"g {underscored(geometry.materials[face])}")
+        lines.append(f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}")
+    return "\n".join(lines) + "\n"
+
+
+def underscored(material: str) -> str:
+    return material.replace(" ", "_")
+
+
+def eight(values: np.ndarray, bands: np.ndarray, *, edges: bool) -> np.ndarray:
+    """Return values of six or eight octaves in eight: the edges repeated, or missing."""
+    at = np.clip(np.searchsorted(bands, OCTAVES), 0, len(bands) - 1)
+    out = values[..., at]
+    return out if edges else np.where(np.isin(OCTAVES, bands), out, np.nan)
+
+
+def fit_peer(case: PositionRoom, folder: str) -> tuple[np.ndarray, int]:
+    """Return what acoustic-spaces makes of a room (n_materials, n_bands), and its traces."""
+    from acoustic_spaces import calibration
+    from acoustic_spaces.parameters import PARAMETERS, RoomParameters
+    from acoustic_spaces.scene import Scene
+
+    bands, measured = case.room.centre_frequencies, case.measured
+    path = Path(folder, "room.obj")
+    path.write_text(obj(case), encoding="utf-8")
+    stated = eight(case.room.alpha, bands, edges=True)
+    names = [underscored(m) for m in case.room.materials]
+    scene = Scene.model_validate(
+        {
+            "name": "position room",
+            "geometry": {"file": str(path), "units": "m", "up_axis": "z"},
+            "materials": {
+                n: {"absorption": a.tolist(), "scattering": SCATTERING}
+                for n, a in zip(names, stated, strict=True)
+            },
+            "assignments": {n: n for n in names},
+            "sources": [{"name": n, "position": p.tolist()} for n, p in case.sources.items()],
+            "listeners": [{"name": n, "position": p.tolist()} for n, p in case.receivers.items()],
+            "air": {
+                "temperature_c": case.room.air.temperature,
+                "humidity_percent": case.room.air.humidity,
+            },
+            "simulation": {
+                "seed": 0,
+                "ir_length_s": float(max(0.5, 1.1 * np.max(measured.values["t20"]))),
+                "early": {"diffraction": "none"},
+                "late": {"rays": RAYS},
+                "scattering": {"method": "random", "from_size": False},
+            },
+        }
+    )
+    missing = np.full(len(OCTAVES), np.nan)
+    values = {
+        pair: RoomParameters(
+            **{
+                p: eight(measured.values[p][i], bands, edges=False) if p in FITTED else missing
+                for p in PARAMETERS
+            }
+        )
+        for i, pair in enumerate(measured.pairs)
+    }
+    found = calibration.calibrate(scene, values, names, parameters=FITTED, threads=1)
+    return found.absorption[:, np.isin(OCTAVES, bands)], found.rounds + 1
+
+
+def compare(index: int) -> dict[str, Any]:
+    """Return errors and times of both programs in one room."""
+    case, truth = load(1, index, "wide"), true_alpha(1, index, "wide")
+    row: dict[str, Any] = {
+        "index": index,
+        "surfaces": case.room.n_materials,
+        "prior_error": error(case.room, case.room.alpha, truth),
+    }
+    clock = time.process_time()
+    simulator = case.simulator(n_paths=PATHS, workers=1)
+    alpha = calibrate("positions", simulator, case.room, case.measured).alpha
+    row["processor"], row["error"] = time.process_time() - clock, error(case.room, alpha, truth)
+    with tempfile.TemporaryDirectory() as folder:
+        clock = time.process_time()
+        alpha, row["peer_traces"] = fit_peer(case, folder)
+        row["peer_processor"] = time.process_time() - clock
+        row["peer_error"] = error(case.room, alpha, truth)
+    return row
+
+
+def table(rows: list[dict[str, Any]]) -> None:
+    ours, theirs, prior, processor, peer = (
+        np.array([r[k] for r in rows])
+        for k in ("error", "peer_error", "prior_error", "processor", "peer_processor")
+    )
+    print(f"{len(rows)} rooms: {[r['index'] for r in rows]}")
+    value, low, high = share(int((ours < theirs).sum()), len(rows))
+    print(f"error of alpha lower: {value * len(rows):.0f} rooms, {low:.3f} to {high:.3f}")
+    for name, a, b in (
+        ("error, every position / acoustic-spaces", ours, theirs),
+        ("error, acoustic-spaces / prior", theirs, prior),
+        ("processor time, every position / acoustic-spaces", processor, peer),
+    ):
+        value, low, high = median_ratio(a, b)
+        print(f"{name:50} median {value:.3f}  {low:.3f} to {high:.3f}, largest {np.max(a / b):.2f}")
+    print(f"processor: {processor.sum():.0f} s and {peer.sum():.0f} s")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("command", choices=["run", "table"])
+    parser.add_argument("--folder", type=Path)
+    arguments = parser.parse_args()
+    target = arguments.folder / "peer.jsonl" if arguments.folder else STORED
+    if arguments.command == "run":
+        done = {r["index"] for r in read(target)}
+        warm = load(0, 0, "wide")  # compiles
+        calibrate("positions", warm.simulator(n_paths=320), warm.room, warm.measured)
+        for index in rooms():
+            if index not in done:
+                row = compare(index)
+                with target.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(rounded(row)) + "\n")
+                print(row, flush=True)
+    table(read(target))
+
+
+if __name__ == "__main__":
+    main()
