@@ -5,7 +5,7 @@ window of T seconds scatters by 1 / sqrt(B T). Each pair's reflections are multi
 before anything is evaluated, so that T20, EDT, C80, Ts and level err together. The direct sound is
 left. A further error is common to all pairs of a band: equipment and evaluation. Between the teams of
 the round robin in the PTB's studio (Bork 2005) T30 differed by 4.6 % at 125 Hz and 1.3 % at 4 kHz, EDT
-by 10 to 3.3 %, C80 by 0.83 to 0.35 dB, G by 2.0 to 0.55 dB. Half of it is taken as common.
+by 10 to 3.3 %, C80 by 0.83 to 0.35 dB, G by 2.0 to 0.55 dB. A share of it is taken as common.
 """
 
 from __future__ import annotations
@@ -74,13 +74,16 @@ def noise_like(
 
 
 def measure(
-    rng: np.random.Generator, energy: np.ndarray, width: float, bands: np.ndarray
+    rng: np.random.Generator, energy: np.ndarray, width: float, bands: np.ndarray, share: float
 ) -> dict[str, np.ndarray]:
-    """Return what a team measures where the mean energy is (n_pairs, n_bands, n_bins)."""
+    """Return what a team measures where the mean energy is (n_pairs, n_bands, n_bins).
+
+    ``share`` is that of the teams' differences which all pairs of a team have in common.
+    """
     values = evaluate(noise_like(rng, energy, width, bands), width)
     which = np.searchsorted(OCTAVES, bands)
     for name in PARAMETERS:
-        common = 0.5 * BETWEEN_TEAMS[name][which] * rng.standard_normal(len(bands))
+        common = share * BETWEEN_TEAMS[name][which] * rng.standard_normal(len(bands))
         if name in ("c80", "g"):
             values[name] = values[name] + common
         else:

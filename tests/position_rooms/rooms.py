@@ -6,11 +6,13 @@ calibration to every position was tried on it. Even rooms are boxes of six surfa
 of 10 to 30. Every surface has a material of its own.
 
 - Volumes: 120 to 5,000 m³, log-uniform in as many strata as rooms. Six octaves or eight.
-- Scattering 0.1 to 0.8 of either published meaning, not stated; the same in all bands.
+- Scattering 0.1 to 0.8 of either published meaning, not stated; the same in all bands. In half of the
+  judging rooms the surfaces' coefficients have nothing in common.
 - Two truths per room, each drawn from its prior around the stated alpha: sigma = 0.3 alpha, and
   sigma = 0.01 + 0.07 alpha; normal in each surface and band, within [0, 1].
 - Two sources and six receivers. Each stands 0.05 m from where it is stated, in a random direction.
-- Measurement: `tests.position_rooms.parameters`. No uncertainty is stated.
+- Measurement: `tests.position_rooms.parameters`. No uncertainty is stated. The errors common to all
+  pairs are half of those between teams; in the judging rooms 0.3 to 0.8 of them, drawn per room.
 """
 
 from __future__ import annotations
@@ -119,6 +121,13 @@ def moved(rng: np.random.Generator, positions: np.ndarray) -> np.ndarray:
     return np.round(positions + OFF * u / np.linalg.norm(u, axis=1, keepdims=True), 3)
 
 
+def scattering(rng: np.random.Generator, population: int, n: int) -> np.ndarray:
+    """Return coefficients 0.1 to 0.8: about a room's level, or unrelated in half of the judging rooms."""
+    if population == 1 and rng.random() < 0.5:
+        return rng.uniform(0.1, 0.8, n)
+    return np.clip(rng.uniform(0.1, 0.8) + rng.normal(0, 0.12, n), 0.1, 0.8)
+
+
 def draw(population: int, index: int) -> tuple[dict[str, Any], Scene, np.ndarray, np.ndarray]:
     """Return what is stated, the true scene of both truths' columns, sources, true alphas."""
     rng = np.random.default_rng([20261122, population, index])
@@ -140,7 +149,7 @@ def draw(population: int, index: int) -> tuple[dict[str, Any], Scene, np.ndarray
     scene = Scene(
         polygons,
         np.concatenate(list(truths), axis=1),
-        np.clip(rng.uniform(0.1, 0.8) + rng.normal(0, 0.12, n), 0.1, 0.8),
+        scattering(rng, population, n),
         np.tile(attenuation(*climate, bands), 2),
         331.3 * np.sqrt(1 + climate[0] / 273.15),
         receivers,
@@ -181,16 +190,18 @@ def build(population: int, index: int, work: float = REFLECTIONS) -> dict[str, A
     )
     rng = np.random.default_rng([20261122, population, index, 1])
     k = len(stated["bands"])
+    common = rng.uniform(0.3, 0.8) if population == 1 else 0.5
     measured, exact = {}, {}
     for i, prior in enumerate(PRIORS):
         part = energy[:, i * k : (i + 1) * k]
         exact[prior] = parameters.evaluate(part, WIDTH)
-        measured[prior] = parameters.measure(rng, part, WIDTH, stated["bands"])
+        measured[prior] = parameters.measure(rng, part, WIDTH, stated["bands"], common)
     truth = {
         "alpha": dict(zip(PRIORS, truths, strict=True)),
         "values": exact,
         "scattering": scene.scattering,
         "vectors": scene.vectors,
+        "common": common,
         "sources": sources,
         "receivers": scene.receivers,
         "n_rays": n_rays,
