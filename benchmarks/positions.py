@@ -28,6 +28,7 @@ from scipy.stats import beta
 import rtcal as rt
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
+from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators import PathTracing, paths
 from tests.position_rooms.generate import HERE
 from tests.position_rooms.load import PositionRoom, at, load, true_alpha, without_noise
@@ -67,13 +68,19 @@ class Traces:
         paths.trace = self._trace
 
 
-def calibrate(method: str, simulator: PathTracing, room: rt.Room, measured: Measurement) -> Any:
-    """Return the result of "t20" or "positions"."""
+def calibrate(
+    method: str,
+    simulator: PathTracing,
+    room: rt.Room,
+    measured: Measurement,
+    controls: ControlRuns | None = None,
+) -> Any:
+    """Return the result of "t20" or "positions", which may have its control runs already."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if method == "t20":
             return rt.calibrate_simulator(simulator, room, measured)
-        return rt.calibrate_simulator(simulator, room, measured, match=MATCH)
+        return rt.calibrate_simulator(simulator, room, measured, match=MATCH, controls=controls)
 
 
 def simulated(simulator: PathTracing, alpha: np.ndarray) -> Measurement:
@@ -121,9 +128,8 @@ def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> l
         if method in ("stated", "truth"):
             alpha = case.room.alpha if method == "stated" else truth
         else:
-            row |= fitted(method, case, truth)
-            half = case.simulator(FITTED, n_paths=PATHS)
-            alpha = calibrate(method, half, case.room, case.measured_at(FITTED)).alpha
+            figures, alpha = fitted(method, case, truth)
+            row |= figures
         heard = simulated(judge, alpha)
         row["gap"] = mean_gaps(heard, held_out[0])
         row["gap_without_noise"] = mean_gaps(heard, held_out[1])
@@ -131,8 +137,8 @@ def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> l
     return rows
 
 
-def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> dict[str, Any]:
-    """Return what a method makes of all pairs."""
+def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
+    """Return what a method makes of all pairs, and the alpha that it makes of half of them."""
     simulator = case.simulator(n_paths=PATHS)
     with Traces() as traces:
         clock, processor = time.perf_counter(), time.process_time()
@@ -143,11 +149,15 @@ def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> dict[str, Any]
             "traces": traces.number,
             "error": error(case.room, result.alpha, truth),
         }
+    if method == "t20":  # it takes the mean over all of the simulator's pairs
+        simulator = case.simulator(FITTED, n_paths=PATHS)
+    controls = getattr(result, "controls", None)
+    half = calibrate(method, simulator, case.room, case.measured_at(FITTED), controls)
     if method == "positions" and result.interval is not None:
         low, high = result.interval
         row["covered"] = int(((low <= truth) & (truth <= high)).sum())
         row["coefficients"] = int(truth.size)
-    return row
+    return row, half.alpha
 
 
 def run(folder: Path, population: int, indices: Sequence[int], methods: Sequence[str]) -> None:
@@ -277,16 +287,18 @@ def speed(population: int) -> None:
     for method in ("t20", "positions"):
         calibrate(method, warm.simulator(n_paths=PATHS), warm.room, warm.measured)  # compiles
         simulator = case.simulator(n_paths=PATHS)
+        controls = None
         for which in ("first", "second"):
             with Traces() as traces:
                 clock, processor = time.perf_counter(), time.process_time()
-                calibrate(method, simulator, case.room, case.measured)
+                result = calibrate(method, simulator, case.room, case.measured, controls)
                 print(
                     f"{case.room.n_materials} surfaces, {case.room.n_bands} bands, 12 pairs: {method}, "
                     f"{which}: {time.perf_counter() - clock:.1f} s, "
                     f"{time.process_time() - processor:.1f} s of processor, {traces.number} traces",
                     flush=True,
                 )
+            controls = getattr(result, "controls", None)
 
 
 def main() -> None:

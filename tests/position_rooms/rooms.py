@@ -31,8 +31,8 @@ PRIORS = ("wide", "narrow")
 WIDTH = 0.001  # of the bins, s
 OFF = 0.05  # of the positions, m
 REFLECTIONS = 2e7
-"""Traced per source. By two seeds of four rooms, T20 and EDT then have a noise of about 1 % per pair, C80
-of 0.1 dB. At 4 kHz a measured T20 of 1 s scatters by 1.7 %."""
+"""Traced per source. By two seeds of four rooms, T20 and EDT then have a noise of about 1 % per pair,
+C80 of 0.1 dB. At 4 kHz a measured T20 of 1 s scatters by 1.7 %."""
 
 
 def sigma_of(prior: str, alpha: np.ndarray) -> np.ndarray:
@@ -122,7 +122,7 @@ def moved(rng: np.random.Generator, positions: np.ndarray) -> np.ndarray:
 
 
 def scattering(rng: np.random.Generator, population: int, n: int) -> np.ndarray:
-    """Return coefficients 0.1 to 0.8: about a room's level, or unrelated in half of the judging rooms."""
+    """Return coefficients 0.1 to 0.8: about one level, or unrelated in half of the judging rooms."""
     if population == 1 and rng.random() < 0.5:
         return rng.uniform(0.1, 0.8, n)
     return np.clip(rng.uniform(0.1, 0.8) + rng.normal(0, 0.12, n), 0.1, 0.8)
