@@ -1,4 +1,4 @@
-"""Write a population of position rooms: ``python -m tests.position_rooms.generate 1``.
+"""Write a population of position rooms: ``python -m tests.position_rooms.generate 1 [number]``.
 
 Two files per population: what a calibration may read and, apart from it, the truth. It takes 7 s of
 processor time per room.
@@ -39,20 +39,26 @@ def stored(room: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
-def main(population: int) -> None:
-    """Build the rooms that are not there yet; written after each."""
+def order(population: int) -> list[int]:
+    """Return the rooms' numbers so that the first ones are spread over the volumes."""
+    pairs = range(COUNTS[population] // 2)
+    spread = [p for first in (0, 3, 1, 4, 2) for p in pairs[first::5]]
+    return [2 * p + odd for p in spread for odd in (0, 1)]
+
+
+def main(population: int, number: int) -> None:
+    """Build the first ``number`` rooms in `order` that are not there yet; written after each."""
     parts = {"rooms": ("stated", "measured"), "truth": ("truth",)}
-    lines: dict[str, list[str]] = {part: [] for part in parts}
-    for part in parts:
-        if path(population, part).exists():
-            lines[part] = [json.dumps(r, separators=(",", ":")) for r in read(population, part)]
-    for i in range(len(lines["truth"]), COUNTS[population]):
+    lines = {part: read(population, part) for part in parts}
+    for i in order(population)[:number]:
+        if i in lines["truth"]:
+            continue
         made = stored(build(population, i))
         for part, keys in parts.items():
-            kept = {k: made[k] for k in keys}
-            lines[part] = [*lines[part][:i], json.dumps(kept, separators=(",", ":"))]
-            text = "\n".join(lines[part]).encode()
-            path(population, part).write_bytes(gzip.compress(text, mtime=0))
+            lines[part][i] = {k: made[k] for k in keys}
+            rows = [{"index": n, **row} for n, row in sorted(lines[part].items())]
+            text = "\n".join(json.dumps(row, separators=(",", ":")) for row in rows)
+            path(population, part).write_bytes(gzip.compress(text.encode(), mtime=0))
         print(i, made["stated"]["kind"], made["truth"]["n_rays"], flush=True)
 
 
@@ -60,11 +66,15 @@ def path(population: int, part: str) -> Path:
     return HERE / f"population_{population}_{part}.jsonl.gz"
 
 
-def read(population: int, part: str) -> list[dict[str, Any]]:
-    """Read ``part`` ("rooms" or "truth") of a population."""
-    lines = gzip.decompress(path(population, part).read_bytes()).splitlines()
-    return [json.loads(line) for line in lines]
+def read(population: int, part: str) -> dict[int, dict[str, Any]]:
+    """Read ``part`` ("rooms" or "truth") of a population, by the rooms' numbers."""
+    if not path(population, part).exists():
+        return {}
+    rows = [
+        json.loads(r) for r in gzip.decompress(path(population, part).read_bytes()).splitlines()
+    ]
+    return {row.pop("index"): row for row in rows}
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    main(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else max(COUNTS.values()))

@@ -57,7 +57,7 @@ def at(measured: Measurement, receivers: Sequence[str]) -> Measurement:
 
 
 @lru_cache(maxsize=4)
-def stored(population: int, part: str) -> list[dict[str, Any]]:
+def stored(population: int, part: str) -> dict[int, dict[str, Any]]:
     return read(population, part)
 
 
