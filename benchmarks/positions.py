@@ -1,6 +1,6 @@
 """The calibration to every position beside T20 alone, on the frozen position rooms.
 
-    python -m benchmarks.positions run --folder out --stride 3      # can be resumed
+    python -m benchmarks.positions run --folder out --number 20     # can be resumed
     python -m benchmarks.positions table                            # of the stored run, or --folder out
     python -m benchmarks.positions speed --folder out               # traces and seconds
     python -m benchmarks.positions cr2 --data DIRECTORY             # a real room, where its data are
@@ -30,9 +30,9 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators import PathTracing, paths
-from tests.position_rooms.generate import HERE
-from tests.position_rooms.load import PositionRoom, at, load, true_alpha, without_noise
-from tests.position_rooms.rooms import COUNTS, PRIORS
+from tests.position_rooms.generate import HERE, order
+from tests.position_rooms.load import PositionRoom, at, load, stored, true_alpha, without_noise
+from tests.position_rooms.rooms import PRIORS
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
 FITTED, HELD_OUT = ("R1", "R2", "R3"), ("R4", "R5", "R6")
@@ -280,7 +280,7 @@ def speed(population: int) -> None:
 
     The room: 12 pairs, 8 bands, and as near to 10 surfaces as there is one.
     """
-    cases = [load(population, i, "wide") for i in range(COUNTS[population])]
+    cases = [load(population, i, "wide") for i in stored(population, "rooms")]
     eight = [c for c in cases if c.room.n_bands == 8 and c.room.n_materials >= 10]
     case = min(eight, key=lambda c: c.room.n_materials)
     warm = load(0, 0, "wide")
@@ -306,18 +306,19 @@ def main() -> None:
     parser.add_argument("command", choices=["run", "table", "speed", "cr2"])
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=1)
-    parser.add_argument("--stride", type=int, default=1, help="each n-th box and polyhedron")
+    parser.add_argument(
+        "--number", type=int, default=60, help="the first rooms, as they were built"
+    )
     parser.add_argument("--methods", default="stated,truth,t20,positions")
     parser.add_argument("--data", type=Path, help="directory of CR2's measured.json and scene9.ac")
     arguments = parser.parse_args()
-    stored = arguments.folder / "results.jsonl" if arguments.folder else STORED
+    results = arguments.folder / "results.jsonl" if arguments.folder else STORED
     if arguments.command == "run":
-        pairs = range(0, COUNTS[arguments.population] // 2, arguments.stride)
-        indices = [2 * i + odd for i in pairs for odd in (0, 1)]
+        indices = order(arguments.population)[: arguments.number]
         folder = arguments.folder or Path("positions_run")
         run(folder, arguments.population, indices, arguments.methods.split(","))
     elif arguments.command == "table":
-        table(read(stored))
+        table(read(results))
     elif arguments.command == "speed":
         speed(arguments.population)
     else:

@@ -1,8 +1,8 @@
 """acoustic-spaces beside the calibration to every position: `python -m benchmarks.positions_peer run`.
 
 acoustic-spaces 4.0.0 (GPL-3, PyPI) fits T20, EDT and C80 of every pair in JND by weighing its rays
-anew. It takes at most 16 materials: of the judging rooms (tests/position_rooms), six boxes and the
-first six polyhedra that have no more. Both programs get the same room, the wide prior, scattering 0.4
+anew. It takes at most 16 materials: of the judging rooms (tests/position_rooms), the first six boxes
+and the first six polyhedra that have no more, in the order in which they were built. Both programs get the same room, the wide prior, scattering 0.4
 and one thread, in one run; the processor time includes all traces. Its search box is 0.01 to 0.99, and
 what it takes for the prior is where it starts: the stated alpha.
 
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.positions import PATHS, calibrate, error, median_ratio, read, rounded, share
-from tests.position_rooms.generate import HERE
+from tests.position_rooms.generate import HERE, order
 from tests.position_rooms.load import SCATTERING, PositionRoom, load, true_alpha
 from tests.position_rooms.parameters import OCTAVES
 
@@ -34,12 +34,12 @@ RAYS = 5000
 
 
 def rooms() -> list[int]:
-    """Return the rooms' numbers: boxes spread over the volumes, and polyhedra by the limit."""
-    boxes = list(range(0, 60, 10))
+    """Return the first six boxes, and the first six polyhedra by the limit, as they were built."""
+    boxes = [i for i in order(1) if i % 2 == 0]
     polyhedra = [
-        i for i in range(1, 60, 2) if load(1, i, "wide").room.n_materials <= MOST_MATERIALS
+        i for i in order(1) if i % 2 and load(1, i, "wide").room.n_materials <= MOST_MATERIALS
     ]
-    return boxes + polyhedra[:6]
+    return [i for pair in zip(boxes[:6], polyhedra[:6], strict=True) for i in pair]
 
 
 def obj(case: PositionRoom) -> str:
