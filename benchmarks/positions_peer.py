@@ -2,9 +2,10 @@
 
 acoustic-spaces 4.0.0 (GPL-3, PyPI) fits T20, EDT and C80 of every pair in JND by weighing its rays
 anew. It takes at most 16 materials: of the judging rooms (tests/position_rooms), the first six boxes
-and the first six polyhedra that have no more, in the order in which they were built. Both programs get the same room, the wide prior, scattering 0.4
-and one thread, in one run; the processor time includes all traces. Its search box is 0.01 to 0.99, and
-what it takes for the prior is where it starts: the stated alpha.
+and the first six polyhedra that have no more, in the order in which they were built. Both programs get
+the same room, the wide prior, scattering 0.4 and one thread, in one run; the processor time includes
+all traces. Its search box is 0.01 to 0.99, and what it takes for the prior is where it starts: the
+stated alpha.
 
 Run it where acoustic-spaces and rtcal are installed side by side; rtcal does not depend on it.
 `python -m benchmarks.positions_peer table` reads what was stored.
