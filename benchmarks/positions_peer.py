@@ -29,6 +29,7 @@ from tests.position_rooms.parameters import OCTAVES
 
 STORED = HERE / "population_1_peer.jsonl"
 FITTED = ("t20", "edt", "c80")
+PROGRAMS = ("rtcal", "acoustic-spaces")
 MOST_MATERIALS = 16
 RAYS = 5000
 """As in benchmarks/acoustic_spaces_peer.py; its default is more."""
@@ -64,8 +65,8 @@ def eight(values: np.ndarray, bands: np.ndarray, *, edges: bool) -> np.ndarray:
     return out if edges else np.where(np.isin(OCTAVES, bands), out, np.nan)
 
 
-def fit_peer(case: PositionRoom, folder: str) -> tuple[np.ndarray, int]:
-    """Return what acoustic-spaces makes of a room (n_materials, n_bands), and its traces."""
+def fit_peer(case: PositionRoom, folder: str) -> np.ndarray:
+    """Return what acoustic-spaces makes of a room, (n_materials, n_bands)."""
     from acoustic_spaces import calibration
     from acoustic_spaces.parameters import PARAMETERS, RoomParameters
     from acoustic_spaces.scene import Scene
@@ -110,63 +111,70 @@ def fit_peer(case: PositionRoom, folder: str) -> tuple[np.ndarray, int]:
         for i, pair in enumerate(measured.pairs)
     }
     found = calibration.calibrate(scene, values, names, parameters=FITTED, threads=1)
-    return found.absorption[:, np.isin(OCTAVES, bands)], found.rounds + 1
+    return np.asarray(found.absorption[:, np.isin(OCTAVES, bands)])
 
 
-def compare(index: int) -> dict[str, Any]:
-    """Return errors and times of both programs in one room."""
+def fit(program: str, index: int) -> dict[str, Any]:
+    """Return error and processor time of a program in one room."""
     case, truth = load(1, index, "wide"), true_alpha(1, index, "wide")
-    row: dict[str, Any] = {
+    clock = time.process_time()
+    if program == "rtcal":
+        simulator = case.simulator(n_paths=PATHS, workers=1)
+        alpha = calibrate("positions", simulator, case.room, case.measured).alpha
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            alpha = fit_peer(case, folder)
+    return {
         "index": index,
+        "program": program,
         "surfaces": case.room.n_materials,
+        "processor": time.process_time() - clock,
+        "error": error(case.room, alpha, truth),
         "prior_error": error(case.room, case.room.alpha, truth),
     }
-    clock = time.process_time()
-    simulator = case.simulator(n_paths=PATHS, workers=1)
-    alpha = calibrate("positions", simulator, case.room, case.measured).alpha
-    row["processor"], row["error"] = time.process_time() - clock, error(case.room, alpha, truth)
-    with tempfile.TemporaryDirectory() as folder:
-        clock = time.process_time()
-        alpha, row["peer_traces"] = fit_peer(case, folder)
-        row["peer_processor"] = time.process_time() - clock
-        row["peer_error"] = error(case.room, alpha, truth)
-    return row
 
 
 def table(rows: list[dict[str, Any]]) -> None:
-    ours, theirs, prior, processor, peer = (
-        np.array([r[k] for r in rows])
-        for k in ("error", "peer_error", "prior_error", "processor", "peer_processor")
-    )
-    print(f"{len(rows)} rooms: {[r['index'] for r in rows]}")
-    value, low, high = share(int((ours < theirs).sum()), len(rows))
-    print(f"error of alpha lower: {value * len(rows):.0f} rooms, {low:.3f} to {high:.3f}")
+    by = {(r["program"], r["index"]): r for r in rows}
+    both = [i for i in rooms() if all((p, i) in by for p in PROGRAMS)]
+
+    def column(program: str, name: str) -> np.ndarray:
+        return np.array([by[program, i][name] for i in both])
+
+    ours, theirs = column("rtcal", "error"), column("acoustic-spaces", "error")
+    time_ratio = column("rtcal", "processor"), column("acoustic-spaces", "processor")
+    print(f"{len(both)} rooms: {both}")
+    value, low, high = share(int((ours < theirs).sum()), len(both))
+    print(f"error of alpha lower in {value * len(both):.0f} rooms; share {low:.3f} to {high:.3f}")
     for name, a, b in (
         ("error, every position / acoustic-spaces", ours, theirs),
-        ("error, acoustic-spaces / prior", theirs, prior),
-        ("processor time, every position / acoustic-spaces", processor, peer),
+        ("error, every position / prior", ours, column("rtcal", "prior_error")),
+        ("error, acoustic-spaces / prior", theirs, column("rtcal", "prior_error")),
+        ("processor time, every position / acoustic-spaces", *time_ratio),
     ):
         value, low, high = median_ratio(a, b)
         print(f"{name:50} median {value:.3f}  {low:.3f} to {high:.3f}, largest {np.max(a / b):.2f}")
-    print(f"processor: {processor.sum():.0f} s and {peer.sum():.0f} s")
+    print(f"processor: {time_ratio[0].sum():.0f} s and {time_ratio[1].sum():.0f} s")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("command", choices=["run", "table"])
     parser.add_argument("--folder", type=Path)
+    parser.add_argument("--programs", default=",".join(PROGRAMS))
     arguments = parser.parse_args()
     target = arguments.folder / "peer.jsonl" if arguments.folder else STORED
     if arguments.command == "run":
-        done = {r["index"] for r in read(target)}
-        warm = load(0, 0, "wide")  # compiles
-        calibrate("positions", warm.simulator(n_paths=320), warm.room, warm.measured)
+        done = {(r["program"], r["index"]) for r in read(target)}
+        warm = load(1, rooms()[0], "wide")  # compiles
+        calibrate("t20", warm.simulator(n_paths=320), warm.room, warm.measured)
         for index in rooms():
-            if index not in done:
-                row = compare(index)
-                with target.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(rounded(row)) + "\n")
-                print(row, flush=True)
+            for program in arguments.programs.split(","):
+                if (program, index) not in done:
+                    row = rounded(fit(program, index))
+                    with target.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(row) + "\n")
+                    print(row, flush=True)
     table(read(target))
 
 
