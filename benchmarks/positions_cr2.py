@@ -87,6 +87,19 @@ def measured_pairs(path: Path, frequencies: np.ndarray, source: str) -> Measurem
     )
 
 
+def print_spread(path: Path, frequencies: np.ndarray) -> None:
+    """Print how the ten pairs scatter, and how a noise-like response does."""
+    both = [measured_pairs(path, frequencies, s).values for s in SOURCES]
+    edt, c80 = (np.concatenate([values[p] for values in both]) for p in ("edt", "c80"))
+    theory = 1.6 / np.sqrt(0.71 * frequencies * edt.mean(0))
+    for name, row in (
+        ("sd of EDT over pairs, %", 100 * edt.std(0, ddof=1) / edt.mean(0)),
+        ("1.6 / sqrt(B T), %", 100 * theory),
+        ("sd of C80 over pairs, dB", c80.std(0, ddof=1)),
+    ):
+        print(f"{name:26}", *(f"{x:6.2f}" for x in row))
+
+
 def main(folder: Path | None) -> None:
     if folder is None or not all((folder / n).exists() for n in ("measured.json", "scene9.ac")):
         print(
@@ -98,6 +111,7 @@ def main(folder: Path | None) -> None:
     geometry = mesh(folder / "scene9.ac")
     room = room.replace(scattering=np.full(room.alpha.shape, 0.4))
     print(f"CR2: {geometry.volume:.1f} m³, {len(geometry.faces)} faces, {room.n_bands} octaves")
+    print_spread(folder / "measured.json", room.centre_frequencies)
     total: dict[str, list[np.ndarray]] = {}
     for fitted, predicted in (("LS1", "LS2"), ("LS2", "LS1")):
         tracer, judge = (
