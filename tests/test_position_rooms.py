@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("numba", reason="the position rooms are compiled (extra fast)")
 
 from rtcal.acoustics import decay
+from rtcal.simulators import PathTracing
 from tests.position_rooms import generate, load, parameters, rooms, shapes
 from tests.position_rooms.tracer import Scene, sees, trace
 
@@ -187,3 +188,27 @@ def test_the_package_closes_the_same_room_with_the_same_air(index: int) -> None:
     n = case.room.n_bands
     np.testing.assert_allclose(case.room.air_attenuation, scene.air[:n], rtol=2e-3)
     np.testing.assert_allclose(case.room.speed_of_sound, scene.c, rtol=1e-4)
+
+
+@pytest.mark.parametrize("index", [0, 3])
+def test_told_the_truth_the_package_hears_the_same(index: int) -> None:
+    # Two tracers that share nothing, one scene. Bounds: four times the noise of the mean over pairs.
+    truth = generate.read(0, "truth")[index]["truth"]
+    case = load.load(0, index, "wide")
+    told = PathTracing(
+        geometry=case.geometry,
+        room=case.room,
+        sources=dict(zip(load.SOURCES, truth["sources"], strict=True)),
+        receivers=dict(zip(load.RECEIVERS, truth["receivers"], strict=True)),
+        scattering=np.array(truth["scattering"]),
+        scattering_model="vector" if truth["vectors"] else "random",
+        n_paths=4000,
+    )
+    heard = told.observe(load.true_alpha(0, index, "wide"), ("t20", "edt", "c80", "ts", "level"))
+    exact = load.without_noise(0, index, "wide")
+    for name, bound in (("t20", 0.03), ("edt", 0.03), ("ts", 0.03), ("c80", 0.25), ("level", 0.15)):
+        of_truth = exact.values["g" if name == "level" else name]
+        difference = heard.natural(name) - of_truth
+        if name in ("t20", "edt", "ts"):
+            difference = difference / of_truth
+        assert np.abs(difference.mean(axis=0)).max() < bound, name
