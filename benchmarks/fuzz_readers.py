@@ -1,16 +1,18 @@
 """Coverage-guided fuzzing of every reader: `python benchmarks/fuzz_readers.py [SECONDS] [READER...]`.
 
 libFuzzer by way of atheris (`pip install atheris`) changes files so that they reach new lines of
-rtcal, and keeps those that do in `.fuzz/READER`, from where the next run goes on. It starts from the
-files of `tests/fuzz.py` and `tests/corpus.py`. A reader passes if every file is read or refused as
-`fuzz.check` asks, within 10 s and 1 GB. Prints the files tried and kept; ends with 1 if a reader fell,
-beside the file that did it. SECONDS, 60 if not said, are those of each reader.
+rtcal. It keeps those that do in `.fuzz/READER`, from where the next run goes on, and the smallest of
+them in `tests/fuzz_corpus`. It starts from those, and from the files of `tests/fuzz.py` and
+`tests/corpus.py`. A reader passes if every file is read or refused as `fuzz.check` asks, within 10 s
+and 1 GB. Prints the files tried and kept; ends with 1 if a reader fell, beside the file that did it.
+SECONDS, 60 if not said, are those of each reader.
 """
 
 from __future__ import annotations
 
+import itertools
+import os
 import re
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -19,6 +21,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 FOLDER = ROOT / ".fuzz"
 MAX_BYTES = 20_000
+MAX_KEPT_BYTES = 60_000
+"""Size of all the files of a reader that are kept in the repository."""
 KERNELS = [
     "rtcal.exact.kernel",
     "rtcal.simulators.image_numba",
@@ -33,8 +37,7 @@ def fuzz_one(name: str, seconds: int) -> None:
     """Fuzz a reader in this process, which libFuzzer ends."""
     import atheris
 
-    with atheris.instrument_imports(include=["rtcal"], exclude=KERNELS):
-        from tests import fuzz
+    from tests import fuzz
 
     kept = FOLDER / name
     folder = Path(tempfile.mkdtemp(prefix="rtcal-fuzz-"))
@@ -65,7 +68,15 @@ def seeds(name: str) -> list[bytes]:
     from tests import corpus, fuzz
 
     odd = [case.content for case in corpus.CASES if case.reader == name]
-    return [c for c in (*fuzz.READERS[name].seeds, *odd) if len(c) <= MAX_BYTES]
+    every = (*fuzz.READERS[name].seeds, *odd, *fuzz.kept(name))
+    return [content for content in every if len(content) <= MAX_BYTES]
+
+
+def smallest(name: str) -> list[bytes]:
+    """The smallest of the files that reached new lines."""
+    contents = sorted((file.read_bytes() for file in (FOLDER / name).iterdir()), key=len)
+    sizes = itertools.accumulate(map(len, contents))
+    return [c for c, size in zip(contents, sizes, strict=True) if size <= MAX_KEPT_BYTES]
 
 
 def escaped(token: bytes) -> str:
@@ -73,26 +84,45 @@ def escaped(token: bytes) -> str:
     return "".join(f"\\x{byte:02x}" for byte in token)
 
 
-def main(seconds: int, names: list[str]) -> int:
+def forked(name: str, seconds: int) -> tuple[bool, str]:
+    """Fuzz a reader in a child, which has all modules already; whether it passed, and what it said."""
     from tests import fuzz
 
+    said = FOLDER / f"{name}.log"
+    with tempfile.TemporaryDirectory() as folder:  # what reading imports is imported here
+        for content in fuzz.READERS[name].seeds:
+            fuzz.check(name, content, Path(folder))
+    child = os.fork()
+    if child == 0:
+        os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), sys.stderr.fileno())
+        try:
+            fuzz_one(name, seconds)
+        finally:
+            os._exit(1)
+    passed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    return passed, said.read_text(errors="replace")
+
+
+def main(seconds: int, names: list[str]) -> int:
+    import atheris
+
+    with atheris.instrument_imports(include=["rtcal"], exclude=KERNELS):
+        from tests import fuzz
+
     fell = 0
-    print(f"{'reader':16} {'tried':>9} {'kept':>6}")
+    print(f"{'reader':16} {'tried':>9} {'kept':>6}", flush=True)
     for name in names or sorted(fuzz.READERS):
         (FOLDER / name).mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, __file__, "--one", name, str(seconds)]
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace")
-        tried = re.search(r"number_of_executed_units: (\d+)", done.stderr)
+        passed, said = forked(name, seconds)
+        tried = re.search(r"number_of_executed_units: (\d+)", said)
+        fuzz.keep(name, smallest(name))
         kept = len(list((FOLDER / name).iterdir()))
         print(f"{name:16} {tried[1] if tried else '-':>9} {kept:6}", flush=True)
-        if done.returncode:
+        if not passed:
             fell += 1
-            print("\n".join(done.stderr.splitlines()[-30:]))
+            print("\n".join(said.splitlines()[-30:]), flush=True)
     return min(fell, 1)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--one"]:
-        fuzz_one(sys.argv[2], int(sys.argv[3]))
-    else:
-        sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 60, sys.argv[2:]))
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 60, sys.argv[2:]))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import struct
 import time
 import tracemalloc
-from collections.abc import Callable, Mapping
+import zipfile
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -188,6 +190,27 @@ TOKENS = (
     struct.pack("<I", 2**32 - 1),
     struct.pack("<I", 0),
 )
+
+
+CORPUS = Path(__file__).with_name("fuzz_corpus")
+
+
+def kept(name: str) -> list[bytes]:
+    """Return the files of a reader that libFuzzer kept: each reached new lines of rtcal."""
+    place = CORPUS / f"{name}.zip"
+    if not place.exists():  # a new reader
+        return []
+    with zipfile.ZipFile(place) as archive:
+        return [archive.read(member) for member in archive.namelist()]
+
+
+def keep(name: str, contents: Iterable[bytes]) -> None:
+    """Keep files of a reader in the repository: the same files give the same bytes."""
+    CORPUS.mkdir(exist_ok=True)
+    named = {hashlib.sha256(content).hexdigest()[:16]: content for content in contents}
+    with zipfile.ZipFile(CORPUS / f"{name}.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for file, content in sorted(named.items()):
+            archive.writestr(zipfile.ZipInfo(file), content, zipfile.ZIP_DEFLATED)
 
 
 @st.composite

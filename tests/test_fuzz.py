@@ -29,6 +29,14 @@ def test_the_good_files_are_read(name: str, tmp_path: Path) -> None:
         assert fuzz.check(name, seed, tmp_path)
 
 
+@pytest.mark.parametrize("name", sorted(fuzz.READERS))
+def test_what_the_fuzzer_kept_is_read_or_refused(name: str, tmp_path: Path) -> None:
+    contents = fuzz.kept(name)
+    assert contents
+    for content in contents:
+        fuzz.check(name, content, tmp_path)
+
+
 def large() -> dict[str, tuple[str, bytes]]:
     """Files as large as is let pass, of what costs most."""
     mb, n = text.MAX_TEXT, 900_000

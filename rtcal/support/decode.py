@@ -140,7 +140,7 @@ class Entries:
         for key in self.values:
             if key not in self.needed and key not in self.optional:
                 keys = {*self.needed, *self.optional}
-                nearest = get_close_matches(str(key)[:40], keys, _MOST_KEYS, 0)
+                nearest = get_close_matches(str(key)[:40], sorted(keys), _MOST_KEYS, 0)
                 raise DataError(
                     f'{self.name} has the key "{str(key)[:40]}", which is not one of '
                     f"{', '.join(sorted(nearest))}"
