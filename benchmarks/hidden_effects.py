@@ -36,6 +36,7 @@ from rtcal.discrepancy import (
     AppliedEffect,
     Case,
     Configuration,
+    Effect,
     Finding,
     control_rooms,
     evidence,
@@ -50,11 +51,13 @@ from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.engines import ControlRooms, recentred
 from rtcal.discrepancy.evidence import alpha_covariance, estimate_discrepancy, evaluate
 from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import NONE, predict_hypotheses
+from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.prior import NONE, prior_of
+from rtcal.discrepancy.probabilities import credible_set, posterior
 from rtcal.discrepancy.recalibration import plain
-from rtcal.discrepancy.search import CANDIDATE_NATS
 from rtcal.discrepancy.states import distances, state
+from rtcal.discrepancy.verdict import CLAIMED
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 
@@ -100,7 +103,7 @@ def examined(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
     """Find, add, verify; what came of it."""
     finding = find(case, controls=controls)
     row = row_of(finding)
-    if named(row):
+    if finding.can_be_added:
         seen = verify(finding)
         row |= {
             "rmse": [
@@ -119,7 +122,7 @@ def examined(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
                 "effect": again.effect,
                 "candidates": list(again.candidates),
             }
-            if named(row_of(again)) and again.effect != finding.effect:
+            if again.can_be_added and again.best != finding.best:
                 mended = verify(again)
                 row["second"]["rmse"] = rmse(mended.corrected.alpha, truth)
     return row
@@ -395,13 +398,13 @@ def engines(first: int, rooms: int) -> None:
         predicted = predict_hypotheses(case, library())
         for left in controls:
             others = [c for c in controls if c is not left]
-            limit = bootstrap_threshold(case, observed, predicted, others)
+            prior = prior_of(case.room, library(), {})
+            limit = bootstrap_threshold(case, observed, predicted, others, prior)
             rng = np.random.default_rng([index, 5])
             judged = recentred([*others, left])[-1]
             values = draw_null_features(case, observed, [judged.errors], rng, 20)
-            scores = score(
-                evaluate(observed, predicted, estimate_discrepancy(case, others), values)
-            )
+            error = estimate_discrepancy(case, others)
+            scores = score(evaluate(observed, predicted, error, prior.off, values), prior)
             alarms.setdefault(left.engine, []).extend((scores > limit.value).tolist())
         print(f"\r{index + 1 - first}/{rooms}", end="", flush=True)
     apart = np.sqrt(np.mean(np.square(between), axis=0))
@@ -425,7 +428,7 @@ def numbers(folder: str, step: int) -> None:
     settings: list[tuple[Any, str, Any]] = [(evidence, "INFLATION", evidence.INFLATION)]
     settings += [(evidence, "SHRINKAGE", x) for x in (0.2, 0.8)]
     settings += [(evidence, "INFLATION", x) for x in (1.0, 1.5)]
-    settings += [(hypotheses, "KAPPA", hypotheses.KAPPA * x) for x in (0.5, 2.0)]
+    settings += [(Effect, "formula_error", Effect.formula_error * x) for x in (0.5, 2.0)]
     settings += [
         (hypotheses, "SHAPE_CHANGE", tuple((f, x * s) for f, s in hypotheses.SHAPE_CHANGE))
         for x in (0.5, 2.0)
@@ -459,19 +462,18 @@ def numbers(folder: str, step: int) -> None:
         for kind, case, controls in rooms:
             observed, _ = observe(case)
             predicted = predict_hypotheses(case, library())
-            limit = bootstrap_threshold(case, observed, predicted, controls)
-            nats = evaluate(observed, predicted, limit.discrepancy).by_effect()
-            over = {k: float(v - nats[NONE]) for k, v in nats.items() if k != NONE}
-            best = max(over, key=lambda k: over[k])
+            prior = prior_of(case.room, library(), {})
+            limit = bootstrap_threshold(case, observed, predicted, controls, prior)
+            weighed = evaluate(observed, predicted, limit.discrepancy, prior.off)
+            nats = {k: float(v) for k, v in weighed.by_effect().items()}
+            among = credible_set(posterior(nats, prior))
             group = "none" if kind == 0 else "unknown" if kind == 13 else "hidden"
             group = group if kind <= 13 else "other"
             count[group] += 1
-            if over[best] > limit.value:
+            if float(score(weighed, prior)) > limit.value:
                 count[f"{group} found"] += 1
-                count["right"] += group == "hidden" and best == NAMES[kind]
-                count["among"] += (
-                    group == "hidden" and over[NAMES[kind]] > over[best] - CANDIDATE_NATS
-                )
+                count["right"] += group == "hidden" and among[0] == NAMES[kind]
+                count["among"] += group == "hidden" and NAMES[kind] in among
         setattr(module, name, chosen)
         cells = (
             f"{count['none found']}/{count['none']}",
@@ -506,7 +508,9 @@ def speed(first: int, rooms: int) -> None:
             predicted = predict_hypotheses(data, library())
             limit = timed(
                 f"threshold, {label}",
-                lambda d=data, o=observed, p=predicted, c=rooms_of: bootstrap_threshold(d, o, p, c),
+                lambda d=data, o=observed, p=predicted, c=rooms_of: bootstrap_threshold(
+                    d, o, p, c, prior_of(d.room, library(), {})
+                ),
             )
             timed(f"find, {label}", lambda d=data, t=limit: find(d, threshold=t))
     for label, taken in times.items():
@@ -555,18 +559,15 @@ def bound(folder: str) -> None:
             values = draw_null_features(
                 hidden, observed, errors, np.random.default_rng([index, 6]), 20
             )
-            evidence = evaluate(observed, predicted, error, values)
+            prior = prior_of(part.room, library(), {})
+            evidence = evaluate(observed, predicted, error, prior.off, values)
             table = evidence.by_effect()
-            names = [k for k in table if k != NONE]
-            over = np.array([table[k] - table[NONE] for k in names])
-            for column in over.T:
-                among = column > column.max() - CANDIDATE_NATS
+            for draw, something in enumerate(score(evidence, prior)):
+                nats = {k: float(v[draw]) for k, v in table.items()}
+                probable = posterior(nats, prior)
+                best = next(k for k in probable if k != NONE)
                 own[data].append(
-                    (
-                        bool(column.max() > MINIMUM_NATS),
-                        names[int(column.argmax())] == name,
-                        bool(among.sum() == 1),
-                    )
+                    (bool(something > MINIMUM_NATS), best == name, probable[best] >= CLAIMED)
                 )
     for data, powers in power.items():
         print(
@@ -599,7 +600,7 @@ def alpha(folder: str, rooms: int) -> None:
             if data == "one":
                 case, controls = one(case), first_of(controls)
             finding = find(case, controls=controls)
-            if finding.verdict in ("named", "ambiguous"):
+            if finding.can_be_added:
                 right = finding.effect == NAMES[truth["seed"][1]]
                 shares[right].append(held(finding, np.array(truth["alpha"])))
         for right, table in shares.items():
@@ -706,7 +707,7 @@ def bras(folder: str) -> None:
             print(f"\n{name}, {'no air stated' if air is None else 'with air'}:")
             finding = find(case)
             print(finding)
-            if finding.verdict in ("named", "ambiguous"):
+            if finding.can_be_added:
                 print(verify(finding))
 
 

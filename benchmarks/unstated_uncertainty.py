@@ -1,8 +1,8 @@
 """What the uncertainty of values that state none decides: `python -m benchmarks.unstated_uncertainty`.
 
 Rooms of the second hidden world's development population, of which only the first source-receiver pair
-counts, so that no uncertainty follows from the spread over pairs. Prints verdict and effect for
-`features.UNSTATED_TIME` and `UNSTATED_LEVEL`, and for half and twice of each.
+counts, so that no uncertainty follows from the spread over pairs. Prints verdict and effect with the
+numbers of `rtcal.discrepancy.features`, and with half and twice those of times and of levels.
 """
 
 from __future__ import annotations
@@ -37,23 +37,35 @@ def first_pair(data: dict) -> Case:
     )
 
 
+def scaled(
+    of_time: float, of_level: float, between: dict, one_decay: dict, one_level: float
+) -> None:
+    """Set the numbers of `features` to so many times the chosen ones."""
+    features.REPRODUCIBILITY = {
+        p: tuple((of_level if p in features.LEVELS else of_time) * np.array(row))
+        for p, row in between.items()
+    }
+    features.ONE_DECAY = {p: of_time * value for p, value in one_decay.items()}
+    features.ONE_LEVEL = of_level * one_level
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rooms", type=int, default=8)
     count = parser.parse_args().rooms
     warnings.simplefilter("ignore")
     cases, truths = read(0, "case"), read(0, "truth")
-    time, level = features.UNSTATED_TIME, features.UNSTATED_LEVEL
+    chosen = features.REPRODUCIBILITY, features.ONE_DECAY, features.ONE_LEVEL
     changed = np.zeros(len(FACTORS), dtype=int)
     for i in np.linspace(0, len(cases) - 1, count).astype(int):
         case = first_pair(cases[i])
         controls = control_rooms(case)
         results = []
         for of_time, of_level in FACTORS:
-            features.UNSTATED_TIME, features.UNSTATED_LEVEL = of_time * time, of_level * level
+            scaled(of_time, of_level, *chosen)
             finding = find(case, controls=controls)
             results.append((finding.verdict, finding.effect))
-        features.UNSTATED_TIME, features.UNSTATED_LEVEL = time, level
+        scaled(1.0, 1.0, *chosen)
         changed += [r != results[0] for r in results]
         print(truths[i]["kind"], *results, sep=" | ")
         sys.stdout.flush()

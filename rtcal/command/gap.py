@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +32,56 @@ def gap() -> None:
     """
 
 
+@dataclass(frozen=True)
+class Search:
+    """What the search takes beside the case, as `rtcal.discrepancy.find` does."""
+
+    engines: tuple[str, ...]
+    seed: int
+    without: tuple[str, ...]
+    only: tuple[str, ...]
+    prior: Mapping[str, float]
+
+    def arguments(self) -> list[str]:
+        """Return the options of a command that repeats the search."""
+        out = ["--seed", str(self.seed)]
+        for option, values in (
+            ("--engine", self.engines),
+            ("--without", self.without),
+            ("--only", self.only),
+            ("--prior", [f"{k}={v:g}" for k, v in self.prior.items()]),
+        ):
+            out += [x for value in values for x in (option, value)]
+        return out
+
+
+def _odds(texts: Sequence[str]) -> dict[str, float]:
+    """Read EFFECT=ODDS; DataError for anything else."""
+    out = {}
+    for text in texts:
+        name, _, number = text.rpartition("=")
+        try:
+            out[name.strip()] = float(number)
+        except ValueError:
+            name = ""
+        if not name.strip():
+            raise DataError(f'--prior "{text}" is not EFFECT=ODDS, such as opening=2')
+    return out
+
+
 def _common(command: Any) -> Any:
+    @wraps(command)
+    def with_search(
+        engines: tuple[str, ...],
+        seed: int,
+        without: tuple[str, ...],
+        only: tuple[str, ...],
+        prior: tuple[str, ...],
+        **others: Any,
+    ) -> Any:
+        chosen = engines or ("path tracing", "network")
+        return command(search=Search(chosen, seed, without, only, _odds(prior)), **others)
+
     for option in (
         quiet_option,
         json_option,
@@ -41,6 +92,14 @@ def _common(command: Any) -> Any:
             help="Seed of the control rooms and the bootstrap.",
         ),
         click.option(
+            "--prior",
+            multiple=True,
+            metavar="EFFECT=ODDS",
+            help="Prior odds of an effect against the others, of none or of coefficients.",
+        ),
+        click.option("--only", multiple=True, metavar="EFFECT", help="Try this effect alone."),
+        click.option("--without", multiple=True, metavar="EFFECT", help="Do not try this effect."),
+        click.option(
             "--engine",
             "engines",
             multiple=True,
@@ -49,8 +108,8 @@ def _common(command: Any) -> Any:
         ),
         click.argument("case", type=click.Path()),
     ):
-        command = option(command)
-    return command
+        with_search = option(with_search)
+    return with_search
 
 
 @gap.command(short_help="Which effects the data could distinguish.")
@@ -78,12 +137,12 @@ def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
 
 @gap.command(short_help="Whether the model misses something, and what.")
 @_common
-def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool) -> None:
+def find(case: str, search: Search, as_json: bool, quiet: bool) -> None:
     """Print whether CASE's model misses something, where it shows, and what it is.
 
     Example: rtcal gap find case.toml
     """
-    finding = _find(case, _case(case), engines, seed, quiet)
+    finding = _find(case, _case(case), search, quiet)
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
@@ -99,8 +158,7 @@ def find(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: b
 )
 def apply(
     case: str,
-    engines: tuple[str, ...],
-    seed: int,
+    search: Search,
     as_json: bool,
     quiet: bool,
     out: str,
@@ -119,7 +177,7 @@ def apply(
     from rtcal.support.files import write_all
 
     written = [out] if room is None else [out, room]
-    finding = _find(case, _case(case, written), engines, seed, quiet)
+    finding = _find(case, _case(case, written), search, quiet)
     correction = correct(finding, out, room)
     write_all(correction.files)
     tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
@@ -129,7 +187,7 @@ def apply(
 
 @gap.command(short_help="Compare the gaps with and without the effect.")
 @_common
-def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool) -> None:
+def verify(case: str, search: Search, as_json: bool, quiet: bool) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
     This shows whether the model gets better, not whether the name is right, so the rivals are printed
@@ -139,7 +197,7 @@ def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet:
     """
     from rtcal.discrepancy import verify as verified
 
-    finding = _find(case, _case(case), engines, seed, quiet)
+    finding = _find(case, _case(case), search, quiet)
     if (nothing := finding.reason_for_none) is not None:
         record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
         tell(nothing, record, quiet=quiet, as_json=as_json)
@@ -153,9 +211,7 @@ def verify(case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet:
 @click.option(
     "--out", type=click.Path(file_okay=False), required=True, help="Folder for figures and JSON."
 )
-def report(
-    case: str, engines: tuple[str, ...], seed: int, as_json: bool, quiet: bool, out: str
-) -> None:
+def report(case: str, search: Search, as_json: bool, quiet: bool, out: str) -> None:
     """Write finding, verification and their figures into a folder.
 
     The page names the missing effect, its certainty, and the coefficients with the effect in the model.
@@ -168,13 +224,10 @@ def report(
     if not out:
         raise DataError("--out is empty; it is a folder")
     read = _case(case, [str(Path(out) / name) for name in WRITTEN])
-    finding = _find(case, read, engines, seed, quiet)
-    chosen = [x for e in finding.engines for x in ("--engine", e)]
-    command = shlex.join(
-        ["rtcal", "gap", "report", case, "--seed", str(seed), *chosen, "--out", out]
-    )
+    finding = _find(case, read, search, quiet)
+    command = shlex.join(["rtcal", "gap", "report", case, *search.arguments(), "--out", out])
     files = [os.fspath(p) for p in files_of(case)]
-    written = write(finding, Path(out), Reproduction(command, tuple(files), seed))
+    written = write(finding, Path(out), Reproduction(command, tuple(files), search.seed))
     names = [str(p) for p in written]
     text = f"{finding}\nWritten: {', '.join(names)}"
     tell(text, {"written": names, **finding.to_dict()}, quiet=quiet, as_json=as_json)
@@ -191,12 +244,11 @@ def _case(path: str, written: Sequence[str] = ()) -> Case:
     return case
 
 
-def _find(path: str, case: Case, engines: tuple[str, ...], seed: int, quiet: bool) -> Finding:
+def _find(path: str, case: Case, search: Search, quiet: bool) -> Finding:
     """Find what the case's model misses; control rooms are kept beside its file."""
     from rtcal import discrepancy
     from rtcal.discrepancy.cache import FOLDER
 
-    chosen = engines or ("path tracing", "network")
     with bar(0, "room", bar_wanted(quiet)) as shown:
 
         def report(engine: str, done: int, of: int) -> None:
@@ -206,4 +258,13 @@ def _find(path: str, case: Case, engines: tuple[str, ...], seed: int, quiet: boo
             shown.update(1)
 
         folder = Path(path).parent / FOLDER
-        return discrepancy.find(case, seed=seed, engines=chosen, cache=folder, report=report)
+        return discrepancy.find(
+            case,
+            seed=search.seed,
+            without=search.without,
+            only=search.only,
+            prior=search.prior,
+            engines=search.engines,
+            cache=folder,
+            report=report,
+        )

@@ -8,26 +8,27 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.discrepancy.bootstrap import MINIMUM_NATS
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.effects.checks import checked_effects
 from rtcal.discrepancy.evidence import (
-    UNKNOWN,
     Evidence,
     ModelDiscrepancy,
     alpha_covariance,
     checked_discrepancy,
 )
 from rtcal.discrepancy.features import Observed, observe
-from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
+from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.discrepancy.model import FEATURES
+from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.errors import DataError
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
+DISTINCT_NATS = 2.3
+"""Evidence in nats from which two effects can be told apart: odds of ten to one."""
 _USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
 """Standard uncertainty of a mean over four positions that is not measured yet, by feature."""
 
@@ -69,7 +70,12 @@ def next_measurement(
     candidates: Sequence[str],
 ) -> str:
     """Return the measurement that would decide between the candidates."""
-    named = [c for c in candidates if c != UNKNOWN]
+    named = [c for c in candidates if c not in (UNKNOWN, COEFFICIENTS)]
+    if candidates and candidates[0] == COEFFICIENTS:
+        return (
+            "look for another source of the coefficients, first for the material with the largest S "
+            "sigma; or measure with and without a known absorber"
+        )
     if not named:
         return (
             "nothing to settle"
@@ -78,7 +84,7 @@ def next_measurement(
         )
     best = named[0]
     rows = [i for i, n in enumerate(predicted.names) if n == best]
-    first = rows[int(np.argmax(evidence.log_likelihood[rows]))]
+    first = rows[int(np.argmax(evidence.by_hypothesis()[rows]))]
     if len(named) == 1:
         if predicted.effects[best].removable:
             return f"confirm it: measure once without the {best}"
@@ -167,7 +173,7 @@ class Plan:
             f"With {', '.join(self.parameters)}: evidence (nats) to expect",
             "for the effect in the row against the effect in the column,",
             f"at the size whose change of T (its own column) is nearest to {100 * self.change:g} %.",
-            f"Over {MINIMUM_NATS} (ten to one) they can be told apart; over {_MOST:.0f} is certain, "
+            f"Over {DISTINCT_NATS} (ten to one) they can be told apart; over {_MOST:.0f} is certain, "
             "and no",
             "number is printed.",
         ]
@@ -183,7 +189,7 @@ class Plan:
         lines += text.table(rows, header=header)
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
         both, one_sided = _blind(self.separations, pairs)
-        unseen = [a for a in names if self.separations[a, NONE] < MINIMUM_NATS]
+        unseen = [a for a in names if self.separations[a, NONE] < DISTINCT_NATS]
         if unseen:
             lines.append(
                 "Cannot be told from a model that lacks nothing: " + ", ".join(unseen) + "."
@@ -220,7 +226,7 @@ def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[
     """Pairs indistinguishable both ways, and pairs where only the first can pass for the second."""
     both, one_sided = [], []
     for a, b in pairs:
-        weak = (separations[a, b] < MINIMUM_NATS, separations[b, a] < MINIMUM_NATS)
+        weak = (separations[a, b] < DISTINCT_NATS, separations[b, a] < DISTINCT_NATS)
         if all(weak):
             both.append((a, b))
         elif any(weak):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.coefficients import directions, drawn
 from rtcal.discrepancy.engines import (
     ENGINES,
     ControlRooms,
@@ -29,8 +30,9 @@ from rtcal.discrepancy.evidence import (
     evaluate,
 )
 from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.hypotheses import NONE, Hypotheses
+from rtcal.discrepancy.hypotheses import Hypotheses
 from rtcal.discrepancy.model import FEATURES, predict
+from rtcal.discrepancy.prior import NONE, Prior
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 from rtcal.support import checks
@@ -40,8 +42,8 @@ from rtcal.support.types import Array
 
 QUANTILE = 0.95
 """Quantile of the null rooms' scores that is the threshold: 5 % false alarms."""
-MINIMUM_NATS = 2.3
-"""Smallest threshold in nats: odds of ten to one."""
+MINIMUM_NATS = 1.1
+"""Smallest threshold in nats: odds of three to one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +117,7 @@ def bootstrap_threshold(
     observed: Observed,
     predicted: Hypotheses,
     controls: Sequence[ControlRooms],
+    prior: Prior,
     seed: int = 0,
     draws: int = 200,
 ) -> Threshold:
@@ -125,9 +128,8 @@ def bootstrap_threshold(
         training = [_part(c, fold) for c in controls]
         test = [c.errors for c in recentred([_part(c, 1 - fold) for c in controls])]
         values = draw_null_features(case, observed, test, rng, draws // 2)
-        scores.append(
-            score(evaluate(observed, predicted, estimate_discrepancy(case, training), values))
-        )
+        learnt = estimate_discrepancy(case, training)
+        scores.append(score(evaluate(observed, predicted, learnt, prior.off, values), prior))
     table = np.concatenate(scores)
     value = max(float(np.quantile(table, QUANTILE)), MINIMUM_NATS)
     return Threshold(value, table, estimate_discrepancy(case, controls))
@@ -142,18 +144,25 @@ def _part(controls: ControlRooms, fold: int) -> ControlRooms:
     return ControlRooms(controls.engine, errors[fold::2] if len(errors) >= _FEW else errors)
 
 
-def score(evidence: Evidence) -> Array:
-    """Return S = max over effects of log E_k - log E_none, in nats."""
+def score(evidence: Evidence, prior: Prior) -> Array:
+    """Return the log evidence that something is missing, over "none", in nats.
+
+    It is that of every hypothesis but "none", weighted by its prior probability.
+    """
     table: Mapping[str, Array] = evidence.by_effect()
-    best = np.max([v for k, v in table.items() if k != NONE], axis=0)
-    return np.asarray(best - table[NONE])
+    names = [k for k in table if k != NONE]
+    over = np.array([table[k] - table[NONE] for k in names])
+    log = np.array([prior.log_probability[k] for k in names])
+    log -= np.logaddexp.reduce(log)
+    return np.asarray(np.logaddexp.reduce((over.T + log).T))
 
 
 def draw_null_features(
     case: Case, observed: Observed, errors: Sequence[Array], rng: np.random.Generator, n: int
 ) -> Array:
     """Draw features (n, n_used) of rooms that lack nothing, with the engines' errors in them."""
-    alphas = draw_alpha(case, rng, n)
+    alphas = draw_alpha(case, rng, n) + drawn(directions(case), rng, n)
+    alphas = np.clip(alphas, 0.001, 0.99)
     rows = [
         predict([state(case, c, a[i]) for a in alphas], distances(case, c)).features
         for i, c in enumerate(case.configurations)

@@ -25,6 +25,9 @@ from rtcal.support.files import write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
+CLIMATE_UNCERTAINTY = (2.0, 10.0)
+"""Standard uncertainty of a stated climate: 2 K and 10 % of relative humidity. That is what a
+thermometer and a hygrometer on a wall leave open in a room. A judgement, without a study."""
 NORMAL_90 = 1.6449
 """Half-width in standard deviations of the interval that holds 90 % of a normal distribution."""
 
@@ -120,6 +123,8 @@ class Case:
         axes of the room's surfaces; without stated axes each share is a third.
     applied : sequence of AppliedEffect
         Effects that `Finding.apply` has added.
+    climate_uncertainty : (float, float)
+        Standard uncertainties of a stated climate: K, and % of relative humidity.
 
     Raises
     ------
@@ -132,6 +137,7 @@ class Case:
     equation: str = "eyring"
     facing: Array = None  # type: ignore[assignment]  # filled in when made
     applied: Sequence[AppliedEffect] = ()
+    climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
 
     def __post_init__(self) -> None:
         checks.instance("room", self.room, Room)
@@ -147,6 +153,13 @@ class Case:
         if len(set(names)) < len(names):
             raise DataError(f"configurations = {names}: each has a name of its own")
         object.__setattr__(self, "facing", shares(self.room, self.facing))
+        climate = checks.array("climate_uncertainty", self.climate_uncertainty)
+        if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
+            raise DataError(
+                f"climate_uncertainty = {self.climate_uncertainty!r} is not two numbers of 0 or more: "
+                "K, and % of humidity"
+            )
+        object.__setattr__(self, "climate_uncertainty", tuple(climate.tolist()))
         check_room(self.room)
         configurations = tuple(in_room_bands(self.room, c) for c in self.configurations)
         object.__setattr__(self, "configurations", configurations)
@@ -172,7 +185,8 @@ class Case:
 
         Raises DataError for an unknown key, for a value of the wrong kind, and as `Case` does.
         """
-        case = Entries("", data, ("room", "configurations"), ("equation", "uncertainty", "present"))
+        optional = ("equation", "uncertainty", "present", "climate_uncertainty")
+        case = Entries("", data, ("room", "configurations"), optional)
         room_data = case.mapping("room")
         facing = room_data.pop("facing", None)
         room = Room.from_dict(room_data)
@@ -191,6 +205,7 @@ class Case:
                 AppliedEffect.from_dict(checks.mapped(f"present[{i}]", each), f"present[{i}]")
                 for i, each in enumerate(case.listed("present", []))
             ],
+            climate_uncertainty=tuple(case.listed("climate_uncertainty", CLIMATE_UNCERTAINTY)),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -208,6 +223,7 @@ class Case:
             "equation": self.equation,
             "configurations": [c.to_dict() for c in self.configurations],
             "present": [p.to_dict() for p in self.applied],
+            "climate_uncertainty": list(self.climate_uncertainty),
         }
 
     @classmethod

@@ -68,7 +68,7 @@ class Configuration:
     air : Air, optional
         If the climate differed from the room's.
     distances : array (n_pairs,), optional
-        From source to receiver in m; by default half the cube root of the volume.
+        From source to receiver in m; by default 0.66 times the cube root of the volume.
     planned : bool
         Whether ``measured`` holds placeholders for a measurement that is only planned.
 

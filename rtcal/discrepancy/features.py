@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.model import FEATURES
@@ -18,18 +20,26 @@ LARGEST_UNCERTAINTY = 0.15
 
 The evidence takes ln T as normal. With u = 15 % the mean of ln T is off by u²/2 = 1.1 %, which is 0.08
 of its standard deviation; the error grows with u."""
-UNSTATED_TIME = 0.03
-"""Relative standard uncertainty of a decay time that states none.
-
-Between teams T30 at one pair differed by 4.6 % (125 Hz) to 1.3 % (4 kHz) (standard deviations, Bork
-2005; see `Measurement.mean_uncertainty`); 3 % is the middle. Half of it changes the finding in 1 of 8
-rooms with single pairs, twice of it in none (benchmarks/unstated_uncertainty.py)."""
-UNSTATED_LEVEL = 0.5
-"""Standard uncertainty in dB of C80 and G that state none: half a JND (ISO 3382-1, Table A.1: 1 dB).
-
-Chosen. Half of it changes the finding in none of 8 rooms with single pairs, twice of it in 2, whose
-finding was ambiguous or a hint (benchmarks/unstated_uncertainty.py). State the uncertainty of G if the
-source's calibration is less certain."""
+TIMES, LEVELS = ("t20", "edt", "t30"), ("c80", "g")
+OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
+REPRODUCIBILITY: Mapping[str, tuple[float, ...]] = {
+    "t20": (0.046, 0.036, 0.028, 0.022, 0.017, 0.013),
+    "edt": (0.100, 0.080, 0.064, 0.051, 0.041, 0.033),
+    "t30": (0.046, 0.036, 0.028, 0.022, 0.017, 0.013),
+    "c80": (0.83, 0.70, 0.59, 0.49, 0.42, 0.35),
+    "g": (2.0, 1.55, 1.20, 0.92, 0.72, 0.55),
+}
+"""Standard deviation between teams at one pair of positions, by octave from 125 Hz to 4 kHz: relative,
+and in dB. Ends from the music studio of the PTB (round robin III, Bork 2005; medians over pairs),
+geometric between them; T20 as T30. All pairs of a team have this error in common."""
+SHARED_BY_T20_AND_T30 = 0.75
+"""Correlation of that error between T20 and T30 of one decay, which share most of their range."""
+ONE_DECAY: Mapping[str, float] = {"t20": 0.88, "t30": 0.55, "edt": 1.6}
+"""Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz:
+T20 and T30 as in ISO 3382-2, Eqs. 4 and 5. Decays of octave-filtered Gaussian noise (400 of 500 Hz and of
+1 kHz, T = 1 s) have 0.88 for T20 and 1.7 for EDT."""
+ONE_LEVEL = 1.0
+"""Standard deviation of C80 and G in dB over the positions of a room, where a single value has none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +53,14 @@ class Observed:
     used : bool array, same shape
     covariance : array (n_used, n_used)
         R, the measurement covariance of the features in use.
+    origin : str
+        Where the uncertainties come from, in words.
     """
 
     features: Array
     used: Array
     covariance: Array
+    origin: str = ""
 
     @property
     def values(self) -> Array:
@@ -56,7 +69,7 @@ class Observed:
 
 
 def observe(case: Case) -> tuple[Observed, list[str]]:
-    """Return the measured features, and notes on the bands that were dropped.
+    """Return the measured features, and in words which bands were dropped.
 
     Raises
     ------
@@ -64,11 +77,12 @@ def observe(case: Case) -> tuple[Observed, list[str]]:
         If no band is left.
     """
     notes: list[str] = []
+    origins: dict[str, list[str]] = {}
     n, k = len(case.configurations), case.room.n_bands
     table = np.full((n, len(FEATURES), k), np.nan)
     blocks = np.zeros((n, k, len(FEATURES), len(FEATURES)))
     for c, configuration in enumerate(case.configurations):
-        table[c], blocks[c] = _features(configuration)
+        table[c], blocks[c] = _features(configuration, origins)
         for b, f in enumerate(configuration.measured.centre_frequencies):
             if blocks[c, b, 0, 0] > LARGEST_UNCERTAINTY**2:
                 u = 100 * float(np.sqrt(blocks[c, b, 0, 0]))
@@ -90,31 +104,75 @@ def observe(case: Case) -> tuple[Observed, list[str]]:
         raise DataError(
             "no band of any configuration has a T that can be trusted: " + "; ".join(notes)
         )
-    return Observed(table, used, full.reshape(size, size)[np.ix_(flat, flat)]), notes
+    words = "; ".join(f"{', '.join(ps)}: {origin}" for origin, ps in origins.items())
+    covariance = full.reshape(size, size)[np.ix_(flat, flat)]
+    return Observed(table, used, covariance, f"uncertainty of {words}"), notes
 
 
-def _features(configuration: Configuration) -> tuple[Array, Array]:
+def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tuple[Array, Array]:
+    """Return the features (n_features, n_bands) and their covariance in each band."""
     m = configuration.measured
-    t20, t30, edt = m.mean("t20"), m.mean("t30"), m.mean("edt")
-    relative = {p: m.mean_uncertainty(p) / m.mean(p) for p in ("t20", "t30", "edt")}
-    amount, u = (t20, relative["t20"]) if "t20" in m.values else (t30, relative["t30"])
+    amount = "t20" if "t20" in m.values else "t30"
+    mean = {p: m.mean(p) for p in (*TIMES, *LEVELS)}
     with np.errstate(divide="ignore", invalid="ignore"):
         table = np.stack(
-            [np.log(amount), np.log(edt / amount), np.log(t30 / amount), m.mean("c80"), m.mean("g")]
+            [
+                np.log(mean[amount]),
+                np.log(mean["edt"] / mean[amount]),
+                np.log(mean["t30"] / mean[amount]),
+                mean["c80"],
+                mean["g"],
+            ]
         )
-    if "t20" not in m.values:
-        table[2] = np.nan  # T30 replaces the missing T20, so the ratio would be 0 by construction
-    k = len(t20)
-    base = np.where(np.isfinite(u), u, UNSTATED_TIME)
-    e, t = (np.where(np.isfinite(relative[p]), relative[p], UNSTATED_TIME) for p in ("edt", "t30"))
-    block = np.zeros((k, 5, 5))
-    block[:, 0, 0] = base**2
-    block[:, 1, 1] = base**2 + e**2
-    block[:, 2, 2] = base**2 + t**2
-    # Both ratios have T20 in the denominator.
-    block[:, 0, 1] = block[:, 1, 0] = block[:, 0, 2] = block[:, 2, 0] = -(base**2)
-    block[:, 1, 2] = block[:, 2, 1] = base**2
-    for row, p in ((3, "c80"), (4, "g")):
-        stated = m.mean_uncertainty(p)
-        block[:, row, row] = np.where(np.isfinite(stated), stated, UNSTATED_LEVEL) ** 2
-    return table, block
+    if amount == "t30":
+        # T20 is missing and T30 stands in for it: the ratio would be 0 by construction.
+        table[2] = np.nan
+    k = len(m.centre_frequencies)
+    block, common = np.zeros((k, 5, 5)), {}
+    for row, p in enumerate((amount, "edt", "t30", *LEVELS)):
+        if p not in m.values:
+            continue
+        alone, common[p], origin = _uncertainty(m, p)
+        block[:, row, row] = alone**2 + common[p] ** 2
+        names = origins.setdefault(origin, [])
+        names += [p.upper()] if p.upper() not in names else []
+    if amount == "t20" and "t30" in m.values:
+        both = SHARED_BY_T20_AND_T30 * common["t20"] * common["t30"]
+        block[:, 0, 2] = block[:, 2, 0] = both
+    # From ln T20, ln EDT, ln T30, C80, G to the ratios, which have T20 in the denominator.
+    ratios = np.eye(5)
+    ratios[1:3, 0] = -1.0
+    return table, np.asarray(ratios @ block @ ratios.T)
+
+
+def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
+    """Return the standard uncertainty of a mean, the part that all pairs share, and their origin.
+
+    Both (n_bands,), relative for a decay time and in dB for a level. A stated uncertainty is the whole.
+    """
+    mean = m.mean(p)
+    scale = mean if p in TIMES else np.ones_like(mean)
+    found = m.mean_uncertainty(p) / scale
+    present = np.isfinite(m.values[p])
+    nothing = np.zeros_like(mean)
+    if p in m.uncertainty:
+        stated = np.isfinite(np.where(present, m.uncertainty[p], 0.0)).all(0)
+        if stated.all():
+            return np.nan_to_num(found), nothing, "as stated"
+    else:
+        stated = np.zeros(len(mean), dtype=bool)
+    n = np.maximum(present.sum(0), 1)
+    if m.is_summary:
+        n = np.full(len(mean), (m.n_sources or 1) * (m.n_receivers or 1))
+    if p in TIMES:
+        bandwidth = bands.bandwidth_factor(m.centre_frequencies) * m.centre_frequencies
+        one = ONE_DECAY[p] / np.sqrt(bandwidth * np.where(mean > 0, mean, np.nan))
+    else:
+        one = np.full(len(mean), ONE_LEVEL)
+    alone = np.where(stated, found, np.fmax(found, one / np.sqrt(np.minimum(n, MAX_POSITIONS))))
+    shared = np.interp(np.log(m.centre_frequencies), np.log(OCTAVES), REPRODUCIBILITY[p])
+    return (
+        np.nan_to_num(alone),
+        np.where(stated, 0.0, shared),
+        "not stated; made from scatter over pairs, theory and reproducibility",
+    )

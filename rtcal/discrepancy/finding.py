@@ -10,8 +10,12 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.discrepancy.case import AppliedEffect, Case
+from rtcal.discrepancy.coefficients import OffTogether
 from rtcal.discrepancy.effects import Effect, library
-from rtcal.discrepancy.evidence import UNKNOWN, ModelDiscrepancy
+from rtcal.discrepancy.evidence import ModelDiscrepancy
+from rtcal.discrepancy.prior import COEFFICIENTS, Prior
+from rtcal.discrepancy.size import Size
+from rtcal.discrepancy.verdict import Fit
 from rtcal.discrepancy.wording import NATS, amount, listed
 from rtcal.errors import DataError
 from rtcal.support import html, text
@@ -21,16 +25,6 @@ from rtcal.support.types import Array
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
 
 
-@dataclass(frozen=True)
-class Size:
-    """Size of an effect: mean and 90 % interval, in ``unit``."""
-
-    mean: float
-    low: float
-    high: float
-    unit: str
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Finding:
     """What the data of a case say about its model.
@@ -38,25 +32,35 @@ class Finding:
     Attributes
     ----------
     case : Case
-    verdict : {"none", "hint", "named", "ambiguous", "unknown"}
-        ``named``: the best effect exceeds the threshold, and no other is within
-        `rtcal.discrepancy.search.CANDIDATE_NATS` of it. ``ambiguous``: others are (``candidates``).
-        ``unknown``: the model lacks something that no effect of the library explains. ``hint``: the
-        evidence does not exceed the threshold, but exceeds half of it and 0.5 nats.
+    verdict : {"none", "hint", "named", "family", "ambiguous", "unknown"}
+        ``named``: an effect whose probability is at least 0.9, and that passes every check.
+        ``family``: a family of that probability, but no member. ``ambiguous``: something is
+        missing, and effects of several families explain it (``candidates``). ``unknown``: the model
+        lacks something that no effect of the library explains. ``hint``: the score does not exceed the
+        threshold but is above 0, or a check has failed (``reasons``).
     effect : str or None
-        The best supported effect, unless the verdict is "none".
+        The most probable effect; None where the verdict is "none" or "family". "coefficients" where
+        the coefficients are off together.
+    family : str or None
+        The family whose probability is at least 0.9.
     candidates : tuple of str
-        Effects within `rtcal.discrepancy.search.CANDIDATE_NATS` of the best, the best first.
+        The most probable effects that hold 0.9 of what is not "none", the best first; one where
+        the verdict is "named".
     evidence : mapping of str to float
-        Log evidence over "none" in nats, by effect and for "unknown".
+        Log evidence over "none" in nats, by effect, of "coefficients" and of "unknown".
+    probabilities : mapping of str to float
+        Of "none", "coefficients", "unknown" and each effect, the most probable first; they sum to 1.
+    families : mapping of str to float
+        The same of each family. "added absorption" is the sum of the families whose names begin so.
+    prior : Prior
+        What was believed before.
     score, threshold : float
-        The best effect's evidence and the threshold that it must exceed, in nats.
+        Evidence that something is missing, whatever it is, and the threshold that it must exceed, in
+        nats.
     engines : tuple of str
         The simulators of the control rooms, from which threshold and discrepancy were estimated.
-    parameters : mapping of str to float
-        The best effect's parameters.
-    size : Size or None
-        The best effect's size, where it has one.
+    fits : mapping of str to Fit
+        Parameters, size and gap of each candidate.
     runner_up : str
         The second best.
     advice : str
@@ -64,8 +68,10 @@ class Finding:
     residuals : array (n_configurations, n_features, n_bands)
         Measured less modelled over its standard deviation: amount (ln T20), shape (EDT/T20,
         T30/T20), level (C80, G). NaN where nothing was measured.
+    reasons : tuple of str
+        Why what is most probable is not claimed.
     notes : tuple of str
-        Data that were dropped, and reasons to doubt the result.
+        Data that were dropped, where the uncertainties come from, and reasons to doubt the result.
     discrepancy : ModelDiscrepancy
         Bias and covariance of the model's error.
     effects : mapping of str to Effect
@@ -75,26 +81,59 @@ class Finding:
     case: Case
     verdict: str
     effect: str | None
+    family: str | None
     candidates: tuple[str, ...]
     evidence: Mapping[str, float]
+    probabilities: Mapping[str, float]
+    families: Mapping[str, float]
+    prior: Prior
     score: float
     threshold: float
     engines: tuple[str, ...]
-    parameters: Mapping[str, float]
-    size: Size | None
+    fits: Mapping[str, Fit]
     runner_up: str
     advice: str
     residuals: Array
+    reasons: tuple[str, ...]
     notes: tuple[str, ...]
     discrepancy: ModelDiscrepancy
     effects: Mapping[str, Effect]
+
+    @property
+    def best(self) -> str | None:
+        """The most probable effect, "coefficients" or "unknown"; None where the verdict is "none"."""
+        return self.candidates[0] if self.candidates else None
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The best effect's parameters; the size among them is the `size`'s mean."""
+        fit = self.fits.get(str(self.best))
+        return {} if fit is None else fit.parameters
+
+    @property
+    def size(self) -> Size | None:
+        """The best effect's size with its interval, where it has one."""
+        fit = self.fits.get(str(self.best))
+        return None if fit is None else fit.size
+
+    @property
+    def coefficients(self) -> OffTogether | None:
+        """How the coefficients are off together, if that is likely beside the best effect."""
+        fit = self.fits.get(str(self.best))
+        return None if fit is None else fit.coefficients
+
+    @property
+    def can_be_added(self) -> bool:
+        """Whether `apply` has something to add."""
+        return self.verdict in ("named", "family", "ambiguous") and self.best in self.fits
 
     @checked
     def apply(self, case: Case | None = None) -> Case:
         """Return the case with the named effect in its model.
 
-        An ambiguous finding adds its best candidate. A case that has the effect already is returned
-        as it is.
+        An ambiguous finding, and a family, add their best candidate. Where the coefficients are off
+        together, the room's alpha is moved and its sigma widened. A case that has the effect already is
+        returned as it is.
 
         Raises
         ------
@@ -102,49 +141,65 @@ class Finding:
             If the verdict names no effect ("none", "hint", "unknown").
         """
         case = self.case if case is None else case
-        if self.verdict in ("none", "hint") or self.effect in (None, UNKNOWN):
+        if not self.can_be_added:
             raise DataError(f'the verdict is "{self.verdict}"; there is no named effect to add')
-        if any(a.name == self.effect for a in case.applied):
+        name, fit = str(self.best), self.fits[str(self.best)]
+        if any(a.name == name for a in case.applied):
             return case
-        ends = None if self.size is None else (self.size.low, self.size.high)
-        effect = self.effects[str(self.effect)]
+        if fit.coefficients is not None:
+            case = fit.coefficients.apply(case)
+        if name == COEFFICIENTS:
+            return case
+        ends = None if fit.size is None else (fit.size.low, fit.size.high)
+        effect = self.effects[name]
         custom = None if effect in library() else effect
-        added = AppliedEffect(str(self.effect), dict(self.parameters), ends, custom)
+        added = AppliedEffect(name, dict(fit.parameters), ends, custom)
         return replace(case, applied=(*case.applied, added))
+
+    def title_of(self, name: str) -> str:
+        """A candidate as a sentence names it."""
+        if name == COEFFICIENTS:
+            return "the coefficients are off together"
+        if name not in self.effects or name not in self.fits:
+            return name
+        return self.effects[name].title(self.fits[name].parameters, self.case.room)
 
     @property
     def title(self) -> str:
         """The best effect as a sentence names it."""
-        effect = self.effects.get(str(self.effect))
-        if effect is None:
-            return str(self.effect)
-        return effect.title(self.parameters, self.case.room)
+        return self.title_of(str(self.best))
 
     @property
     def rivals(self) -> list[str]:
         """The candidates other than the best."""
-        return [name for name in self.candidates if name != self.effect]
+        return list(self.candidates[1:])
+
+    def percent(self, name: str) -> str:
+        """The probability of an effect in percent."""
+        return f"{100 * self.probabilities.get(name, 0.0):.0f} %"
 
     @property
     def support(self) -> str:
-        """Verdict, the best effect's evidence and the next best effects, in words."""
-        best = f"{self.verdict}: {self.title} {self.score:+.1f} nats"
+        """Verdict, the best effect's probability and the next best effects, in words."""
+        best = f"{self.verdict}: {self.title} {self.percent(str(self.best))}"
         if self.rivals:
-            others = ", ".join(f"{r} {self.evidence[r]:+.1f}" for r in self.rivals)
+            others = ", ".join(f"{r} {self.percent(r)}" for r in self.rivals)
             return f"{best}; {others}, not told apart"
         return f"{best}; next {self.second_best}"
 
     @property
     def second_best(self) -> str:
-        """The runner-up with its evidence."""
-        return f"{self.runner_up} {self.evidence.get(self.runner_up, 0.0):+.1f}"
+        """The runner-up with its probability."""
+        return f"{self.runner_up} {self.percent(self.runner_up)}"
 
     @property
     def reason_for_none(self) -> str | None:
         """Why there is no effect to add, in words; None where there is one."""
+        if self.verdict == "hint" and self.reasons:
+            return f"Nothing to add: a hint of {self.title} only. {_sentence(self.reasons[0])}"
         return {
             "none": "Nothing to add: prior, measurement and model agree (verdict none).",
-            "hint": f"Nothing to add: a hint of {self.effect} only, {self.score:.1f} nats of the "
+            "hint": f"Nothing to add: a hint of {self.title} only, {self.score:.1f} nats of the "
             f"{self.threshold:.1f} that it must exceed (verdict hint).",
             "unknown": "Nothing to add: something is missing that no effect of the library explains "
             "(verdict unknown).",
@@ -153,29 +208,38 @@ class Finding:
     @property
     def added(self) -> str:
         """What `apply` adds, and what explains the data nearly as well, in words."""
+        title = self.title if self.best != COEFFICIENTS else "coefficients that are off together"
         if not self.rivals:
-            return f"Added {self.title} ({self.support})."
-        behind = [
-            f"{r} is only {self.score - self.evidence[r]:.1f} nats behind" for r in self.rivals
-        ]
-        return f"Added {self.title}. Ambiguous: it is the best, but {listed(behind)} ({NATS})."
+            return f"Added {title} ({self.support})."
+        behind = listed([f"{self.title_of(r)} has {self.percent(r)}" for r in self.rivals])
+        best = self.percent(str(self.best))
+        return f"Added {title}. Ambiguous: it is the best with {best}, but {behind}."
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        size, effect = self.size, self.effects.get(str(self.effect))
+        size, effect = self.size, self.effects.get(str(self.best))
         return {
             "verdict": self.verdict,
             "effect": self.effect,
+            "family": self.family,
+            "reasons": list(self.reasons),
             "candidates": list(self.candidates),
+            "probabilities": dict(self.probabilities),
+            "families": dict(self.families),
             "evidence": dict(self.evidence),
+            "sizes": {name: _size(f.size) for name, f in self.fits.items()},
+            "coefficients": None
+            if self.coefficients is None
+            else {
+                "probability": self.coefficients.probability,
+                "ratio": self.coefficients.ratio.tolist(),
+            },
             "score": self.score,
             "threshold": self.threshold,
             "engines": list(self.engines),
             "parameters": dict(self.parameters),
             "material": effect and effect.material(self.parameters, self.case.room),
-            "size": None
-            if size is None
-            else {"mean": size.mean, "low": size.low, "high": size.high, "unit": size.unit},
+            "size": _size(size),
             "runner_up": self.runner_up,
             "advice": self.advice,
             "notes": list(self.notes),
@@ -192,31 +256,35 @@ class Finding:
         }
 
     def __repr__(self) -> str:
-        """Return one line: verdict, candidates, evidence and threshold."""
-        names = text.shortened(", ".join(self.candidates)) or "no effect"
+        """Return one line: verdict, candidates with their probabilities, score and threshold."""
+        names = text.shortened(", ".join(f"{c} {self.percent(c)}" for c in self.candidates))
         return (
-            f"<Finding {self.verdict}: {names}; {self.score:+.1f} nats, threshold "
+            f"<Finding {self.verdict}: {names or 'no effect'}; {self.score:+.1f} nats, threshold "
             f"{self.threshold:.1f}>"
         )
 
     def _repr_html_(self) -> str:
-        """Return the evidence as a table, candidates and threshold in words."""
+        """Return probabilities and evidence as a table, candidates and threshold in words."""
         rows = [
-            [name, f"{nats:+.1f}", "candidate" if name in self.candidates else ""]
-            for name, nats in self.evidence.items()
+            [
+                name,
+                self.percent(name),
+                f"{self.evidence.get(name, 0.0):+.1f}",
+                "candidate" if name in self.candidates else "",
+            ]
+            for name in self.probabilities
         ]
         return html.table(
             f"{self.headline}; threshold {self.threshold:.1f} nats",
-            ["effect", "evidence / nats", ""],
+            ["effect", "probability", "evidence / nats", ""],
             rows,
-            [*filter(None, [self.size_in_words]), f"Next: {self.advice}", *self.notes],
+            [*self.in_words, f"Next: {self.advice}", *self.notes],
         )
 
     def __str__(self) -> str:
-        """Return verdict, size, evidence, residuals, advice and notes."""
-        sentences = [*filter(None, [self.size_in_words]), self.evidence_in_words]
+        """Return verdict, sizes, probabilities, residuals, advice and notes."""
         lines = text.wrapped(self.headline)
-        for sentence in sentences:
+        for sentence in [*self.in_words, self.evidence_in_words]:
             lines += text.wrapped(sentence, indent="  ")
         header = ("", [bands.label(f) for f in self.case.room.centre_frequencies])
         for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
@@ -235,11 +303,14 @@ class Finding:
 
     @property
     def evidence_in_words(self) -> str:
-        """The best effect's evidence, the threshold, and the second best effect."""
+        """The evidence that something is missing, the threshold, and the most probable effects."""
+        first = ", ".join(
+            f"{k} {self.percent(k)}" for k, p in self.probabilities.items() if p >= _SAID
+        )
         return (
-            f"evidence {self.score:+.1f} nats ({NATS}); threshold {self.threshold:.1f}, "
-            f"bootstrapped on {' and '.join(self.engines) or 'no engine'}; "
-            f"runner-up {self.second_best}"
+            f"probabilities: {first}; evidence that something is missing {self.score:+.1f} nats "
+            f"({NATS}); threshold {self.threshold:.1f}, bootstrapped on "
+            f"{' and '.join(self.engines) or 'no engine'}"
         )
 
     @property
@@ -249,12 +320,20 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """What the verdict says of the model."""
+        """What the verdict says of the model; of a hint, the reason first."""
+        others = ", ".join(f"{self.title_of(c)} ({self.percent(c)})" for c in self.candidates)
+        hint = f"A hint of {self.title}, under the threshold."
+        if self.reasons:
+            hint = f"{_sentence(self.reasons[0])} So it is a hint of {self.title} only."
+        named = f"{self.kind}: {self.title}."
+        if self.best == COEFFICIENTS:
+            named = f"{_sentence(self.title)}"
         return {
             "none": "No disagreement beyond what prior, measurement and model error allow.",
-            "hint": f"A hint of {self.title}, under the threshold.",
-            "named": f"{self.kind}: {self.title}.",
-            "ambiguous": f"{self.kind}: one of {', '.join([self.title, *self.rivals])}.",
+            "hint": hint,
+            "named": named,
+            "family": f"{self.kind}: {self.family} ({others}).",
+            "ambiguous": f"{self.kind}: one of {others}.",
             "unknown": "Something is missing that no effect of the library explains.",
         }[self.verdict]
 
@@ -262,7 +341,8 @@ class Finding:
     def kind(self) -> str:
         """Whether the candidates contradict what is stated, or add to it, or either."""
         contradicting = {
-            name in self.effects and self.effects[name].contradicts(self.case.room)
+            name == COEFFICIENTS
+            or (name in self.effects and self.effects[name].contradicts(self.case.room))
             for name in self.candidates
         }
         if contradicting == {True}:
@@ -272,16 +352,53 @@ class Finding:
         return "Missing from the model, or not as stated"
 
     @property
+    def in_words(self) -> list[str]:
+        """The candidates' sizes, the coefficients, and the further reasons of a hint."""
+        sizes = [words for c in self.candidates if (words := self.size_of(c))]
+        off = [] if self.coefficients is None else [self.coefficients_in_words]
+        return [*sizes, *off, *self.reasons[1:]]
+
+    @property
+    def coefficients_in_words(self) -> str:
+        """How the coefficients are off together; "" where they are not."""
+        off = self.coefficients
+        if off is None:
+            return ""
+        what = off.words(self.case.room.centre_frequencies)
+        beside = "" if self.best == COEFFICIENTS else f"beside {self.title}, "
+        return (
+            f"{beside}the coefficients are off together ({100 * off.probability:.0f} %): {what}; "
+            "look for another source"
+        )
+
+    @property
     def size_in_words(self) -> str:
         """The best effect's size with its interval, and its other parameters; "" without any."""
-        if not self.parameters:
+        return self.size_of(str(self.best))
+
+    def size_of(self, name: str) -> str:
+        """A candidate's size with its interval, and its other parameters; "" without any."""
+        fit = self.fits.get(name)
+        if fit is None or not fit.parameters:
             return ""
-        effect = self.effects[str(self.effect)]
-        if self.size is None or self.verdict not in ("named", "ambiguous"):
-            return effect.describe(self.parameters)
-        s = self.size
-        others = effect.describe(self.parameters, without=effect.size)
-        return (
-            f"size of {self.title}: {amount(s.mean, s.unit)} (mean; 90 %: {s.low:.3g} to {s.high:.3g})"
-            + (f"; {others}" if others else "")
-        )
+        effect, s = self.effects[name], fit.size
+        if s is None:
+            return f"{self.title_of(name)}: {effect.describe(fit.parameters)}"
+        others = effect.describe(fit.parameters, without=effect.size)
+        words = f"{amount(s.mean, s.unit)} (90 %: {s.low:.3g} to {s.high:.3g})"
+        return f"size of {self.title_of(name)}: {words}" + (f"; {others}" if others else "")
+
+
+_SAID = 0.03
+"""Probability below which an effect is not printed."""
+
+
+def _sentence(words: str) -> str:
+    """Return words as a sentence of its own."""
+    return words[:1].upper() + words[1:].rstrip(".") + "."
+
+
+def _size(size: Size | None) -> dict[str, Any] | None:
+    if size is None:
+        return None
+    return {"mean": size.mean, "low": size.low, "high": size.high, "unit": size.unit}

@@ -9,24 +9,23 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import correlation
 from rtcal.discrepancy.case import AppliedEffect, Case
+from rtcal.discrepancy.coefficients import directions, factors
 from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.effects import Effect, Parameters
 from rtcal.discrepancy.effects.checks import changed_states, checked_grid
 from rtcal.discrepancy.model import FEATURES, Predicted, State, predict, sensitivities
-from rtcal.discrepancy.states import distances, state
+from rtcal.discrepancy.prior import NONE, grid_weights
+from rtcal.discrepancy.states import DISTANCE_ERROR, distances, state
 from rtcal.errors import DataError
 from rtcal.support.types import Array
 
-KAPPA = 0.15
-"""Standard deviation of an effect's change, relative to the change that its formula gives. The value is
-that of the prototype; 0.075 and 0.3 change no count of the development rooms (evidence.py)."""
 SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))
 """Standard deviation of ln EDT/T20 and ln T30/T20 per unit of change of ln T20. An absorber stands
 somewhere, so that the field is less even than its formula assumes. Chosen on development rooms
 (docs/discrepancy.md): twice these values lose one of 12 detections, half of them change no count."""
-NONE = "none"
 LARGEST_FEATURES = 1000
 """Values that can be compared. Time grows with their cube: 1000 take minutes (benchmarks/growth.py)."""
 LARGEST_HYPOTHESES = 50_000
@@ -46,22 +45,31 @@ class Hypotheses:
     names : tuple of str (n,)
         The effects; the first hypothesis is "none".
     parameters : tuple of mappings (n,)
+    weights : array (n,)
+        Prior probability of the parameters, given the effect.
     features : array (n, n_configurations, n_features, n_bands)
     slopes : array, same shape
         d features / d ln T20.
     alpha_covariance : AlphaCovariance
         The prior's covariance of ln T20.
+    misfits : array (n, n_bands, n_bands)
+        Covariance of the relative error of the effect's change, over bands.
+    formula_errors : array (n,)
+        Standard deviation of the relative error of the change of each feature by itself.
     applied_covariance : array (n_all, n_all)
         Covariance over all features, raveled, from the uncertainty of the effects that the model has
-        already.
+        already, and of distances that are not stated.
     effects : mapping of str to Effect
     """
 
     names: tuple[str, ...]
     parameters: tuple[Parameters, ...]
+    weights: Array
     features: Array
     slopes: Array
     alpha_covariance: AlphaCovariance
+    misfits: Array
+    formula_errors: Array
     applied_covariance: Array
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
@@ -81,6 +89,9 @@ def predict_hypotheses(
     base = [state(case, c) for c in case.configurations]
     if grids is None:
         grids = [checked_grid(effect, base[0]) for effect in effects]
+        weights = [grid_weights(e, grid, base[0]) for e, grid in zip(effects, grids, strict=True)]
+    else:
+        weights = [np.full(len(grid), 1 / len(grid)) for grid in grids]
     n = 1 + sum(map(len, grids))
     check_size(case, n)
     every: list[tuple[Effect | None, Parameters]] = [(None, {})]
@@ -107,13 +118,22 @@ def predict_hypotheses(
         slopes[rows] = np.stack([p.slopes for p in predicted], axis=1)
         _check_finite(case, part, features[rows], slopes[rows])
         covariance.fill(rows, states, predicted)
+    frequencies = case.room.centre_frequencies
+    nothing = np.zeros((1, case.room.n_bands, case.room.n_bands))
+    misfits = [
+        np.repeat(error_over_bands(effect, frequencies)[None], len(grid), axis=0)
+        for effect, grid in zip(effects, grids, strict=True)
+    ]
     return Hypotheses(
         names=tuple(NONE if effect is None else effect.name for effect, _ in every),
         parameters=tuple(theta for _, theta in every),
+        weights=np.concatenate([np.ones(1), *weights]),
+        misfits=np.concatenate([nothing, *misfits]),
+        formula_errors=np.array([0.0 if e is None else e.formula_error for e, _ in every]),
         features=features,
         slopes=slopes,
         alpha_covariance=covariance,
-        applied_covariance=_applied_covariance(case),
+        applied_covariance=_applied_covariance(case) + _distance_covariance(case),
         effects={e.name: e for e in effects},
     )
 
@@ -195,11 +215,42 @@ def _applied_covariance(case: Case) -> Array:
         d = (base - without).reshape(len(case.configurations), len(FEATURES), -1)
         amount = np.broadcast_to(d[:, :1], d.shape).ravel()
         feature = np.broadcast_to(np.arange(len(FEATURES))[:, None], d.shape).ravel()
-        out += misfit(d.ravel(), amount, feature)
+        bands = np.broadcast_to(np.arange(d.shape[2]), d.shape).ravel()
+        error = error_over_bands(a.effect, case.room.centre_frequencies)
+        whole = error[np.ix_(bands, bands)]
+        out += misfit(d.ravel(), amount, feature, whole, a.effect.formula_error)
     return out
 
 
-def misfit(d: Array, amount: Array, feature: NDArray[np.intp]) -> Array:
+def _distance_covariance(case: Case) -> Array:
+    """Return the covariance over all features, raveled, of distances that are not stated."""
+    shift = np.zeros((len(case.configurations), len(FEATURES), case.room.n_bands))
+    for i, c in enumerate(case.configurations):
+        if c.distances is None:
+            at = distances(case, c)
+            s = [state(case, c)]
+            shift[i] = (
+                predict(s, at * np.exp(DISTANCE_ERROR)).features[0] - predict(s, at).features[0]
+            )
+    flat = shift.ravel()
+    return np.outer(flat, flat)
+
+
+def error_over_bands(effect: Effect, frequencies: Array) -> Array:
+    """Return the covariance of the relative error of an effect's change, (n_bands, n_bands)."""
+    common, tilt, rough = effect.spectrum_error
+    octaves = np.log2(frequencies / 1000)
+    lag = np.abs(np.subtract.outer(octaves, octaves))
+    return np.asarray(common**2 + tilt**2 * np.outer(octaves, octaves) + rough**2 * 0.5**lag)
+
+
+def misfit(
+    d: Array,
+    amount: Array,
+    feature: NDArray[np.intp],
+    over_bands: Array,
+    alone: Array | float,
+) -> Array:
     """Return the covariance of the error of an effect's formula, (..., m, m).
 
     Parameters
@@ -210,18 +261,17 @@ def misfit(d: Array, amount: Array, feature: NDArray[np.intp]) -> Array:
         Change of ln T20 in the same band and configuration.
     feature : int array (m,)
         Rows of `FEATURES`.
+    over_bands : array (..., m, m)
+        Covariance of the relative error between the features' bands (`error_over_bands`).
+    alone : array (...) or float
+        Standard deviation of the relative error that no two features share.
     """
-    parts = [KAPPA * d]
-    parts += [share * amount * (feature == FEATURES.index(name)) for name, share in SHAPE_CHANGE]
-    return _half_common(np.stack(parts, axis=-2))
-
-
-def _half_common(parts: Array) -> Array:
-    """Return the sum over parts e (..., n, m) of ½ e e' + ½ diag e²: half of each error is common."""
-    parts = np.sqrt(0.5) * parts
-    out = np.swapaxes(parts, -1, -2) @ parts
-    diagonal = np.arange(parts.shape[-1])
-    out[..., diagonal, diagonal] += (parts**2).sum(-2)
+    shape = [share * amount * (feature == FEATURES.index(name)) for name, share in SHAPE_CHANGE]
+    parts = np.sqrt(0.5) * np.stack(shape, axis=-2)
+    out = d[..., :, None] * d[..., None, :] * over_bands
+    out += np.swapaxes(parts, -1, -2) @ parts  # half of a shape's change is common to all bands
+    diagonal = np.arange(d.shape[-1])
+    out[..., diagonal, diagonal] += (parts**2).sum(-2) + (np.asarray(alone)[..., None] * d) ** 2
     return np.asarray(out)
 
 
@@ -240,29 +290,59 @@ class AlphaCovariance:
         self._sigma = np.stack([_sigma(case, c) for c in case.configurations])
         changed = [[m in c.changes for m in room.materials] for c in case.configurations]
         self._changed = np.array(changed)[:, :, None]
+        self._directions = directions(case)
+        self._climate = _climate(case)
         size = self.count * self.n_bands
+        whole = size <= max(room.n_materials, _SMALL)
         self._stored = np.empty(
-            (n, size, size)
-            if size <= max(room.n_materials, _SMALL)
-            else (n, self.count, room.n_materials, self.n_bands)
+            (n, size, size) if whole else (n, self.count, room.n_materials, self.n_bands)
         )
+        self._air = np.empty((n, size, self._climate.shape[1]))
+        self._first = np.empty((2, *self._sigma.shape))
+        self._off = np.empty((n, size, min(size, 2 + 2 * room.n_materials))) if whole else None
 
     def fill(
         self, rows: slice, states: Sequence[Sequence[State]], predicted: Sequence[Predicted]
     ) -> None:
         """Store some hypotheses, from their states and predictions by configuration."""
-        factor = np.empty((len(states[0]), *self._sigma.shape))
+        slopes = np.empty((len(states[0]), *self._sigma.shape))
+        air = np.empty((len(states[0]), *self._climate.shape))
         for c, (column, p) in enumerate(zip(states, predicted, strict=True)):
-            time = p.reverberation_time[:, None, :]
-            factor[:, c] = sensitivities(column) * time / (6 * np.log(10)) * self._sigma[c]
-        self._stored[rows] = factor if self._stored.ndim == 4 else self._covariance(factor)
+            time = p.reverberation_time[:, None, :] / (6 * np.log(10))
+            slopes[:, c] = sensitivities(column) * time
+            air[:, c] = self._climate[c] * time
+        n = len(slopes)
+        if rows.start == 0:
+            self._first[: min(n, 2)] = slopes[:2]
+        self._air[rows] = air.swapaxes(2, 3).reshape(n, self._air.shape[1], -1)
+        if self._off is None:
+            self._stored[rows] = slopes
+        else:
+            self._stored[rows] = self._covariance(slopes)
+            self._off[rows] = factors(self._directions, slopes)
 
     def of(self, part: slice) -> Array:
         """Return the covariance of some hypotheses over configurations and bands, (n, size, size)."""
-        stored = self._stored[part]
-        return self._covariance(stored) if stored.ndim == 4 else stored
+        stored, together = self._stored[part], self.off_together(part)
+        parts = np.concatenate([self._air[part], together], axis=-1)
+        alone = self._covariance(stored) if self._off is None else stored
+        return np.asarray(alone + parts @ parts.swapaxes(1, 2))
 
-    def _covariance(self, factor: Array) -> Array:
+    def slopes(self, i: int) -> Array:
+        """Return d ln T20 / d alpha of hypothesis 0 or 1, (n_configurations, n_materials, n_bands)."""
+        return np.asarray(self._first[i])
+
+    def off_together(self, part: slice) -> Array:
+        """Return the usual changes of ln T20 in common, (n, size, n_directions).
+
+        See `rtcal.discrepancy.coefficients.factors`.
+        """
+        if self._off is None:
+            return factors(self._directions, self._stored[part])
+        return self._off[part]
+
+    def _covariance(self, slopes: Array) -> Array:
+        factor = slopes * self._sigma
         n, count, _, n_bands = factor.shape
         size = count * n_bands
         common = np.where(self._changed, 0.0, factor).swapaxes(2, 3).reshape(n, size, -1)
@@ -279,3 +359,34 @@ def _sigma(case: Case, configuration: Configuration) -> Array:
     for material, change in configuration.changes.items():
         sigma[case.room.material_index(material)] = change.sigma
     return sigma
+
+
+def _climate(case: Case) -> Array:
+    """Return the change of k in 1/s by one standard deviation of temperature and of humidity.
+
+    (n_configurations, n_columns, n_bands). Configurations without a climate of their own share the
+    columns of the room's; without any climate they are 0.
+    """
+    room = case.room
+    climates = [c.air or room.air for c in case.configurations]
+    owners = [0 if c.air is None else i + 1 for i, c in enumerate(case.configurations)]
+    place = {owner: i for i, owner in enumerate(dict.fromkeys(owners))}
+    out = np.zeros((len(climates), 2 * len(place), room.n_bands))
+    for c, (air, owner) in enumerate(zip(climates, owners, strict=True)):
+        if air is not None:
+            first = 2 * place[owner]
+            out[c, first : first + 2] = room.speed_of_sound * _attenuation_changes(
+                air, case.climate_uncertainty, room.centre_frequencies
+            )
+    return out
+
+
+def _attenuation_changes(air: Air, by: tuple[float, float], frequencies: Array) -> Array:
+    """Return the change of m in 1/m by so many K and by so many % of humidity, (2, n_bands)."""
+    warm = min(air.temperature, 50 - by[0])
+    damp = min(air.humidity, 100 - by[1])
+    pairs = [
+        (replace(air, temperature=warm), replace(air, temperature=warm + by[0])),
+        (replace(air, humidity=damp), replace(air, humidity=damp + by[1])),
+    ]
+    return np.array([b.attenuation(frequencies) - a.attenuation(frequencies) for a, b in pairs])

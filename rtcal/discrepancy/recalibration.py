@@ -30,7 +30,6 @@ from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.corrected import corrected_room
 from rtcal.discrepancy.evidence import ModelDiscrepancy, checked_discrepancy
 from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import KAPPA
 from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import amount
@@ -45,6 +44,9 @@ _ROUNDS = 5
 _STEP = 0.02
 _LEAST_SLOPE = 0.05
 _SMALLEST = 1e-3
+_MISFIT = 0.15
+"""Relative standard deviation of an effect's change of T: half of its
+variance is common to all bands (`Effect.spectrum_error`), half is not (`Effect.formula_error`)."""
 _T20 = FEATURES.index("t20")
 
 
@@ -139,10 +141,9 @@ class Recalibrated:
         size, ends = self.sizes.get(p.name), p.size_interval
         if size is None:
             return f"{name}: {p.effect.describe(p.parameters)}"
-        calibrated = p.name in self.joint.effects
-        source = "calibrated to T20 alone" if calibrated else "as added, the most probable"
-        interval = "" if ends is None else f" (90 %, from all data: {ends[0]:.3g} to {ends[1]:.3g})"
-        return f"{name}, {source}: {amount(size, p.effect.unit)}{interval}"
+        source = ", calibrated to T20 alone" if p.name in self.joint.effects else ""
+        interval = "" if ends is None else f" (90 %: {ends[0]:.3g} to {ends[1]:.3g})"
+        return f"{name}{source}: {amount(size, p.effect.unit)}{interval}"
 
     def __repr__(self) -> str:
         """Return one line: the room, and the effects with their sizes."""
@@ -294,17 +295,32 @@ def _calibrated(
 
 
 def _misfit(case: Case) -> Array:
-    """Standard deviation of ln T by the errors of the effects' forms, (n_configurations, n_bands)."""
+    """Standard deviation of ln T by errors of the effects' forms and sizes.
+
+    (n_configurations, n_bands).
+    """
+    if not case.applied:
+        return np.zeros((len(case.configurations), case.room.n_bands))
     bare = replace(case, applied=())
+    sizes = [_relative_spread(p) for p in case.applied]
     return np.array(
         [
-            KAPPA
+            np.hypot(_MISFIT, max(sizes))
             * np.diff(
                 predict([state(bare, c), state(case, c)], distances(case, c)).features[:, _T20],
                 axis=0,
             )[0]
             for c in case.configurations
         ]
+    )
+
+
+def _relative_spread(p: AppliedEffect) -> float:
+    """Return the size's standard deviation over its distance from the size that changes nothing."""
+    return (
+        0.0
+        if p.size_sigma == 0
+        else min(p.size_sigma / max(abs(_size(p) - p.effect.neutral), _SMALLEST), 1.0)
     )
 
 
@@ -361,12 +377,14 @@ def _resized(p: AppliedEffect, sizes: Mapping[str, float]) -> AppliedEffect:
 
 
 def _gains(case: Case, states: list[State]) -> list[tuple[AppliedEffect, Array]]:
-    """Return the effects whose size the QP calibrates, each with the absorption area of one unit in m².
+    """Return the effects whose size the QP estimates, each with the absorption area of one unit in m².
 
     The areas are (n_configurations, n_bands).
     """
     gains = []
     for i, p in enumerate(case.applied):
+        if p.size_interval is not None:
+            continue  # its size is known from all data, of which the QP has T20 alone
         others = [q for j, q in enumerate(case.applied) if j != i]
         # The slope is needed also at a size of 0.
         size = max(_size(p), _SMALLEST)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
 from rtcal.discrepancy.advice import next_measurement
 from rtcal.discrepancy.bootstrap import (
     Threshold,
@@ -16,31 +15,35 @@ from rtcal.discrepancy.bootstrap import (
     checked_controls,
     control_rooms,
 )
+from rtcal.discrepancy.bootstrap import score as evidence_of_something
 from rtcal.discrepancy.cache import cached_control_rooms
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.effects import Effect, Parameters, library
+from rtcal.discrepancy.doubts import gross, schroeder_limit
+from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.effects.checks import checked_effects
 from rtcal.discrepancy.engines import ControlRooms, Report, no_report
 from rtcal.discrepancy.evidence import (
-    UNKNOWN,
     ModelDiscrepancy,
     evaluate,
-    goodness_of_fit,
     standardized_residuals,
 )
 from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
-from rtcal.discrepancy.size import estimate_size
+from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.discrepancy.prior import (
+    COEFFICIENTS,
+    NONE,
+    Prior,
+    checked_odds,
+    chosen_effects,
+    prior_of,
+)
+from rtcal.discrepancy.probabilities import by_family, credible_set, posterior
+from rtcal.discrepancy.verdict import claim, doubts, fit
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
-
-CANDIDATE_NATS = 1.1
-"""Evidence in nats by which a candidate may be below the best effect: odds of three to one. With ten to
-one (2.3) the candidates include the truth more often, but are 1.5 times as many
-(docs/discrepancy.md)."""
 
 
 @single_threaded_blas()
@@ -51,6 +54,9 @@ def find(
     threshold: Threshold | float | None = None,
     seed: int = 0,
     *,
+    without: Sequence[str] = (),
+    only: Sequence[str] = (),
+    prior: Mapping[str, float] | None = None,
     engines: Sequence[str] = ("path tracing", "network"),
     controls: Sequence[ControlRooms] | None = None,
     cache: str | os.PathLike[str] | None = None,
@@ -68,6 +74,12 @@ def find(
         estimated from ``controls``. Bootstrapped if not given.
     seed : int
         Of the control rooms and of the bootstrap.
+    without, only : sequence of str
+        Names of effects that are not tried, or of the ones that are. ``without`` may have
+        "coefficients" and "unknown".
+    prior : mapping of str to float, optional
+        Prior odds of effects against the others, in place of their own: ``{"opening": 2.0}``. Those
+        of "none" are against anything missing, those of "coefficients" against coefficients as stated.
     engines : sequence of str
         At least two simulators that the control rooms go through.
     controls : sequence of ControlRooms, optional
@@ -92,6 +104,8 @@ def find(
     checks.whole("seed", seed, 0)
     effects = library() if effects is None else checked_effects(effects)
     observed, notes = observe(case)
+    effects, left_out = chosen_effects(effects, without, only)
+    before = prior_of(case.room, effects, checked_odds(effects, prior), left_out)
     predicted = predict_hypotheses(case, effects)
     if not isinstance(threshold, Threshold):
         if controls is None:
@@ -101,7 +115,7 @@ def find(
                 controls = cached_control_rooms(case, cache, seed, engines, report)
         else:
             controls = checked_controls(case, controls)
-        bootstrapped = bootstrap_threshold(case, observed, predicted, controls, seed)
+        bootstrapped = bootstrap_threshold(case, observed, predicted, controls, before, seed)
         limit = bootstrapped.value if threshold is None else checks.number("threshold", threshold)
         if not 0 <= limit < np.inf:
             raise DataError(f"threshold = {limit:g} nats is not finite and 0 or more")
@@ -109,7 +123,7 @@ def find(
             notes.append("the threshold was given, not bootstrapped")
     else:
         bootstrapped, limit = threshold, threshold.value
-    return _conclude(case, observed, predicted, bootstrapped.discrepancy, limit, notes)
+    return _conclude(case, observed, predicted, bootstrapped.discrepancy, limit, before, notes)
 
 
 def _conclude(
@@ -118,99 +132,61 @@ def _conclude(
     predicted: Hypotheses,
     discrepancy: ModelDiscrepancy,
     limit: float,
+    prior: Prior,
     notes: Sequence[str] = (),
 ) -> Finding:
     """Compare the hypotheses' evidence and return the finding."""
-    evidence = evaluate(observed, predicted, discrepancy)
+    evidence = evaluate(observed, predicted, discrepancy, prior.off)
     table = {k: float(v) for k, v in evidence.by_effect().items()}
     over = {k: v - table[NONE] for k, v in table.items() if k != NONE}
-    order = sorted(over, key=lambda k: -over[k])
-    best, score = order[0], over[order[0]]
-    candidates = tuple(k for k in order if over[k] > score - CANDIDATE_NATS)
-    if score <= limit:
-        verdict = "hint" if score > max(0.5 * limit, 0.5) else "none"
-    elif best == UNKNOWN:
-        verdict = "unknown"
-    else:
-        verdict = "named" if len(candidates) == 1 else "ambiguous"
-    if verdict == "none":
-        candidates = ()
-    parameters: Parameters = {}
-    size = None
-    doubts: list[str] = []
-    if verdict != "none" and best != UNKNOWN:
-        parameters, size = estimate_size(case, observed, predicted, discrepancy, evidence, best)
-        doubts = _doubts(case, observed, predicted, discrepancy, best, parameters)
+    probabilities = posterior(table, prior)
+    families = by_family(probabilities, predicted.effects)
+    order = [k for k in probabilities if k != NONE]
+    best, score = order[0], float(evidence_of_something(evidence, prior))
+    verdict, family = claim(probabilities, families, score, limit)
+    candidates: tuple[str, ...] = ()
+    if verdict != "none":
+        candidates = (best,) if verdict == "named" else credible_set(probabilities)
+    fits = [
+        fit(case, observed, predicted, discrepancy, evidence, name)
+        for name in candidates
+        if name in predicted.effects or name == COEFFICIENTS
+    ]
+    first = fits[0] if fits and fits[0].name == best else None
+    reasons: tuple[str, ...] = ()
+    if first is not None:
+        reasons = doubts(case, observed, predicted, discrepancy, evidence, first, over[best])
+        if verdict in ("named", "family") and reasons:
+            verdict = "hint"
     return Finding(
         case=case,
         verdict=verdict,
-        effect=None if verdict == "none" else best,
+        effect=None if verdict in ("none", "family") else best,
+        family=family,
         candidates=candidates,
-        evidence={k: over[k] for k in order},
+        evidence={k: over[k] for k in sorted(over, key=lambda k: -over[k])},
+        probabilities=probabilities,
+        families=families,
+        prior=prior,
         score=score,
         threshold=limit,
         engines=discrepancy.engines,
-        parameters=parameters,
-        size=size,
+        fits={f.name: f for f in fits},
         runner_up=order[1] if len(order) > 1 else NONE,
         advice=next_measurement(case, observed, predicted, discrepancy, evidence, candidates),
         residuals=standardized_residuals(observed, predicted, discrepancy),
-        notes=(*doubts, *notes, *_notes(case)),
+        reasons=reasons,
+        notes=(*gross(observed, predicted), *notes, observed.origin, *_notes(case)),
         discrepancy=discrepancy,
         effects=predicted.effects,
     )
-
-
-_SURPRISING = 1e-3
-"""Probability of the residuals below which a note says that the best effect does not explain them."""
-_GROSS = np.log(2.0)
-"""Change of ln T, a factor of two, beyond which a mistake in what is stated is the first suspicion."""
-
-
-def _doubts(
-    case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
-    discrepancy: ModelDiscrepancy,
-    name: str,
-    parameters: Parameters,
-) -> list[str]:
-    """Return reasons to doubt the best effect."""
-    effect = predicted.effects[name]
-    out = []
-    change = float(np.nanmedian((observed.features - predicted.features[0])[:, 0]))
-    if abs(change) > _GROSS:
-        out.append(
-            f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
-            "coefficients and units before any effect is believed"
-        )
-    fitted = predict_hypotheses(case, [effect], [[parameters]])
-    times, probability = goodness_of_fit(observed, fitted, discrepancy, 1)
-    if probability < _SURPRISING:
-        out.append(
-            f"{name} is the best of the effects and does not explain the measurement: with it in the "
-            f"model it is {times:.1f} times as far off as all uncertainties allow. Check volume, "
-            "areas, coefficients, units and bands"
-        )
-    sizes = [
-        theta[effect.size]
-        for n, theta in zip(predicted.names, predicted.parameters, strict=True)
-        if n == name
-    ]
-    value, least, most = parameters[effect.size], min(sizes), max(sizes)
-    at_end = bool(np.isclose(value, [least, most], rtol=1e-6).any())
-    if effect.size not in effect.discrete and least < most and at_end:
-        out.append(f"{name}: {value:.3g} is the end of what is tried ({least:.3g} to {most:.3g})")
-    return out
 
 
 def _notes(case: Case) -> list[str]:
     """Return reasons to doubt the result, whatever it is."""
     out = []
     for c in case.configurations:
-        t = c.measured.decay_time().mean
-        middle = mid_frequency_time(t, case.room.centre_frequencies)
-        limit = float(schroeder_frequency(np.array(middle), case.room.volume))
+        limit = schroeder_limit(case, c.measured.decay_time().mean)
         low = [f for f in case.room.centre_frequencies if f < limit]
         if low:
             out.append(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -11,14 +12,23 @@ from scipy.special import logsumexp
 
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.evidence import Evidence, ModelDiscrepancy, log_likelihood
+from rtcal.discrepancy.evidence import Evidence, ModelDiscrepancy, evaluate
 from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.finding import Size
 from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.support.types import Array
 
 _NEGLIGIBLE = 8.0
 """Evidence in nats below that of the best size at which a size is negligible (odds of 3000 to one)."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """Size of an effect: mean and 90 % interval, in ``unit``."""
+
+    mean: float
+    low: float
+    high: float
+    unit: str
 
 
 def estimate_size(
@@ -36,17 +46,19 @@ def estimate_size(
     """
     effect = predicted.effects[name]
     rows = [i for i, n in enumerate(predicted.names) if n == name]
-    likelihood = evidence.log_likelihood[rows]
+    likelihood = evidence.by_hypothesis()[rows]
     grid = [predicted.parameters[i] for i in rows]
 
     def evaluated(thetas: Sequence[Parameters]) -> Array:
         predicted_sizes = predict_hypotheses(case, [effect], [thetas])
-        return log_likelihood(observed, predicted_sizes, discrepancy, observed.values[None])[1:, 0]
+        values = evaluate(observed, predicted_sizes, discrepancy, evidence.prior_off)
+        return values.by_hypothesis()[1:]
 
     best = _searched(grid, grid[int(np.argmax(likelihood))], effect.discrete, evaluated)
     if not np.isfinite(effect.neutral):
         return best, None
-    weights = np.exp(likelihood - logsumexp(likelihood))
+    weights = predicted.weights[rows] * np.exp(likelihood - likelihood.max())
+    weights = weights / weights.sum()
     by_others: dict[tuple[tuple[str, float], ...], float] = {}
     for theta, w in zip(grid, weights, strict=True):
         key = _others(theta, effect)

@@ -12,6 +12,13 @@ from rtcal.discrepancy.effects.checks import changed_states
 from rtcal.discrepancy.model import State
 from rtcal.support.types import Array
 
+USUAL_DISTANCE = 0.66
+"""Source-receiver distance over the cube root of the volume, where it is not stated: the mean distance
+between two points of a cube (Robbins 1978)."""
+DISTANCE_ERROR = 0.35
+"""Standard deviation of its logarithm: that of the distance between two points of a cube is 0.45 of one
+pair, less of a mean over pairs."""
+
 
 def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> State:
     """Return the case's room in one configuration, with the applied effects.
@@ -47,7 +54,7 @@ def with_applied(
 
 
 def distances(case: Case, configuration: Configuration) -> Array:
-    """Return the source-receiver distances in m, (n_pairs,)."""
+    """Return the source-receiver distances in m, (n_pairs,); where none are stated, the usual one."""
     if configuration.distances is not None:
         return configuration.distances
-    return np.array([0.5 * case.room.volume ** (1 / 3)])
+    return np.array([USUAL_DISTANCE * case.room.volume ** (1 / 3)])

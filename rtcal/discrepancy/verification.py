@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
 
 from rtcal.acoustics.quality import JND
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.evidence import evaluate, standardized_residuals
-from rtcal.discrepancy.features import Observed, observe
+from rtcal.discrepancy.evidence import standardized_residuals
+from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
-from rtcal.discrepancy.hypotheses import NONE, Hypotheses, predict_hypotheses
+from rtcal.discrepancy.gap import LITTLE
+from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, table
 from rtcal.discrepancy.states import distances, state
@@ -30,11 +30,6 @@ from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
-
-_WORSE = 0.1
-"""Growth of the mean gap (in JND, where alpha cannot fit it) above which a finding is withdrawn."""
-_SURPRISED = -1.0
-"""Evidence in nats below which the bands contradict the effect, each predicted from the others."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +54,8 @@ class Verification:
     before, after : float
         Mean absolute gap in JND over what alpha cannot absorb; NaN where nothing of it was measured.
     predictive : float
-        Nats by which the corrected model predicts each band, left out in turn, better than the
-        model without the effect.
+        Nats by which the effect predicts what alpha cannot absorb, given the fitted T20, better than
+        the model without it.
     verdict : {"proven", "unproven", "withdrawn"}
         ``proven``: the model got better where alpha cannot have made it so, whatever the effect's
         right name is; ``unproven``: the data have nothing that alpha could not absorb, or it does
@@ -134,14 +129,14 @@ class Verification:
             f"{self.after:.2f} JND"
         )
         if self.verdict == "proven":
-            little = self.before - self.after < _WORSE
+            little = self.before - self.after < LITTLE
             apart = f", but not told apart from {listed(f.rivals)}" if f.rivals else ""
             return (
                 f"Supported{apart}: {gap}{', which is little' if little else ''}. That speaks for the "
                 f"model, not for the name ({f.support})."
             )
         return (
-            f"{self.verdict.capitalize()}: {gap}, and each band is predicted from the others "
+            f"{self.verdict.capitalize()}: {gap}, and given T20 it is predicted "
             f"{_better(self.predictive)}. {sure}"
         )
 
@@ -177,7 +172,7 @@ class Verification:
         lines = text.wrapped(self.sentence)
         lines += text.table(rows, header=("mean gap in JND", ["plain", "corrected"]))
         for sentence in (
-            f"Each band predicted from the others: {_better(self.predictive)}.",
+            f"What alpha cannot absorb, predicted from T20: {_better(self.predictive)}.",
             "Plain calibration meets the fitted T20 exactly; the corrected one as closely as the "
             "uncertainty of T deserves.",
         ):
@@ -214,12 +209,14 @@ def verify(finding: Finding, case: Case | None = None) -> Verification:
             if not fitted:
                 proof.append(one)
     mean = np.mean(proof, axis=0) if proof else np.full(2, np.nan)
-    predictive = _predictive(finding, case, observed)
+    check = finding.fits[str(finding.best)].gap
+    predictive = check.predictive
     change = float(mean[1] - mean[0]) if proof else 0.0
-    if change > _WORSE or predictive < _SURPRISED:
+    if change > max(LITTLE, check.uncertainty):
         verdict = "withdrawn"
     else:
-        verdict = "proven" if change < 0 and predictive > 0 else "unproven"
+        shrinks = -change > check.uncertainty and predictive > 0
+        verdict = "proven" if shrinks else "unproven"
     return Verification(
         finding, tuple(gaps), float(mean[0]), float(mean[1]), predictive, verdict, before, after
     )
@@ -261,25 +258,3 @@ def _gap(feature: int, measured: Array, modelled: Array) -> Array:
     if feature < 3:  # relative, from logarithms
         return np.asarray((np.exp(modelled - measured) - 1) / jnd)
     return np.asarray((modelled - measured) / jnd)
-
-
-def _predictive(finding: Finding, case: Case, observed: Observed) -> float:
-    """Sum over bands of log p(band | the others) with the effect, less without it, in nats."""
-    effect = finding.effects[str(finding.effect)]
-    predicted = predict_hypotheses(case, [effect])
-    whole = _log_odds(observed, predicted, finding, np.ones(observed.used.shape[2], dtype=bool))
-    total = 0.0
-    for band in range(observed.used.shape[2]):
-        if observed.used[:, :, band].any():
-            others = np.arange(observed.used.shape[2]) != band
-            total += whole - _log_odds(observed, predicted, finding, others)
-    return total
-
-
-def _log_odds(observed: Observed, predicted: Hypotheses, finding: Finding, bands: Array) -> float:
-    used = np.logical_and(observed.used, bands)
-    kept = used[observed.used]
-    part = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
-    table = evaluate(part, predicted, finding.discrepancy).log_likelihood
-    rows = [i for i, n in enumerate(predicted.names) if n != NONE]
-    return float(logsumexp(table[rows]) - np.log(len(rows)) - table[0])

@@ -41,7 +41,9 @@ def correct(finding: Finding, case_path: str, room_path: str | None = None) -> C
     record: dict[str, Any] = {
         "verdict": finding.verdict,
         "effect": finding.effect,
+        "family": finding.family,
         "candidates": list(finding.candidates),
+        "probabilities": dict(finding.probabilities),
         "evidence": dict(finding.evidence),
     }
     if (nothing := finding.reason_for_none) is not None:

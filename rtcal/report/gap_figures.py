@@ -180,7 +180,7 @@ def decay(verification: Verification) -> Any:
             )
     for model, colour, style, label in (
         (verification.plain, GREEN, "-.", "plainly calibrated"),
-        (verification.corrected, BLUE, "-", f"with {finding.effect}"),
+        (verification.corrected, BLUE, "-", f"with {finding.best}"),
     ):
         axes.plot(
             t,
@@ -232,7 +232,7 @@ def shifts(verification: Verification) -> Any:
         axes.axhline(0, color=BLACK, linewidth=0.8)
         for by, x, colour, marker, label in (
             (0.95, models[0], GREEN, "^", "plainly calibrated, 90 %"),
-            (1.05, models[1], BLUE, "D", f"with {verification.finding.effect}, 90 %"),
+            (1.05, models[1], BLUE, "D", f"with {verification.finding.best}, 90 %"),
         ):
             low, high = x.interval
             bars = [x.alpha[i] - low[i], high[i] - x.alpha[i]]

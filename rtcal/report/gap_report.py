@@ -83,7 +83,7 @@ def write(finding: Finding, folder: Path, reproduction: Reproduction | None = No
 
     Raises DataError if the folder cannot be made, MissingDependencyError without matplotlib or jinja2.
     """
-    verified = verify(finding) if finding.verdict in ("named", "ambiguous") else None
+    verified = verify(finding) if finding.can_be_added else None
     drawn = figures(finding, verified)
     record = finding.to_dict()
     if verified is not None:
@@ -114,18 +114,18 @@ def summary(
     finding: Finding, verification: Verification | None, reproduction: Reproduction | None = None
 ) -> dict[str, Any]:
     """Return the finding as plain values for the page; `rtcal.report.page.page` describes the keys."""
-    size = finding.size_in_words
     sentences = [
         finding.sentence,
-        *([f"{size[0].upper()}{size[1:]}."] if size else []),
+        *(f"{words[0].upper()}{words[1:].rstrip('.')}." for words in finding.in_words),
         f"Next: {finding.advice.rstrip('.')}.",
     ]
     first = finding.case.configurations[0].name
     entries: dict[str, Any] = {
         "verdict": finding.verdict,
-        "effect": "" if finding.effect is None else finding.title,
+        "effect": "" if finding.best is None else finding.title,
         "candidates": list(finding.candidates),
         "evidence": dict(finding.evidence),
+        "probabilities": dict(finding.probabilities),
         "notes": list(finding.notes),
         "plain": f'plain calibration to T20 of "{first}"',
     }
@@ -176,7 +176,7 @@ def _unknowable(finding: Finding, supported: bool) -> str:
     next_to = (
         f"{listed(others)} would explain the data about as well"
         if others
-        else f"the next best is {finding.second_best} nats"
+        else f"the next best is {finding.second_best}"
     )
     shrinks = (
         " That the gap shrinks says that the model is better, not which effect is in the room."

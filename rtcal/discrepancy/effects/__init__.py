@@ -4,8 +4,11 @@ from rtcal.discrepancy.effects.air import OmittedAir
 from rtcal.discrepancy.effects.audience import Audience
 from rtcal.discrepancy.effects.base import Absorber, Effect, Parameters
 from rtcal.discrepancy.effects.coupled_room import CoupledRoom
+from rtcal.discrepancy.effects.covered import CoveredSurface
+from rtcal.discrepancy.effects.curtain import Curtain
 from rtcal.discrepancy.effects.direct_sound import DirectSound
 from rtcal.discrepancy.effects.furniture import Furniture
+from rtcal.discrepancy.effects.membrane import Membrane
 from rtcal.discrepancy.effects.noise_floor import NoiseFloor
 from rtcal.discrepancy.effects.non_diffuse import NonDiffuse
 from rtcal.discrepancy.effects.opening import Opening
@@ -24,7 +27,10 @@ def library() -> tuple[Effect, ...]:
         Audience(),
         Furniture(),
         Porous(),
+        Curtain(),
         Resonator(),
+        Membrane(),
+        CoveredSurface(),
         WrongArea(),
         WrongVolume(),
         WrongFormula(),

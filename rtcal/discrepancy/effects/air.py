@@ -22,17 +22,40 @@ class OmittedAir(Effect):
     """Air absorption that the model lacks, or has for another climate (ISO 9613-1)."""
 
     name: ClassVar[str] = "air"
+    family: ClassVar[str] = "climate"
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.03, 0.0, 0.03)
     size: ClassVar[str] = "humidity"
     unit: ClassVar[str] = "% at the temperature"
     neutral: ClassVar[float] = np.nan
     size_error: ClassVar[float] = 0.0
     parameter_units: ClassVar[Mapping[str, str]] = {"temperature": " °C", "humidity": " %"}
+    INDOORS: ClassVar[Mapping[str, tuple[float, float, float]]] = {
+        "temperature": (15.0, 30.0, 3.0),
+        "humidity": (20.0, 70.0, 10.0),
+    }
 
     def grid(self, state: State) -> Sequence[Parameters]:
-        """Return 5 to 35 °C and 5 to 95 %."""
-        temperatures = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0)
-        humidities = (5.0, 8.0, 12.0, 18.0, 25.0, 35.0, 45.0, 60.0, 75.0, 95.0)
+        """Return 10 to 35 °C and 8 to 95 %."""
+        temperatures = (10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 35.0)
+        humidities = (8.0, 13.0, 20.0, 27.0, 35.0, 45.0, 57.0, 70.0, 95.0)
         return [{"temperature": t, "humidity": h} for t, h in product(temperatures, humidities)]
+
+    def density(self, parameters: Parameters, state: State) -> float:
+        """Return the density of an indoor climate: even over `INDOORS`, normal tails beyond it."""
+        out = 1.0
+        for name, (low, high, tail) in self.INDOORS.items():
+            value = parameters[name]
+            beyond = max(low - value, value - high, 0.0) / tail
+            out *= float(np.exp(-0.5 * beyond**2)) * value  # per unit of ln
+        return out
+
+    def prior_odds(self, room: Room) -> float:
+        """Return 3 where the room states no climate, and 0.3 where it does.
+
+        Every room has air. A stated climate was measured, and its uncertainty is in the covariance of
+        every hypothesis (`Case.climate_uncertainty`).
+        """
+        return 3.0 if room.air is None else 0.3
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with this air."""

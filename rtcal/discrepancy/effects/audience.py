@@ -26,6 +26,8 @@ class Audience(AbsorbingObject):
     """People: seated, as an area; or standing, each with an absorption area (Beranek; EN 12354-6)."""
 
     name: ClassVar[str] = "audience"
+    family: ClassVar[str] = "added absorption, rising"
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.12, 0.12)
     size: ClassVar[str] = "absorption_area"
     unit: ClassVar[str] = "m² at 1 kHz"
     discrete: ClassVar[Sequence[str]] = ("standing",)

@@ -48,6 +48,18 @@ class Effect(ABC):
         Units of the parameters, as text that follows the value.
     parameter_values : mapping of str to sequence of str
         Words for the values 0, 1, ... of a discrete parameter.
+    family : str
+        The effects that change the measurement alike; "added absorption, ..." names three of one kind.
+    odds : float
+        Prior odds against the other effects of the library, most of which have 1.
+    spectrum_error : (float, float, float)
+        Standard deviations of the relative error of the effect's change: common to all bands, a tilt
+        per octave from 1 kHz, and rough, of which half is left an octave away.
+    formula_error : float
+        Standard deviation of the relative error of the change of each feature by itself: errors of the
+        formula that no two features share. From the prototype, of half of a variance of 0.15².
+    largest_share : float
+        Largest share of all surfaces that the effect is believed to take.
     not_in_simulator : str or None
         Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
         only of effects that no material can represent.
@@ -62,6 +74,11 @@ class Effect(ABC):
     size_error: ClassVar[float] = 0.25
     parameter_units: ClassVar[Mapping[str, str]] = {}
     parameter_values: ClassVar[Mapping[str, Sequence[str]]] = {}
+    family: ClassVar[str] = "of your own"
+    odds: ClassVar[float] = 1.0
+    formula_error: ClassVar[float] = 0.106
+    largest_share: ClassVar[float] = 0.25
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
     not_in_simulator: ClassVar[str | None] = (
         "it bends the decay, which no material of a simulator does; without make the case's own "
         "model is the simulator"
@@ -69,11 +86,27 @@ class Effect(ABC):
 
     @abstractmethod
     def grid(self, state: State) -> Sequence[Parameters]:
-        """Return the parameters to try, all equally probable."""
+        """Return the parameters to try."""
 
     @abstractmethod
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the effect in it."""
+
+    def density(self, parameters: Parameters, state: State) -> float:
+        """Return the prior density of the parameters, but for a factor: 1 everywhere.
+
+        It is a density per unit of ln of each parameter that is above 0, and of any other parameter
+        itself; of a discrete parameter, a probability.
+        """
+        return 1.0
+
+    def prior_odds(self, room: Room) -> float:
+        """Return the prior odds of the effect in this room, against the others: `odds`."""
+        return self.odds
+
+    def wall_area(self, parameters: Parameters) -> float:
+        """Return the area of wall in m² that the effect takes; 0 where it takes none."""
+        return 0.0
 
     def title(self, parameters: Parameters, room: Room) -> str:
         """Return the effect's name in a sentence."""
@@ -139,6 +172,10 @@ class Absorber(AbsorbingObject):
     @abstractmethod
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, (n_bands,)."""
+
+    def wall_area(self, parameters: Parameters) -> float:
+        """Return the absorber's area."""
+        return float(parameters[self.size])
 
     def kinds(self) -> Sequence[Parameters]:
         """Return the grid of the parameters other than the area; a single set without any."""

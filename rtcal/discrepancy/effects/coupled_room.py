@@ -18,6 +18,10 @@ class CoupledRoom(Effect):
     """A second room behind an aperture: two energy balances (Kuttruff; Cremer & Mueller)."""
 
     name: ClassVar[str] = "coupled room"
+    family: ClassVar[str] = "field"
+    formula_error: ClassVar[float] = 0.35
+    odds: ClassVar[float] = 0.5
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.2, 0.1, 0.3)
     size: ClassVar[str] = "aperture"
     unit: ClassVar[str] = "m²"
     removable: ClassVar[bool] = True
@@ -36,6 +40,10 @@ class CoupledRoom(Effect):
                 np.geomspace(0.05, 1.2, 8), np.geomspace(0.2, 3, 4), np.geomspace(0.02, 0.3, 4)
             )
         ]
+
+    def wall_area(self, parameters: Parameters) -> float:
+        """Return the aperture."""
+        return float(parameters["aperture"])
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room coupled to the other one."""

@@ -15,6 +15,8 @@ class DirectSound(Effect):
     """A source that is not omnidirectional: its direct sound, in C80 and G alone."""
 
     name: ClassVar[str] = "direct sound"
+    family: ClassVar[str] = "measurement"
+    odds: ClassVar[float] = 0.5
     size: ClassVar[str] = "gain"
     unit: ClassVar[str] = "dB"
     size_error: ClassVar[float] = 1.0

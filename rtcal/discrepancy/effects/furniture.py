@@ -22,6 +22,8 @@ class Furniture(AbsorbingObject):
     """Objects: A = V_obj^(2/3) each (EN 12354-6), less where they are small beside a wavelength."""
 
     name: ClassVar[str] = "furniture"
+    family: ClassVar[str] = "added absorption, flat"
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.12, 0.12)
     size: ClassVar[str] = "absorption_area"
     unit: ClassVar[str] = "m² at 1 kHz"
     parameter_units: ClassVar[Mapping[str, str]] = {"absorption_area": " m² at 1 kHz"}

@@ -18,6 +18,7 @@ class NoiseFloor(Effect):
     """Noise in the measured decays that was not subtracted: S(t) + N (t_end - t) (ISO 3382)."""
 
     name: ClassVar[str] = "noise floor"
+    family: ClassVar[str] = "measurement"
     size: ClassVar[str] = "level"
     unit: ClassVar[str] = "dB under the start of the decay"
     neutral: ClassVar[float] = -90.0

@@ -24,6 +24,9 @@ class NonDiffuse(Effect):
     """Uneven absorption and little scattering: each direction decays at its own rate."""
 
     name: ClassVar[str] = "non-diffuse field"
+    family: ClassVar[str] = "field"
+    formula_error: ClassVar[float] = 0.35
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.2, 0.1, 0.3)
     size: ClassVar[str] = "scattering"
     unit: ClassVar[str] = "scattering coefficient"
     neutral: ClassVar[float] = 1.0

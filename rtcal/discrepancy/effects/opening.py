@@ -16,6 +16,8 @@ class Opening(Absorber):
     """An opening: the energy that leaves does not return (Sabine; Kuttruff)."""
 
     name: ClassVar[str] = "opening"
+    family: ClassVar[str] = "added absorption, flat"
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.05, 0.05)
     steps: ClassVar[int] = 14
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:

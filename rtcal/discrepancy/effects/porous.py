@@ -22,6 +22,9 @@ class Porous(Absorber):
     """
 
     name: ClassVar[str] = "porous"
+    largest_share: ClassVar[float] = 0.5
+    family: ClassVar[str] = "added absorption, rising"
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.1, 0.12)
     least: ClassVar[float] = 0.1
     steps: ClassVar[int] = 7
     parameter_units: ClassVar[Mapping[str, str]] = {

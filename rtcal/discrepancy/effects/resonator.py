@@ -19,6 +19,9 @@ class Resonator(Absorber):
     """A membrane or Helmholtz absorber: a0 / (1 + Q² (f/f0 - f0/f)²) (Cox & D'Antonio)."""
 
     name: ClassVar[str] = "resonator"
+    family: ClassVar[str] = "added absorption, low"
+    odds: ClassVar[float] = 0.7
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.05, 0.15)
     least: ClassVar[float] = 0.1
     steps: ClassVar[int] = 6
     parameter_units: ClassVar[Mapping[str, str]] = {"area": " m²", "resonance": " Hz"}
@@ -30,11 +33,11 @@ class Resonator(Absorber):
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, averaged over each octave."""
-        return _alpha(tuple(frequencies), parameters["resonance"], parameters["quality"])
+        return resonance_alpha(tuple(frequencies), parameters["resonance"], parameters["quality"])
 
 
 @lru_cache(maxsize=256)
-def _alpha(frequencies: tuple[float, ...], resonance: float, quality: float) -> Array:
+def resonance_alpha(frequencies: tuple[float, ...], resonance: float, quality: float) -> Array:
     """Return a resonator's alpha with a0 = 0.8, averaged over each octave, (n_bands,)."""
     x = np.array(frequencies)[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9) / resonance
     return read_only((0.8 / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))

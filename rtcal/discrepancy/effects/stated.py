@@ -18,33 +18,15 @@ from rtcal.discrepancy.model import State
 class WrongStatement(Effect):
     """An effect that contradicts what the room states."""
 
+    family: ClassVar[str] = "scale"
+
     def contradicts(self, room: Room) -> bool:
         """Return True."""
         return True
 
 
-@dataclass(frozen=True)
-class WrongArea(WrongStatement):
-    """The true area of one material, as a ratio of the stated one."""
-
-    name: ClassVar[str] = "area"
-    size: ClassVar[str] = "ratio"
-    unit: ClassVar[str] = "of the stated area"
-    neutral: ClassVar[float] = 1.0
-    discrete: ClassVar[Sequence[str]] = ("material",)
-    size_error: ClassVar[float] = 0.0
-
-    def grid(self, state: State) -> Sequence[Parameters]:
-        """Return each material with 0.4 to 2.5 times its area."""
-        ratios = [r for r in np.geomspace(0.4, 2.5, 12) if abs(r - 1) > 0.05]
-        both = product(range(len(state.areas)), ratios)
-        return [{"material": float(j), "ratio": float(r)} for j, r in both]
-
-    def change(self, state: State, parameters: Parameters) -> State:
-        """Return the room with that area."""
-        areas = state.areas.copy()
-        areas[int(parameters["material"])] *= parameters["ratio"]
-        return replace(state, areas=areas)
+class OfMaterial(WrongStatement):
+    """An effect that contradicts what the room states of one material: parameter ``material``."""
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
         """Return the name of the material."""
@@ -63,6 +45,34 @@ class WrongArea(WrongStatement):
 
 
 @dataclass(frozen=True)
+class WrongArea(OfMaterial):
+    """The true area of one material, as a ratio of the stated one."""
+
+    name: ClassVar[str] = "area"
+    size: ClassVar[str] = "ratio"
+    unit: ClassVar[str] = "of the stated area"
+    neutral: ClassVar[float] = 1.0
+    discrete: ClassVar[Sequence[str]] = ("material",)
+    size_error: ClassVar[float] = 0.0
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return each material with 0.35 to 2.9 times its area."""
+        ratios = [r for r in np.geomspace(0.35, 2.9, 12) if abs(r - 1) > 0.05]
+        both = product(range(len(state.areas)), ratios)
+        return [{"material": float(j), "ratio": float(r)} for j, r in both]
+
+    def density(self, parameters: Parameters, state: State) -> float:
+        """Return a normal density of ln ratio, of standard deviation 0.5."""
+        return float(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.5) ** 2))
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with that area."""
+        areas = state.areas.copy()
+        areas[int(parameters["material"])] *= parameters["ratio"]
+        return replace(state, areas=areas)
+
+
+@dataclass(frozen=True)
 class WrongVolume(WrongStatement):
     """The true volume, as a ratio of the stated one."""
 
@@ -73,8 +83,12 @@ class WrongVolume(WrongStatement):
     size_error: ClassVar[float] = 0.04
 
     def grid(self, state: State) -> Sequence[Parameters]:
-        """Return 0.7 to 1.4."""
-        return [{"ratio": float(r)} for r in np.geomspace(0.7, 1.4, 14)]
+        """Return 0.6 to 1.7."""
+        return [{"ratio": float(r)} for r in np.geomspace(0.6, 1.7, 18)]
+
+    def density(self, parameters: Parameters, state: State) -> float:
+        """Return a normal density of ln ratio, of standard deviation 0.2."""
+        return float(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.2) ** 2))
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with that volume."""

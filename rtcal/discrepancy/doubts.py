@@ -1,0 +1,131 @@
+"""Reasons for which a name is not claimed, though its probability would allow it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.effects import Effect, Parameters
+from rtcal.discrepancy.evidence import ModelDiscrepancy, evaluate
+from rtcal.discrepancy.features import Observed
+from rtcal.discrepancy.gap import GapCheck
+from rtcal.discrepancy.hypotheses import Hypotheses
+from rtcal.discrepancy.prior import NONE
+from rtcal.support.types import Array
+
+GROSS = np.log(2.0)
+"""Change of ln T, a factor of two, beyond which a mistake in what is stated is the first suspicion."""
+SURPRISING = 1e-3
+"""Probability of the residuals below which the best effect does not explain them."""
+
+
+def end_of_range(effect: Effect, predicted: Hypotheses, parameters: Parameters) -> list[str]:
+    """Return a reason where the size stands at the end of what is tried."""
+    sizes = [
+        theta[effect.size]
+        for n, theta in zip(predicted.names, predicted.parameters, strict=True)
+        if n == effect.name
+    ]
+    value, least, most = parameters[effect.size], min(sizes), max(sizes)
+    at_end = bool(np.isclose(value, [least, most], rtol=1e-6).any())
+    sized = np.isfinite(effect.neutral) and effect.size not in effect.discrete and least < most
+    if not sized or not at_end:
+        return []
+    return [f"{effect.name}: {value:.3g} is the end of what is tried ({least:.3g} to {most:.3g})"]
+
+
+def too_large(case: Case, effect: Effect, parameters: Parameters) -> list[str]:
+    """Return a reason where the effect needs more wall than a room has for it."""
+    share = effect.wall_area(parameters) / case.room.total_area
+    if share <= effect.largest_share:
+        return []
+    return [
+        f"{effect.name}: it would be {100 * share:.0f} % of all surfaces; at most "
+        f"{100 * effect.largest_share:.0f} % is believed"
+    ]
+
+
+def unexplained(name: str, times: float, probability: float) -> list[str]:
+    """Return a reason where the residuals are larger than all uncertainties allow."""
+    if probability >= SURPRISING:
+        return []
+    return [
+        f"{name} is the best of the effects and does not explain the measurement: with it in the "
+        f"model it is {times:.1f} times as far off as all uncertainties allow. Check volume, "
+        "areas, coefficients, units and bands"
+    ]
+
+
+def gap_against(name: str, gap: GapCheck) -> list[str]:
+    """Return a reason where the gap grows, or where what alpha cannot fit contradicts the effect."""
+    if gap.grows:
+        return [
+            f"with {name} in the model the gap that alpha cannot close grows from {gap.before:.2f} to "
+            f"{gap.after:.2f} JND"
+        ]
+    if gap.contradicts:
+        return [
+            f"decay shape, level and the other configurations speak against {name} "
+            f"({gap.predictive:.1f} nats)"
+        ]
+    return []
+
+
+def below_schroeder(case: Case) -> Array:
+    """Return which bands lie below Schroeder's frequency, (n_configurations, n_bands)."""
+    out = []
+    for c in case.configurations:
+        limit = schroeder_limit(case, c.measured.decay_time().mean)
+        out.append(case.room.centre_frequencies < limit)
+    return np.array(out)
+
+
+def schroeder_limit(case: Case, times: Array) -> float:
+    """Return Schroeder's frequency in Hz for a configuration's T."""
+    middle = mid_frequency_time(times, case.room.centre_frequencies)
+    return float(schroeder_frequency(np.array(middle), case.room.volume))
+
+
+def decided_below_schroeder(
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    discrepancy: ModelDiscrepancy,
+    prior_off: float,
+    name: str,
+    nats: float,
+) -> list[str]:
+    """Return a reason where the evidence for ``name`` comes from bands below Schroeder's frequency.
+
+    ``predicted`` holds the hypotheses of that effect; ``nats`` is its evidence from all bands.
+    """
+    low = below_schroeder(case)
+    used = np.logical_and(observed.used, np.logical_not(low)[:, None, :])
+    if not low.any() or (used == observed.used).all() or not used.any():
+        return []
+    kept = used[observed.used]
+    part = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
+    table = evaluate(part, predicted, discrepancy, prior_off).by_effect()
+    rest = float(table[name] - table[NONE])
+    if rest >= 0.5 * nats or rest >= 2.3:
+        return []
+    places = [bands.label(f) for f in case.room.centre_frequencies[low.any(0)]]
+    return [
+        f"{name} rests on {', '.join(places)}, below Schroeder's frequency, where no field is diffuse: "
+        f"without them its evidence is {rest:+.1f} nats instead of {nats:+.1f}"
+    ]
+
+
+def gross(observed: Observed, predicted: Hypotheses) -> list[str]:
+    """Return a note where T is twice or half the model's."""
+    change = float(np.nanmedian((observed.features - predicted.features[0])[:, 0]))
+    if abs(change) <= GROSS:
+        return []
+    return [
+        f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
+        "coefficients and units before any effect is believed"
+    ]

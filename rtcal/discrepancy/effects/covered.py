@@ -1,0 +1,47 @@
+"""Less absorption than stated: a closed door, an added wall, a turned panel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from rtcal.discrepancy.effects.base import Parameters
+from rtcal.discrepancy.effects.stated import OfMaterial
+from rtcal.discrepancy.model import State
+
+HARD = 0.04
+"""alpha of what covers the material: wood, plaster or glass at middle frequencies."""
+
+
+@dataclass(frozen=True)
+class CoveredSurface(OfMaterial):
+    """A share of one material that is covered by something hard: its absorption is not in the room."""
+
+    name: ClassVar[str] = "covered surface"
+    family: ClassVar[str] = "less absorption"
+    odds: ClassVar[float] = 0.5
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.08, 0.1)
+    size: ClassVar[str] = "share"
+    unit: ClassVar[str] = "of the stated area"
+    neutral: ClassVar[float] = 0.0
+    discrete: ClassVar[Sequence[str]] = ("material",)
+    parameter_units: ClassVar[Mapping[str, str]] = {"share": " of the stated area"}
+    SHARES: ClassVar[tuple[float, ...]] = (0.12, 0.2, 0.33, 0.55, 0.9)
+
+    def grid(self, state: State) -> Sequence[Parameters]:
+        """Return each material that is softer than the cover, covered by 0.12 to 0.9."""
+        middle = state.alpha.mean(1)
+        rows = np.flatnonzero(middle > 2 * HARD)
+        rows = rows if len(rows) else np.array([int(np.argmax(middle))])
+        return [{"material": float(j), "share": s} for j, s in product(rows, self.SHARES)]
+
+    def change(self, state: State, parameters: Parameters) -> State:
+        """Return the room with that share of the material covered."""
+        alpha, row = np.array(state.alpha), int(parameters["material"])
+        share = min(parameters["share"], 1.0)
+        alpha[row] = (1 - share) * alpha[row] + share * np.minimum(HARD, alpha[row])
+        return replace(state, alpha=alpha)

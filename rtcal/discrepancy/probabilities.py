@@ -1,0 +1,63 @@
+"""Probabilities of each effect and family, from evidence and prior, and the candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.special import logsumexp
+
+from rtcal.discrepancy.effects import Effect
+from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
+
+CREDIBLE = 0.9
+"""Probability, given that something is missing, that the candidates hold together."""
+_ABSORPTION = "added absorption"
+
+
+def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
+    """Return the probability of "none", "coefficients", "unknown" and each effect; they sum to 1."""
+    log = {k: v + prior.log_probability[k] for k, v in evidence.items()}
+    total = float(logsumexp(list(log.values())))
+    return {k: float(np.exp(v - total)) for k, v in sorted(log.items(), key=lambda kv: -kv[1])}
+
+
+def by_family(
+    probabilities: Mapping[str, float], effects: Mapping[str, Effect]
+) -> dict[str, float]:
+    """Return the probability of each family, the most probable first.
+
+    "none", "coefficients" and "unknown" are families of their own. "added absorption" is the sum of the
+    families whose names begin with it.
+    """
+    out: dict[str, float] = {}
+    for name, probability in probabilities.items():
+        family = family_of(name, effects)
+        out[family] = out.get(family, 0.0) + probability
+    absorption = [p for family, p in out.items() if family.startswith(f"{_ABSORPTION},")]
+    if len(absorption) > 1:
+        out[_ABSORPTION] = sum(absorption)
+    return dict(sorted(out.items(), key=lambda kv: -kv[1]))
+
+
+def family_of(name: str, effects: Mapping[str, Effect]) -> str:
+    """Return the family of an effect, or of "none", "coefficients" or "unknown"."""
+    return name if name in (NONE, COEFFICIENTS, UNKNOWN) else effects[name].family
+
+
+def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
+    """Return the family of at least this probability, the narrower of two; None without one."""
+    probable = [f for f, p in families.items() if p >= least]
+    return max(probable, key=len) if probable else None
+
+
+def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the most probable hypotheses but "none" that hold `CREDIBLE` of the probability."""
+    some = {k: p for k, p in probabilities.items() if k != NONE}
+    total, held, out = sum(some.values()), 0.0, []
+    for name, p in some.items():
+        out.append(name)
+        held += p
+        if held >= CREDIBLE * total:
+            break
+    return tuple(out)

@@ -1,0 +1,133 @@
+"""The verdict: what is claimed, and the checks that a claim must pass."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rtcal.discrepancy import coefficients
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.coefficients import SCALES, OffTogether
+from rtcal.discrepancy.doubts import (
+    decided_below_schroeder,
+    end_of_range,
+    gap_against,
+    too_large,
+    unexplained,
+)
+from rtcal.discrepancy.effects import Effect, Parameters
+from rtcal.discrepancy.evidence import (
+    Evidence,
+    ModelDiscrepancy,
+    covariance_of,
+    goodness_of_fit,
+    spreading,
+)
+from rtcal.discrepancy.features import Observed
+from rtcal.discrepancy.gap import GapCheck, gap_check
+from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
+from rtcal.discrepancy.probabilities import narrowest_family
+from rtcal.discrepancy.size import Size, estimate_size
+
+CLAIMED = 0.9
+"""Probability from which an effect, or a family, is claimed."""
+LIKELY = 0.5
+"""Probability from which coefficients that are off together are said beside an effect."""
+_LARGER = SCALES[0][0]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A candidate in its most probable form.
+
+    ``parameters`` have the size's mean, ``most_probable`` the size that fits best. ``coefficients``
+    are None where they are right as stated. ``gap`` is the gap that alpha cannot close. ``surprise`` is
+    what `goodness_of_fit` returns.
+    """
+
+    name: str
+    parameters: Parameters
+    size: Size | None
+    coefficients: OffTogether | None
+    gap: GapCheck
+    most_probable: Parameters
+    surprise: tuple[float, float]
+
+
+def claim(
+    probabilities: Mapping[str, float], families: Mapping[str, float], score: float, limit: float
+) -> tuple[str, str | None]:
+    """Return the verdict before any check, and the family that is probable enough to be claimed."""
+    best = next(k for k in probabilities if k != NONE)
+    family = narrowest_family({f: p for f, p in families.items() if f != NONE}, CLAIMED)
+    if score <= limit:
+        return ("hint" if score > 0 else "none"), None
+    if best == UNKNOWN:
+        return "unknown", family
+    if probabilities[best] >= CLAIMED:
+        return "named", family
+    return ("ambiguous" if family is None else "family"), family
+
+
+def fit(
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    discrepancy: ModelDiscrepancy,
+    evidence: Evidence,
+    name: str,
+) -> Fit:
+    """Return a candidate's parameters, its size, and what becomes of the gap."""
+    parameters: Parameters = {}
+    likely: Parameters = {}
+    size, row, alone = None, 0, predict_hypotheses(case, [])
+    probability = 1.0
+    if name != COEFFICIENTS:
+        effect: Effect = predicted.effects[name]
+        likely, size = estimate_size(case, observed, predicted, discrepancy, evidence, name)
+        parameters = likely if size is None else {**likely, effect.size: size.mean}
+        alone, row = predict_hypotheses(case, [effect], [[parameters]]), 1
+        probability = float(evidence.off_given(name))
+    off, scale = None, 1.0
+    if probability >= LIKELY:
+        scale = _LARGER
+        alpha, other = covariance_of(observed, alone, discrepancy, row)
+        mask = observed.used.ravel()
+        residual = observed.values - alone.features[row].ravel()[mask] - discrepancy.bias[mask]
+        off = coefficients.off_together(
+            case,
+            alone.alpha_covariance.slopes(row),
+            spreading(observed, alone, row),
+            residual,
+            alpha + other,
+            probability,
+        )
+    gap = gap_check(observed, alone, discrepancy, row, scale)
+    surprise = goodness_of_fit(observed, alone, discrepancy, row, scale)
+    return Fit(name, parameters, size, off, gap, likely, surprise)
+
+
+def doubts(
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    discrepancy: ModelDiscrepancy,
+    evidence: Evidence,
+    best: Fit,
+    nats: float,
+) -> tuple[str, ...]:
+    """Return the reasons against a claim of the best candidate, ``nats`` its evidence."""
+    out = unexplained(best.name, *best.surprise)
+    out += gap_against(best.name, best.gap)
+    effects = []
+    if best.name != COEFFICIENTS:
+        effect = predicted.effects[best.name]
+        effects = [effect]
+        out += end_of_range(effect, predicted, best.most_probable)
+        out += too_large(case, effect, best.parameters)
+    hypotheses = predict_hypotheses(case, effects)
+    out += decided_below_schroeder(
+        case, observed, hypotheses, discrepancy, evidence.prior_off, best.name, nats
+    )
+    return tuple(out)
