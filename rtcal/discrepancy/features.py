@@ -36,8 +36,8 @@ SHARED_BY_T20_AND_T30 = 0.75
 """Correlation of that error between T20 and T30 of one decay, which share most of their range."""
 ONE_DECAY: Mapping[str, float] = {"t20": 0.88, "t30": 0.55, "edt": 1.6}
 """Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz:
-T20 and T30 as in ISO 3382-2, Eqs. 4 and 5. Decays of octave-filtered Gaussian noise (400 of 500 Hz and of
-1 kHz, T = 1 s) have 0.88 for T20 and 1.7 for EDT."""
+T20 and T30 as in ISO 3382-2, Eqs. 4 and 5. Decays of octave-filtered Gaussian noise (400 at 500 Hz
+and 400 at 1 kHz, T = 1 s) have 0.88 for T20 and 1.7 for EDT."""
 ONE_LEVEL = 1.0
 """Standard deviation of C80 and G in dB over the positions of a room, where a single value has none."""
 

@@ -295,10 +295,7 @@ def _calibrated(
 
 
 def _misfit(case: Case) -> Array:
-    """Standard deviation of ln T by errors of the effects' forms and sizes.
-
-    (n_configurations, n_bands).
-    """
+    """Standard deviation of ln T by the effects' forms and sizes, (n_configurations, n_bands)."""
     if not case.applied:
         return np.zeros((len(case.configurations), case.room.n_bands))
     bare = replace(case, applied=())
@@ -317,11 +314,8 @@ def _misfit(case: Case) -> Array:
 
 def _relative_spread(p: AppliedEffect) -> float:
     """Return the size's standard deviation over its distance from the size that changes nothing."""
-    return (
-        0.0
-        if p.size_sigma == 0
-        else min(p.size_sigma / max(abs(_size(p) - p.effect.neutral), _SMALLEST), 1.0)
-    )
+    apart = abs(_size(p) - p.effect.neutral)
+    return min(p.size_sigma / max(apart, _SMALLEST), 1.0) if p.size_sigma else 0.0
 
 
 def _state(
