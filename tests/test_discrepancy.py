@@ -513,7 +513,7 @@ def test_what_no_effect_explains_is_said_so() -> None:
     """The best effect of a gross mistake is still a best: the notes say what to look for."""
     case = opened()
     finding = find(case, controls=controls_of(case))
-    assert not any("does not explain" in n or "mistake" in n for n in finding.notes)
+    assert not any("does not explain" in n or "mistake" in n for n in finding.reasons)
     measured = case.configurations[0].measured
     times = {k: 10 * v for k, v in measured.values.items()}
     errors = {k: 10 * v for k, v in measured.uncertainty.items()}
@@ -521,7 +521,7 @@ def test_what_no_effect_explains_is_said_so() -> None:
     tenfold = replace(case, configurations=[replace(case.configurations[0], measured=wrong)])
     finding = find(tenfold, controls=controls_of(tenfold))
     assert finding.verdict not in ("named", "family")
-    assert any("times the model's: look for a mistake" in n for n in finding.notes)
+    assert "times the model's: look for a mistake" in finding.reasons[0]
 
 
 def test_surprise_is_chi_square_s() -> None:

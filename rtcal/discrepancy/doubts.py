@@ -121,7 +121,7 @@ def decided_below_schroeder(
 
 
 def gross(observed: Observed, predicted: Hypotheses) -> list[str]:
-    """Return a note where T is twice or half the model's."""
+    """Return a reason where T is twice or half the model's."""
     change = float(np.nanmedian((observed.features - predicted.features[0])[:, 0]))
     if abs(change) <= GROSS:
         return []

@@ -19,8 +19,9 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 NONE, COEFFICIENTS, UNKNOWN = "none", "coefficients", "unknown"
-NO_EFFECT = 0.5
-"""Prior probability that the model lacks no effect."""
+NO_EFFECT = 1 / 3
+"""Prior probability that the model lacks no effect: who asks has a reason. In the development rooms of
+the two test worlds nothing is missing in 0.38 and 0.26."""
 UNKNOWN_ODDS = 1.0
 """Prior odds of an effect that no library has, against a listed effect of odds 1."""
 OFF_TOGETHER = 0.2

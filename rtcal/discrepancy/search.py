@@ -18,7 +18,7 @@ from rtcal.discrepancy.bootstrap import (
 from rtcal.discrepancy.bootstrap import score as evidence_of_something
 from rtcal.discrepancy.cache import cached_control_rooms
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.doubts import gross, schroeder_limit
+from rtcal.discrepancy.doubts import schroeder_limit
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.effects.checks import checked_effects
 from rtcal.discrepancy.engines import ControlRooms, Report, no_report
@@ -176,7 +176,7 @@ def _conclude(
         advice=next_measurement(case, observed, predicted, discrepancy, evidence, candidates),
         residuals=standardized_residuals(observed, predicted, discrepancy),
         reasons=reasons,
-        notes=(*gross(observed, predicted), *notes, observed.origin, *_notes(case)),
+        notes=(*notes, observed.origin, *_notes(case)),
         discrepancy=discrepancy,
         effects=predicted.effects,
     )

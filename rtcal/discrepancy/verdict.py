@@ -12,6 +12,7 @@ from rtcal.discrepancy.doubts import (
     decided_below_schroeder,
     end_of_range,
     gap_against,
+    gross,
     too_large,
     unexplained,
 )
@@ -118,7 +119,8 @@ def doubts(
     nats: float,
 ) -> tuple[str, ...]:
     """Return the reasons against a claim of the best candidate, ``nats`` its evidence."""
-    out = unexplained(best.name, *best.surprise)
+    out = gross(observed, predicted)
+    out += unexplained(best.name, *best.surprise)
     out += gap_against(best.name, best.gap)
     effects = []
     if best.name != COEFFICIENTS:
