@@ -65,7 +65,7 @@ def directions(case: Case) -> Directions:
 def factors(d: Directions, slopes: Array) -> Array:
     """Return changes of ln T20 by one standard deviation each, (n, n_values, n_directions).
 
-    ``slopes`` (n, n_configurations, n_materials, n_bands) are d ln T20 / d alpha. The values are
+    ``slopes`` (n, n_configurations, n_materials, n_bands) are -d ln T20 / d alpha. The values are
     configurations and bands, raveled. Of more directions than values as many combinations are left.
     """
     full = _by_direction(d, slopes)
@@ -171,7 +171,7 @@ def off_together(
     ----------
     case : Case
     slopes : array (n_configurations, n_materials, n_bands)
-        d ln T20 / d alpha.
+        -d ln T20 / d alpha.
     spreading : array (n_used, n_values)
         d feature / d ln T20, the values being configurations and bands, raveled.
     residual : array (n_used,)
@@ -182,7 +182,7 @@ def off_together(
         That the coefficients are off together.
     """
     d = directions(case)
-    f = spreading @ _by_direction(d, slopes[None])[0]
+    f = -spreading @ _by_direction(d, slopes[None])[0]  # more absorption, shorter T
     weights, means, variances = [], [], []
     for scale, share in SCALES:
         whole = covariance + (scale**2 - 1) * f @ f.T

@@ -329,7 +329,7 @@ class AlphaCovariance:
         return np.asarray(alone + parts @ parts.swapaxes(1, 2))
 
     def slopes(self, i: int) -> Array:
-        """Return d ln T20 / d alpha of hypothesis 0 or 1, (n_configurations, n_materials, n_bands)."""
+        """Return -d ln T20 / d alpha of hypothesis 0 or 1, (n_configurations, n_materials, n_bands)."""
         return np.asarray(self._first[i])
 
     def off_together(self, part: slice) -> Array:

@@ -1,0 +1,231 @@
+"""What the finder believes: priors, probabilities, families, coefficients that are off together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import rtcal as rt
+from rtcal.command.main import cli
+from rtcal.discrepancy import Case, Configuration, find, library, recalibrate
+from rtcal.discrepancy.effects.coupled_room import CoupledRoom
+from rtcal.discrepancy.effects.opening import Opening
+from rtcal.discrepancy.effects.stated import WrongVolume
+from rtcal.discrepancy.engines import ControlRooms
+from rtcal.discrepancy.features import observe
+from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.prior import HANDBOOK_SIGMA, off_together, prior_of
+from rtcal.discrepancy.states import distances, state
+from rtcal.errors import DataError
+
+F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
+ALPHA = np.array([[0.05] * 6, [0.1, 0.15, 0.2, 0.3, 0.35, 0.4], [0.3, 0.2, 0.1, 0.08, 0.07, 0.06]])
+
+
+def room(sigma: float = 0.3, **more: object) -> rt.Room:
+    facts = {
+        "name": "hall",
+        "volume": 400.0,
+        "materials": ["plaster", "carpet", "glass"],
+        "areas": [200.0, 80.0, 60.0],
+        "alpha": ALPHA,
+        "sigma": sigma * ALPHA,
+        "centre_frequencies": F,
+        "air": rt.Air(20, 50),
+    }
+    return rt.Room(**(facts | more))  # type: ignore[arg-type]
+
+
+def measured(truth: Case, *, stated: bool = True) -> rt.Measurement:
+    """What a case's model predicts, as a measurement of three parameters."""
+    (row,) = predict([state(truth, truth.configurations[0])], np.array([5.0])).features
+    t20 = np.exp(row[0])
+    times = {"t20": t20, "edt": t20 * np.exp(row[1]), "t30": t20 * np.exp(row[2])}
+    values = {k: v[None] for k, v in times.items()}
+    return rt.Measurement(
+        centre_frequencies=np.array(F),
+        values=values,
+        uncertainty={k: 0.01 * v for k, v in values.items()} if stated else {},
+    )
+
+
+def case_of(model: rt.Room, truth: rt.Room, *, stated: bool = True) -> Case:
+    some = rt.Measurement.from_values(F, t20=np.ones(6))
+    made = Case(room=truth, configurations=[Configuration(name="A", measured=some)])
+    real = Configuration(name="A", measured=measured(made, stated=stated))
+    return Case(room=model, configurations=[real])
+
+
+def controls(case: Case) -> list[ControlRooms]:
+    rng = np.random.default_rng(1)
+    shape = (24, len(case.configurations), 5, case.room.n_bands)
+    return [ControlRooms(f"engine {i}", 0.01 * rng.standard_normal(shape)) for i in (1, 2)]
+
+
+def louder() -> Case:
+    """A room whose coefficients are all twice what is stated at 125 Hz, and a third more at 4 kHz."""
+    factor = np.geomspace(2.4, 1.6, 6)
+    return case_of(room(), room(alpha=np.minimum(ALPHA * factor, 0.95)))
+
+
+def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_from() -> None:
+    case = louder()
+    finding = find(case, only=["coefficients", "volume", "air"], controls=controls(case))
+    assert finding.probabilities["coefficients"] == max(finding.probabilities.values())
+    off = finding.fits["coefficients"].coefficients
+    assert off is not None
+    assert (off.ratio > 1.3).all()
+    assert "of what is stated" in off.words(np.array(F))
+    sure = replace(finding, verdict="named", effect="coefficients", candidates=("coefficients",))
+    assert sure.sentence == "The coefficients are off together."
+    assert "look for another source" in str(sure)
+    moved = sure.apply()
+    assert moved.applied == ()
+    assert (moved.room.alpha >= case.room.alpha).all()
+    true = np.array(ALPHA * np.geomspace(2.4, 1.6, 6))
+    before, after = (np.abs(np.log(a / true)).mean() for a in (ALPHA, moved.room.alpha))
+    assert after < 0.6 * before
+    assert np.isfinite(recalibrate(moved).alpha).all()
+
+
+def test_measured_coefficients_are_hardly_off_together() -> None:
+    assert off_together(room(HANDBOOK_SIGMA)) == pytest.approx(0.2)
+    assert off_together(room(1.0)) == pytest.approx(0.2)
+    assert off_together(room(0.1)) == pytest.approx(0.2 / 9)
+    exact = room(0.0)
+    assert off_together(exact) == 0.0
+    assert prior_of(exact, library(), {}).log_probability["coefficients"] == -np.inf
+
+
+def test_probabilities_sum_to_one_and_families_hold_their_members() -> None:
+    case = louder()
+    finding = find(case, controls=controls(case))
+    assert sum(finding.probabilities.values()) == pytest.approx(1)
+    assert set(finding.probabilities) == {e.name for e in library()} | {
+        "none",
+        "coefficients",
+        "unknown",
+    }
+    p, families = finding.probabilities, finding.families
+    flat, rising, low = (families[f"added absorption, {x}"] for x in ("flat", "rising", "low"))
+    assert flat == pytest.approx(p["opening"] + p["furniture"])
+    assert rising == pytest.approx(p["audience"] + p["porous"] + p["curtain"])
+    assert low == pytest.approx(p["resonator"] + p["membrane"])
+    assert families["added absorption"] == pytest.approx(flat + rising + low)
+    total = sum(v for k, v in families.items() if k != "added absorption")
+    assert total == pytest.approx(1)
+
+
+@dataclass(frozen=True)
+class FineOpening(Opening):
+    steps: ClassVar[int] = 2 * Opening.steps - 1
+
+
+@dataclass(frozen=True)
+class FineVolume(WrongVolume):
+    def grid(self, state):  # type: ignore[no-untyped-def]
+        return [{"ratio": float(r)} for r in np.geomspace(0.6, 1.7, 35)]
+
+
+def test_a_grid_twice_as_fine_changes_no_probability() -> None:
+    case = louder()
+    coarse = find(case, effects=[Opening(), WrongVolume(), CoupledRoom()], controls=controls(case))
+    fine = find(case, effects=[FineOpening(), FineVolume(), CoupledRoom()], controls=controls(case))
+    for name, p in coarse.probabilities.items():
+        assert fine.probabilities[name] == pytest.approx(p, abs=0.02), name
+
+
+def test_effects_can_be_left_out_and_their_odds_stated() -> None:
+    case = louder()
+    rooms = controls(case)
+    usual = find(case, controls=rooms)
+    assert "air" not in find(case, without=["air"], controls=rooms).probabilities
+    few = find(case, only=["opening", "volume"], controls=rooms)
+    assert set(few.effects) == {"opening", "volume"}
+    assert few.probabilities["coefficients"] == 0
+    likelier = find(case, prior={"opening": 20.0}, controls=rooms)
+    assert likelier.probabilities["opening"] > 2 * usual.probabilities["opening"]
+    for bad, words in (
+        ({"without": ["organ"]}, 'without has "organ"'),
+        ({"only": ["organ"]}, 'only has "organ"'),
+        ({"prior": {"organ": 1.0}}, 'prior has "organ"'),
+        ({"prior": {"opening": 0.0}}, "above 0"),
+        ({"without": [e.name for e in library()]}, "no effect to try"),
+    ):
+        with pytest.raises(DataError, match=words):
+            find(case, controls=rooms, **bad)
+
+
+def test_odds_on_the_command_line_are_effect_and_number(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "case.json"
+    louder().save(str(path))
+    with pytest.raises(DataError, match="is not EFFECT=ODDS"):
+        CliRunner().invoke(
+            cli, ["gap", "find", str(path), "--prior", "opening"], catch_exceptions=False
+        )
+
+
+def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() -> None:
+    observed, _ = observe(case_of(room(), room(), stated=False))
+    spread = np.sqrt(np.diag(observed.covariance).reshape(3, 6))
+    t = observed.features[0, 0]
+    one = (
+        0.88 * np.sqrt(1 + 1.9 / 10) / np.sqrt(0.71 * np.array(F) * np.exp(t))
+    )  # ISO 3382-2, Eq. 4
+    # A single value: theory of one decay, and 4.6 % at 125 Hz to 1.3 % at 4 kHz.
+    assert spread[0, 0] == pytest.approx(np.hypot(one[0], 0.046), rel=0.05)
+    assert spread[0, -1] == pytest.approx(np.hypot(one[-1], 0.013), rel=0.05)
+    assert (np.diff(spread[0]) < 0).all()
+    assert "not stated" in observed.origin
+    stated, _ = observe(case_of(room(), room()))
+    assert stated.origin == "uncertainty of T20, EDT, T30: as stated"
+
+
+def test_a_stated_climate_is_a_measurement() -> None:
+    """An error of 10 % of humidity in a large room is no finding; without air stated, air is one."""
+    large = {"volume": 8000.0, "areas": [1600.0, 500.0, 300.0], "sigma": 0.02 * ALPHA}
+    damp = case_of(room(**large), room(**large, air=rt.Air(20, 60)))
+    assert find(damp, controls=controls(damp)).verdict in ("none", "hint")
+    dry = case_of(room(**large, air=None), room(**large))
+    finding = find(dry, controls=controls(dry))
+    assert finding.candidates[0] == "air"
+    found = finding.parameters
+    assert 10 <= found["temperature"] <= 33
+    sure = replace(damp, climate_uncertainty=(0.1, 0.1))
+    assert Case.from_dict(sure.to_dict()).climate_uncertainty == (0.1, 0.1)
+    with pytest.raises(DataError, match="climate_uncertainty"):
+        replace(damp, climate_uncertainty=(1.0, -1.0))
+
+
+def test_one_size_everywhere() -> None:
+    stated = room(0.05)
+    state_ = state(case_of(stated, stated), case_of(stated, stated).configurations[0])
+    opened = state_.covered(25.0, np.ones(6))
+    t20 = 6 * np.log(10) / opened.rate
+    values = dict.fromkeys(("t20", "edt", "t30"), t20[None])
+    real = rt.Measurement(
+        centre_frequencies=np.array(F),
+        values=values,
+        uncertainty={k: 0.01 * v for k, v in values.items()},
+    )
+    case = Case(room=stated, configurations=[Configuration(name="A", measured=real)])
+    finding = find(case, only=["opening"], controls=controls(case))
+    assert finding.can_be_added
+    assert finding.size is not None
+    (added,) = finding.apply().applied
+    assert added.parameters["area"] == finding.size.mean
+    assert added.size_interval == (finding.size.low, finding.size.high)
+    result = rt.discrepancy.verify(finding)
+    assert result.corrected.sizes["opening"] == finding.size.mean
+    words = f"{finding.size.mean:.3g} m² (90 %: {finding.size.low:.3g} to {finding.size.high:.3g})"
+    for text in (finding.size_in_words, result.corrected.effects_in_words[0]):
+        assert words in text
+    assert (
+        f"{finding.size.mean:.3g} m²"
+        in rt.discrepancy.corrected_room(finding.apply()).sources["opening"]
+    )
+    assert distances(case, case.configurations[0]).shape == (1,)
