@@ -183,6 +183,14 @@ def test_what_would_have_no_end_is_refused() -> None:
         tracer.traced(0, 1e300)
     with pytest.raises(DataError, match="seconds = 61 s is above 60 s"):
         tracer.energy(hall.room.alpha, 61)
+    with pytest.raises(DataError, match="band = 99 is not from 0 to 6"):
+        tracer.traced(99, 0.1)
+    with pytest.raises(DataError, match="Observations: parameters = None is not a list"):
+        rt.simulators.Observations(
+            parameters=None, pairs=(), centre_frequencies=np.ones(1), values=np.ones(1)
+        )
+    with pytest.raises(DataError, match=r"by = .* is not .*material"):
+        tracer.jacobian(hall.room.alpha, by=np.ones(3))
     for scores in (
         lambda n: rt.studies.analytic_scores([10, 20], 0.05, n),
         lambda n: rt.studies.calibration_scores([10, 20], 0.05, n, 10),
@@ -199,6 +207,9 @@ def test_the_figures_and_names_of_places_are_checked() -> None:
         figures.rendered(figures.new_figure()[0], "text")
     with pytest.raises(DataError, match="rendered: figure = None is not a Figure"):
         figures.rendered(None, "png")
+    for shown in (rt.report.material_figures.intervals, rt.report.figures.gap):
+        with pytest.raises(DataError, match="is not a"):
+            shown("text")
     with pytest.raises(DataError, match="band = 99 is not from 0 to 5"):
         room.place("alpha", 0, 99)
     with pytest.raises(DataError, match="is none of rtcal's errors"):

@@ -112,6 +112,7 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
     return figure
 
 
+@checked
 def intervals(calibration: Saved) -> tuple[Array, Array]:
     """Return the ends of the calibrated coefficients' 90 % intervals, (n_materials, n_bands)."""
     if calibration.interval is not None:
@@ -160,6 +161,7 @@ def shares(result: CalibrationResult | Saved) -> Any:
     return figure
 
 
+@checked
 def absorption_shares(calibration: Saved, most: int) -> tuple[list[str], Array]:
     """Return names and shares in %, (n_names, n_bands), of materials, effects and, last, the air.
 

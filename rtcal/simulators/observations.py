@@ -35,6 +35,7 @@ STEP = 0.01
 rounding, and its curvature adds less than 1 % to the slope."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observations:
     """Parameters by pair and band, in units in which they are nearly linear in alpha.
@@ -139,7 +140,7 @@ def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:
     if not names:
         raise DataError("match is empty; it has at least one parameter")
     for name in names:
-        if name not in PARAMETERS:
+        if not isinstance(name, str) or name not in PARAMETERS:
             raise DataError(f'match has "{name}"; it has some of {", ".join(PARAMETERS)}')
     if len(set(names)) < len(names):
         raise DataError(f"match has a parameter twice: {', '.join(names)}")

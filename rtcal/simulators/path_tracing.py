@@ -168,7 +168,7 @@ class PathTracing(Tracer):
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
         alpha = np.minimum(alpha, _LARGEST_ALPHA)
         owners = self._materials()
-        if by not in ("material", "surface"):
+        if not isinstance(by, str) or by not in ("material", "surface"):
             raise DataError(f'by = {by!r} is not "material" or "surface"')
         surface = by == "surface"
         groups = np.arange(len(owners)) if surface else owners
@@ -227,6 +227,8 @@ class PathTracing(Tracer):
         `rtcal.simulators.tracer.LONGEST`.
         """
         checks.whole("seed", seed, 0)
+        if checks.whole("band", band, 0) >= self.room.n_bands:
+            raise DataError(f"band = {checks.shown(band)} is not from 0 to {self.room.n_bands - 1}")
         longest = check_seconds(seconds) * self.room.speed_of_sound
         columns = [tuple(column) for column in self.scattering.T]
         key = (seed, columns.index(columns[band]))
