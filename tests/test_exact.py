@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import rtcal as rt
 from rtcal import exact
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.exact.batch import _excess
 from rtcal.support import jit
 from tests import rational
 from tests.problems import Problem, problems
@@ -302,3 +303,17 @@ def test_optimum_and_closed_form() -> None:
         other = best + rng.uniform(0, 1) * (other - best)
         assert areas @ other == pytest.approx(10.0)
         assert np.sum(((other - mu) / sigma) ** 2) >= cost
+
+
+def test_small_difference_of_large_areas_is_exact_to_rounding() -> None:
+    """S'alpha - b where b is S'alpha in doubles: what is left is below one rounding error of it."""
+    rng = np.random.default_rng(0)
+    areas, alpha = rng.uniform(1, 300, (50, 23)), rng.uniform(0, 1, (50, 23))
+    target = (areas * alpha).sum(axis=1)
+    pairs = zip(areas.tolist(), alpha.tolist(), target.tolist(), strict=True)
+    wanted = [
+        float(sum(Fraction(s) * Fraction(a) for s, a in zip(*row, strict=True)) - Fraction(b))
+        for *row, b in pairs
+    ]
+    assert np.abs(wanted).max() > 1e-14
+    np.testing.assert_allclose(_excess(areas, alpha, target), wanted, rtol=0, atol=1e-25)
