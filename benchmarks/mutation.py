@@ -11,7 +11,9 @@ that reach it, the quickest first, and only by those of at most `LONGEST` second
 of the sample is listed. `SURVIVORS` has the reason for those that may survive: an equivalent mutant,
 or one that changes only how quickly an answer is found.
 
-It is resumable: what was killed stays killed until its function changes. `make clean` forgets it.
+Making the mutants takes 105 s of one core. Then all selected tests run once, and after them every
+mutant of the sample. The run may be stopped and started again: what was killed stays killed until its
+function changes. `make clean` forgets it.
 """
 
 from __future__ import annotations
