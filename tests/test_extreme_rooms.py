@@ -63,6 +63,10 @@ def test_dual_is_the_exact_batch_solver_s_answer(kind: str, seed: int) -> None:
     np.testing.assert_allclose(data.alpha(u), wanted, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(multipliers.lower[u > model.lower], 0)
     np.testing.assert_array_equal(multipliers.upper[u < model.upper], 0)
+    force = model.stationarity(u, multipliers.rows)
+    above = force[model.movable & (u == model.upper) & (u > model.lower)]
+    at_upper = multipliers.upper[model.movable & (u == model.upper) & (u > model.lower)]
+    np.testing.assert_array_equal(at_upper, np.maximum(-above, 0.0))
     certificate = certify(model, u, multipliers)
     assert np.max(certificate.primal_residual) < 1e-12
     below, above = separable.separable(model).enclosure()
