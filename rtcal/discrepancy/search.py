@@ -148,7 +148,7 @@ def _conclude(
     if verdict != "none":
         candidates = (best,) if verdict == "named" else credible_set(probabilities)
     fits = [
-        fit(case, observed, predicted, discrepancy, evidence, name)
+        fit(case, observed, predicted, discrepancy, evidence, name, precise=name == best)
         for name in candidates
         if name in predicted.effects or name == COEFFICIENTS
     ]

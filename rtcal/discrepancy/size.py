@@ -38,11 +38,14 @@ def estimate_size(
     discrepancy: ModelDiscrepancy,
     evidence: Evidence,
     name: str,
+    *,
+    precise: bool = True,
 ) -> tuple[Parameters, Size | None]:
     """Return the effect's most probable parameters, and its size with a 90 % interval.
 
-    A search improves the best set of the grid. The size is then evaluated in fine steps, for this
-    set and for the three most probable sets of the other parameters.
+    Without ``precise``, the best set of the grid is taken, and the size is evaluated for it in wide
+    steps. With it, a search improves the best set, and the size is evaluated in fine steps for it and
+    for the three most probable sets of the other parameters.
     """
     effect = predicted.effects[name]
     rows = [i for i, n in enumerate(predicted.names) if n == name]
@@ -54,7 +57,9 @@ def estimate_size(
         values = evaluate(observed, predicted_sizes, discrepancy, evidence.prior_off)
         return values.by_hypothesis()[1:]
 
-    best = _searched(grid, grid[int(np.argmax(likelihood))], effect.discrete, evaluated)
+    best = grid[int(np.argmax(likelihood))]
+    if precise:
+        best = _searched(grid, best, effect.discrete, evaluated)
     if not np.isfinite(effect.neutral):
         return best, None
     weights = predicted.weights[rows] * np.exp(likelihood - likelihood.max())
@@ -76,12 +81,15 @@ def estimate_size(
     def at(x: Array, kinds: Sequence[Any]) -> Array:
         return evaluated([{**dict(k), effect.size: float(s)} for k in kinds for s in size_of(x)])
 
-    coarse = np.linspace(first, last, 25)
-    log_p = at(coarse, likely[:1])
-    likely_range = coarse[log_p > log_p.max() - _NEGLIGIBLE]
-    step = coarse[1] - coarse[0] + 2.6 * effect.size_error
-    fine = np.linspace(likely_range[0] - step, likely_range[-1] + step, 37)
-    log_p = at(fine, likely)
+    fine = np.linspace(first, last, 25)
+    log_p = at(fine, likely[:1])
+    if precise:
+        likely_range = fine[log_p > log_p.max() - _NEGLIGIBLE]
+        step = fine[1] - fine[0] + 2.6 * effect.size_error
+        fine = np.linspace(likely_range[0] - step, likely_range[-1] + step, 37)
+        log_p = at(fine, likely)
+    else:
+        likely = likely[:1]
     by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
     by_size = _widened(by_size, fine, effect.size_error)
     cumulated = np.cumsum(by_size) - 0.5 * by_size

@@ -78,15 +78,19 @@ def fit(
     discrepancy: ModelDiscrepancy,
     evidence: Evidence,
     name: str,
+    *,
+    precise: bool,
 ) -> Fit:
-    """Return a candidate's parameters, its size, and what becomes of the gap."""
+    """Return a candidate's parameters, its size (`estimate_size`), and what becomes of the gap."""
     parameters: Parameters = {}
     likely: Parameters = {}
     size, row, alone = None, 0, predict_hypotheses(case, [])
     probability = 1.0
     if name != COEFFICIENTS:
         effect: Effect = predicted.effects[name]
-        likely, size = estimate_size(case, observed, predicted, discrepancy, evidence, name)
+        likely, size = estimate_size(
+            case, observed, predicted, discrepancy, evidence, name, precise=precise
+        )
         parameters = likely if size is None else {**likely, effect.size: size.mean}
         alone, row = predict_hypotheses(case, [effect], [[parameters]]), 1
         probability = float(evidence.off_given(name))
