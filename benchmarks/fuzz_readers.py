@@ -15,6 +15,7 @@ import os
 import re
 import sys
 import tempfile
+import traceback
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,7 +58,6 @@ def fuzz_one(name: str, seconds: int) -> None:
         "-timeout=10",
         "-rss_limit_mb=1024",
         "-print_final_stats=1",
-        "-close_fd_mask=1",
     ]
     atheris.Setup([sys.argv[0], str(kept), *options], check)
     atheris.Fuzz()
@@ -89,15 +89,20 @@ def forked(name: str, seconds: int) -> tuple[bool, str]:
     from tests import fuzz
 
     said = FOLDER / f"{name}.log"
+    said.unlink(missing_ok=True)
     with tempfile.TemporaryDirectory() as folder:  # what reading imports is imported here
         for content in fuzz.READERS[name].seeds:
             fuzz.check(name, content, Path(folder))
     child = os.fork()
     if child == 0:
-        os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), sys.stderr.fileno())
+        for stream in (sys.stdout, sys.stderr):  # a traceback goes to the one, figures to the other
+            os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_APPEND), stream.fileno())
         try:
             fuzz_one(name, seconds)
+        except Exception:
+            traceback.print_exc()
         finally:
+            sys.stdout.flush()
             os._exit(1)
     passed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     return passed, said.read_text(errors="replace")
