@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -82,3 +84,144 @@ def test_t20_alone_stays_the_default(case):
         rt.calibrate_simulator(tracing(room), room, measured, exclude=[("S", "R1")])
     with pytest.raises(DataError, match="rule does not go with match"):
         rt.calibrate_simulator(tracing(room), room, measured, rule="secant", match=MATCH)
+
+
+def test_a_second_calibration_traces_no_control_run(case, result, tmp_path):
+    room, _, measured = case
+    runs = []
+
+    def report(done, of):
+        runs.append((done, of))
+
+    def calibrate():
+        return rt.calibrate_simulator(
+            tracing(room, n_paths=320),
+            room,
+            measured,
+            match=("t20", "c80"),
+            cache=tmp_path,
+            report=report,
+        )
+
+    first = calibrate()
+    assert runs == [(n, 16) for n in range(1, 17)]
+    second = calibrate()
+    assert len(runs) == 16
+    # The control runs made the first one's decays longer, by which Ts changes a little.
+    np.testing.assert_allclose(first.alpha, second.alpha, atol=1e-3)
+    next(tmp_path.glob("*.npy")).write_bytes(b"broken")
+    third = calibrate()
+    assert len(runs) == 32
+    np.testing.assert_allclose(first.alpha, third.alpha, atol=1e-3)
+    given = rt.calibrate_simulator(
+        tracing(room), room, measured, match=("t20", *MATCH[2:]), controls=result.controls
+    )
+    assert given.parameters == ("t20", "c80", "ts", "level")
+    assert len(runs) == 32
+
+
+def test_the_result_says_what_was_learned_and_from_whom(case, result):
+    room, _, _ = case
+    ratio = [after / before for _, before, after in result.learned]
+    assert ratio == sorted(ratio)
+    assert ratio[0] < 0.7
+    assert max(ratio) < 1.01
+    shift = (result.alpha - room.alpha) / room.sigma
+    inside = (result.alpha > 0) & (result.alpha < 1)
+    assert inside.all()
+    np.testing.assert_allclose(result.pulls.sum(axis=0), shift, atol=0.2)
+    assert result.room.calibration.method == "positions"
+    np.testing.assert_array_equal(result.room.sigma, result.sigma)
+    assert "Level: absolute" in str(result)
+    assert result.contradictions == ()
+    record = json.loads(result.to_json())
+    assert record["rtcal"] == "positions 1"
+    assert len(record["materials"]) == room.n_materials
+    assert "<table" in result._repr_html_()
+
+
+def replaced(measured, parameter, values):
+    return rt.Measurement(
+        centre_frequencies=measured.centre_frequencies,
+        pairs=measured.pairs,
+        values={**measured.values, parameter: values},
+    )
+
+
+def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, result):
+    room, truth, measured = case
+    wrong = measured.values["c80"].copy()
+    wrong[2] += 6.0
+    broken = replaced(measured, "c80", wrong)
+    options = {"match": MATCH, "controls": result.controls}
+    found = rt.calibrate_simulator(tracing(room), room, broken, **options)
+    assert found.contradictions == (measured.pairs[2],)
+    assert "contradicts all other pairs" in str(found)
+    without = rt.calibrate_simulator(
+        tracing(room), room, broken, exclude=[measured.pairs[2]], **options
+    )
+    assert without.contradictions == ()
+    assert measured.pairs[2] not in without.pairs
+    assert error(room, without.alpha, truth) < error(room, found.alpha, truth)
+
+
+def test_relative_levels_do_not_depend_on_a_sources_power(case, result):
+    room, _, measured = case
+    level = measured.values["g"] + 7.0
+    values = {p: v for p, v in measured.values.items() if p != "g"}
+    options = {"match": MATCH, "controls": result.controls}
+    found = []
+    for shift in (0.0, 11.0):
+        relative = rt.Measurement(
+            centre_frequencies=measured.centre_frequencies,
+            pairs=measured.pairs,
+            values={**values, "level": level + shift},
+        )
+        found.append(rt.calibrate_simulator(tracing(room), room, relative, **options))
+    assert "Level: relative" in str(found[0])
+    np.testing.assert_allclose(found[0].alpha, found[1].alpha, atol=2e-3)
+    np.testing.assert_allclose(found[0].gap_after, found[1].gap_after, atol=0.05)
+
+
+def test_terms_and_constraints_stand_beside_the_positions(case, result):
+    room, _, measured = case
+    calibration = rt.Calibration(
+        rt.terms.PriorDeviation(), [rt.terms.Bounds(0.05, 1), rt.terms.ExactMatch()]
+    )
+    found = rt.calibrate_simulator(
+        tracing(room),
+        room.replace(alpha=np.maximum(room.alpha, 0.06)),
+        measured,
+        match=MATCH,
+        controls=result.controls,
+        calibration=calibration,
+    )
+    assert found.alpha.min() >= 0.05 - 1e-9
+    times = rt.Eyring().reverberation_time(found.steps[-1].answer.room)
+    np.testing.assert_allclose(times, measured.decay_time().mean, rtol=1e-6)
+    assert found.certificate.worst < 1e-9
+
+
+def test_any_simulator_is_calibrated_without_an_interval():
+    room, _ = rt.datasets.bras_cr2()
+    pairs = [("S", "R1"), ("S", "R2")]
+
+    def program(alpha, seed):
+        time = rt.Sabine().time(room, room.areas @ alpha)
+        late = rt.Sabine().time(room, room.areas**1.1 @ alpha)
+        return rt.Measurement(
+            centre_frequencies=room.centre_frequencies,
+            pairs=pairs,
+            values={"t20": np.array([time, late]), "edt": np.array([time, late]) ** 0.9},
+        )
+
+    simulator = rt.simulators.External(room=room, run=program, name="mine 1.0")
+    measured = program(np.clip(room.alpha + 0.3 * room.sigma, 0, 1), 0)
+    result = rt.calibrate_simulator(simulator, room, measured, match=("t20", "edt", "c80", "level"))
+    assert result.parameters == ("t20", "edt")
+    assert result.interval is None
+    text = " ".join(str(result).split())
+    assert "the simulator does not give it: C80, LEVEL" in text
+    assert "No interval" in text
+    assert np.abs(result.gap_after).max() < np.abs(result.gap_before).max()
+    np.testing.assert_array_equal(result.room.sigma, room.sigma)

@@ -14,6 +14,7 @@ from rtcal.command.calibrate import calibrate
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
 from rtcal.command.example import example
 from rtcal.command.files import export, measure, table
+from rtcal.command.fit import fit
 from rtcal.command.gap import NOTHING_TO_ADD, gap
 from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
@@ -61,7 +62,19 @@ def cli() -> None:
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
 
 
-for command in (example, calibrate, report, gap, loop, measure, table, import_room, export, study):
+for command in (
+    example,
+    calibrate,
+    report,
+    gap,
+    loop,
+    fit,
+    measure,
+    table,
+    import_room,
+    export,
+    study,
+):
     cli.add_command(command)
 
 

@@ -18,7 +18,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem import Calibration
 from rtcal.errors import DataError, RtcalError, SimulatorError
-from rtcal.loop.control_runs import ControlRuns, control_runs
+from rtcal.loop.control_runs import POSITION, ControlRuns
 from rtcal.loop.positions import calibrate_positions
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
@@ -62,7 +62,7 @@ def calibrate_simulator(
     calibration: Calibration | None = None,
     controls: ControlRuns | None = None,
     cache: str | os.PathLike[str] | None = None,
-    position_uncertainty: float = 0.1,
+    position_uncertainty: float = POSITION,
     seed: int = 0,
     report: Callable[[int, int], None] | None = None,
 ) -> LoopResult | PositionsResult: ...
@@ -80,7 +80,7 @@ def calibrate_simulator(
     calibration: Calibration | None = None,
     controls: ControlRuns | None = None,
     cache: str | os.PathLike[str] | None = None,
-    position_uncertainty: float = 0.1,
+    position_uncertainty: float = POSITION,
     report: Callable[[int, int], None] | None = None,
     method: str = "mle",
     equation: LinearEquation | None = None,
@@ -183,6 +183,7 @@ def calibrate_simulator(
         "calibration": calibration is not None,
         "controls": controls is not None,
         "cache": cache is not None,
+        "position_uncertainty": position_uncertainty != POSITION,
         "report": report is not None,
     }
     match = checked_parameters(match)
@@ -191,16 +192,6 @@ def calibrate_simulator(
         if stated:
             raise DataError(f"{name} does not go with match = {match!r}")
     if match != _ALONE:
-        if controls is None:
-            controls = control_runs(
-                simulator,
-                room,
-                match,
-                seed=seed,
-                position_uncertainty=position_uncertainty,
-                cache=cache,
-                report=report,
-            )
         return calibrate_positions(
             simulator,
             room,
@@ -209,7 +200,10 @@ def calibrate_simulator(
             exclude=exclude,
             calibration=calibration,
             controls=controls,
+            cache=cache,
+            position_uncertainty=position_uncertainty,
             seed=seed,
+            report=report,
         )
     if after_step is not None and not callable(after_step):
         raise DataError(f"after_step = {after_step!r} cannot be called")

@@ -20,7 +20,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, RtcalError
+from rtcal.errors import DataError, RtcalError, TooShortError
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import observe
@@ -37,9 +37,12 @@ RUNS = 16
 POSITION = 0.1
 """Standard uncertainty in m of where sources and receivers stand, along each axis over sqrt(3)."""
 SCATTERING = (0.1, 0.85)
+"""Scattering coefficients of the control runs: those of ordinary walls and furniture."""
 _MODELS: tuple[ScatteringModel, ...] = ("random", "vector")
 _BETWEEN_MATERIALS = 0.12
+"""Standard deviation of the materials' scattering coefficients around the level of a run."""
 _PATHS = 6000
+"""Most paths of a control run, per source: T20 of a pair then has a noise of some 2 %."""
 
 Report = Callable[[int, int], None]
 """Called with the number of finished runs and their total."""
@@ -114,7 +117,9 @@ class ControlRuns:
         return np.asarray(mixed * (1 + 1 / n_runs))
 
 
-_SHRINKAGE = 0.5
+_SHRINKAGE = 0.7
+"""Share of the covariance in which all pairs are alike. From 0.3 to 1 the error of alpha in six
+development rooms changed by 3 %, the coverage by 1 %."""
 
 
 def _exchangeable(centred: Array) -> Array:
@@ -189,8 +194,15 @@ def control_runs(
     for run in range(RUNS):
         control = _varied(base, rng, run, uncertainty)
         alpha = _draw(room, rng)
-        heard = observe(control, alpha, match, seed=seed + 1 + run)
-        errors.append(heard.values - observe(simulator, alpha, match, seed=seed).values)
+
+        def error(alpha: Array, control: PathTracing = control, run: int = run) -> Array:
+            heard = observe(control, alpha, match, seed=seed + 1 + run)
+            return heard.values - observe(simulator, alpha, match, seed=seed).values
+
+        try:
+            errors.append(error(alpha))
+        except (DataError, TooShortError):  # some draws leave a decay without a parameter
+            errors.append(error(room.alpha))
         if report is not None:
             report(run + 1, RUNS)
     runs = ControlRuns(parameters=tuple(match), pairs=base.pairs, errors=np.array(errors))
@@ -239,7 +251,7 @@ def _varied(
         scattering_model=_MODELS[run % 2],
         sources=moved[0],
         receivers=moved[1],
-        n_paths=_PATHS,
+        n_paths=min(_PATHS, base.n_paths),
     )
 
 

@@ -7,16 +7,18 @@ parameter follows. And a part common to all pairs of a band, from equipment and 
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.decay_gradients import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
+from rtcal.calibration.measured import times_in_room
 from rtcal.errors import DataError
 from rtcal.simulators.observations import LOGARITHMIC, Observations
 from rtcal.support.types import Array
@@ -57,12 +59,16 @@ class MeasuredPairs:
         Whether G was measured, or levels that one source's positions share a reference of.
     notes : tuple of str
         What was left out, and why.
+    fingerprints : tuple of str
+        Names of the data, as a room's calibration keeps them: of all that was matched, and of the
+        mean T.
     """
 
     observations: Observations
     covariance: Array
     level: str
     notes: tuple[str, ...]
+    fingerprints: tuple[str, ...]
 
     @property
     def used(self) -> NDArray[np.bool_]:
@@ -74,10 +80,12 @@ def measured_pairs(
     room: Room,
     measured: Measurement,
     match: Sequence[str],
-    pairs: Sequence[Pair],
+    simulated: Observations,
     exclude: Sequence[Pair] = (),
 ) -> MeasuredPairs:
     """Return what was measured at the simulator's pairs, without those of ``exclude``.
+
+    ``simulated`` is what the simulator hears with the prior: its pairs, and the direct sound.
 
     Raises
     ------
@@ -90,7 +98,7 @@ def measured_pairs(
             "the measurement is a mean over pairs; to match every position it needs a row for each "
             'source and receiver. match=("t20",) matches the mean'
         )
-    notes = []
+    notes, pairs = [], simulated.pairs
     for pair in exclude:
         if pair not in measured.pairs:
             raise DataError(f"exclude has {' to '.join(pair)}, which the measurement lacks")
@@ -128,17 +136,39 @@ def measured_pairs(
         observations = Observations.of_measurement(in_room, present, kept)
     return MeasuredPairs(
         observations=observations,
-        covariance=_covariance(observations, in_room, level),
+        covariance=_covariance(observations, in_room, level, simulated),
         level="" if "level" in absent else level,
         notes=tuple(notes),
+        fingerprints=fingerprints(room, observations, measured),
     )
+
+
+def fingerprints(room: Room, observations: Observations, measured: Measurement) -> tuple[str, ...]:
+    """Return the names of the data; DataError if the room was calibrated on some of them."""
+    every = hashlib.sha256(np.round(observations.values, 9).tobytes()).hexdigest()[:16]
+    names: tuple[str, ...] = (every,)
+    if {"t20", "t30"} & set(measured.values):
+        names = (every, times_in_room(room, measured).fingerprint)
+    if set(names) & set(history(room)):
+        raise DataError(
+            f'room "{room.name}" was already calibrated on these data; doing so again would count '
+            "them twice. Calibrate the room as it was before, or on other data"
+        )
+    return names
+
+
+def history(room: Room) -> list[str]:
+    """Return the names of the data that a room was calibrated on."""
+    return [] if room.calibration is None else room.calibration.measured.split()
 
 
 def _names(pairs: Sequence[Pair]) -> str:
     return ", ".join(" to ".join(pair) for pair in pairs)
 
 
-def _covariance(observations: Observations, measured: Measurement, level: str) -> Array:
+def _covariance(
+    observations: Observations, measured: Measurement, level: str, simulated: Observations
+) -> Array:
     """Return the covariance of the measurement's errors, over the values that are there."""
     parameters, pairs = observations.parameters, observations.pairs
     frequencies = observations.centre_frequencies
@@ -147,12 +177,14 @@ def _covariance(observations: Observations, measured: Measurement, level: str) -
     full = np.zeros((*shape, *shape))
     times = _decay_times(observations, measured)
     common = _between_teams(parameters, frequencies) * _COMMON
+    direct = np.zeros((n_pairs, n_bands))
+    if simulated.direct is not None:
+        direct = simulated.direct[[simulated.pairs.index(pair) for pair in pairs]]
     for k in range(n_bands):
-        noise = response_noise(
-            parameters, times[k], float(bands.bandwidth_factor(frequencies) * frequencies[k])
-        )
+        bandwidth = float(bands.bandwidth_factor(frequencies) * frequencies[k])
+        noise = response_noise(parameters, times[k], bandwidth, direct[:, k])
         for i in range(n_pairs):
-            full[:, i, k, :, i, k] = noise
+            full[:, i, k, :, i, k] = noise[i]
         full[:, :, k, :, :, k] += np.einsum(
             "pq,ij->piqj", np.diag(common[:, k] ** 2), np.ones((n_pairs,) * 2)
         )
@@ -200,20 +232,30 @@ def _between_teams(parameters: Sequence[str], frequencies: Array) -> Array:
     return np.asarray(np.exp(np.log(ends[:, :1]) * (1 - position) + np.log(ends[:, 1:]) * position))
 
 
-def response_noise(parameters: Sequence[str], decay_time: float, bandwidth: float) -> Array:
-    """Return the covariance of the parameters of one noise-like response, (n_parameters, n_parameters).
+def response_noise(
+    parameters: Sequence[str],
+    decay_time: float,
+    bandwidth: float,
+    direct: ArrayLike = 0.0,
+) -> Array:
+    """Return the covariance of the parameters of noise-like responses, (..., n_parameters twice).
 
-    The response decays exponentially, with ``decay_time`` in s and ``bandwidth`` in Hz. Its energy
-    in a bin has the relative variance 1 / (bandwidth width). ISO 3382-2's standard deviation of T20
-    is nearly the same.
+    A response is the direct sound, with the share ``direct`` (...) of the energy, and an exponential
+    decay with ``decay_time`` in s. In a band of ``bandwidth`` in Hz the energy of the decay in a bin
+    has the relative variance 1 / (bandwidth width). ISO 3382-2's standard deviation of T20 is nearly
+    the same as this one.
 
     Examples
     --------
     >>> noise = response_noise(["t20", "level"], 1.0, 710.0)
     >>> print(np.sqrt(np.diag(noise)).round(3))
-    [0.034 0.428]
+    [0.033 0.428]
     """
     width = 2 * decay_time / _BINS
-    energy = np.asarray(10.0 ** (-6 * np.arange(_BINS) * width / decay_time))
-    by_bin = gradients(energy, width, parameters) * energy
-    return np.asarray(by_bin @ by_bin.T) / (bandwidth * width)
+    share = np.asarray(direct, dtype=float)[..., np.newaxis]
+    decay = np.asarray(10.0 ** (-6 * np.arange(_BINS) * width / decay_time))
+    reverberant = (1 - share) * decay / decay.sum()
+    energy = reverberant.copy()
+    energy[..., :1] += share
+    by_bin = gradients(energy, width, parameters) * reverberant
+    return np.asarray(np.einsum("p...b,q...b->...pq", by_bin, by_bin)) / (bandwidth * width)

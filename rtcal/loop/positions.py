@@ -9,25 +9,31 @@ the objective with the simulator itself would rise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.optimize import brentq
 
+from rtcal.acoustics import bands
+from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
-from rtcal.errors import SimulatorError
-from rtcal.loop.control_runs import ControlRuns
-from rtcal.loop.measured_pairs import MeasuredPairs, Pair, measured_pairs
-from rtcal.loop.positions_result import Linearised, PositionsResult
+from rtcal.errors import DataError, SimulatorError
+from rtcal.loop.control_runs import POSITION, ControlRuns, Report, control_runs
+from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, measured_pairs
+from rtcal.loop.positions_result import PositionsResult, Step
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observable, Observations, jacobian, observe
+from rtcal.support import checks
 from rtcal.support.types import Array
+from rtcal.support.version import __version__
 
 STEPS = 4
 """Largest number of Gauss-Newton steps."""
@@ -36,6 +42,9 @@ _SETTLED = 0.05
 """Change of alpha in prior sigmas after which no further step is taken."""
 _UNKNOWN_ERROR = 0.05
 """Standard deviation of a simulator's error that no control run tells: one JND of T, and 0.5 dB."""
+
+_LARGEST_SCALE = 1000.0
+"""Largest factor of the simulator's error: then it is some 30 times as large as in the control runs."""
 
 POSITIONS = LinearObservations("positions")
 
@@ -49,39 +58,56 @@ def calibrate_positions(
     exclude: Sequence[Pair] = (),
     calibration: Calibration | None = None,
     controls: ControlRuns | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    position_uncertainty: float = POSITION,
     seed: int = 0,
+    report: Report | None = None,
 ) -> PositionsResult:
     """Calibrate to every position; see `rtcal.calibrate_simulator`."""
+    checks.positive("position_uncertainty", position_uncertainty, "m")
     match, notes = _given(simulator, room.alpha, match, seed)
     first = observe(simulator, room.alpha, match, seed=seed)
-    data = measured_pairs(room, measured, match, first.pairs, exclude)
+    data = measured_pairs(room, measured, match, first, exclude)
+    _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
+    if controls is None:
+        controls = control_runs(
+            simulator,
+            room,
+            match,
+            seed=seed,
+            position_uncertainty=position_uncertainty,
+            cache=cache,
+            report=report,
+        )
     listener = _Listener(simulator, data, first.pairs, seed)
     before = listener.chosen(first)
-    if controls is None:
-        bias = np.zeros_like(data.observations.values)
-        error = np.diag(_unknown_error(data.observations))
-    else:
-        controls = controls.at(data.observations.parameters, data.observations.pairs)
-        bias, error = controls.bias, controls.covariance()
-    covariance = data.covariance + error[np.ix_(data.used.ravel(), data.used.ravel())]
+    used = data.used.ravel()
+    bias, error = _simulator_error(controls, data)
+    error = error[np.ix_(used, used)]
 
     def residual(values: Array) -> Array:
         return np.asarray((data.observations.values - values - bias)[data.used])
 
-    calibration = _composed(calibration or _plain(room))
-    problem = calibration.build(room)
-    plain = not calibration.constraints and len(as_objective(calibration.objective).terms) == 2
-    times = None if plain else measured
+    composed = _composed(calibration or _plain(room))
+    problem = composed.build(room)
+    # T enters where the user's own terms match it.
+    times = None if calibration is None else measured
+    prior = prior_covariance(room)
     inverse_sigma = np.divide(1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0)
-    factor = np.asarray(np.linalg.cholesky(covariance), dtype=float)
-    alpha, heard = room.alpha, before
-    steps: list[Linearised] = []
-    while len(steps) < STEPS:
+    alpha, heard, steps, settled = room.alpha, before, list[Step](), False
+    scale, covariance, factor = 1.0, data.covariance, np.eye(0)
+    while len(steps) < STEPS and not settled:
         matrix = listener.linearised(alpha)
         values = residual(heard) + matrix @ alpha.ravel()
+        if not steps:
+            expected = matrix @ prior @ matrix.T + data.covariance
+            scale = error_scale(values - matrix @ room.alpha.ravel(), expected, error)
+            covariance = data.covariance + scale * error
+            factor = np.asarray(np.linalg.cholesky(covariance))
         numbers = Observed(matrix=matrix, values=values, covariance=covariance)
         answer = problem.solve(times, observed={POSITIONS: numbers}, method="positions")
-        start, now, share = alpha, _objective(factor, residual(heard), answer, alpha), 1.0
+        start, start_heard = alpha, heard
+        now, share = _objective(factor, residual(heard), answer, alpha), 1.0
         for _ in range(_HALVINGS):
             alpha = start + share * (answer.alpha - start)
             heard = listener.values(alpha)
@@ -89,23 +115,91 @@ def calibrate_positions(
             if not steps or _objective(factor, residual(heard), answer, alpha) <= now:
                 break
             share /= 2
-        steps.append(Linearised(start, matrix, share, answer))
-        if np.max(np.abs(alpha - start) * inverse_sigma) < _SETTLED:
-            break
+        else:
+            alpha, heard, share = start, start_heard, 0.0
+        steps.append(Step(start, matrix, share, answer))
+        settled = bool(np.max(np.abs(alpha - start) * inverse_sigma) < _SETTLED)
+    last = steps[-1]
     return PositionsResult(
         prior=room,
+        room=_calibrated(room, alpha, last, simulator, data, controls),
         simulator=simulator.name,
         simulations=listener.calls,
-        alpha=alpha,
-        data=data,
+        measured=data,
         before=_with(data.observations, before),
         after=_with(data.observations, heard),
         controls=controls,
+        error_scale=scale,
+        innovation=residual(heard) + last.matrix @ (alpha - room.alpha).ravel(),
         covariance=covariance,
-        innovation=residual(before),
+        prior_covariance=prior,
         steps=tuple(steps),
+        settled=settled,
         notes=(*notes, *data.notes),
     )
+
+
+def error_scale(innovation: Array, expected: Array, error: Array) -> float:
+    """Return the factor of the simulator's error with which chi-square is its degrees of freedom.
+
+    At least 1, and at most `_LARGEST_SCALE`. ``innovation`` (n,) is what was measured less what the
+    simulator hears with the prior, ``expected`` (n, n) its covariance without the simulator's error,
+    ``error`` (n, n) that of the simulator's error.
+    """
+
+    def excess(scale: float) -> float:
+        white = np.linalg.solve(expected + scale * error, innovation)
+        return float(innovation @ white) - len(innovation)
+
+    if excess(1.0) <= 0:
+        return 1.0
+    if excess(_LARGEST_SCALE) >= 0:
+        return _LARGEST_SCALE
+    return float(brentq(excess, 1.0, _LARGEST_SCALE, rtol=1e-3))
+
+
+def prior_covariance(room: Room) -> Array:
+    """Return the covariance of the room's prior, (n_materials * n_bands,) squared."""
+    between = np.eye(room.n_materials)
+    for (a, b), r in room.material_correlation.items():
+        i, j = room.material_index(a), room.material_index(b)
+        between[i, j] = between[j, i] = r
+    of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
+    sigma = room.sigma.ravel()
+    return np.asarray(sigma[:, np.newaxis] * np.kron(between, of_bands) * sigma)
+
+
+def _simulator_error(controls: ControlRuns | None, data: MeasuredPairs) -> tuple[Array, Array]:
+    """Return the simulator's mean error and its covariance over all values."""
+    wanted = data.observations
+    if controls is not None:
+        of_pairs = controls.at(wanted.parameters, wanted.pairs)
+        return of_pairs.bias, of_pairs.covariance()
+    factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in wanted.parameters]
+    variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
+    return np.zeros_like(wanted.values), np.diag(
+        np.broadcast_to(variance, wanted.values.shape).ravel()
+    )
+
+
+def _calibrated(
+    room: Room,
+    alpha: Array,
+    last: Step,
+    simulator: Simulator,
+    data: MeasuredPairs,
+    controls: ControlRuns | None,
+) -> Room:
+    """Return the room with its coefficients, their sigma where it is known, and a record."""
+    record = CalibrationRecord(
+        method="positions",
+        equation=f"every position heard by {simulator.name}",
+        measured=" ".join([*history(room), *data.fingerprints]),
+        solver=last.answer.solver,
+        version=__version__,
+    )
+    sigma = room.sigma if controls is None else np.minimum(last.answer.posterior_sigma, 1.0)
+    return room.replace(alpha=np.clip(alpha, 0.0, 1.0), sigma=sigma, calibration=record)
 
 
 @dataclass
@@ -163,6 +257,19 @@ def _given(
     return given, (note,) if absent else ()
 
 
+def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: float) -> None:
+    """Raise DataError if several pairs stand where one does: they tell no more than one."""
+    sources, receivers = (getattr(simulator, kind, None) for kind in ("sources", "receivers"))
+    if len(pairs) < 2 or not isinstance(sources, Mapping) or not isinstance(receivers, Mapping):
+        return
+    places = np.array([[*sources[s], *receivers[r]] for s, r in pairs], dtype=float)
+    if np.max(np.linalg.norm(places - places[0], axis=1)) <= uncertainty:
+        raise DataError(
+            f"all {len(pairs)} pairs stand at one place, within the {uncertainty:g} m that positions "
+            "are uncertain by; every position needs several"
+        )
+
+
 def _plain(room: Room) -> Calibration:
     return Calibration(
         PriorDeviation(
@@ -191,13 +298,6 @@ def _others(answer: CalibrationResult, alpha: Array) -> float:
     u[: layout.n_alpha] = alpha[layout.first].ravel()
     terms = zip(model.objective.terms, model.data.weights, strict=True)
     return sum(w * t.value(u, model.data) for t, w in terms if t != POSITIONS)
-
-
-def _unknown_error(observed: Observations) -> Array:
-    """Return the variance of a simulator's error where no control run tells it."""
-    factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in observed.parameters]
-    by_parameter = (_UNKNOWN_ERROR * np.array(factor)) ** 2
-    return np.broadcast_to(by_parameter[:, None, None], observed.values.shape).ravel()
 
 
 def _with(like: Observations, values: Array) -> Observations:

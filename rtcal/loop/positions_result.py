@@ -2,26 +2,44 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
+from rtcal.acoustics.parameters import UNITS
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
+from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.control_runs import ControlRuns
-from rtcal.loop.measured_pairs import MeasuredPairs
+from rtcal.loop.measured_pairs import MeasuredPairs, Pair
 from rtcal.simulators.observations import Observations
+from rtcal.support import html, text
+from rtcal.support.arguments import checked
+from rtcal.support.files import json_numbers, write_text
 from rtcal.support.types import Array
 
-_COVERED = 1.6449
+KIND = "positions 1"
+"""Value of the key ``rtcal`` in a saved result."""
+_HALF_WIDTH = 1.6449
 """Half the width of a 90 % interval in standard deviations of a normal distribution."""
+CONTRADICTION = 0.001
+"""Probability, divided among the pairs, below which a pair contradicts all others."""
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
-    """A Gauss-Newton step: where it was linearised, the derivatives, the share taken, the answer."""
+class Step:
+    """A Gauss-Newton step.
+
+    ``alpha`` (n_materials, n_bands) is where the simulator was linearised, ``matrix`` (n_used,
+    n_materials * n_bands) are the derivatives there, ``share`` is how much of the way to the
+    ``answer`` of the QP was gone.
+    """
 
     alpha: Array
     matrix: Array
@@ -31,46 +49,318 @@ class Linearised:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PositionsResult:
-    """A simulator calibrated to what every position heard."""
+    """A simulator calibrated to what every position heard.
+
+    Attributes
+    ----------
+    prior : Room
+        The room as it was given.
+    room : Room
+        With the coefficients for the simulator, their posterior sigma, and a record.
+    simulator : str
+        Name of the simulator. The coefficients belong to no other.
+    simulations : int
+        Number of all evaluations of the simulator or its derivatives, without control runs.
+        `PathTracing` weighs the same traced paths in each.
+    measured : MeasuredPairs
+        What was matched; its ``observations`` name parameters and pairs.
+    before, after : Observations
+        What the simulator hears with the prior and with the coefficients returned.
+    controls : ControlRuns or None
+        The simulator's error, to be given to a second calibration. None if it is not known.
+    error_scale : float
+        Factor of the error's variance: above 1 where simulator and prior miss what was measured by
+        more than they should.
+    innovation, covariance : array (n_used,), (n_used, n_used)
+        What was measured less what the corrected simulator hears at ``steps[-1].alpha``, linearly
+        extrapolated to the prior; covariance of the errors of measurement and simulator.
+    prior_covariance : array (n_materials * n_bands, n_materials * n_bands)
+    steps : tuple of Step
+    settled : bool
+        Whether the last step changed alpha by less than a twentieth of its prior sigma.
+    notes : tuple of str
+        What was left out, and why.
+    """
 
     prior: Room
+    room: Room
     simulator: str
     simulations: int
-    alpha: Array
-    data: MeasuredPairs
+    measured: MeasuredPairs
     before: Observations
     after: Observations
     controls: ControlRuns | None
-    covariance: Array
+    error_scale: float
     innovation: Array
-    steps: tuple[Linearised, ...]
+    covariance: Array
+    prior_covariance: Array
+    steps: tuple[Step, ...]
+    settled: bool
     notes: tuple[str, ...]
 
-    @cached_property
+    @property
+    def alpha(self) -> Array:
+        """The calibrated coefficients, (n_materials, n_bands)."""
+        return self.room.alpha
+
+    @property
     def sigma(self) -> Array:
-        """Posterior standard deviation of alpha, (n_materials, n_bands)."""
+        """Posterior standard deviation of alpha, (n_materials, n_bands); it does not count bounds."""
         return self.steps[-1].answer.posterior_sigma
 
     @property
+    def certificate(self) -> Certificate:
+        """Error bounds of the last step's QP."""
+        return self.steps[-1].answer.certificate
+
+    @property
     def interval(self) -> tuple[Array, Array] | None:
-        """Ends of the 90 % interval of alpha; None without control runs."""
+        """Ends of the 90 % interval of alpha within [0, 1], each (n_materials, n_bands).
+
+        None if the simulator's error is not known: no control runs.
+        """
         if self.controls is None:
             return None
-        half = _COVERED * self.sigma
+        half = _HALF_WIDTH * self.sigma
         return np.clip(self.alpha - half, 0, 1), np.clip(self.alpha + half, 0, 1)
 
-    def _gap(self, model: Observations) -> Array:
-        measured = self.data.observations
-        return np.stack(
-            [gap_jnd(model.natural(p), measured.natural(p), p) for p in measured.parameters]
-        )
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters that were matched."""
+        return self.measured.observations.parameters
 
     @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """The pairs that were matched."""
+        return self.measured.observations.pairs
+
+    @cached_property
     def gap_before(self) -> Array:
-        """Gap to the measured values in JND, (n_parameters, n_pairs, n_bands)."""
+        """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
         return self._gap(self.before)
 
-    @property
+    @cached_property
     def gap_after(self) -> Array:
-        """Gap to the measured values in JND, (n_parameters, n_pairs, n_bands)."""
+        """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
         return self._gap(self.after)
+
+    def _gap(self, simulated: Observations) -> Array:
+        """Return the gap; a relative level has its mean over each source's pairs taken off."""
+        measured = self.measured.observations
+        gaps = []
+        for name in self.parameters:
+            model, heard = simulated.natural(name), measured.natural(name)
+            if name == "level" and self.measured.level == "relative":
+                model, known = model.copy(), np.isfinite(heard)
+                for source in {s for s, _ in self.pairs}:
+                    rows = [i for i, (s, _) in enumerate(self.pairs) if s == source]
+                    offset = np.where(known, model - heard, 0.0)[rows].sum(axis=0)
+                    model[rows] -= offset / np.maximum(known[rows].sum(axis=0), 1)
+            gaps.append(gap_jnd(model, heard, name))
+        return np.stack(gaps)
+
+    @cached_property
+    def pulls(self) -> Array:
+        """How far each pair moves each coefficient, in prior sigmas, (n_pairs, n_materials, n_bands).
+
+        Of the linear estimate without bounds: the sum over the pairs is its whole shift.
+        """
+        matrix = self.steps[-1].matrix
+        across = self.prior_covariance @ matrix.T
+        weighted = np.linalg.solve(matrix @ across + self.covariance, np.eye(len(matrix)))
+        gain = across @ weighted
+        sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf).ravel()
+        shape = self.prior.alpha.shape
+        return np.stack(
+            [
+                (gain[:, rows] @ self.innovation[rows] / sigma).reshape(shape)
+                for rows in self._rows_of_pairs
+            ]
+        )
+
+    @cached_property
+    def misfit(self) -> Array:
+        """Misfit of each pair with what all others let expect, (n_pairs,): 1 is usual.
+
+        chi-square over its degrees of freedom, relative to the median over the pairs where that is
+        above 1.
+        """
+        ratio = self._chi_square[0] / self._chi_square[1]
+        return np.asarray(ratio / max(1.0, float(np.median(ratio))))
+
+    @property
+    def contradictions(self) -> tuple[Pair, ...]:
+        """Pairs that contradict all others. Check their positions and names, or ``exclude`` them."""
+        degrees = self._chi_square[1]
+        chance = chi2.sf(self.misfit * degrees, degrees)
+        worst = np.argsort(-self.misfit)
+        return tuple(self.pairs[i] for i in worst if chance[i] < CONTRADICTION / len(self.pairs))
+
+    @cached_property
+    def _chi_square(self) -> tuple[Array, Array]:
+        matrix = self.steps[-1].matrix
+        expected = matrix @ self.prior_covariance @ matrix.T + self.covariance
+        precision = np.linalg.inv(expected)
+        pull = precision @ self.innovation
+        values = [
+            float(pull[rows] @ np.linalg.solve(precision[np.ix_(rows, rows)], pull[rows]))
+            for rows in self._rows_of_pairs
+        ]
+        return np.array(values), np.array([max(len(rows), 1) for rows in self._rows_of_pairs])
+
+    @property
+    def _rows_of_pairs(self) -> list[Any]:
+        """Which of the values used belong to each pair."""
+        pair = np.broadcast_to(np.arange(len(self.pairs))[:, np.newaxis], self.measured.used.shape)
+        return [np.flatnonzero(pair[self.measured.used] == i) for i in range(len(self.pairs))]
+
+    @cached_property
+    def learned(self) -> tuple[tuple[str, float, float], ...]:
+        """Materials with prior and posterior sigma (rms over bands), most learned first."""
+        before, after = (np.sqrt(np.mean(s**2, axis=1)) for s in (self.prior.sigma, self.sigma))
+        share = np.divide(after, before, out=np.ones_like(after), where=before > 0)
+        return tuple(
+            (self.prior.materials[i], float(before[i]), float(after[i]))
+            for i in np.argsort(share, kind="stable")
+        )
+
+    def __repr__(self) -> str:
+        return f"<{self._description}>"
+
+    @property
+    def _description(self) -> str:
+        return (
+            f'PositionsResult of "{text.shortened(self.simulator)}": {len(self.pairs)} pairs, '
+            f"{', '.join(p.upper() for p in self.parameters)}, {len(self.steps)} steps"
+        )
+
+    def __str__(self) -> str:
+        lines = [f"Coefficients for {self.simulator} only"]
+        for header, rows in (self._gap_table(), self._material_table()):
+            lines += [
+                "",
+                *text.table([(r[0], r[1:]) for r in rows], header=(header[0], header[1:])),
+            ]
+        lines.append("")
+        for note in self._notes():
+            lines += text.wrapped(note, hanging="    ")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Return the table of the materials, darker where more was learned."""
+        header, rows = self._material_table()
+        cells: list[list[str | html.Cell]] = [[*row] for row in rows]
+        for row, (_, before, after) in zip(cells, self.learned, strict=True):
+            share = 1 - after / before if before > 0 else 0.0
+            row[2] = html.Cell(str(row[2]), float(np.clip(share, 0, 1)))
+        return html.table(self._description, header, cells, self._notes())
+
+    def _gap_table(self) -> tuple[list[str], list[list[str]]]:
+        """Return header and rows: rms gaps by pair, before and after, and over all pairs."""
+        header = ["rms gap / JND", *(p.upper() for p in self.parameters)]
+        squares = [self.gap_before**2, self.gap_after**2]
+
+        def row(name: str, pairs: Any) -> list[str]:
+            ends = [_rms(s[:, pairs]) for s in squares]
+            return [name, *(f"{_n(a)} to {_n(b)}" for a, b in zip(*ends, strict=True))]
+
+        rows = [row(" to ".join(pair), [i]) for i, pair in enumerate(self.pairs)]
+        return header, [*rows, row("all", list(range(len(self.pairs))))]
+
+    def _material_table(self) -> tuple[list[str], list[list[str]]]:
+        """Return header and rows: what was learned of each material, most first."""
+        header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
+        strength = np.abs(self.pulls).mean(axis=2)
+        sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf)
+        shift = np.sqrt((((self.alpha - self.prior.alpha) / sigma) ** 2).mean(axis=1))
+        rows = []
+        for name, before, after in self.learned:
+            i = self.prior.material_index(name)
+            pair = " to ".join(self.pairs[int(np.argmax(strength[:, i]))])
+            rows.append([name, f"{before:.3f}", f"{after:.3f}", f"{shift[i]:.1f}", pair])
+        return header, rows
+
+    def _notes(self) -> list[str]:
+        notes = list(self.notes)
+        if "level" in self.parameters:
+            notes.append(
+                "Level: absolute, G of a calibrated source."
+                if self.measured.level == "absolute"
+                else "Level: relative between the positions of a source."
+            )
+        if self.controls is None:
+            notes.append("No interval: no control run tells this simulator's error.")
+        if self.error_scale > 1:
+            notes.append(
+                "Simulator and prior miss what was measured by more than their errors let expect: the "
+                f"variance of the simulator's error was taken {self.error_scale:.1f} times as large."
+            )
+        for pair in self.contradictions:
+            notes.append(
+                f"{' to '.join(pair)} contradicts all other pairs: check its names and positions, or "
+                "leave it out (exclude)."
+            )
+        if not self.settled:
+            notes.append("Not settled: the last step still moved alpha.")
+        return notes
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain numbers, lists and text; None where a value is missing."""
+        interval = self.interval
+        return {
+            "rtcal": KIND,
+            "simulator": self.simulator,
+            "simulations": self.simulations,
+            "centre_frequencies": json_numbers(self.prior.centre_frequencies),
+            "parameters": list(self.parameters),
+            "units": [UNITS[p] for p in self.parameters],
+            "level": self.measured.level,
+            "pairs": [list(pair) for pair in self.pairs],
+            "measured": [json_numbers(v) for v in self._natural(self.measured.observations)],
+            "before": [json_numbers(v) for v in self._natural(self.before)],
+            "after": [json_numbers(v) for v in self._natural(self.after)],
+            "gap_before_jnd": json_numbers(self.gap_before),
+            "gap_after_jnd": json_numbers(self.gap_after),
+            "materials": [
+                {
+                    "name": name,
+                    "alpha_before": json_numbers(self.prior.alpha[i]),
+                    "sigma_before": json_numbers(self.prior.sigma[i]),
+                    "alpha_after": json_numbers(self.alpha[i]),
+                    "sigma_after": json_numbers(self.sigma[i]),
+                    "interval_after": interval and [json_numbers(end[i]) for end in interval],
+                    "pulls": json_numbers(self.pulls[:, i]),
+                }
+                for i, name in enumerate(self.prior.materials)
+            ],
+            "misfit": json_numbers(self.misfit),
+            "contradictions": [list(pair) for pair in self.contradictions],
+            "control_runs": 0 if self.controls is None else len(self.controls.errors),
+            "error_scale": self.error_scale,
+            "steps": [step.share for step in self.steps],
+            "settled": self.settled,
+            "worst_certificate": self.certificate.worst,
+            "notes": self._notes(),
+        }
+
+    def _natural(self, heard: Observations) -> list[Array]:
+        return [heard.natural(p) for p in self.parameters]
+
+    def to_json(self) -> str:
+        """Return the text of `to_dict` as JSON."""
+        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+
+    @checked
+    def save(self, path: str) -> None:
+        """Write the text of `to_json` to a file; a failure leaves no part of it."""
+        write_text(path, self.to_json())
+
+
+def _rms(squares: Array) -> list[float]:
+    """Return the root mean square over pairs and bands by parameter, NaN without a value."""
+    values: Sequence[Array] = [s[np.isfinite(s)] for s in squares]
+    return [float(np.sqrt(v.mean())) if v.size else float("nan") for v in values]
+
+
+def _n(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.1f}"

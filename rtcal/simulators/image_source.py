@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import product
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +102,6 @@ class ImageSource(ShoeboxSimulator):
 
     duration: float
     bin_width: float = 0.001
-    name: ClassVar[str] = "image sources"
     images: tuple[Images, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -120,6 +118,11 @@ class ImageSource(ShoeboxSimulator):
             )
         positions = product(self.box.sources, self.box.receivers)
         object.__setattr__(self, "images", tuple(self._images(s, r) for s, r in positions))
+
+    @property
+    def name(self) -> str:
+        """Name that calibrated coefficients belong to."""
+        return "image sources"
 
     def energy(self, alpha: Array) -> Array:
         """Return the energy in each bin after the direct sound, (n_pairs, n_bands, n_bins), in 1/m².
@@ -149,6 +152,10 @@ class ImageSource(ShoeboxSimulator):
             )
             energy *= np.exp(-np.multiply.outer(self.room.air_attenuation, images.lengths))
         return out
+
+    def decays(self, alpha: Array) -> tuple[Array, float]:
+        """Return `energy` and the width of its bins in s."""
+        return self.energy(alpha), self.bin_width
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Return EDT, T20, T30, C50, C80, D50 and Ts by pair; the seed has no effect.

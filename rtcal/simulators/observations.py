@@ -49,12 +49,15 @@ class Observations:
         Hz.
     values : array (n_parameters, n_pairs, n_bands)
         NaN where missing.
+    direct : array (n_pairs, n_bands), optional
+        Share of the direct sound in the energy, where it is simulated.
     """
 
     parameters: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
     centre_frequencies: Array
     values: Array
+    direct: Array | None = None
 
     def __post_init__(self) -> None:
         shape = (len(self.parameters), len(self.pairs), len(self.centre_frequencies))
@@ -252,6 +255,7 @@ def of_decays(
         pairs=tuple(pairs),
         centre_frequencies=centre_frequencies,
         values=values,
+        direct=energy[..., 0] / energy.sum(-1),
     )
 
 

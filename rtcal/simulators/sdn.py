@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import decay
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
-from rtcal.errors import DataError, TooShortError
+from rtcal.errors import DataError
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.support import checks, jit
@@ -169,20 +169,16 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
             If a decay of ``longest`` does not hold T20.
         """
         checks.whole("seed", seed, 0)
+        return decay.measurement(*self.decays(alpha), self.centre_frequencies, self.box.pairs)
+
+    def decays(self, alpha: Array) -> tuple[Array, float]:
+        """Return energy decays that hold T20, or of ``longest``, and the width of their bins in s."""
         duration = min(self._estimate(check_alpha(self, alpha)), self.longest)
         while True:
-            responses = self.impulse_responses(alpha, duration)
-            try:
-                return decay.measurement(
-                    self._from_onset(responses) ** 2,
-                    1 / self.sampling_rate,
-                    self.centre_frequencies,
-                    self.box.pairs,
-                )
-            except TooShortError:
-                if duration >= self.longest:
-                    raise
-                duration = min(1.6 * duration, self.longest)
+            energy = self._from_onset(self.impulse_responses(alpha, duration)) ** 2
+            if duration >= self.longest or not decay.too_short(energy).any():
+                return energy / (4 * np.pi), 1 / self.sampling_rate
+            duration = min(1.6 * duration, self.longest)
 
     def _estimate(self, alpha: Array) -> float:
         """Return Eyring's T in s of the most reverberant band, at least 0.1, plus the first delay.

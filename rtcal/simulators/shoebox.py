@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.simulators.base import RoomSimulator
+from rtcal.simulators import observations
+from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.observations import MATCH, Observations
 from rtcal.support import checks
 from rtcal.support.types import Array
 
@@ -67,6 +69,36 @@ class ShoeboxSimulator(RoomSimulator, ABC):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "box", shoebox(self.room, self.sources, self.receivers))
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name that calibrated coefficients belong to."""
+
+    @abstractmethod
+    def decays(self, alpha: Array) -> tuple[Array, float]:
+        """Return energy decays from the direct sound on, and the width of their bins in s.
+
+        (n_pairs, n_bands, n_bins), in 1/m²: the direct sound of a source of unit energy is
+        1 / (4 pi d²).
+        """
+
+    def observe(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Observations:
+        """Return what each position hears for alpha (n_materials, n_bands); the seed has no effect.
+
+        The level is G of a source whose power is known. Raises as `simulate` does.
+        """
+        checks.whole("seed", seed, 0)
+        match = observations.checked_parameters(match)
+        energy, width = self.decays(check_alpha(self, alpha))
+        return observations.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
+
+    def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
+        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_materials).
+
+        They are differences; see `rtcal.simulators.observations.differences`.
+        """
+        return observations.differences(self, alpha, match, seed=seed)
 
     @abstractmethod
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:

@@ -1,0 +1,168 @@
+"""``rtcal fit``: coefficients from what every position heard, by path tracing in the room's mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rtcal.command.assignments import errors_name_options
+from rtcal.command.console import (
+    bar_wanted,
+    json_option,
+    output_folder,
+    quiet_option,
+    tell,
+    without_air_warning,
+    written,
+)
+from rtcal.errors import DataError
+
+if TYPE_CHECKING:
+    from rtcal.acoustics.room import Room
+    from rtcal.simulators.geometry import Polyhedron
+
+_FILES = ("room.toml", "result.json")
+_PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
+
+
+@click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
+@click.argument("room", type=click.Path())
+@click.argument("measured", type=click.Path())
+@click.option(
+    "--positions",
+    type=click.Path(dir_okay=False),
+    required=True,
+    help="Where sources and receivers stand (TOML, m).",
+)
+@click.option(
+    "--mesh", type=click.Path(dir_okay=False), help="The room's mesh (OBJ), unless a box."
+)
+@click.option("--unit", type=float, default=1.0, show_default=True, help="Of the mesh, in m.")
+@click.option(
+    "--match",
+    multiple=True,
+    type=click.Choice(_PARAMETERS),
+    default=("t20", "edt", "c80", "ts", "level"),
+    show_default=True,
+    help="What is matched at every position; several times.",
+)
+@click.option(
+    "--exclude", multiple=True, metavar="SOURCE:RECEIVER", help="Leave a pair out; several times."
+)
+@click.option(
+    "--scattering", type=float, help="Of every material, unless the room states coefficients."
+)
+@click.option("--paths", type=click.IntRange(100), default=8000, show_default=True, help="Traced.")
+@click.option(
+    "--position-uncertainty",
+    type=float,
+    default=0.1,
+    show_default=True,
+    help="How far sources and receivers may stand from there, in m.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False),
+    help="Folder for the calibrated room (room.toml) and all numbers (result.json). Nothing is "
+    "written without it.",
+)
+@json_option
+@quiet_option
+def fit(
+    room: str,
+    measured: str,
+    positions: str,
+    mesh: str | None,
+    unit: float,
+    match: tuple[str, ...],
+    exclude: tuple[str, ...],
+    scattering: float | None,
+    paths: int,
+    position_uncertainty: float,
+    seed: int,
+    out: str | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Calibrate ROOM (TOML) to every pair of MEASURED (CSV) by path tracing.
+
+    The control runs are kept beside ROOM, in .rtcal_cache: a second calibration is quicker.
+
+    Example: rtcal fit room.toml pairs.csv --mesh room.obj --positions positions.toml --out fitted
+    """
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Room
+    from rtcal.discrepancy.cache import FOLDER
+    from rtcal.io import position_files
+    from rtcal.loop.control_runs import RUNS
+    from rtcal.loop.positions import calibrate_positions
+    from rtcal.simulators.path_tracing import PathTracing
+    from rtcal.support.files import make_folder, spare, write_all
+    from rtcal.support.progress import bar
+
+    folder = output_folder("--out", out)
+    if folder is not None:
+        read = [room, measured, positions, *([] if mesh is None else [mesh])]
+        spare([folder / name for name in _FILES], read)
+    stated = Room.from_file(room)
+    heard = Measurement.from_file(measured)
+    sources, receivers = position_files.read(positions)
+    with errors_name_options("scattering", "position_uncertainty"), without_air_warning():
+        tracer = PathTracing(
+            geometry=_geometry(stated, mesh, unit),
+            room=stated,
+            sources=sources,
+            receivers=receivers,
+            scattering=scattering,
+            n_paths=paths,
+        )
+        with bar(RUNS, "control run", bar_wanted(quiet)) as shown:
+            result = calibrate_positions(
+                tracer,
+                stated,
+                heard,
+                match,
+                exclude=[_pair(text) for text in exclude],
+                cache=Path(room).parent / FOLDER,
+                position_uncertainty=position_uncertainty,
+                seed=seed,
+                report=lambda done, of: shown.update(1),
+            )
+    text = str(result)
+    if folder is not None:
+        contents = dict(
+            zip(
+                [folder / name for name in _FILES],
+                [result.room.to_text().encode(), result.to_json().encode()],
+                strict=True,
+            )
+        )
+        make_folder(folder)
+        write_all(contents)
+        text += "\n" + written(list(contents))
+    tell(text, result.to_dict(), quiet=quiet, as_json=as_json)
+
+
+def _geometry(room: Room, mesh: str | None, unit: float) -> Polyhedron:
+    """Return the mesh, or the box of a room with dimensions and a surface per wall."""
+    from rtcal.io import obj
+    from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+
+    if mesh is not None:
+        return obj.read(mesh, unit=unit)
+    if room.dimensions is None:
+        raise DataError(f'room "{room.name}" states no dimensions: give its mesh (--mesh)')
+    if room.n_materials == 1:
+        return Polyhedron.shoebox(room.dimensions, room.materials[0])
+    walls = {s.name: s.material for s in room.surfaces if s.name in SHOEBOX_WALLS}
+    return Polyhedron.shoebox(room.dimensions, walls)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    source, colon, receiver = text.partition(":")
+    if not (source and colon and receiver):
+        raise DataError(f'--exclude: "{text}" is not SOURCE:RECEIVER')
+    return source, receiver

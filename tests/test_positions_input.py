@@ -1,0 +1,294 @@
+"""Calibration to every position: bad input, other simulators, and the command."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import rtcal as rt
+from rtcal.command.main import cli
+from rtcal.datasets import halls
+from rtcal.errors import DataError, SimulatorError
+from rtcal.io import obj, position_files
+from rtcal.loop import control_runs
+from rtcal.loop.measured_pairs import response_noise
+from rtcal.simulators import ImageSource, Observable, PathTracing, ScatteringDelayNetwork
+from rtcal.simulators.observations import MATCH
+
+HALL = halls.lecture_hall()
+ROOM = HALL.room
+PLACES = {
+    "sources": {name: list(map(float, p)) for name, p in HALL.sources.items()},
+    "receivers": {name: list(map(float, p)) for name, p in HALL.receivers.items()},
+}
+
+
+@pytest.fixture(scope="module")
+def tracer():
+    return PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=160, scattering=0.5)
+
+
+@pytest.fixture(scope="module")
+def measured(tracer):
+    return tracer.simulate(ROOM.alpha * 1.1, seed=3)
+
+
+@pytest.fixture(autouse=True)
+def few_runs(monkeypatch):
+    monkeypatch.setattr(control_runs, "RUNS", 2)
+
+
+def kept(measured, rows, pairs=None, **values):
+    return rt.Measurement(
+        centre_frequencies=measured.centre_frequencies,
+        pairs=pairs or [measured.pairs[i] for i in rows],
+        values={p: v[rows] for p, v in measured.values.items()} | values,
+    )
+
+
+def calibrate(tracer, measured, match=("t20", "c80"), **options):
+    return rt.calibrate_simulator(tracer, ROOM, measured, match=match, **options)
+
+
+def test_a_mean_over_pairs_is_refused(tracer):
+    summary = rt.Measurement.from_values(ROOM.centre_frequencies, t20=np.ones(ROOM.n_bands))
+    with pytest.raises(DataError, match="a row for each source and receiver"):
+        calibrate(tracer, summary)
+
+
+def test_pairs_that_the_simulator_lacks_are_left_out_or_refused(tracer, measured):
+    names = [("S1", "R1"), ("S1", "R9")]
+    result = calibrate(tracer, kept(measured, [0, 1], names))
+    assert result.pairs == (("S1", "R1"),)
+    assert "the simulator has no such pair: S1 to R9" in " ".join(str(result).split())
+    with pytest.raises(DataError, match="no pair is left: the measurement has X to Y"):
+        calibrate(tracer, kept(measured, [0], [("X", "Y")]))
+
+
+def test_parameters_that_were_not_measured_are_left_out_or_refused(tracer, measured):
+    nothing = np.full((len(measured.pairs), ROOM.n_bands), np.nan)
+    every = list(range(len(measured.pairs)))
+    result = calibrate(tracer, kept(measured, every, c80=nothing))
+    assert result.parameters == ("t20",)
+    assert "not measured: C80" in str(result)
+    with pytest.raises(DataError, match="none of LEVEL"):
+        calibrate(tracer, measured, match=("level",))
+
+
+def test_a_missing_value_is_left_out_alone(tracer, measured):
+    c80 = measured.values["c80"].copy()
+    c80[0, 2] = np.nan
+    result = calibrate(tracer, kept(measured, list(range(len(c80))), c80=c80))
+    assert result.measured.used.sum() == result.measured.used.size - 1
+    assert np.isnan(result.gap_after[1, 0, 2])
+    assert np.isfinite(result.alpha).all()
+    assert json.loads(result.to_json())["gap_after_jnd"][1][0][2] is None
+
+
+def test_excluded_pairs_must_have_been_measured(tracer, measured):
+    with pytest.raises(DataError, match="exclude has S9 to R1"):
+        calibrate(tracer, measured, exclude=[("S9", "R1")])
+    with pytest.raises(DataError, match="no pair is left"):
+        calibrate(tracer, measured, exclude=measured.pairs)
+
+
+def test_all_pairs_at_one_place_are_refused(measured):
+    x, y, z = PLACES["receivers"]["R1"]
+    close = {f"R{i}": (x + 0.01 * i, y, z) for i in (1, 2, 3)}
+    tracer = PathTracing(
+        geometry=HALL.geometry,
+        room=ROOM,
+        sources={"S1": PLACES["sources"]["S1"]},
+        receivers=close,
+        n_paths=160,
+        scattering=0.5,
+    )
+    with pytest.raises(DataError, match="all 3 pairs stand at one place"):
+        calibrate(tracer, kept(measured, [0, 1, 2], [("S1", f"R{i}") for i in (1, 2, 3)]))
+
+
+def test_a_place_outside_the_room_is_refused():
+    with pytest.raises(DataError, match=r'receiver "R9" = .* is outside the room'):
+        PathTracing(
+            geometry=HALL.geometry,
+            room=ROOM,
+            sources=PLACES["sources"],
+            receivers={"R9": (99, 0, 1)},
+            scattering=0.5,
+        )
+
+
+def test_the_same_data_are_not_counted_twice(tracer, measured):
+    first = calibrate(tracer, measured)
+    with pytest.raises(DataError, match="already calibrated on these data"):
+        rt.calibrate_simulator(tracer, first.room, measured, match=("t20", "c80"))
+    mean = rt.calibrate(ROOM, measured).room
+    with pytest.raises(DataError, match="already calibrated on these data"):
+        rt.calibrate_simulator(tracer, mean, measured, match=("t20", "c80"))
+
+
+def test_control_runs_of_another_simulator_are_refused(tracer, measured):
+    controls = calibrate(tracer, kept(measured, [0, 1])).controls
+    one = PathTracing(
+        geometry=HALL.geometry,
+        room=ROOM,
+        sources={"S1": PLACES["sources"]["S1"]},
+        receivers={"new": PLACES["receivers"]["R1"]},
+        n_paths=160,
+        scattering=0.5,
+    )
+    with pytest.raises(DataError, match="the control runs lack S1 to new"):
+        calibrate(one, kept(measured, [0], [("S1", "new")]), controls=controls)
+    with pytest.raises(DataError, match="at least 2 runs"):
+        control_runs.ControlRuns(
+            parameters=("t20",), pairs=(("S", "R"),), errors=np.zeros((1, 1, 1, 3))
+        )
+
+
+def test_a_simulator_without_any_of_the_parameters_is_refused():
+    room, measured = rt.datasets.bras_cr2()
+    equation = rt.simulators.EquationSimulator(room=room, equation=rt.Sabine())
+    with pytest.raises(SimulatorError, match="gives none of C80, TS"):
+        rt.calibrate_simulator(equation, room, measured, match=("c80", "ts"))
+
+
+BOX = rt.Room(
+    name="box",
+    volume=105,
+    materials=["floor", "other"],
+    areas=[35, 107],
+    alpha=[[0.3], [0.2]],
+    sigma=[[0.1], [0.05]],
+    centre_frequencies=[1000],
+    dimensions=(5, 7, 3),
+    surfaces=[
+        rt.Surface("floor", "floor", 35.0),
+        rt.Surface("ceiling", "other", 35.0),
+        *(rt.Surface(w, "other", 21.0) for w in ("west", "east")),
+        *(rt.Surface(w, "other", 15.0) for w in ("south", "north")),
+    ],
+)
+IN_BOX = {
+    "sources": {"S": (4.0, 3.5, 2.0)},
+    "receivers": {"R": (2.0, 2.0, 1.5), "Q": (1.0, 5.0, 1.2)},
+}
+
+
+@pytest.mark.parametrize(
+    "simulator",
+    [
+        ImageSource(room=BOX, duration=0.7, **IN_BOX),
+        ScatteringDelayNetwork(room=BOX, sampling_rate=8000, **IN_BOX),
+    ],
+    ids=["image sources", "network"],
+)
+def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
+    assert isinstance(simulator, Observable)
+    heard = simulator.observe(BOX.alpha, MATCH)
+    assert heard.values.shape == (5, 2, 1)
+    np.testing.assert_allclose(
+        heard.natural("t20"), simulator.simulate(BOX.alpha).values["t20"], rtol=1e-12
+    )
+    slope = simulator.jacobian(BOX.alpha, MATCH)
+    assert slope.shape == (5, 2, 1, 2)
+    assert (slope[MATCH.index("level")] < 0).all()
+    distance = np.linalg.norm(np.subtract(IN_BOX["sources"]["S"], IN_BOX["receivers"]["R"]))
+    nothing = simulator.observe(np.full_like(BOX.alpha, 0.999), ("level",)).natural("level")
+    assert nothing[0, 0] == pytest.approx(20 - 20 * np.log10(distance), abs=0.1)
+    true = np.array([[0.4], [0.18]])
+    seen = simulator.observe(true, MATCH)
+    measured = rt.Measurement(
+        centre_frequencies=[1000],
+        pairs=seen.pairs,
+        values={("g" if p == "level" else p): seen.natural(p) for p in MATCH},
+    )
+    result = rt.calibrate_simulator(simulator, BOX, measured, match=MATCH)
+    # Its control runs are path tracings, so its own decays are not taken at their word.
+    assert result.interval is not None
+    assert result.certificate.worst < 1e-9
+    assert result.sigma[0, 0] < 0.9 * BOX.sigma[0, 0]
+
+
+def test_noise_of_a_response_is_that_of_iso_3382_2():
+    noise = response_noise(["t20", "t30"], 1.3, 355.0)
+    expected = [a * np.sqrt((1 + b / 10) / (355.0 * 1.3)) for a, b in ((0.88, 1.90), (0.55, 1.52))]
+    np.testing.assert_allclose(np.sqrt(np.diag(noise)), expected, rtol=0.1)
+
+
+@pytest.fixture
+def folder(tmp_path, tracer, measured):
+    ROOM.replace(scattering=np.full(ROOM.alpha.shape, 0.5)).save(str(tmp_path / "room.toml"))
+    measured.save(str(tmp_path / "pairs.csv"))
+    obj.write(HALL.geometry, tmp_path / "room.obj")
+    lines = []
+    for kind, points in PLACES.items():
+        lines += [f"[{kind}]", *(f"{name} = {point}" for name, point in points.items())]
+    (tmp_path / "positions.toml").write_text("\n".join(lines))
+    return tmp_path
+
+
+def fit(folder: Path, *options: str):
+    files = [str(folder / name) for name in ("room.toml", "pairs.csv")]
+    where = ["--positions", str(folder / "positions.toml")]
+    if "--mesh" not in options:
+        where += ["--mesh", str(folder / "room.obj")]
+    return CliRunner().invoke(cli, ["fit", *files, *where, "--paths", "160", *options])
+
+
+def test_the_command_writes_room_and_record_whole(folder):
+    done = fit(folder, "--match", "t20", "--match", "c80", "--out", str(folder / "made"), "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["parameters"] == ["t20", "c80"]
+    room = rt.Room.from_file(str(folder / "made" / "room.toml"))
+    record = json.loads((folder / "made" / "result.json").read_text())
+    assert room.calibration.method == "positions"
+    np.testing.assert_allclose(room.alpha[0], record["materials"][0]["alpha_after"], rtol=1e-9)
+    assert len(list((folder / ".rtcal_cache").glob("*.npy"))) == 1
+    without = fit(folder, "--exclude", "S1:R1", "--match", "t20", "--match", "edt")
+    assert without.exit_code == 0
+    assert "Left out, as asked for: S1 to R1" in without.output
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--exclude", "S1R1"), "is not SOURCE:RECEIVER"),
+        (("--mesh", "nowhere.obj"), "nowhere.obj"),
+        (("--out", ""), "--out is empty"),
+        (("--position-uncertainty", "-1"), "--position-uncertainty"),
+    ],
+)
+def test_wrong_options_are_named(folder, options, said):
+    done = fit(folder, *options)
+    assert isinstance(done.exception, DataError)
+    assert said in str(done.exception)
+    assert not (folder / "made").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("[sources]\nS = [1, 2, 3]\n", "lacks receivers"),
+        ("[sources]\n[receivers]\nR = [1, 2, 3]\n", "sources is empty"),
+        ("[sources]\nS = [1, 2]\n[receivers]\nR = [1, 2, 3]\n", "sources.S"),
+        ("[sources]\nS = [1, 2, inf]\n[receivers]\nR = [1, 2, 3]\n", "sources.S"),
+        ("x = [", "TOML"),
+    ],
+)
+def test_wrong_positions_are_named(tmp_path, content, said):
+    path = tmp_path / "positions.toml"
+    path.write_text(content)
+    with pytest.raises(DataError, match=said):
+        position_files.read(path)
+
+
+def test_without_a_mesh_the_room_is_a_box_or_refused(folder):
+    shutil.copy(folder / "room.toml", folder / "other.toml")
+    files = [str(folder / name) for name in ("other.toml", "pairs.csv")]
+    done = CliRunner().invoke(cli, ["fit", *files, "--positions", str(folder / "positions.toml")])
+    assert "give its mesh" in str(done.exception)
