@@ -182,7 +182,7 @@ IN_BOX = {
 @pytest.mark.parametrize(
     "simulator",
     [
-        ImageSource(room=BOX, duration=0.7, **IN_BOX),
+        ImageSource(room=BOX, duration=1.0, **IN_BOX),
         ScatteringDelayNetwork(room=BOX, sampling_rate=8000, **IN_BOX),
     ],
     ids=["image sources", "network"],
