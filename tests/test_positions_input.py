@@ -17,6 +17,7 @@ from rtcal.errors import DataError, SimulatorError
 from rtcal.io import obj, position_files
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
+from rtcal.report import positions_figures, positions_folder
 from rtcal.simulators import ImageSource, Observable, PathTracing, ScatteringDelayNetwork
 from rtcal.simulators.observations import MATCH
 
@@ -214,6 +215,20 @@ def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
     assert result.sigma[0, 0] < 0.9 * BOX.sigma[0, 0]
 
 
+def test_figures_show_each_position_and_each_shift(tracer, measured):
+    result = calibrate(tracer, measured)
+    plan = positions_figures.plan(result, HALL.geometry, **PLACES)
+    texts = {t.get_text() for t in plan.axes[1].texts}
+    gap = np.sqrt(np.mean(result.gap_after[:, [r == "R1" for _, r in result.pairs]] ** 2))
+    assert f"R1: {gap:.1f}" in texts
+    assert len(texts) == len(PLACES["sources"]) + len(PLACES["receivers"])
+    shifts = positions_figures.shifts(result)
+    moved = (result.alpha - ROOM.alpha) / ROOM.sigma
+    assert shifts.axes[0].texts[0].get_text() == f"{moved[0, 0]:+.1f}"
+    with pytest.raises(DataError, match="has no position"):
+        positions_figures.plan(result, HALL.geometry, PLACES["sources"], {"R9": (1, 1, 1)})
+
+
 def test_noise_of_a_response_is_that_of_iso_3382_2():
     noise = response_noise(["t20", "t30"], 1.3, 355.0)
     expected = [a * np.sqrt((1 + b / 10) / (355.0 * 1.3)) for a, b in ((0.88, 1.90), (0.55, 1.52))]
@@ -248,6 +263,7 @@ def test_the_command_writes_room_and_record_whole(folder):
     record = json.loads((folder / "made" / "result.json").read_text())
     assert room.calibration.method == "positions"
     np.testing.assert_allclose(room.alpha[0], record["materials"][0]["alpha_after"], rtol=1e-9)
+    assert {p.name for p in (folder / "made").iterdir()} == set(positions_folder.FILES)
     assert len(list((folder / ".rtcal_cache").glob("*.npy"))) == 1
     without = fit(folder, "--exclude", "S1:R1", "--match", "t20", "--match", "edt")
     assert without.exit_code == 0

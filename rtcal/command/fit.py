@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rtcal.acoustics.room import Room
     from rtcal.simulators.geometry import Polyhedron
 
-_FILES = ("room.toml", "result.json")
 _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
 
 
@@ -66,8 +65,8 @@ _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
 @click.option(
     "--out",
     type=click.Path(file_okay=False),
-    help="Folder for the calibrated room (room.toml) and all numbers (result.json). Nothing is "
-    "written without it.",
+    help="Folder for the calibrated room (room.toml), all numbers (result.json), a plan (plan.png) and "
+    "the coefficients' shifts (shifts.png). Nothing is written without it.",
 )
 @json_option
 @quiet_option
@@ -99,14 +98,15 @@ def fit(
     from rtcal.io import position_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
+    from rtcal.report import positions_folder
     from rtcal.simulators.path_tracing import PathTracing
-    from rtcal.support.files import make_folder, spare, write_all
+    from rtcal.support.files import spare
     from rtcal.support.progress import bar
 
     folder = output_folder("--out", out)
     if folder is not None:
         read = [room, measured, positions, *([] if mesh is None else [mesh])]
-        spare([folder / name for name in _FILES], read)
+        spare([folder / name for name in positions_folder.FILES], read)
     stated = Room.from_file(room)
     heard = Measurement.from_file(measured)
     sources, receivers = position_files.read(positions)
@@ -133,16 +133,10 @@ def fit(
             )
     text = str(result)
     if folder is not None:
-        contents = dict(
-            zip(
-                [folder / name for name in _FILES],
-                [result.room.to_text().encode(), result.to_json().encode()],
-                strict=True,
-            )
+        paths_written = positions_folder.write(
+            result, folder, tracer.geometry, tracer.sources, tracer.receivers
         )
-        make_folder(folder)
-        write_all(contents)
-        text += "\n" + written(list(contents))
+        text += "\n" + written(paths_written)
     tell(text, result.to_dict(), quiet=quiet, as_json=as_json)
 
 

@@ -3,8 +3,7 @@
 A control run is a path tracing of the same room in which everything differs that is not known: how the
 walls scatter, where exactly sources and receivers stand, the random numbers, and alpha, which is drawn
 from the prior. What it hears less what the simulator hears for the same alpha is an error as the
-simulator may have against the real room. The errors' mean corrects the simulator, and their covariance
-says how far to trust it.
+simulator may have against the real room. The covariance of these errors says how far to trust it.
 """
 
 from __future__ import annotations
@@ -81,11 +80,6 @@ class ControlRuns:
     def __repr__(self) -> str:
         return f"<ControlRuns: {len(self.errors)} runs, {len(self.pairs)} pairs>"
 
-    @property
-    def bias(self) -> Array:
-        """Mean error, (n_parameters, n_pairs, n_bands)."""
-        return np.asarray(self.errors.mean(axis=0))
-
     def at(self, parameters: Sequence[str], pairs: Sequence[tuple[str, str]]) -> ControlRuns:
         """Return the errors of some parameters and pairs; DataError if one is missing."""
         if missing := [p for p in parameters if p not in self.parameters] or [
@@ -103,37 +97,33 @@ class ControlRuns:
     def covariance(self) -> Array:
         """Return the covariance of the simulator's error, (n, n), n = parameters x pairs x bands.
 
-        The runs are far fewer than the values, so the sample covariance is drawn towards one in
-        which all pairs are alike: a part that is common to all pairs and a part of each pair, each
-        the product of a covariance between parameters and a correlation between bands.
+        It is the mean of the products of the errors, so it counts their mean, too: coefficients are
+        calibrated for the simulator as it is. The runs are far fewer than the values. So it is drawn
+        towards a covariance in which all pairs are alike: a part that is common to all pairs and a
+        part of each pair, each the product of a covariance between parameters and a correlation
+        between bands.
         """
-        n_runs = len(self.errors)
-        size = self.errors[0].size
-        centred = self.errors - self.bias
-        sample = centred.reshape(n_runs, size).T @ centred.reshape(n_runs, size) / (n_runs - 1)
-        target = _exchangeable(centred)
-        mixed = _SHRINKAGE * target + (1 - _SHRINKAGE) * sample
-        # The mean over the runs has an error of its own.
-        return np.asarray(mixed * (1 + 1 / n_runs))
+        rows = self.errors.reshape(len(self.errors), -1)
+        alike = _exchangeable(self.errors)
+        return np.asarray(_SHRINKAGE * alike + (1 - _SHRINKAGE) * rows.T @ rows / len(rows))
 
 
 _SHRINKAGE = 0.7
-"""Share of the covariance in which all pairs are alike. From 0.3 to 1 the error of alpha in six
-development rooms changed by 3 %, the coverage by 1 %."""
+"""Share of the covariance in which all pairs are alike. From 0.5 to 1 the median error of alpha in
+twelve development rooms changed by 4 %, the coverage of the interval by 0.5 %."""
 
 
-def _exchangeable(centred: Array) -> Array:
+def _exchangeable(errors: Array) -> Array:
     """Return the covariance, (n, n), in which all pairs are alike."""
-    n_runs, n_parameters, n_pairs, n_bands = centred.shape
-    common = centred.mean(axis=2)
-    local = centred - common[:, :, np.newaxis]
-    between = _product(common[:, :, np.newaxis] * np.sqrt(n_runs / (n_runs - 1)))
+    _, n_parameters, n_pairs, n_bands = errors.shape
+    common = errors.mean(axis=2, keepdims=True)
+    between = _product(common)
     if n_pairs == 1:
         return np.asarray(between.reshape(n_parameters * n_bands, -1))
-    within = _product(local * np.sqrt(n_runs / (n_runs - 1) * n_pairs / (n_pairs - 1)))
+    within = _product((errors - common) * np.sqrt(n_pairs / (n_pairs - 1)))
     every, each = np.ones((n_pairs, n_pairs)), np.eye(n_pairs)
-    # The mean over the pairs holds 1 / n_pairs of the local part.
     full = np.einsum("pkql,ij->pikqjl", between, every)
+    # The mean over the pairs holds 1 / n_pairs of each pair's part.
     full += np.einsum("pkql,ij->pikqjl", within, each - every / n_pairs)
     return np.asarray(full.reshape(n_parameters * n_pairs * n_bands, -1))
 

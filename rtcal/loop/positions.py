@@ -82,11 +82,10 @@ def calibrate_positions(
     listener = _Listener(simulator, data, first.pairs, seed)
     before = listener.chosen(first)
     used = data.used.ravel()
-    bias, error = _simulator_error(controls, data)
-    error = error[np.ix_(used, used)]
+    error = _simulator_error(controls, data)[np.ix_(used, used)]
 
     def residual(values: Array) -> Array:
-        return np.asarray((data.observations.values - values - bias)[data.used])
+        return np.asarray((data.observations.values - values)[data.used])
 
     composed = _composed(calibration or _plain(room))
     problem = composed.build(room)
@@ -169,17 +168,14 @@ def prior_covariance(room: Room) -> Array:
     return np.asarray(sigma[:, np.newaxis] * np.kron(between, of_bands) * sigma)
 
 
-def _simulator_error(controls: ControlRuns | None, data: MeasuredPairs) -> tuple[Array, Array]:
-    """Return the simulator's mean error and its covariance over all values."""
+def _simulator_error(controls: ControlRuns | None, data: MeasuredPairs) -> Array:
+    """Return the covariance of the simulator's error over all values."""
     wanted = data.observations
     if controls is not None:
-        of_pairs = controls.at(wanted.parameters, wanted.pairs)
-        return of_pairs.bias, of_pairs.covariance()
+        return controls.at(wanted.parameters, wanted.pairs).covariance()
     factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in wanted.parameters]
     variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
-    return np.zeros_like(wanted.values), np.diag(
-        np.broadcast_to(variance, wanted.values.shape).ravel()
-    )
+    return np.diag(np.broadcast_to(variance, wanted.values.shape).ravel())
 
 
 def _calibrated(

@@ -72,7 +72,7 @@ class PositionsResult:
         Factor of the error's variance: above 1 where simulator and prior miss what was measured by
         more than they should.
     innovation, covariance : array (n_used,), (n_used, n_used)
-        What was measured less what the corrected simulator hears at ``steps[-1].alpha``, linearly
+        What was measured less what the simulator hears at ``steps[-1].alpha``, linearly
         extrapolated to the prior; covariance of the errors of measurement and simulator.
     prior_covariance : array (n_materials * n_bands, n_materials * n_bands)
     steps : tuple of Step

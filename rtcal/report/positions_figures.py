@@ -1,0 +1,115 @@
+"""The figures of a calibration to every position: a plan of the room, and the coefficients' shifts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtcal.errors import DataError
+from rtcal.report.figures import BLACK, ORANGE, new_figure, shown
+from rtcal.support.arguments import checked
+from rtcal.support.types import Array
+
+if TYPE_CHECKING:
+    from rtcal.loop.positions_result import PositionsResult
+    from rtcal.simulators.geometry import Polyhedron
+
+_MOST_NUMBERS = 200
+"""Largest number of coefficients whose shifts are printed in their cells."""
+
+
+@checked
+def plan(
+    result: PositionsResult,
+    geometry: Polyhedron,
+    sources: Mapping[str, Sequence[float]],
+    receivers: Mapping[str, Sequence[float]],
+) -> Any:
+    """Return a plan of the room with its receivers coloured by their gap, before and after.
+
+    A receiver's gap is the root mean square over parameters, bands and sources, in JND. It stands
+    beside the receiver's name.
+
+    Raises
+    ------
+    DataError
+        If a receiver of the result has no position.
+    """
+    if missing := [r for _, r in result.pairs if r not in receivers]:
+        raise DataError(f'receiver "{missing[0]}" of the result has no position')
+    heard = list(dict.fromkeys(r for _, r in result.pairs))
+    gaps = [_by_receiver(result, gap, heard) for gap in (result.gap_before, result.gap_after)]
+    figure, axes = new_figure(10.5, 4.8, 1, 2)
+    most = max(2.0, *(float(np.nanmax(gap)) for gap in gaps))
+    points = np.array([receivers[r] for r in heard], dtype=float)
+    drawn = None
+    for panel, gap, when in zip(axes, gaps, ("before", "after"), strict=True):
+        for face in geometry.faces:
+            corners = geometry.vertices[[*face, face[0]]]
+            panel.plot(corners[:, 0], corners[:, 1], color="0.75", linewidth=1)
+        for name, place in sources.items():
+            panel.plot(*place[:2], marker="^", color=ORANGE, markersize=9)
+            _label(panel, place, shown(name, 12))
+        drawn = panel.scatter(
+            points[:, 0],
+            points[:, 1],
+            c=gap,
+            cmap="cividis_r",
+            vmin=0,
+            vmax=most,
+            s=110,
+            edgecolors=BLACK,
+            zorder=3,
+        )
+        for name, place, value in zip(heard, points, gap, strict=True):
+            _label(panel, place, f"{shown(name, 12)}: {value:.1f}")
+        panel.set_aspect("equal")
+        panel.set_title(f"{when}: {np.sqrt(np.nanmean(gap**2)):.1f} JND")
+        panel.set_xlabel("x / m")
+    axes[0].set_ylabel("y / m")
+    figure.colorbar(drawn, ax=list(axes), label="Gap / JND")
+    return figure
+
+
+@checked
+def shifts(result: PositionsResult) -> Any:
+    """Return the figure of how far each coefficient moved, in prior sigmas, by material and band."""
+    sigma = np.where(result.prior.sigma > 0, result.prior.sigma, np.inf)
+    moved = (result.alpha - result.prior.alpha) / sigma
+    n_materials, n_bands = moved.shape
+    figure, axes = new_figure(3.2 + 0.7 * n_bands, 1.6 + 0.32 * n_materials)
+    reach = max(2.0, float(np.max(np.abs(moved))))
+    image = axes.imshow(moved, cmap="RdBu_r", vmin=-reach, vmax=reach, aspect="auto")
+    axes.set_yticks(range(n_materials), [shown(m, 30) for m in result.prior.materials])
+    labels = [f"{f:g}" for f in result.prior.centre_frequencies]
+    axes.set_xticks(range(n_bands), labels, rotation=90 if n_bands > 10 else 0)
+    axes.set_xlabel("Band centre frequency / Hz")
+    if moved.size <= _MOST_NUMBERS:
+        for (i, k), value in np.ndenumerate(moved):
+            dark = abs(value) > 0.6 * reach
+            axes.text(
+                k,
+                i,
+                f"{value:+.1f}",
+                ha="center",
+                va="center",
+                fontsize=8,
+                color="white" if dark else BLACK,
+            )
+    figure.colorbar(image, ax=axes, label="Shift of alpha / prior sigma")
+    return figure
+
+
+def _by_receiver(result: PositionsResult, gap: Array, receivers: Sequence[str]) -> Array:
+    """Return the root mean square gap of each receiver in JND, NaN without a value."""
+    rows = [[i for i, (_, r) in enumerate(result.pairs) if r == name] for name in receivers]
+    squares = [gap[:, row][np.isfinite(gap[:, row])] ** 2 for row in rows]
+    return np.array([np.sqrt(s.mean()) if s.size else np.nan for s in squares])
+
+
+def _label(panel: Any, place: Any, text: str) -> None:
+    panel.annotate(
+        text, (place[0], place[1]), xytext=(6, 6), textcoords="offset points", fontsize=8
+    )
