@@ -212,7 +212,7 @@ def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
     # Its control runs are path tracings, so its own decays are not taken at their word.
     assert result.interval is not None
     assert result.certificate.worst < 1e-9
-    assert result.sigma[0, 0] < 0.9 * BOX.sigma[0, 0]
+    assert result.sigma[0, 0] < 0.95 * BOX.sigma[0, 0]
 
 
 def test_figures_show_each_position_and_each_shift(tracer, measured):
@@ -264,7 +264,7 @@ def test_the_command_writes_room_and_record_whole(folder):
     assert room.calibration.method == "positions"
     np.testing.assert_allclose(room.alpha[0], record["materials"][0]["alpha_after"], rtol=1e-9)
     assert {p.name for p in (folder / "made").iterdir()} == set(positions_folder.FILES)
-    assert len(list((folder / ".rtcal_cache").glob("*.npy"))) == 1
+    assert len(list((folder / ".rtcal_cache").glob("*.array"))) == 1
     without = fit(folder, "--exclude", "S1:R1", "--match", "t20", "--match", "edt")
     assert without.exit_code == 0
     assert "Left out, as asked for: S1 to R1" in without.output
