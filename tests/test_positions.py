@@ -75,6 +75,27 @@ def test_gaps_shrink_in_every_parameter(result):
     assert (after < before).all()
 
 
+def test_positions_that_were_not_measured_are_predicted(case, result):
+    room, truth, measured = case
+    half = [p for p in measured.pairs if p[1] in ("R1", "R2")]
+    without = [p for p in measured.pairs if p not in half]
+    fitted = rt.calibrate_simulator(
+        tracing(room), room, measured, match=MATCH, exclude=without, controls=result.controls
+    )
+    assert fitted.pairs == tuple(half)
+    assert fitted.predicted.pairs == measured.pairs
+    rows = [measured.pairs.index(p) for p in without]
+    gaps = {}
+    for name, heard in (
+        ("prior", tracing(room).observe(room.alpha, MATCH)),
+        ("simulator", tracing(room).observe(fitted.alpha, MATCH)),
+        ("predicted", fitted.predicted),
+    ):
+        off = np.log(heard.natural("edt") / measured.values["edt"])[rows]
+        gaps[name] = np.abs(off).mean()
+    assert gaps["predicted"] < gaps["simulator"] < gaps["prior"]
+
+
 def test_t20_alone_stays_the_default(case):
     room, _, measured = case
     default = rt.calibrate_simulator(tracing(room), room, measured)

@@ -119,14 +119,21 @@ def calibrate_positions(
         steps.append(Step(start, matrix, share, answer))
         settled = bool(np.max(np.abs(alpha - start) * inverse_sigma) < _SETTLED)
     last = steps[-1]
+    everywhere = observe(simulator, alpha, data.observations.parameters, seed=seed)
     return PositionsResult(
         prior=room,
         room=_calibrated(room, alpha, last, simulator, data, controls),
         simulator=simulator.name,
-        simulations=listener.calls,
+        simulations=listener.calls + 1,
         measured=data,
         before=_with(data.observations, before),
         after=_with(data.observations, heard),
+        predicted=_predicted(
+            everywhere,
+            controls,
+            data,
+            scale * np.asarray(np.linalg.solve(covariance, residual(heard))),
+        ),
         controls=controls,
         error_scale=scale,
         innovation=residual(heard) + last.matrix @ (alpha - room.alpha).ravel(),
@@ -176,6 +183,25 @@ def _simulator_error(controls: ControlRuns | None, data: MeasuredPairs) -> Array
     factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in wanted.parameters]
     variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
     return np.diag(np.broadcast_to(variance, wanted.values.shape).ravel())
+
+
+def _predicted(
+    everywhere: Observations, controls: ControlRuns | None, data: MeasuredPairs, pull: Array
+) -> Observations:
+    """Return what every position hears, with the simulator's error as the measured pairs tell it.
+
+    The error's mean given the residual r at the measured pairs: D_all (R + D)⁻¹ r, D_all its
+    covariance between all values and those used. ``pull`` (n_used,) is the product (R + D)⁻¹ r.
+    """
+    if controls is None:
+        return everywhere
+    parameters, pairs = everywhere.parameters, everywhere.pairs
+    error = controls.at(parameters, pairs).covariance()
+    used = np.zeros(everywhere.values.shape, dtype=bool)
+    used[:, [pairs.index(p) for p in data.observations.pairs]] = data.used
+    # The measured pairs stand in the simulator's order, so the values used do, too.
+    correction = error[:, used.ravel()] @ pull
+    return _with(everywhere, everywhere.values + correction.reshape(everywhere.values.shape))
 
 
 def _calibrated(

@@ -66,6 +66,10 @@ class PositionsResult:
         What was matched; its ``observations`` name parameters and pairs.
     before, after : Observations
         What the simulator hears with the prior and with the coefficients returned.
+    predicted : Observations
+        What all positions of the simulator hear with the coefficients returned, also those that
+        were not measured. Where control runs tell the simulator's error, its mean given what was
+        measured is added: what all pairs have in common, such as other scattering.
     controls : ControlRuns or None
         The simulator's error, to be given to a second calibration. None if it is not known.
     error_scale : float
@@ -89,6 +93,7 @@ class PositionsResult:
     measured: MeasuredPairs
     before: Observations
     after: Observations
+    predicted: Observations
     controls: ControlRuns | None
     error_scale: float
     innovation: Array
