@@ -76,7 +76,7 @@ def test_gaps_shrink_in_every_parameter(result):
 
 
 def test_positions_that_were_not_measured_are_predicted(case, result):
-    room, truth, measured = case
+    room, _, measured = case
     half = [p for p in measured.pairs if p[1] in ("R1", "R2")]
     without = [p for p in measured.pairs if p not in half]
     fitted = rt.calibrate_simulator(
