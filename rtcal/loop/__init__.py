@@ -1,4 +1,4 @@
-"""The closed loop: calibrate a simulator by moving the target of an equation's calibration."""
+"""Calibrate a simulator: the closed loop on the mean T20, or every position by Gauss-Newton steps."""
 
 from typing import TYPE_CHECKING
 
@@ -6,6 +6,8 @@ from rtcal.support import lazy
 
 if TYPE_CHECKING:
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
+    from rtcal.loop.control_runs import ControlRuns as ControlRuns
+    from rtcal.loop.positions_result import PositionsResult as PositionsResult
     from rtcal.loop.result import LoopResult as LoopResult
     from rtcal.loop.rules import Rule as Rule
     from rtcal.loop.state import Loop as Loop
