@@ -3,9 +3,9 @@
     python -m benchmarks.ablation run --folder out --real rows --more folder [--only NAME]
     python -m benchmarks.ablation table --folder out --real rows
 
-The rooms are every so many of population 0 of both hidden worlds, whose control rooms stand in
-``folder`` (`benchmarks/second_world.py`), and the real cases for development, whose control rooms
-stand in ``rows`` (`benchmarks/real_rooms.py`).
+The rooms are the first ones, in a mixed order, of population 0 of both hidden worlds whose control
+rooms stand in ``folder`` (`benchmarks/second_world.py`), and the real cases for development, whose
+control rooms stand in ``rows`` (`benchmarks/real_rooms.py`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ from rtcal.discrepancy.effects import Effect
 from rtcal.discrepancy.effects.air import OmittedAir
 
 NEW = ("curtain", "membrane", "covered surface")
-ROOMS = 24
 
 
 def same(case: Case) -> Case:
@@ -112,14 +111,14 @@ PARTS = {
 """By what is taken away. The seventh change, one size of an effect everywhere, changes no name."""
 
 
-def rooms(folder: str) -> Iterator[tuple[str, frozenset[str], str, Case, Any]]:
+def rooms(folder: str, number: int) -> Iterator[tuple[str, frozenset[str], str, Case, Any]]:
     for world, data in ((1, "one"), (2, "all")):
         cases, truths = (WORLDS[world].read(0, part) for part in ("case", "truth"))
         count = 0
         for index in order(len(cases), 1):
             path = place(folder, world, 0, "controls", index, "npz")
             known = truth_of(world, truths[index])
-            if count == ROOMS or not path.exists() or known is None:
+            if count == number or not path.exists() or known is None:
                 continue
             count += 1
             case = Case.from_dict(cases[index])
@@ -129,7 +128,7 @@ def rooms(folder: str) -> Iterator[tuple[str, frozenset[str], str, Case, Any]]:
             yield f"world {world}", known[0], str(index), case, controls
 
 
-def run(folder: str, real: Path, more: Path, only: str | None) -> None:
+def run(folder: str, real: Path, more: Path, number: int, only: str | None) -> None:
     warnings.simplefilter("ignore")
     for name, part in PARTS.items():
         if only is not None and only not in name:
@@ -139,7 +138,7 @@ def run(folder: str, real: Path, more: Path, only: str | None) -> None:
             continue
         out: list[dict[str, Any]] = []
         with part.away():
-            for world, truths, index, case, controls in rooms(folder):
+            for world, truths, index, case, controls in rooms(folder, number):
                 said = row_of(find(part.case(case), controls=controls, **part.options))
                 out.append({"set": world, "truths": sorted(truths), "room": index, "row": said})
             for each in real_rooms.every_case():
@@ -203,10 +202,11 @@ def main() -> None:
     parser.add_argument("--folder", required=True)
     parser.add_argument("--real", type=Path, default=Path("."))
     parser.add_argument("--more", type=Path, default=Path("."), help="further data of real rooms")
+    parser.add_argument("--rooms", type=int, default=24, help="of each hidden world")
     parser.add_argument("--only", help="parts whose name has this")
     given = parser.parse_args()
     if given.what == "run":
-        run(given.folder, given.real, given.more, given.only)
+        run(given.folder, given.real, given.more, given.rooms, given.only)
     else:
         table(given.folder)
 

@@ -588,8 +588,8 @@ def alpha(folder: str, rooms: int) -> None:
     stored = rows_of(None)
     for data in ("one", "all"):
         seen = [
-            i
-            for i, r in enumerate(stored)
+            r["index"]
+            for r in stored
             if 1 <= r["kind"] <= 12 and r.get(data, {}).get("verdict") in ("named", "ambiguous")
         ]
         shares: dict[bool, list[list[float]]] = {True: [], False: []}

@@ -50,14 +50,14 @@ def row_of(finding: Finding) -> dict[str, Any]:
     return {
         "verdict": finding.verdict,
         "effect": finding.effect,
-        "family": getattr(finding, "family", None),
+        "family": finding.family,
         "candidates": list(finding.candidates),
         "score": finding.score,
         "threshold": finding.threshold,
         "parameters": dict(finding.parameters),
         "evidence": {k: round(v, 2) for k, v in finding.evidence.items()},
-        "probabilities": rounded(getattr(finding, "probabilities", {})),
-        "families": rounded(getattr(finding, "families", {})),
+        "probabilities": rounded(finding.probabilities),
+        "families": rounded(finding.families),
         "size": None if size is None else [size.mean, size.low, size.high],
     }
 
@@ -68,7 +68,7 @@ def rounded(table: Any) -> dict[str, float]:
 
 def families() -> dict[str, str]:
     """The family of each effect of the library."""
-    return {e.name: str(getattr(e, "family", "")) for e in library()}
+    return {e.name: e.family for e in library()}
 
 
 def families_of(names: Iterable[str]) -> frozenset[str]:
