@@ -30,6 +30,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators import PathTracing, paths
+from rtcal.simulators.observations import Observations
 from tests.position_rooms.generate import HERE, order
 from tests.position_rooms.load import PositionRoom, at, load, stored, true_alpha, without_noise
 from tests.position_rooms.rooms import PRIORS
@@ -96,6 +97,16 @@ def simulated(simulator: PathTracing, alpha: np.ndarray) -> Measurement:
     )
 
 
+def predicted(observations: Observations, like: Measurement) -> Measurement:
+    """Return what a calibration predicts at the pairs of a measurement."""
+    rows = [observations.pairs.index(pair) for pair in like.pairs]
+    return Measurement(
+        centre_frequencies=like.centre_frequencies,
+        values={p: observations.natural("level" if p == "g" else p)[rows] for p in GAPS},
+        pairs=like.pairs,
+    )
+
+
 def mean_gaps(model: Measurement, measured: Measurement) -> dict[str, float]:
     """Return the mean absolute gap over pairs and bands per parameter, in JND."""
     return {
@@ -128,17 +139,22 @@ def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> l
         if method in ("stated", "truth"):
             alpha = case.room.alpha if method == "stated" else truth
         else:
-            figures, alpha = fitted(method, case, truth)
+            figures, half = fitted(method, case, truth)
             row |= figures
+            alpha = half.alpha
         heard = simulated(judge, alpha)
-        row["gap"] = mean_gaps(heard, held_out[0])
-        row["gap_without_noise"] = mean_gaps(heard, held_out[1])
+        row["gap"], row["gap_without_noise"] = (mean_gaps(heard, m) for m in held_out)
+        if method == "positions":
+            foretold = predicted(half.predicted, held_out[0])
+            row["predicted"], row["predicted_without_noise"] = (
+                mean_gaps(foretold, m) for m in held_out
+            )
         rows.append(row)
     return rows
 
 
-def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
-    """Return what a method makes of all pairs, and the alpha that it makes of half of them."""
+def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> tuple[dict[str, Any], Any]:
+    """Return the figures of a fit to all pairs, and the result of a fit to half of them."""
     simulator = case.simulator(n_paths=PATHS)
     with Traces() as traces:
         clock, processor = time.perf_counter(), time.process_time()
@@ -157,7 +173,7 @@ def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> tuple[dict[str
         low, high = result.interval
         row["covered"] = int(((low <= truth) & (truth <= high)).sum())
         row["coefficients"] = int(truth.size)
-    return row, half.alpha
+    return row, half
 
 
 def run(folder: Path, population: int, indices: Sequence[int], methods: Sequence[str]) -> None:
@@ -219,6 +235,11 @@ def no_worse(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
     return share(int((a <= (1 + ALLOWED) * b).sum()), len(a))
 
 
+def over_parameters(rows: list[dict[str, Any]], kind: str) -> np.ndarray:
+    """Return each room's gap, the mean over the parameters, in JND."""
+    return np.array([np.mean([row[kind][p] for p in GAPS]) for row in rows])
+
+
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, tuple[float, float, float]]:
     """Return the figures of the table by name, each with its 95 % interval."""
     found: dict[str, tuple[float, float, float]] = {}
@@ -246,15 +267,15 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, tuple[float, float, flo
                 *(np.array([r[n] for r in stating]) for n in ("covered", "coefficients"))
             )
         for kind, name in GAP_KINDS.items():
-            gaps = {
-                m: np.array([np.mean([r[kind][p] for p in GAPS]) for r in of[m]])
-                for m in METHODS
-                if of[m]
-            }
+            gaps = {m: over_parameters(of[m], kind) for m in METHODS if of[m]}
             for method in ("positions", "truth", "stated"):
                 if method in gaps:
                     label = f"{prior}: gap {name}, {METHODS[method]} / T20 alone"
                     found[label] = ratio_of_sums(gaps[method], gaps["t20"])
+            if "positions" in gaps:
+                foretold = over_parameters(of["positions"], kind.replace("gap", "predicted"))
+                label = f"{prior}: gap {name}, predicted by every position / T20 alone"
+                found[label] = ratio_of_sums(foretold, gaps["t20"])
     return found
 
 
@@ -263,7 +284,7 @@ def table(rows: Sequence[dict[str, Any]]) -> None:
     boxes = sum(i % 2 == 0 for i in rooms)
     print(f"{len(rooms)} rooms, {boxes} boxes; 95 % intervals over rooms")
     for name, (value, low, high) in summary(rows).items():
-        print(f"{name:58} {value:6.3f}  {low:.3f} to {high:.3f}")
+        print(f"{name:67} {value:6.3f}  {low:.3f} to {high:.3f}")
     for method in ("t20", "positions"):
         chosen = [r for r in rows if r["method"] == method]
         if chosen:
