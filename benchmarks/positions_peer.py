@@ -3,9 +3,9 @@
 acoustic-spaces 4.0.0 (GPL-3, PyPI) fits T20, EDT and C80 of every pair in JND by weighing its rays
 anew. It takes at most 16 materials: of the judging rooms (tests/position_rooms), the first six boxes
 and the first six polyhedra that have no more, in the order in which they were built. Both programs get
-the same room, the wide prior, scattering 0.4 and one thread, in one run; the processor time includes
-all traces. Its search box is 0.01 to 0.99, and what it takes for the prior is where it starts: the
-stated alpha.
+the same room, the wide prior and scattering 0.4. Its search box is 0.01 to 0.99, and what it takes for
+the prior is where it starts: the stated alpha. The processor time includes all traces, and for every
+position the control runs. `table` joins the results of `python -m benchmarks.positions run`.
 
 Run it where acoustic-spaces and rtcal are installed side by side; rtcal does not depend on it.
 `python -m benchmarks.positions_peer table` reads what was stored.
@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.positions import PATHS, calibrate, error, median_ratio, read, rounded, share
+from benchmarks.positions import STORED as RESULTS
+from benchmarks.positions import error, median_ratio, read, rounded, share
 from tests.position_rooms.generate import HERE, order
-from tests.position_rooms.load import SCATTERING, PositionRoom, load, true_alpha
+from tests.position_rooms.load import SCATTERING, PositionRoom, load, stored, true_alpha
 from tests.position_rooms.parameters import OCTAVES
 
 STORED = HERE / "population_1_peer.jsonl"
 FITTED = ("t20", "edt", "c80")
-PROGRAMS = ("rtcal", "acoustic-spaces")
 MOST_MATERIALS = 16
 RAYS = 5000
 """As in benchmarks/acoustic_spaces_peer.py; its default is more."""
@@ -37,11 +37,10 @@ RAYS = 5000
 
 def rooms() -> list[int]:
     """Return the first six boxes, and the first six polyhedra by the limit, as they were built."""
-    boxes = [i for i in order(1) if i % 2 == 0]
-    polyhedra = [
-        i for i in order(1) if i % 2 and load(1, i, "wide").room.n_materials <= MOST_MATERIALS
-    ]
-    return [i for pair in zip(boxes[:6], polyhedra[:6], strict=True) for i in pair]
+    built = [i for i in order(1) if i in stored(1, "rooms")]
+    boxes = [i for i in built if i % 2 == 0][:6]
+    small = [i for i in built if i % 2 and load(1, i, "wide").room.n_materials <= MOST_MATERIALS]
+    return [i for pair in zip(boxes, small[:6], strict=False) for i in pair]
 
 
 def obj(case: PositionRoom) -> str:
@@ -114,32 +113,31 @@ def fit_peer(case: PositionRoom, folder: str) -> np.ndarray:
     return np.asarray(found.absorption[:, np.isin(OCTAVES, bands)])
 
 
-def fit(program: str, index: int) -> dict[str, Any]:
-    """Return error and processor time of a program in one room."""
+def fit(index: int) -> dict[str, Any]:
+    """Return error and processor time of acoustic-spaces in one room."""
     case, truth = load(1, index, "wide"), true_alpha(1, index, "wide")
     clock = time.process_time()
-    if program == "rtcal":
-        simulator = case.simulator(n_paths=PATHS, workers=1)
-        alpha = calibrate("positions", simulator, case.room, case.measured).alpha
-    else:
-        with tempfile.TemporaryDirectory() as folder:
-            alpha = fit_peer(case, folder)
+    with tempfile.TemporaryDirectory() as folder:
+        alpha = fit_peer(case, folder)
     return {
         "index": index,
-        "program": program,
-        "surfaces": case.room.n_materials,
         "processor": time.process_time() - clock,
         "error": error(case.room, alpha, truth),
         "prior_error": error(case.room, case.room.alpha, truth),
     }
 
 
-def table(rows: list[dict[str, Any]]) -> None:
-    by = {(r["program"], r["index"]): r for r in rows}
-    both = [i for i in rooms() if all((p, i) in by for p in PROGRAMS)]
+def table(peer: list[dict[str, Any]], results: list[dict[str, Any]]) -> None:
+    """Print both programs' figures in the rooms that both fitted."""
+    every = [r for r in results if (r["method"], r["prior"]) == ("positions", "wide")]
+    by = {
+        name: {r["index"]: r for r in rows}
+        for name, rows in (("rtcal", every), ("acoustic-spaces", peer))
+    }
+    both = [i for i in by["acoustic-spaces"] if i in by["rtcal"]]
 
     def column(program: str, name: str) -> np.ndarray:
-        return np.array([by[program, i][name] for i in both])
+        return np.array([by[program][i][name] for i in both])
 
     ours, theirs = column("rtcal", "error"), column("acoustic-spaces", "error")
     time_ratio = column("rtcal", "processor"), column("acoustic-spaces", "processor")
@@ -161,21 +159,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("command", choices=["run", "table"])
     parser.add_argument("--folder", type=Path)
-    parser.add_argument("--programs", default=",".join(PROGRAMS))
+    parser.add_argument("--number", type=int, default=12)
     arguments = parser.parse_args()
-    target = arguments.folder / "peer.jsonl" if arguments.folder else STORED
+    folder = arguments.folder
+    target = folder / "peer.jsonl" if folder else STORED
     if arguments.command == "run":
-        done = {(r["program"], r["index"]) for r in read(target)}
-        warm = load(1, rooms()[0], "wide")  # compiles
-        calibrate("t20", warm.simulator(n_paths=320), warm.room, warm.measured)
-        for index in rooms():
-            for program in arguments.programs.split(","):
-                if (program, index) not in done:
-                    row = rounded(fit(program, index))
-                    with target.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(row) + "\n")
-                    print(row, flush=True)
-    table(read(target))
+        done = {r["index"] for r in read(target)}
+        for index in rooms()[: arguments.number]:
+            if index not in done:
+                row = rounded(fit(index))
+                with target.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(row) + "\n")
+                print(row, flush=True)
+    table(read(target), read(folder / "results.jsonl" if folder else RESULTS))
 
 
 if __name__ == "__main__":
