@@ -18,6 +18,7 @@ import argparse
 import json
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -240,8 +241,16 @@ def over_parameters(rows: list[dict[str, Any]], kind: str) -> np.ndarray:
     return np.array([np.mean([row[kind][p] for p in GAPS]) for row in rows])
 
 
+def complete(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows of the rooms that have one of every method and prior there is."""
+    methods = {r["method"] for r in rows}
+    number = Counter(r["index"] for r in rows)
+    return [r for r in rows if number[r["index"]] == len(methods) * len(PRIORS)]
+
+
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, tuple[float, float, float]]:
-    """Return the figures of the table by name, each with its 95 % interval."""
+    """Return the figures of complete rooms by name, each with its 95 % interval."""
+    rows = complete(rows)
     found: dict[str, tuple[float, float, float]] = {}
     for prior in PRIORS:
         of = {
@@ -280,6 +289,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, tuple[float, float, flo
 
 
 def table(rows: Sequence[dict[str, Any]]) -> None:
+    rows = complete(rows)
     rooms = sorted({r["index"] for r in rows})
     boxes = sum(i % 2 == 0 for i in rooms)
     print(f"{len(rooms)} rooms, {boxes} boxes; 95 % intervals over rooms")
