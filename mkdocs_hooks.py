@@ -52,7 +52,8 @@ def on_page_content(content: str, **_: Any) -> str:
 
 def _formula(found: re.Match[str]) -> str:
     tag, latex = found.groups()
-    return str(convert(html.unescape(latex), display="inline" if tag == "span" else "block"))
+    formula = convert(html.unescape(latex), display="inline" if tag == "span" else "block")
+    return f'<{tag} class="formula">{formula}</{tag}>'
 
 
 def _linked(markdown: str) -> str:
