@@ -290,8 +290,9 @@ def test_counts_are_what_was_asked_for() -> None:
     assert len(read(1, "case")) == len(kinds) == len(read(1, "truth"))
 
 
-def stored() -> list[dict[str, Any]]:
-    return [json.loads(x) for x in gzip.decompress(STORED.read_bytes()).splitlines()]
+def stored() -> dict[int, dict[str, Any]]:
+    rows = [json.loads(x) for x in gzip.decompress(STORED.read_bytes()).splitlines()]
+    return {row["index"]: row for row in rows}
 
 
 def differences(index: int) -> list[str]:
@@ -321,20 +322,20 @@ def differences(index: int) -> list[str]:
     return [name for name, is_so in near.items() if not is_so]
 
 
-@pytest.mark.skip(reason="the stored run is renewed when the new finder has been judged")
-@pytest.mark.parametrize("seed", [(1, 0, 7), (1, 2, 3), (1, 11, 5)])
-def test_stored_findings_are_found_again(seed: tuple[int, int, int]) -> None:
-    assert differences(numbers(1).index(seed)) == []
+@pytest.mark.parametrize("kind", [0, 2, 11])
+def test_stored_findings_are_found_again(kind: int) -> None:
+    assert differences(min(i for i, row in stored().items() if row["kind"] == kind)) == []
 
 
 @pytest.mark.study
 def test_the_whole_population_is_as_published() -> None:
-    """All stored findings anew, an hour on two cores; and no more false alarms than 5 %."""
+    """All stored findings anew, two seconds each; and no more false alarms than 5 %."""
     rows = stored()
-    controls = [r["one"]["verdict"] for r in rows if r["kind"] == 0]
+    controls = [r["one"]["verdict"] for r in rows.values() if r["kind"] == 0]
     flagged = [v in ("named", "family", "ambiguous", "unknown") for v in controls]
     assert np.mean(flagged) <= 0.05
     with multiprocessing.Pool() as pool:
-        changed = {i: d for i, d in enumerate(pool.imap(differences, range(len(rows)))) if d}
+        found = zip(rows, pool.imap(differences, rows), strict=True)
+        changed = {i: d for i, d in found if d}
     # On another processor a path of a control room may part from its twin in the last digit.
     assert len(changed) <= 0.01 * len(rows), changed
