@@ -113,8 +113,9 @@ def _box(model: NumpyModel) -> _Box:
         slack = np.maximum(limit - least, 0.0) + rounding + _EPS * np.abs(limit)
         width = slack[row] / np.abs(signed)
         rising, falling = (np.isfinite(width) & (signed > 0), np.isfinite(width) & (signed < 0))
-        np.minimum.at(upper, column[rising], (outer[0][column] + width)[rising])
-        np.maximum.at(lower, column[falling], (outer[1][column] - width)[falling])
+        # An effect has no upper end: infinite widths are left out before they meet it.
+        np.minimum.at(upper, column[rising], outer[0][column[rising]] + width[rising])
+        np.maximum.at(lower, column[falling], outer[1][column[falling]] - width[falling])
     return _Box(outer, np.maximum(lower, outer[0]), np.minimum(upper, outer[1]), row, column, value)
 
 
