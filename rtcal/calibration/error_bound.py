@@ -120,8 +120,14 @@ def _box(model: NumpyModel) -> _Box:
 
 
 def _rounding(model: NumpyModel, size: Array) -> Array:
-    """Bound the rounding error of the rows' sums over unknowns of at most this size, (n_rows,)."""
-    return np.asarray((model.entries + 1) * _EPS * np.asarray(model.absolute @ size))
+    """Bound the rounding error of the rows' sums over unknowns of at most this size, (n_rows,).
+
+    It is infinite in a row that has an unknown without a limit.
+    """
+    limited = np.isfinite(size)
+    sums = np.asarray(model.absolute @ np.where(limited, size, 0.0))
+    unlimited = np.asarray(model.absolute @ np.where(limited, 0.0, 1.0)) > 0
+    return np.asarray(np.where(unlimited, np.inf, (model.entries + 1) * _EPS * sums))
 
 
 @dataclass(frozen=True)
