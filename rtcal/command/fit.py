@@ -61,7 +61,9 @@ _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
     show_default=True,
     help="How far sources and receivers may stand from there, in m.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the random numbers."
+)
 @click.option(
     "--out",
     type=click.Path(file_okay=False),

@@ -28,6 +28,7 @@ class CoveredSurface(OfMaterial):
     size: ClassVar[str] = "share"
     unit: ClassVar[str] = "of the stated area"
     neutral: ClassVar[float] = 0.0
+    removable: ClassVar[bool] = True
     discrete: ClassVar[Sequence[str]] = ("material",)
     parameter_units: ClassVar[Mapping[str, str]] = {"share": " of the stated area"}
     SHARES: ClassVar[tuple[float, ...]] = (0.12, 0.2, 0.33, 0.55, 0.9)
