@@ -61,8 +61,20 @@ SURVIVORS: dict[tuple[str, str], str] = {
     ): "equivalent: NumPy takes any negative length for the one that is missing",
     (
         "rtcal.calibration.uncertainty.x_estimate_sigma",
-        "+ for room, measured in zip(configurations.rooms, measured_times, )",
+        "+ for room, measured in zip(configurations.rooms, measured_times, strict=None)",
     ): "equivalent: there is one measurement per configuration, checked before the solve",
+    (
+        "rtcal.calibration.error_bound.x__box",
+        "+ rising, falling = (np.isfinite(width) & (signed > 0), np.isfinite(width) & (signed <= 0))",
+    ): "equivalent: an entry of 0 has no finite width",
+    (
+        "rtcal.calibration.error_bound.x__at_bounds",
+        "+ step = np.divide(force, diagonal, out=np.zeros_like(force), where=diagonal > 1)",
+    ): "looser, not wrong: the step chooses where to look for a better bound, and 1/sigma² is above 1",
+    (
+        "rtcal.discrepancy.evidence.x_alpha_covariance",
+        '+ full = np.einsum("AFK,AKBL,BGL->AFKBGL", slopes, variance, slopes)',
+    ): "equivalent: capitals are subscripts as well",
 }
 """Mutants that survive, by function and last changed line, and why that is right."""
 
@@ -87,8 +99,9 @@ def leave_out_long_tests() -> None:
     stats = json.loads(STATS.read_text(encoding="utf-8"))
     seconds = stats["duration_by_test"]
     for tests in stats["tests_by_mangled_function_name"].values():
-        limit = max(LONGEST, min(seconds[test] for test in tests))
-        tests[:] = [test for test in tests if seconds[test] <= limit]
+        limit = max(LONGEST, min((seconds[test] for test in tests), default=0.0))
+        # pytest does not find a test by a name that has a backslash in it.
+        tests[:] = [test for test in tests if seconds[test] <= limit and "\\" not in test]
     STATS.write_text(json.dumps(stats), encoding="utf-8")
 
 

@@ -317,3 +317,18 @@ def test_small_difference_of_large_areas_is_exact_to_rounding() -> None:
     ]
     assert np.abs(wanted).max() > 1e-14
     np.testing.assert_allclose(_excess(areas, alpha, target), wanted, rtol=0, atol=1e-25)
+
+
+@pytest.mark.parametrize("end", [0.0, 1.0])
+def test_rows_at_an_end_have_multipliers_of_their_own(end: float) -> None:
+    """Each row's multiplier is that of the row solved alone."""
+    mu = np.array([[0.3, 0.5], [0.6, 0.2], [0.45, 0.7]])
+    sigma = np.array([[0.1, 0.2], [0.05, 0.1], [0.3, 0.02]])
+    areas = np.array([20.0, 35.0])
+    target = np.full(3, end * areas.sum())
+    together = exact.solve(mu, sigma, areas, target, engine="numpy")
+    alone = [
+        exact.solve(m, s, areas, target[0], engine="numpy") for m, s in zip(mu, sigma, strict=True)
+    ]
+    assert len({float(one.multiplier) for one in alone}) == 3
+    assert together.multiplier.tolist() == [float(one.multiplier) for one in alone]

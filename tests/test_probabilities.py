@@ -16,6 +16,7 @@ from rtcal.discrepancy.effects.coupled_room import CoupledRoom
 from rtcal.discrepancy.effects.opening import Opening
 from rtcal.discrepancy.effects.stated import WrongVolume
 from rtcal.discrepancy.engines import ControlRooms
+from rtcal.discrepancy.evidence import Evidence
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.prior import HANDBOOK_SIGMA, off_together, prior_of
@@ -229,3 +230,15 @@ def test_one_size_everywhere() -> None:
         in rt.discrepancy.corrected_room(finding.apply()).sources["opening"]
     )
     assert distances(case, case.configurations[0]).shape == (1,)
+
+
+def test_coefficients_off_together_given_an_effect_follow_bayes() -> None:
+    stated, off = np.array([-3.0, -1.0, -2.0, -9.0]), np.array([-2.5, -4.0, -0.5, -9.0])
+    weights, prior = np.array([1.0, 0.7, 0.3, 0.0]), 0.2
+    names = ("none", "air", "air", "air")
+    evidence = Evidence(stated, off, np.array(-5.0), names, weights, prior)
+    for name, rows in (("none", [0]), ("air", [1, 2, 3])):
+        with_off = prior * (weights[rows] @ np.exp(off[rows]))
+        without = (1 - prior) * (weights[rows] @ np.exp(stated[rows]))
+        expected = with_off / (with_off + without)
+        assert evidence.off_given(name) == pytest.approx(expected, rel=1e-12)
