@@ -48,6 +48,11 @@ SURVIVORS: dict[tuple[str, str], str] = {
     ): "speed only: if both sides are violated alike, D is the answer's already, and what is not "
     "fixed at its upper bound now is clipped to it at the end (2,000 such ties: no difference)",
     (
+        "rtcal.exact.batch.x__fix",
+        "+ alpha = np.clip(base - d[:, np.newaxis] * free, low, None)",
+    ): "equivalent: after the last round no free coefficient is above its upper bound (60,000 random "
+    "bands: no difference)",
+    (
         "rtcal.calibration.certificate.x__row_gap",
         "+ slack = np.where(rows >= 0, model.row_upper - values, values - model.row_lower)",
     ): "equivalent: a row whose multiplier is 0 counts as an equality, whose gap is 0",
