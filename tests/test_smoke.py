@@ -157,7 +157,9 @@ def test_an_output_that_the_shell_closes(tmp_path, shell: str, codes: set[int]) 
     assert done.returncode in codes  # of a pipe: that of its last command
     assert "Traceback" not in done.stderr
     assert "Exception ignored" not in done.stderr
-    assert done.stderr.count("\n") <= 1
+    # Without matplotlib a line says that there is no figure.
+    said = [line for line in done.stderr.splitlines() if "no figure" not in line]
+    assert len(said) <= 1
     assert (tmp_path / "calibrated" / "result.json").exists()
     if shell == ">&-":
-        assert done.stderr == "rtcal: cannot print: the standard output is closed\n"
+        assert said == ["rtcal: cannot print: the standard output is closed"]
