@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtcal.errors import MissingDependencyError
-from rtcal.report import figures, positions_figures
-from rtcal.support.files import make_folder, write_all
+from rtcal.report import positions_figures
+from rtcal.report.result_folder import NUMBERS, ROOM, write_with_figures
 
 if TYPE_CHECKING:
     from rtcal.loop.positions_result import PositionsResult
     from rtcal.simulators.geometry import Polyhedron
 
-ROOM, NUMBERS, PLAN, SHIFTS = "room.toml", "result.json", "plan.png", "shifts.png"
+PLAN, SHIFTS = "plan.png", "shifts.png"
 FILES = (ROOM, NUMBERS, PLAN, SHIFTS)
 
 
@@ -35,18 +33,8 @@ def write(
     DataError
         If the folder cannot be made, or a file cannot be written.
     """
-    contents = {
-        folder / ROOM: result.room.to_text().encode(),
-        folder / NUMBERS: result.to_json().encode(),
+    draw = {
+        PLAN: lambda: positions_figures.plan(result, geometry, sources, receivers),
+        SHIFTS: lambda: positions_figures.shifts(result),
     }
-    try:
-        for name, figure in (
-            (PLAN, positions_figures.plan(result, geometry, sources, receivers)),
-            (SHIFTS, positions_figures.shifts(result)),
-        ):
-            contents[folder / name] = figures.rendered(figure, "png")
-    except MissingDependencyError as error:
-        warnings.warn(f"no figures: {error}", stacklevel=2)
-    make_folder(folder)
-    write_all(contents)
-    return list(contents)
+    return write_with_figures(result, folder, draw)

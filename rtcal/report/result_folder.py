@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rtcal.errors import MissingDependencyError
 from rtcal.report import figures
@@ -14,6 +14,7 @@ from rtcal.support.files import make_folder, spare, write_all
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
+    from rtcal.loop.positions_result import PositionsResult
 
 ROOM, NUMBERS, FIGURE = "room.toml", "result.json", "reverberation_time.png"
 FILES = (ROOM, NUMBERS, FIGURE)
@@ -34,15 +35,24 @@ def write(result: CalibrationResult, folder: Path) -> list[Path]:
     DataError
         If the folder cannot be made, or a file cannot be written.
     """
+    return write_with_figures(result, folder, {FIGURE: lambda: figures.reverberation_time(result)})
+
+
+def write_with_figures(
+    result: CalibrationResult | PositionsResult,
+    folder: Path,
+    draw: Mapping[str, Callable[[], Any]],
+) -> list[Path]:
+    """Write room, numbers and the figures that ``draw`` makes by file name; see `write`."""
     contents = {
         folder / ROOM: result.room.to_text().encode(),
         folder / NUMBERS: result.to_json().encode(),
     }
     try:
-        figure = figures.reverberation_time(result)
-        contents[folder / FIGURE] = figures.rendered(figure, "png")
+        pictures = {name: figures.rendered(figure(), "png") for name, figure in draw.items()}
+        contents |= {folder / name: picture for name, picture in pictures.items()}
     except MissingDependencyError as error:
-        warnings.warn(f"no figure: {error}", stacklevel=2)
+        warnings.warn(f"no figure{'s' * (len(draw) > 1)}: {error}", stacklevel=3)
     make_folder(folder)
     write_all(contents)
     return list(contents)

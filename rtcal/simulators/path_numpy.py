@@ -139,7 +139,7 @@ def histogram(
 ) -> None:
     """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins)."""
     shape = (out.shape[0], out.shape[2])
-    _, energy, flat, in_bins = _heard(
+    _, _, energy, flat, in_bins = _heard(
         events, starts, lengths, weights, log_reflection, attenuation, first, bin_length, shape
     )
     out += np.moveaxis(_sums(flat, energy, in_bins, shape), 2, 1)
@@ -160,17 +160,16 @@ def histogram_gradient(
 ) -> None:
     """Add energy and derivatives as `rtcal.simulators.path_numba.histogram_gradient` does."""
     shape = (out.shape[0], out.shape[2])
-    heard, energy, flat, in_bins = _heard(
+    heard, begin, energy, flat, in_bins = _heard(
         events, starts, lengths, weights, log_reflection, attenuation, first, bin_length, shape
     )
     sums = _sums(flat, energy, in_bins, shape)
     out += np.moveaxis(sums, 2, 1)
     wall = events < len(log_reflection)
     group = np.where(wall, groups[np.where(wall, events, 0)], -1)
-    path = np.searchsorted(starts, heard, side="right") - 1
     for j in range(gradient.shape[2]):
         hits = np.concatenate([[0], np.cumsum(group == j)])
-        number = (hits[heard] - hits[starts[path]])[:, np.newaxis]
+        number = (hits[heard] - hits[begin])[:, np.newaxis]
         gradient[:, :, j] += _sums(flat, number * energy, in_bins, shape)
 
 
@@ -193,23 +192,21 @@ def _heard(
     first: Array,
     bin_length: float,
     shape: tuple[int, int],
-) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.bool_]]:
-    """Return each reception's event and energy, (n, n_bands), its bin, and whether there is one.
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.bool_]]:
+    """Return each reception's event, its path's first event, energy, bin, and whether it has a bin.
 
-    The bins are counted over all receivers; ``shape`` is (n_receivers, n_bins).
+    Energies are (n, n_bands). Bins are counted over all receivers. ``shape`` is (n_receivers, n_bins).
     """
     n_faces, n_bands = log_reflection.shape
     heard = np.flatnonzero(events >= n_faces)
     receiver = events[heard].astype(np.int64) - n_faces
     length = lengths.astype(float)
     place = np.floor((length - first[receiver]) / bin_length).astype(np.int64)
-    path = np.searchsorted(starts, heard, side="right") - 1
+    begin = starts[np.searchsorted(starts, heard, side="right") - 1]
     # -inf for a wall that reflects nothing would make a difference of sums NaN; exp(-800) is 0 too.
     steps = np.vstack([np.maximum(log_reflection, -800), np.zeros((shape[0], n_bands))])
     energy = np.empty((len(heard), n_bands))
     for k in range(n_bands):
         level = np.concatenate([[0.0], np.cumsum(steps[events, k])])
-        energy[:, k] = weights * np.exp(
-            level[heard] - level[starts[path]] - attenuation[k] * length
-        )
-    return heard, energy, receiver * shape[1] + place, (place >= 0) & (place < shape[1])
+        energy[:, k] = weights * np.exp(level[heard] - level[begin] - attenuation[k] * length)
+    return heard, begin, energy, receiver * shape[1] + place, (place >= 0) & (place < shape[1])
