@@ -23,6 +23,9 @@ from rtcal.support.types import Array
 
 _ROUNDS = 60
 _ROUNDING = 1e-13
+_AT_BOUND = 8 * np.finfo(float).eps
+"""Distance beyond a bound that counts as none: a coefficient whose optimum is its bound passes it by
+the rounding error of the rows."""
 _UNBALANCED = 1e3
 """Imbalance of a free unknown, in units of its rounding error, up to which it counts as balanced."""
 _PATIENCE = 8
@@ -76,6 +79,8 @@ def polish(
         if solved is None:
             return None
         trial, rows, moving = solved
+        nearest = np.clip(trial, lower, upper)
+        trial = np.where(free & (np.abs(trial - nearest) <= _AT_BOUND), nearest, trial)
         below, above = free & (trial < lower), free & (trial > upper)
         at_rows = np.asarray(model.matrix @ trial)
         slack = _ROUNDING * np.maximum(model.row_norm, 1e-300)

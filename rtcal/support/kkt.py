@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from rtcal.errors import SolverError
 from rtcal.support.types import Array
@@ -57,16 +58,41 @@ def solve(hessian: Any, matrix: Any, force: Array, limit: Array) -> tuple[Array,
 
 
 def _eliminated(diagonal: Array, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:
-    """Eliminate x: A H⁻¹ A' y = A H⁻¹ f - c."""
+    """Eliminate x: A H⁻¹ A' y = A H⁻¹ f - c. Rows that share unknowns are solved together."""
     weighted = matrix / diagonal
     schur = weighted @ matrix.T
     schur = schur.toarray() if sp.issparse(schur) else schur
-    right = weighted @ force - limit
     if np.count_nonzero(schur) == np.count_nonzero(np.diag(schur)):
-        multipliers = (right.T / np.diag(schur)).T
-    else:
-        multipliers = np.linalg.lstsq(schur, right, rcond=_DEPENDENT)[0]
-    return ((force - matrix.T @ multipliers).T / diagonal).T, multipliers
+        multipliers = ((weighted @ force - limit).T / np.diag(schur)).T
+        return ((force - matrix.T @ multipliers).T / diagonal).T, multipliers
+    step, multipliers = (force.T / diagonal).T, np.zeros_like(limit)
+    n_groups, group = connected_components(sp.csr_array(schur), directed=False)
+    for number in range(n_groups):
+        rows = np.flatnonzero(group == number)
+        lines = matrix[rows]
+        lines = lines.toarray() if sp.issparse(lines) else lines
+        columns = np.flatnonzero(lines.any(axis=0))
+        lines = lines[:, columns]
+        residual = limit[rows] - lines @ step[columns]
+        change, multipliers[rows] = _nearest(lines, diagonal[columns], residual)
+        step[columns] += change
+    return step, multipliers
+
+
+def _nearest(matrix: Array, diagonal: Array, residual: Array) -> tuple[Array, Array]:
+    """Return the smallest x with A x = c, x'H x / 2, and its multipliers: H x + A'y = 0.
+
+    The singular values are those of A H^(-1/2). Those of A H⁻¹ A' are their squares, in which nearly
+    dependent rows are lost at half the digits.
+    """
+    root = np.sqrt(diagonal)
+    orthogonal, triangle = np.linalg.qr((matrix / root).T)
+    left, values, right = np.linalg.svd(triangle, full_matrices=False)
+    used = values > _DEPENDENT * values[0]
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=used)
+    along = (inverse * (right @ residual).T).T
+    step = orthogonal @ (left @ along)
+    return (step.T / root).T, -right.T @ (inverse * along.T).T
 
 
 def _factored(hessian: Any, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:
