@@ -12,8 +12,8 @@ def no_terminal(monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
 
 
-@pytest.mark.parametrize(("columns", "expected"), [("40", 80), ("80", 80), ("120", 120)])
-def test_a_line_has_the_terminals_width_and_at_least_80(monkeypatch, columns, expected) -> None:
+@pytest.mark.parametrize(("columns", "expected"), [("20", 40), ("60", 60), ("120", 120)])
+def test_a_line_has_the_terminals_width_and_at_least_40(monkeypatch, columns, expected) -> None:
     monkeypatch.setenv("COLUMNS", columns)
     assert text.width() == expected
     rows = [(f"row {i}", [f"{i}.{j:04d}" for j in range(40)]) for i in range(3)]

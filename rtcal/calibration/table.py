@@ -15,6 +15,8 @@ from rtcal.support.types import Array
 _STRONG_SHIFT = 3.0
 """Shift (in sigmas) and gap (in JND) at which the notebook's shading saturates."""
 
+_SHIFT = "shift of alpha in sigmas, the standard deviations stated for alpha"
+
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 
 
@@ -33,8 +35,11 @@ def text_table(record: Mapping[str, Any]) -> str:
             "",
             *text.table(_band_rows(record), header=header),
             "",
-            "alpha after (shift in sigmas of the prior; * at a bound)",
-            *text.table(_material_rows(record), header=header),
+            "calibrated alpha (* at a bound)",
+            *text.table(_alpha_rows(record), header=header),
+            "",
+            *text.wrapped(_SHIFT),
+            *text.table(_shift_rows(record), header=header),
             "",
             *(
                 line
@@ -120,23 +125,29 @@ def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
     ]
 
 
-def _material_rows(record: Mapping[str, Any]) -> list[text.Row]:
-    """Three rows per material: alpha, its shift in sigmas, its shift."""
-    rows: list[text.Row] = []
-    for material in record["materials"]:
-        after = _numbers(material["alpha_after"])
-        marks = [_BOUNDS[bound] for bound in material["at_bound"]]
-        shift = _without_rounding(after - _numbers(material["alpha_before"]))
-        sigmas = _without_rounding(_numbers(material["shift_in_sigmas"]))
-        rows += [
-            (
-                f"{material['name']}, {material['area']:g} m²",
-                [f"{alpha:.3f}{mark}" for alpha, mark in zip(after, marks, strict=True)],
-            ),
-            ("", [f"({s:+.1f}) " for s in sigmas]),
-            ("  shift of alpha", [f"{s:+.3f} " for s in shift]),
-        ]
-    return rows
+def _alpha_rows(record: Mapping[str, Any]) -> list[text.Row]:
+    """One row per material."""
+    return [
+        (
+            f"{material['name']}, {material['area']:g} m²",
+            [
+                f"{alpha:.3f}{_BOUNDS[bound]}"
+                for alpha, bound in zip(material["alpha_after"], material["at_bound"], strict=True)
+            ],
+        )
+        for material in record["materials"]
+    ]
+
+
+def _shift_rows(record: Mapping[str, Any]) -> list[text.Row]:
+    """One row per material."""
+    return [
+        (
+            material["name"],
+            [f"{cell} " for cell in _cells(_numbers(material["shift_in_sigmas"]), "+.1f")],
+        )
+        for material in record["materials"]
+    ]
 
 
 def _numbers(values: Sequence[float | None] | Array) -> Array:

@@ -71,9 +71,14 @@ def printing() -> Iterator[None]:
 
 
 def warn(message: object) -> None:
-    """Print one line on standard error, unless that is closed or full."""
+    """Print a sentence on standard error, unless that is closed or full.
+
+    It is one line, so that a log keeps it together; wrapped on a terminal, and if COLUMNS is set.
+    """
+    line = f"rtcal: {printable(' '.join(str(message).split()))}"
+    on_terminal = sys.stderr is not None and sys.stderr.isatty()
     with suppress(OSError):
-        click.echo(f"rtcal: {printable(' '.join(str(message).split()))}", err=True)
+        click.echo(fitted(line) if on_terminal or "COLUMNS" in os.environ else line, err=True)
 
 
 def show_warning(message: Warning | str, *_: object, **__: object) -> None:

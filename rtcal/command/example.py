@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
@@ -36,6 +37,7 @@ def example(name: str, out: str | None, as_json: bool, quiet: bool) -> None:
     from rtcal.datasets import examples
     from rtcal.errors import DataError
     from rtcal.support.files import make_folder, write_all
+    from rtcal.support.text import shell
 
     project = examples.example(name)
     folder = output_folder("--out", out) or Path(name)
@@ -44,9 +46,11 @@ def example(name: str, out: str | None, as_json: bool, quiet: bool) -> None:
         raise DataError(f"{present[0]} exists; an example writes over no file: give another --out")
     make_folder(folder)
     write_all(targets)
-    commands = "\n".join([f"cd {folder}", *project.commands]).replace("\n", "\n  ")
+    commands = [f"cd {shlex.quote(str(folder))}", *project.commands]
+    lines = [written(list(targets)), "", "Next:"]
+    lines += [line for command in commands for line in shell(command, "  ")]
     tell(
-        f"{written(list(targets))}\n\nNext:\n  {commands}",
+        "\n".join(lines),
         {"written": [str(path) for path in targets], "commands": list(project.commands)},
         quiet=quiet,
         as_json=as_json,

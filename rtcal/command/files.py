@@ -14,7 +14,7 @@ from rtcal.errors import DataError
 from rtcal.support.files import spare
 
 if TYPE_CHECKING:
-    from rtcal.io.impulse_responses import Analysis
+    from rtcal.io.analysis import Analysis
     from rtcal.io.tables import Table
 
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
@@ -76,6 +76,7 @@ def measure(
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
     notes = {
         "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,
+        "minimum_range_db": analysis.minimum_range,
         "missing": analysis.missing,
         "notes": analysis.notes,
     }

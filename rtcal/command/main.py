@@ -29,13 +29,16 @@ EXIT_CODES = {
     3: "the solver failed",
     4: "an optional library is missing",
     CannotPrint.exit_code: "the output cannot be printed",
-    NOTHING_TO_ADD: "`rtcal gap apply` only: nothing to add, nothing written",
+    NOTHING_TO_ADD: "nothing to add, nothing written (`rtcal gap apply`)",
     130: "interrupted",
 }
 
 _EPILOG = "\b\nExit codes:\n" + "\n".join(
     f"  {code:3d}  {text}" for code, text in EXIT_CODES.items()
 )
+
+_WIDEST_HELP = 100
+"""Largest width of a help text in characters: longer lines of prose are hard to read."""
 
 
 class _InOrderOfUse(click.Group):
@@ -46,7 +49,9 @@ class _InOrderOfUse(click.Group):
 
 
 @click.group(
-    cls=_InOrderOfUse, context_settings={"help_option_names": ["-h", "--help"]}, epilog=_EPILOG
+    cls=_InOrderOfUse,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": _WIDEST_HELP},
+    epilog=_EPILOG,
 )
 @click.version_option(__version__)
 def cli() -> None:

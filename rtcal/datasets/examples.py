@@ -79,9 +79,8 @@ def _responses() -> Example:
         {"room.obj": obj.text(box).encode(), **{name: _response(rng) for name in names}},
         (
             "rtcal measure S*.wav --out t.csv",
-            "rtcal import catalogue --mesh room.obj --catalogue carpet=carpet_cotton \\\n"
-            "    --catalogue plaster=rough_concrete --temperature 20 --humidity 45 \\\n"
-            "    --out room.toml",
+            "rtcal import catalogue --mesh room.obj --catalogue carpet=carpet_cotton "
+            "--catalogue plaster=rough_concrete --temperature 20 --humidity 45 --out room.toml",
             _CALIBRATE,
             _REPORT,
         ),

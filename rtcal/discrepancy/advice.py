@@ -169,14 +169,14 @@ class Plan:
     def __str__(self) -> str:
         """Return the table of expected evidence, and the pairs that cannot be distinguished."""
         names = list(dict.fromkeys(a for a, _ in self.separations))
-        lines = [
-            f"With {', '.join(self.parameters)}: evidence (nats) to expect",
-            "for the effect in the row against the effect in the column,",
-            f"at the size whose change of T (its own column) is nearest to {100 * self.change:g} %.",
-            f"Over {DISTINCT_NATS} (ten to one) they can be told apart; over {_MOST:.0f} is certain, "
-            "and no",
-            "number is printed.",
-        ]
+        lines = text.wrapped(
+            f"Evidence to expect (nats) from {', '.join(p.upper() for p in self.parameters)}, if the "
+            "effect of the row is in the room, against the effect of the column. Each effect has the "
+            f"size whose change of T is nearest to {100 * self.change:g} % (second column). Effects can "
+            f"be told apart over {DISTINCT_NATS} nats, which are odds of ten to one. Over "
+            f"{_MOST:.0f} nats no number is printed.",
+            hanging="",
+        )
         words = [["change", "of T"], *(n.replace("-", "- ").split() for n in (NONE, *names))]
         height = max(map(len, words))
         padded = [[""] * (height - len(column)) + column for column in words]
@@ -191,21 +191,16 @@ class Plan:
         both, one_sided = _blind(self.separations, pairs)
         unseen = [a for a in names if self.separations[a, NONE] < DISTINCT_NATS]
         if unseen:
-            lines.append(
-                "Cannot be told from a model that lacks nothing: " + ", ".join(unseen) + "."
+            lines += text.wrapped(
+                f"Cannot be told from a model that lacks nothing: {', '.join(unseen)}."
             )
-        lines.append("Cannot be told apart: " + (_paired(both, " and ") or "none of them") + ".")
-        if one_sided:
-            lines.append(
-                "The first may pass for the second, not the second for the first: "
-                + _paired(one_sided, " for ")
-                + "."
-            )
+        lines += _grouped("Cannot be told apart", both)
+        lines += _grouped("Can pass for another, but not the other for it", one_sided)
         for label, table in self.more.items():
             still, half = _blind(table, pairs)
             gained = [p for p in both if p not in still and p not in half and p[::-1] not in half]
             gained += [p for p in one_sided if p not in half]
-            lines.append(f"With {label} as well: " + (_paired(gained, " from ") or "no more") + ".")
+            lines += _grouped(f"Could also be told apart with {label}", gained)
         return "\n".join(lines)
 
 
@@ -218,8 +213,15 @@ def _cell(nats: float) -> str:
     return f"{nats:.1f}" if nats <= _MOST else f">{_MOST:.0f}"
 
 
-def _paired(pairs: Pairs, between: str) -> str:
-    return "; ".join(a + between + b for a, b in pairs)
+def _grouped(title: str, pairs: Pairs) -> list[str]:
+    """Return a title, and a line per first effect of some pairs with all its second ones."""
+    others: dict[str, list[str]] = {}
+    for a, b in pairs:
+        others.setdefault(a, []).append(b)
+    if not others:
+        return [f"{title}: none."]
+    rows = [f"{a}: {', '.join(b)}" for a, b in others.items()]
+    return [f"{title}:", *(line for row in rows for line in text.wrapped(row, indent="  "))]
 
 
 def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[Pairs, Pairs]:

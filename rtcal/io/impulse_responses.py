@@ -22,7 +22,6 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,7 @@ from rtcal.acoustics.curvature import bent_decays
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io.analysis import Analysis, pairs_in_words, spread
 from rtcal.io.wav import MAX_CHANNEL_SAMPLES, check_header
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -59,30 +59,6 @@ LEAST_SILENCE = 0.01
 
 _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for third-octaves
 _NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+)", re.I | re.ASCII)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Analysis:
-    """The parameters of impulse responses, the reasons for missing values, and notes.
-
-    ``impulse_to_noise_ratio`` is in dB, (n_pairs, n_bands). ``missing`` has the reason for each missing
-    value, ``notes`` has doubts about the other values.
-    """
-
-    measurement: Measurement
-    impulse_to_noise_ratio: Array
-    missing: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        lines = []
-        for parameter in ("t20", "t30", "edt"):
-            mean = self.measurement.mean(parameter)
-            for f, value in zip(self.measurement.centre_frequencies, mean, strict=True):
-                shown = f"{value:.3f} s" if np.isfinite(value) else "missing"
-                lines.append(f"{parameter.upper():4} {_bands.label(f):>9} {shown}")
-        lines += [f"missing: {m}" for m in self.missing] + [f"note: {n}" for n in self.notes]
-        return "\n".join(lines)
 
 
 @checked
@@ -201,13 +177,12 @@ def analyse(
     values = {p: np.full((len(signals), len(centres)), np.nan) for p in PARAMETERS}
     ratios = np.full((len(signals), len(centres)), np.nan)
     missing: list[str] = []
-    notes: list[str] = []
+    silences: dict[tuple[str, str], float] = {}
+    short: dict[float, list[float]] = {}
     for i, (pair, signal) in enumerate(signals.items()):
         time, onset, silence = _checked(signal, "/".join(pair))
         if silence >= LEAST_SILENCE:
-            notes.append(
-                f"{pair[0]}, {pair[1]}: the last {silence:.2f} s are digital silence, left out"
-            )
+            silences[pair] = silence
         for k, centre in enumerate(centres):
             bandwidth = centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
             energy = _filtered(time, float(signal.sampling_rate), float(centre), fractions)
@@ -226,13 +201,22 @@ def analyse(
                 values[parameter][i, k] = value
             t = next((parameters[p] for p in ("t20", "t30", "edt") if p in parameters), np.inf)
             if bandwidth * t < LEAST_BT:
-                notes.append(
-                    f"{place}: B T = {bandwidth * t:.1f} is below {LEAST_BT:g}: the measured decay "
-                    "contains that of the band filter"
-                )
+                short.setdefault(centre, []).append(bandwidth * t)
         if progress is not None:
             progress()
     measurement = Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values)
+    notes = []
+    if silences:
+        seconds = spread([*silences.values()], ".2f")
+        notes.append(
+            f"{pairs_in_words([*silences])}: the last {seconds} s are digital silence, left out"
+        )
+    for centre, products in short.items():
+        count = "" if len(signals) == 1 else f" in {len(products)} of {len(signals)} pairs"
+        notes.append(
+            f"{_bands.label(centre)}: B T = {spread(products, '.1f')}{count} is below {LEAST_BT:g}: "
+            "the measured decay contains that of the band filter"
+        )
     notes += [
         f"{_bands.label(band.frequency)}: {band.text}; one T does not describe it"
         for band in bent_decays(measurement)
@@ -240,6 +224,7 @@ def analyse(
     return Analysis(
         measurement=measurement,
         impulse_to_noise_ratio=ratios,
+        minimum_range=needed,
         missing=tuple(missing),
         notes=tuple(notes),
     )

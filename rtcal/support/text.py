@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import textwrap
 from collections.abc import Sequence
@@ -9,17 +10,19 @@ from collections.abc import Sequence
 Row = tuple[str, Sequence[str]]
 """A row of a table: its label, and one cell per column."""
 
-NARROWEST = 80
-"""Smallest width of lines in characters, also in a narrower terminal."""
+USUAL = 80
+"""Width of lines in characters without a terminal."""
+NARROWEST = 40
+"""Smallest width of lines, also in a narrower terminal: a table needs a label and one column."""
 
 
 def width() -> int:
-    """Return the largest length of a line in characters: the terminal's width, at least 80.
+    """Return the largest length of a line in characters: the terminal's width, at least 40.
 
     Without a terminal, as in a pipe or a notebook, it is 80; the environment variable COLUMNS
     overrides both.
     """
-    return max(NARROWEST, shutil.get_terminal_size((NARROWEST, 24)).columns)
+    return max(NARROWEST, shutil.get_terminal_size((USUAL, 24)).columns)
 
 
 def wrapped(sentence: str, indent: str = "", hanging: str | None = None) -> list[str]:
@@ -68,6 +71,29 @@ def fitted(text: str) -> str:
         indent = line[: len(line) - len(line.lstrip(" "))]
         lines += wrapped(line.strip(), indent) if len(line) > most else [line]
     return "\n".join(lines)
+
+
+def shell(command: str, indent: str = "") -> list[str]:
+    """Return a shell command as lines within `width`, with backslashes, so that it can be copied.
+
+    An option stays on the line of its value.
+
+    Examples
+    --------
+    >>> print("\\n".join(shell("rtcal gap report case.toml --engine 'path tracing' --engine network "
+    ...     "--seed 0 --out gap")))
+    rtcal gap report case.toml --engine 'path tracing' --engine network --seed 0 \\
+        --out gap
+    """
+    parts = re.findall(r"(?:--\S+ )?(?:'[^']*'|\"[^\"]*\"|[^\s'\"])+", command)
+    lines = [indent + parts[0]]
+    for part in parts[1:]:
+        if len(lines[-1]) + len(part) + 3 <= width():  # a blank, and " \\" at the end
+            lines[-1] += f" {part}"
+        else:
+            lines[-1] += " \\"
+            lines.append(f"{indent}    {part}")
+    return lines
 
 
 def table(

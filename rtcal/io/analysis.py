@@ -1,0 +1,131 @@
+"""The parameters of analysed impulse responses, with what is missing and doubtful, by band."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import UNITS
+from rtcal.support import text
+from rtcal.support.types import Array
+
+_MOST_PAIRS = 4
+"""Largest number of pairs that a sentence names."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """The parameters of impulse responses, the reasons for missing values, and notes.
+
+    Attributes
+    ----------
+    measurement : Measurement
+    impulse_to_noise_ratio : array (n_pairs, n_bands)
+        dB.
+    minimum_range : mapping of str to float
+        Impulse-to-noise ratio in dB that each parameter needed.
+    missing : tuple of str
+        The reason for each missing value. The printed text has them by band.
+    notes : tuple of str
+        Doubts about the other values.
+    """
+
+    measurement: Measurement
+    impulse_to_noise_ratio: Array
+    minimum_range: Mapping[str, float]
+    missing: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Return the means by band, what is missing by band, and the notes."""
+        measurement, n = self.measurement, len(self.measurement.pairs)
+        title = f"Means over {n} pairs of source and receiver" if n > 1 else "One impulse response"
+        header = ("", [bands.label(f) for f in measurement.centre_frequencies])
+        rows = [
+            (
+                parameter.upper() + (f" / {unit}" if (unit := UNITS[parameter]) else ""),
+                [
+                    format(value, ".1f" if unit == "dB" else ".3f") if np.isfinite(value) else "-"
+                    for value in measurement.mean(parameter)
+                ],
+            )
+            for parameter in measurement.values
+        ]
+        lines = [title, *text.table(rows, header=header)]
+        if self.missing:
+            lines += ["", *text.wrapped(self._rule)]
+            for sentence in self._missing_by_band():
+                lines += text.wrapped(sentence, indent="  ")
+        for note in self.notes:
+            lines += text.wrapped(f"note: {note}")
+        return "\n".join(lines)
+
+    @property
+    def _rule(self) -> str:
+        """The impulse-to-noise ratio that each parameter needs, as a sentence."""
+        needed: dict[float, list[str]] = {}
+        for parameter in self.measurement.values:
+            needed.setdefault(self.minimum_range[parameter], []).append(parameter.upper())
+        parts = [f"{ratio:g} dB for {', '.join(names)}" for ratio, names in needed.items()]
+        return (
+            "Missing values. The impulse must stand above the noise (ISO 3382) by "
+            f"{'; '.join(parts)}."
+        )
+
+    def _missing_by_band(self) -> list[str]:
+        """Return a sentence per band: how many pairs lack which parameter, and their noise."""
+        sentences, n = [], len(self.measurement.pairs)
+        for k, frequency in enumerate(self.measurement.centre_frequencies):
+            lacking: dict[int, list[str]] = {}
+            for parameter, values in self.measurement.values.items():
+                if count := int(np.isnan(values[:, k]).sum()):
+                    lacking.setdefault(count, []).append(parameter.upper())
+            if not lacking:
+                continue
+            where = "; ".join(
+                ", ".join(names) + (f" in {count} of {n} pairs" if n > 1 else "")
+                for count, names in sorted(lacking.items(), reverse=True)
+            )
+            sentences.append(f"{bands.label(frequency)}: no {where}. {self._noise(k)}")
+        return sentences
+
+    def _noise(self, band: int) -> str:
+        """Return the range of the impulse-to-noise ratio over the pairs of a band."""
+        ratios = self.impulse_to_noise_ratio[:, band]
+        heard = ratios[np.isfinite(ratios)]
+        silent = int(np.isneginf(ratios).sum())
+        parts = [f"Measured: {spread(heard, '.1f')} dB."] if heard.size else []
+        if silent:
+            pairs = "" if len(ratios) == 1 else f" in {silent} of {len(ratios)} pairs"
+            parts.append(f"No decay stands out of the noise{pairs}.")
+        return " ".join(parts)
+
+
+def spread(values: Sequence[float] | Array, form: str) -> str:
+    """Return the ends of some values; one number if they are printed alike.
+
+    Examples
+    --------
+    >>> spread([0.5, 0.25], ".2f"), spread([0.5, 0.501], ".2f")
+    ('0.25 to 0.50', '0.50')
+    """
+    ends = dict.fromkeys(format(v, form) for v in (np.min(values), np.max(values)))
+    return " to ".join(ends)
+
+
+def pairs_in_words(pairs: Sequence[tuple[str, str]]) -> str:
+    """Return the names of some pairs; the first of many, and the number of the others.
+
+    Examples
+    --------
+    >>> pairs_in_words([("S1", "R1"), ("S1", "R2")])
+    'S1, R1; S1, R2'
+    """
+    names = [", ".join(pair) for pair in pairs]
+    if len(names) > _MOST_PAIRS:
+        names = [*names[: _MOST_PAIRS - 1], f"{len(names) - _MOST_PAIRS + 1} others"]
+    return "; ".join(names)

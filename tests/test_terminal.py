@@ -1,0 +1,199 @@
+"""What every command prints fits the terminal, at 60, 80 and 120 columns, and no width is wasted."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rtcal as rt
+from rtcal.command.main import cli, main
+from rtcal.datasets import halls
+
+pytest.importorskip("matplotlib", reason="needs the extra report")
+pytest.importorskip("jinja2", reason="needs the extra report")
+pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
+
+WIDTHS = (60, 80, 120)
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main(list(arguments))
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def command_names() -> list[str]:
+    names = []
+    for name, command in cli.commands.items():
+        parts = getattr(command, "commands", {"": None})
+        names += [f"{name} {part}".strip() for part in parts]
+    return names
+
+
+@pytest.fixture(scope="module")
+def projects(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The projects of `rtcal example`, with what a user adds to them."""
+    folder = tmp_path_factory.mktemp("projects")
+    for name in ("room", "responses", "simulator", "missing-effect"):
+        assert run("example", name, "--out", str(folder / name), "--quiet") == 0
+    hall = halls.lecture_hall()
+    lines = []
+    for kind, points in (("sources", hall.sources), ("receivers", hall.receivers)):
+        lines += [f"[{kind}]", *(f"{name} = {list(point)}" for name, point in points.items())]
+    (folder / "simulator" / "positions.toml").write_text("\n".join(lines))
+    (folder / "room" / "dirac.csv").write_text(
+        "Frequenz [Hz];RT60 [s];EDT [s]\n500;1,32;1,21\n1000;1,30;1,25\n"
+    )
+    (folder / "room" / "hall.geo").write_text(
+        "".join(f"ABS material_{i} = <10 20 30 40 50 60>\n" for i in range(12))
+    )
+    room, _ = rt.datasets.bras_cr2()
+    simulated = rt.Measurement.from_values(room.centre_frequencies, t20=[1.0] * room.n_bands)
+    simulated.save(str(folder / "room" / "simulated.csv"))
+    return folder
+
+
+AREAS = [x for i in range(11) for x in ("--area", f"material_{i}={10 + i}")]
+STATE = ["--state", "loop.json", "--out", "next.toml"]
+CALLS: list[tuple[str, list[str], int]] = [
+    ("room", ["example", "optimisation", "--out", "a-rather-long-name-of-a-folder"], 0),
+    ("room", ["example", "optimisation", "--out", "a-rather-long-name-of-a-folder"], 2),
+    ("room", ["calibrate", "room.toml", "t.csv", "--out", "calibrated"], 0),
+    ("room", ["calibrate", "room.toml", "t.csv", "--solver", "simplex"], 4),
+    ("room", ["report", "calibrated"], 0),
+    ("room", ["table", "dirac.csv"], 2),
+    ("room", ["table", "dirac.csv", "--decay-time", "t30", "--out", "u.csv"], 0),
+    ("room", ["import", "catt", "hall.geo", "--volume", "900", *AREAS, "--out", "hall.toml"], 0),
+    ("room", ["import", "catt", "hall.geo", "--volume", "9", "--area", "wod=1", "--out", "x"], 2),
+    ("room", ["export", "catt", "hall.toml", "hall.geo"], 0),
+    ("room", ["loop", "start", "room.toml", "t.csv", *STATE], 0),
+    ("room", ["loop", "next", "room.toml", "simulated.csv", *STATE], 0),
+    ("room", ["loop", "next", "room.toml", "simulated.csv", *STATE], 2),
+    ("room", ["report", "loop.json"], 0),
+    ("room", ["loop", "back", "room.toml", *STATE], 0),
+    ("responses", ["measure", "S1_R1.wav", "S2_R1.wav", "--minimum-range", "t30=60"], 0),
+    ("responses", ["measure", "S1_R1.wav", "--bands", "third-octave", "--out", "t.csv"], 0),
+    (
+        "simulator",
+        "fit room.toml t.csv --mesh room.obj --positions positions.toml --paths 160 --match t20 "
+        "--out fitted".split(),
+        0,
+    ),
+    ("missing-effect", ["gap", "plan", "case.json"], 0),
+    ("missing-effect", ["gap", "find", "case.json"], 0),
+    ("missing-effect", ["gap", "verify", "case.json"], 0),
+    ("missing-effect", ["gap", "report", "case.json", "--out", "gap"], 0),
+    ("missing-effect", ["gap", "apply", "case.json", "--out", "c.json", "--room", "c.toml"], 0),
+    (
+        "room",
+        ["study", "--trials", "9", "--realisations", "30", "--room", "shoebox", "--room", "halls"],
+        0,
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def computed() -> Any:
+    """The slow part of `gap` and `fit`, once for all widths: what is tested is their text."""
+    from rtcal import discrepancy
+    from rtcal.loop import positions
+    from rtcal.report import gap_report, page, positions_folder
+
+    def once(function: Any) -> Any:
+        results: list[Any] = []
+
+        def first(*arguments: Any, **options: Any) -> Any:
+            if not results:
+                results.append(function(*arguments, **options))
+            return results[0]
+
+        return first
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name in (
+            (discrepancy, "find"),
+            (discrepancy, "verify"),
+            (gap_report, "verify"),
+            (positions, "calibrate_positions"),
+        ):
+            patch.setattr(module, name, once(getattr(module, name)))
+        patch.setattr(gap_report, "figures", lambda *_: {})
+        patch.setattr(page, "_source", lambda *_: "data:,")
+        patch.setattr(positions_folder, "write", lambda _, folder, *__: [folder / "room.toml"])
+        yield
+
+
+def longest(text: str) -> str:
+    return max(text.splitlines() or [""], key=len)
+
+
+def test_every_command_is_called() -> None:
+    called = {" ".join(arguments) for _, arguments, _ in CALLS}
+    assert [n for n in command_names() if not any(f"{c} ".startswith(f"{n} ") for c in called)] == []
+
+
+@pytest.mark.parametrize("columns", WIDTHS)
+def test_no_line_is_longer_than_the_terminal(
+    projects: Path, computed: None, columns: int, monkeypatch, capsys, tmp_path
+) -> None:
+    """`gap report` had printed 177 characters in a line."""
+    monkeypatch.setenv("COLUMNS", str(columns))
+    folder = tmp_path / "p"
+    shutil.copytree(projects, folder)
+    widest = 0
+    for project, arguments, code in CALLS:
+        monkeypatch.chdir(folder / project)
+        assert run(*arguments) == code, capsys.readouterr().err
+        said = capsys.readouterr()
+        assert said.out if code == 0 else said.err
+        for stream in said:
+            line = longest(stream)
+            assert len(line) <= columns, f"rtcal {' '.join(arguments)}: {line}"
+            widest = max(widest, len(line))
+    assert widest > columns - 8
+
+
+@pytest.mark.parametrize("columns", WIDTHS)
+def test_no_help_is_wider_than_the_terminal(columns: int, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    for name in ("", "gap", "loop", *command_names()):
+        assert run(*name.split(), "--help") == 0
+        line = longest(capsys.readouterr().out)
+        assert len(line) <= columns, f"rtcal {name}: {line}"
+
+
+def test_an_error_is_one_line_where_no_one_looks(monkeypatch, capsys) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    name = "a-file-that-does-not-exist-" * 4
+    assert run("calibrate", f"{name} and blanks.toml", "t.csv") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("rtcal: ")
+    assert len(line) > 80
+
+
+def test_a_material_has_one_row(projects: Path, monkeypatch, capsys) -> None:
+    """It had three per material, of which two had no name."""
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.chdir(projects / "room")
+    assert run("calibrate", "room.toml", "t.csv") == 0
+    table = capsys.readouterr().out.split("calibrated alpha")[1].split("\n\n")[0].splitlines()
+    room, _ = rt.datasets.bras_cr2()
+    assert [row.split(",")[0] for row in table[2:]] == list(room.materials)
+
+
+def test_what_is_missing_is_one_line_per_band(projects: Path, monkeypatch, capsys) -> None:
+    """A hundred responses in seven octaves had 450 lines; the JSON has each value's reason."""
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.chdir(projects / "responses")
+    options = ["--minimum-range", "t30=90", "--minimum-range", "edt=55"]
+    assert run("measure", "S1_R1.wav", "S1_R2.wav", "S2_R1.wav", *options) == 0
+    text = capsys.readouterr().out
+    lines = text.split("Missing values.")[1].splitlines()
+    bands = [line.split(" Hz: ")[0].strip() for line in lines if " Hz: no " in line]
+    assert bands == ["63", "125", "250", "500", "1000", "2000"]
+    assert "90 dB for T30" in " ".join(text.split())
+    assert "T30 in 3 of 3 pairs" in text
