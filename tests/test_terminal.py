@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 import rtcal as rt
 from rtcal.command.main import cli, main
 from rtcal.datasets import halls
+from rtcal.support import progress
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
@@ -59,6 +61,8 @@ def projects(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 AREAS = [x for i in range(11) for x in ("--area", f"material_{i}={10 + i}")]
 STATE = ["--state", "loop.json", "--out", "next.toml"]
+FIT = ["fit", "room.toml", "t.csv", "--mesh", "room.obj", "--positions", "positions.toml"]
+FIT += ["--paths", "160", "--match", "t20", "--out", "fitted"]
 CALLS: list[tuple[str, list[str], int]] = [
     ("room", ["example", "optimisation", "--out", "a-rather-long-name-of-a-folder"], 0),
     ("room", ["example", "optimisation", "--out", "a-rather-long-name-of-a-folder"], 2),
@@ -79,8 +83,7 @@ CALLS: list[tuple[str, list[str], int]] = [
     ("responses", ["measure", "S1_R1.wav", "--bands", "third-octave", "--out", "t.csv"], 0),
     (
         "simulator",
-        "fit room.toml t.csv --mesh room.obj --positions positions.toml --paths 160 --match t20 "
-        "--out fitted".split(),
+        FIT,
         0,
     ),
     ("missing-effect", ["gap", "plan", "case.json"], 0),
@@ -133,7 +136,9 @@ def longest(text: str) -> str:
 
 def test_every_command_is_called() -> None:
     called = {" ".join(arguments) for _, arguments, _ in CALLS}
-    assert [n for n in command_names() if not any(f"{c} ".startswith(f"{n} ") for c in called)] == []
+    assert [
+        n for n in command_names() if not any(f"{c} ".startswith(f"{n} ") for c in called)
+    ] == []
 
 
 @pytest.mark.parametrize("columns", WIDTHS)
@@ -197,3 +202,31 @@ def test_what_is_missing_is_one_line_per_band(projects: Path, monkeypatch, capsy
     assert bands == ["63", "125", "250", "500", "1000", "2000"]
     assert "90 dB for T30" in " ".join(text.split())
     assert "T30 in 3 of 3 pairs" in text
+
+
+def test_every_progress_bar_is_documented() -> None:
+    """Those of `gap` were not: what they count was said by no page."""
+    root = Path(__file__).resolve().parents[1]
+    shown = {
+        path.stem
+        for path in (root / "rtcal" / "command").glob("*.py")
+        if "bar_wanted(" in path.read_text(encoding="utf-8") and path.stem != "console"
+    }
+    text = (root / "docs" / "command_line.md").read_text(encoding="utf-8")
+    rows = text.split("| the bar counts |")[1].split("\n\n")[0]
+    documented = {
+        "files" if name == "measure" else name for name in re.findall(r"rtcal (\w+)", rows)
+    }
+    assert documented == shown
+
+
+def test_a_progress_bar_says_how_long_it_will_take(monkeypatch, capsys) -> None:
+    pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setattr(progress, "DELAY", 0.0)
+    with progress.bar(3, "figure", wanted=True) as shown:
+        for _ in range(3):
+            shown.update(1)
+    frames = capsys.readouterr().err.replace("\n", "\r").split("\r")
+    assert any("3/3 figures" in frame and "left" in frame for frame in frames)
+    assert max(map(len, frames)) <= 60

@@ -249,12 +249,14 @@ def _find(path: str, case: Case, search: Search, quiet: bool) -> Finding:
     from rtcal import discrepancy
     from rtcal.discrepancy.cache import FOLDER
 
-    with bar(0, "room", bar_wanted(quiet)) as shown:
+    begun: list[str] = []
+    with bar(0, "control room", bar_wanted(quiet)) as shown:
 
         def report(engine: str, done: int, of: int) -> None:
-            if done == 1 and hasattr(shown, "reset"):
+            if engine not in begun and hasattr(shown, "reset"):
+                begun.append(engine)
                 shown.reset(total=of)
-                shown.set_description(f"control rooms, {engine}")
+                shown.set_description(f"{engine}, {len(begun)} of {len(search.engines)}")
             shown.update(1)
 
         folder = Path(path).parent / FOLDER

@@ -172,8 +172,8 @@ class Plan:
         lines = text.wrapped(
             f"Evidence to expect (nats) from {', '.join(p.upper() for p in self.parameters)}, if the "
             "effect of the row is in the room, against the effect of the column. Each effect has the "
-            f"size whose change of T is nearest to {100 * self.change:g} % (second column). Effects can "
-            f"be told apart over {DISTINCT_NATS} nats, which are odds of ten to one. Over "
+            f"size whose change of T is nearest to {100 * self.change:g} % (second column). Above "
+            f"{DISTINCT_NATS} nats, odds of ten to one, effects can be told apart. Above "
             f"{_MOST:.0f} nats no number is printed.",
             hanging="",
         )

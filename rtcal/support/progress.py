@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rtcal.errors import MissingDependencyError
+from rtcal.support.text import width
 
 DELAY = 2.0
 """Delay in seconds; shorter tasks show no bar."""
@@ -13,8 +14,8 @@ DELAY = 2.0
 def bar(count: int, unit: str, wanted: bool) -> Any:
     """Return a bar of ``count`` steps on standard error, to be entered and ``update(1)``-d.
 
-    It appears after two seconds. Without ``wanted`` it does nothing. Raises MissingDependencyError if
-    tqdm is not installed.
+    It appears after two seconds and says how long the rest will take. Without ``wanted`` it does
+    nothing. Raises MissingDependencyError if tqdm is not installed.
     """
     if not wanted:
         return _NoBar()
@@ -24,7 +25,14 @@ def bar(count: int, unit: str, wanted: bool) -> Any:
         raise MissingDependencyError(
             "the progress bar needs tqdm: pip install 'rtcal[studies]'"
         ) from error
-    return tqdm(total=count, unit=unit, smoothing=0.05, delay=DELAY)
+    return tqdm(
+        total=count,
+        unit=unit,
+        smoothing=0.05,
+        delay=DELAY,
+        ncols=width(),
+        bar_format="{desc}{n_fmt}/{total_fmt} {unit}s |{bar}| {elapsed} passed, about {remaining} left",
+    )
 
 
 class _NoBar:

@@ -74,15 +74,15 @@ def fitted(text: str) -> str:
 
 
 def shell(command: str, indent: str = "") -> list[str]:
-    """Return a shell command as lines within `width`, with backslashes, so that it can be copied.
+    r"""Return a shell command as lines within `width`, with backslashes, so that it can be copied.
 
     An option stays on the line of its value.
 
     Examples
     --------
-    >>> print("\\n".join(shell("rtcal gap report case.toml --engine 'path tracing' --engine network "
-    ...     "--seed 0 --out gap")))
-    rtcal gap report case.toml --engine 'path tracing' --engine network --seed 0 \\
+    >>> command = "rtcal gap report case.toml --engine 'path tracing' --engine network --out gap"
+    >>> print("\n".join(shell(command)))
+    rtcal gap report case.toml --engine 'path tracing' --engine network \
         --out gap
     """
     parts = re.findall(r"(?:--\S+ )?(?:'[^']*'|\"[^\"]*\"|[^\s'\"])+", command)
