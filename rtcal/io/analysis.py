@@ -71,10 +71,7 @@ class Analysis:
         for parameter in self.measurement.values:
             needed.setdefault(self.minimum_range[parameter], []).append(parameter.upper())
         parts = [f"{ratio:g} dB for {', '.join(names)}" for ratio, names in needed.items()]
-        return (
-            "Missing values. The impulse must stand above the noise (ISO 3382) by "
-            f"{'; '.join(parts)}."
-        )
+        return f"Missing values. Impulse-to-noise ratio needed (ISO 3382): {'; '.join(parts)}."
 
     def _missing_by_band(self) -> list[str]:
         """Return a sentence per band: how many pairs lack which parameter, and their noise."""
@@ -98,7 +95,7 @@ class Analysis:
         ratios = self.impulse_to_noise_ratio[:, band]
         heard = ratios[np.isfinite(ratios)]
         silent = int(np.isneginf(ratios).sum())
-        parts = [f"Measured: {spread(heard, '.1f')} dB."] if heard.size else []
+        parts = [f"It is {spread(heard, '.1f')} dB."] if heard.size else []
         if silent:
             pairs = "" if len(ratios) == 1 else f" in {silent} of {len(ratios)} pairs"
             parts.append(f"No decay stands out of the noise{pairs}.")
