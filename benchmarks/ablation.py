@@ -35,7 +35,7 @@ from benchmarks.judging import (
     stated_probabilities,
 )
 from benchmarks.second_world import WORLDS, order, place, truth_of
-from rtcal.discrepancy import Case, evidence, find, library, search
+from rtcal.discrepancy import Case, find, library, likelihood, search
 from rtcal.discrepancy import hypotheses as hypotheses_module
 from rtcal.discrepancy.effects import Effect
 from rtcal.discrepancy.effects.air import OmittedAir
@@ -106,7 +106,7 @@ PARTS = {
     "6 any climate, and a stated one exact": Part(
         ((OmittedAir, "density", even), (OmittedAir, "prior_odds", even)), measured_climate
     ),
-    "normal densities instead of Student's t": Part(((evidence, "DEGREES", np.inf),)),
+    "normal densities instead of Student's t": Part(((likelihood, "DEGREES", np.inf),)),
 }
 """By what is taken away. The seventh change, one size of an effect everywhere, changes no name."""
 

@@ -43,16 +43,19 @@ from rtcal.discrepancy import (
     find,
     hypotheses,
     library,
+    model_error,
     recalibrate,
     verify,
 )
 from rtcal.discrepancy.bootstrap import MINIMUM_NATS, bootstrap_threshold, draw_null_features, score
 from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.engines import ControlRooms, recentred
-from rtcal.discrepancy.evidence import alpha_covariance, estimate_discrepancy, evaluate
+from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
+from rtcal.discrepancy.likelihood import alpha_covariance
 from rtcal.discrepancy.model import predict
+from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import NONE, prior_of
 from rtcal.discrepancy.probabilities import credible_set, posterior
 from rtcal.discrepancy.recalibration import plain
@@ -424,17 +427,18 @@ def numbers(folder: str, step: int) -> None:
     Every so many rooms of population 0, T20, EDT and T30 in one configuration.
     """
     load(0)
-    common = evidence.COMMON_UNCERTAINTY
-    settings: list[tuple[Any, str, Any]] = [(evidence, "INFLATION", evidence.INFLATION)]
-    settings += [(evidence, "SHRINKAGE", x) for x in (0.2, 0.8)]
-    settings += [(evidence, "INFLATION", x) for x in (1.0, 1.5)]
+    common = model_error.COMMON_UNCERTAINTY
+    settings: list[tuple[Any, str, Any]] = [(model_error, "INFLATION", model_error.INFLATION)]
+    settings += [(model_error, "SHRINKAGE", x) for x in (0.2, 0.8)]
+    settings += [(model_error, "INFLATION", x) for x in (1.0, 1.5)]
     settings += [(Effect, "formula_error", Effect.formula_error * x) for x in (0.5, 2.0)]
     settings += [
         (hypotheses, "SHAPE_CHANGE", tuple((f, x * s) for f, s in hypotheses.SHAPE_CHANGE))
         for x in (0.5, 2.0)
     ]
     settings += [
-        (evidence, "COMMON_UNCERTAINTY", {k: x * v for k, v in common.items()}) for x in (0.5, 2.0)
+        (model_error, "COMMON_UNCERTAINTY", {k: x * v for k, v in common.items()})
+        for x in (0.5, 2.0)
     ]
     settings += [
         (evidence, "UNKNOWN_SIZES", tuple(x * s for s in evidence.UNKNOWN_SIZES))

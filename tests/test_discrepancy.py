@@ -40,16 +40,12 @@ from rtcal.discrepancy.effects.porous import Porous
 from rtcal.discrepancy.effects.resonator import Resonator
 from rtcal.discrepancy.effects.stated import WrongArea, WrongVolume
 from rtcal.discrepancy.engines import ControlRooms, recentred
-from rtcal.discrepancy.evidence import (
-    ModelDiscrepancy,
-    alpha_covariance,
-    estimate_discrepancy,
-    evaluate,
-    goodness_of_fit,
-)
+from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
+from rtcal.discrepancy.likelihood import alpha_covariance, goodness_of_fit
 from rtcal.discrepancy.model import State, predict, sensitivities
+from rtcal.discrepancy.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.discrepancy.states import state
 from rtcal.errors import DataError
 
@@ -244,7 +240,7 @@ def test_evidence_is_the_normal_density() -> None:
         covariance = (alpha_covariance(predicted, i) + error.covariance)[np.ix_(mask, mask)]
         # No distances are stated, which leaves C80 open.
         covariance = covariance + observed.covariance
-        covariance += predicted.applied_covariance[np.ix_(mask, mask)]
+        covariance += predicted.applied.covariance[np.ix_(mask, mask)]
         # An opening's error over bands: common, a tilt per octave, and rough; and one per feature.
         bands = np.tile(np.arange(7), 5)[mask]
         lag = np.abs(np.subtract.outer(bands, bands))

@@ -35,8 +35,8 @@ from rtcal.discrepancy import (
 from rtcal.discrepancy.cache import cached_control_rooms
 from rtcal.discrepancy.effects.opening import Opening
 from rtcal.discrepancy.engines import ControlRooms, Engine
-from rtcal.discrepancy.evidence import ModelDiscrepancy
 from rtcal.discrepancy.model import Decay, State
+from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.states import state
 from rtcal.errors import DataError, OtherBandsWarning, RtcalError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened

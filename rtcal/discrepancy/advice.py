@@ -11,15 +11,12 @@ import numpy as np
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.effects.checks import checked_effects
-from rtcal.discrepancy.evidence import (
-    Evidence,
-    ModelDiscrepancy,
-    alpha_covariance,
-    checked_discrepancy,
-)
+from rtcal.discrepancy.evidence import Evidence
 from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.discrepancy.likelihood import alpha_covariance
 from rtcal.discrepancy.model import FEATURES
+from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.errors import DataError
 from rtcal.support import checks, text

@@ -23,15 +23,11 @@ from rtcal.discrepancy.engines import (
     no_report,
     recentred,
 )
-from rtcal.discrepancy.evidence import (
-    Evidence,
-    ModelDiscrepancy,
-    estimate_discrepancy,
-    evaluate,
-)
+from rtcal.discrepancy.evidence import Evidence, evaluate
 from rtcal.discrepancy.features import Observed
 from rtcal.discrepancy.hypotheses import Hypotheses
 from rtcal.discrepancy.model import FEATURES, predict
+from rtcal.discrepancy.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.discrepancy.prior import NONE, Prior
 from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError

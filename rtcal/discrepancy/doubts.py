@@ -10,10 +10,11 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.evidence import ModelDiscrepancy, evaluate
+from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import Observed
 from rtcal.discrepancy.gap import GapCheck
 from rtcal.discrepancy.hypotheses import Hypotheses
+from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import NONE
 from rtcal.support.types import Array
 

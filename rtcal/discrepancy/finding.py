@@ -12,7 +12,7 @@ from rtcal.acoustics import bands
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.coefficients import OffTogether
 from rtcal.discrepancy.effects import Effect, library
-from rtcal.discrepancy.evidence import ModelDiscrepancy
+from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import COEFFICIENTS, Prior
 from rtcal.discrepancy.size import Size
 from rtcal.discrepancy.verdict import Fit

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics.quality import JND
-from rtcal.discrepancy.evidence import ModelDiscrepancy, covariance_of, log_density
 from rtcal.discrepancy.features import Observed
 from rtcal.discrepancy.hypotheses import Hypotheses
+from rtcal.discrepancy.likelihood import covariance_of, log_density
 from rtcal.discrepancy.model import FEATURES
+from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.support.types import Array
 
 LITTLE = 0.1

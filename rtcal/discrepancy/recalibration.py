@@ -28,9 +28,9 @@ from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
 from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
 from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.corrected import corrected_room
-from rtcal.discrepancy.evidence import ModelDiscrepancy, checked_discrepancy
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
+from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import amount
 from rtcal.errors import MissingAirWarning

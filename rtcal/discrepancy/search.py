@@ -22,14 +22,12 @@ from rtcal.discrepancy.doubts import schroeder_limit
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.effects.checks import checked_effects
 from rtcal.discrepancy.engines import ControlRooms, Report, no_report
-from rtcal.discrepancy.evidence import (
-    ModelDiscrepancy,
-    evaluate,
-    standardized_residuals,
-)
+from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.discrepancy.likelihood import standardized_residuals
+from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import (
     COEFFICIENTS,
     NONE,

@@ -12,9 +12,10 @@ from scipy.special import logsumexp
 
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.evidence import Evidence, ModelDiscrepancy, evaluate
+from rtcal.discrepancy.evidence import Evidence, evaluate
 from rtcal.discrepancy.features import Observed
 from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.support.types import Array
 
 _NEGLIGIBLE = 8.0

@@ -17,16 +17,12 @@ from rtcal.discrepancy.doubts import (
     unexplained,
 )
 from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.evidence import (
-    Evidence,
-    ModelDiscrepancy,
-    covariance_of,
-    goodness_of_fit,
-    spreading,
-)
+from rtcal.discrepancy.evidence import Evidence
 from rtcal.discrepancy.features import Observed
 from rtcal.discrepancy.gap import GapCheck, gap_check
 from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.discrepancy.likelihood import covariance_of, goodness_of_fit, spreading
+from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.discrepancy.probabilities import narrowest_family
 from rtcal.discrepancy.size import Size, estimate_size

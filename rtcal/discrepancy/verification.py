@@ -16,11 +16,11 @@ import numpy as np
 
 from rtcal.acoustics.quality import JND
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.evidence import standardized_residuals
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
 from rtcal.discrepancy.gap import LITTLE
 from rtcal.discrepancy.hypotheses import predict_hypotheses
+from rtcal.discrepancy.likelihood import standardized_residuals
 from rtcal.discrepancy.model import FEATURES, predict
 from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, table
 from rtcal.discrepancy.states import distances, state

@@ -1,0 +1,269 @@
+"""The likelihood of each hypothesis: mean and covariance of the features, and their density."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import chdtrc, gammaln
+
+from rtcal.discrepancy.coefficients import SCALES
+from rtcal.discrepancy.factorization import Factorization
+from rtcal.discrepancy.features import Observed
+from rtcal.discrepancy.hypotheses import Hypotheses, LowRank, misfit
+from rtcal.discrepancy.model_error import ModelDiscrepancy
+from rtcal.support.types import Array
+
+DEGREES = 5.0
+"""Degrees of freedom of the densities: Student's t of covariance C; infinite is the normal density. C
+is estimated from few control rooms, and other rooms differ from them, so its scale is uncertain.
+Chosen on development rooms of both worlds."""
+
+
+def log_likelihood(
+    observed: Observed,
+    predicted: Hypotheses,
+    discrepancy: ModelDiscrepancy,
+    values: Array,
+    *,
+    off: bool,
+) -> tuple[Array, Array]:
+    """Return log N(y; y_k + bias, C) of ``values`` (n_draws, n): two arrays (n_hypotheses, n_draws).
+
+    The first with the coefficients as stated, the second with coefficients that are off together; -inf
+    without ``off``. In nats.
+    """
+    model = _Likelihood(observed, predicted, discrepancy)
+    n, (draws, m) = len(predicted.names), values.shape
+    stated, together = (np.full((n, draws), -np.inf) for _ in range(2))
+    # A few hypotheses at a time, so that their covariances stay in the processor's cache.
+    step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
+    for begin in range(0, n, step):
+        part = slice(begin, begin + step)
+        rows = values - model.centres[part, None]
+        if off:
+            common = predicted.alpha_covariance.off_together(part).take(model.t20, 1)
+            common = common * model.slopes[part, :, None]
+            rows = np.concatenate([rows, common.swapaxes(1, 2)], axis=1)
+        stated[part], scaled = log_densities(model.factorization(part), rows, draws)
+        if scaled is not None:
+            together[part] = scaled
+    return stated, together
+
+
+class _Likelihood:
+    """Mean and covariance of the features in use, under each hypothesis.
+
+    ``centres`` (n_hypotheses, n_used) are the means, ``slopes``, same shape, d feature / d ln T20, and
+    ``t20`` (n_used,) the row of each feature's ln T20 among configurations and bands.
+    """
+
+    def __init__(
+        self, observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
+    ) -> None:
+        c, f, b = np.nonzero(observed.used)
+        self._observed, self._predicted, self._discrepancy = observed, predicted, discrepancy
+        self._mask = observed.used.ravel()
+        self._bands, self._features = b, f
+        ends = [*np.flatnonzero(np.diff(c)) + 1, len(c)]
+        self._configurations = [slice(*pair) for pair in pairwise([0, *ends])]
+        features = predicted.features[:, c, f, b]
+        self._changes = features - features[0]
+        self._amounts = predicted.features[:, c, 0, b] - predicted.features[0, c, 0, b]
+        self.centres = features + discrepancy.bias[self._mask]
+        self.slopes = predicted.slopes[:, c, f, b]
+        self.t20 = c * observed.used.shape[2] + b
+
+    @cached_property
+    def _fixed(self) -> Array:
+        return _without_alpha(self._observed, self._predicted, self._discrepancy)
+
+    @cached_property
+    def _fixed_low_rank(self) -> tuple[Array, Array] | None:
+        """R and diagonals by configuration, raveled to (n_used, n_used), and factors (r, n_used)."""
+        if self._discrepancy.factor is None:
+            return None
+        factor = self._discrepancy.factor[self._mask]
+        diagonal = np.diag(self._discrepancy.covariance)[self._mask] - (factor**2).sum(1)
+        applied = self._predicted.applied
+        diagonal += applied.diagonal[self._mask]
+        factor = np.concatenate([factor, applied.factor[self._mask]], axis=1)
+        factor = factor[:, factor.any(0)]
+        return self._observed.covariance + np.diag(diagonal), factor.T
+
+    def alpha(self, part: slice) -> Array:
+        """Return J Sigma J' of some hypotheses, (n, n_used, n_used)."""
+        out = self._predicted.alpha_covariance.of(part).take(self.t20, 2)
+        out *= self.slopes[part, None, :]
+        out = out.take(self.t20, 1)
+        return np.asarray(out * self.slopes[part, :, None])
+
+    def misfit(self, part: slice) -> LowRank:
+        """Return the error of the effects' changes of some hypotheses."""
+        errors = self._predicted.spectrum_errors[part]
+        errors = errors[:, :, errors.any((0, 1))].take(self._bands, 1)
+        alone = self._predicted.formula_errors[part]
+        return misfit(self._changes[part], self._amounts[part], self._features, errors, alone)
+
+    def factorization(self, part: slice) -> Factorization:
+        """Return the factors of some hypotheses' covariances."""
+        if self._fixed_low_rank is not None:
+            low_rank = self._predicted.alpha_covariance.low_rank(part)
+            if low_rank is not None:
+                return self._by_configuration(part, *self._fixed_low_rank, *low_rank)
+        covariance = self.alpha(part)
+        covariance += self._fixed
+        covariance += self.misfit(part).covariance
+        return Factorization.whole(covariance)
+
+    def _by_configuration(
+        self, part: slice, fixed: Array, factor: Array, shared: Array, within: Array
+    ) -> Factorization:
+        """Return the factors by blocks of configurations, and a part of low rank."""
+        error = self.misfit(part)
+        alpha = shared.take(self.t20, 1) * self.slopes[part, :, None]
+        low_rank = np.concatenate([alpha, error.factor], axis=2).swapaxes(1, 2)
+        low_rank = np.concatenate(
+            [np.broadcast_to(factor, (len(alpha), *factor.shape)), low_rank], axis=1
+        )
+        blocks = []
+        for place in self._configurations:
+            bands, slopes = self._bands[place], self.slopes[part][:, place]
+            which = self.t20[place.start] // within.shape[-1]
+            block = within[:, which].take(bands, 1).take(bands, 2)
+            block *= slopes[:, :, None] * slopes[:, None, :]
+            block += fixed[place, place]
+            rows = np.arange(len(bands))
+            block[:, rows, rows] += error.diagonal[:, place]
+            blocks.append(block)
+        return Factorization(blocks, self._configurations, low_rank)
+
+
+def goodness_of_fit(
+    observed: Observed,
+    predicted: Hypotheses,
+    discrepancy: ModelDiscrepancy,
+    i: int,
+    scale: float = 1.0,
+) -> tuple[float, float]:
+    """Return the distance of the measurement from hypothesis ``i``, and its probability.
+
+    The distance is sqrt(r' C^-1 r / n), 1 on average. The probability is that of a larger chi-square
+    (Gelman, Meng & Stern 1996, without their draws, since C includes the prior). ``scale`` as for
+    `covariance_of`.
+    """
+    mask = observed.used.ravel()
+    alpha, other = covariance_of(observed, predicted, discrepancy, i, scale)
+    residual = observed.values - predicted.features[i].ravel()[mask] - discrepancy.bias[mask]
+    square = float(residual @ np.linalg.solve(alpha + other, residual))
+    return float(np.sqrt(square / len(residual))), float(chdtrc(len(residual), square))
+
+
+def covariance_of(
+    observed: Observed,
+    predicted: Hypotheses,
+    discrepancy: ModelDiscrepancy,
+    i: int,
+    scale: float = 1.0,
+) -> tuple[Array, Array]:
+    """Return the covariance of hypothesis ``i`` from the coefficients, and that from all else.
+
+    Both (n_used, n_used). ``scale`` multiplies the error that the coefficients have in common.
+    """
+    model, part = _Likelihood(observed, predicted, discrepancy), slice(i, i + 1)
+    alpha = model.alpha(part)[0]
+    if scale != 1:
+        common = (
+            spreading(observed, predicted, i) @ predicted.alpha_covariance.off_together(part)[0]
+        )
+        alpha = alpha + (scale**2 - 1) * common @ common.T
+    fixed = _without_alpha(observed, predicted, discrepancy)
+    return alpha, fixed + model.misfit(part).covariance[0]
+
+
+def spreading(observed: Observed, predicted: Hypotheses, i: int) -> Array:
+    """Return d feature / d ln T20, (n_used, n_configurations * n_bands)."""
+    c, f, b = np.nonzero(observed.used)
+    count, _, bands = observed.used.shape
+    out = np.zeros((len(c), count * bands))
+    out[np.arange(len(c)), c * bands + b] = predicted.slopes[i, c, f, b]
+    return out
+
+
+def log_density(residual: Array, covariance: Array) -> float:
+    """Return the log density of a residual (m,) under a covariance, in nats."""
+    return float(
+        log_densities(Factorization.whole(covariance[None].copy()), residual[None, None].copy(), 1)[
+            0
+        ][0, 0]
+    )
+
+
+def _without_alpha(
+    observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
+) -> Array:
+    """Return R + D + the covariance from the applied effects, of the features in use."""
+    mask = observed.used.ravel()
+    both = discrepancy.covariance + predicted.applied.covariance
+    return np.asarray(observed.covariance + both[np.ix_(mask, mask)])
+
+
+_AT_ONCE = 32  # hypotheses
+_ELEMENTS = 4_000_000  # numbers in an array of covariances: 32 MB
+
+
+def alpha_covariance(predicted: Hypotheses, i: int) -> Array:
+    """Return J Sigma J' of one hypothesis, over all features raveled."""
+    slopes = predicted.slopes[i]  # (configurations, features, bands)
+    count, kinds, bands = slopes.shape
+    variance = predicted.alpha_covariance.of(slice(i, i + 1)).reshape(count, bands, count, bands)
+    full = np.einsum("afk,akbl,bgl->afkbgl", slopes, variance, slopes)
+    return np.asarray(full.reshape(count * kinds * bands, -1))
+
+
+def log_densities(
+    factorization: Factorization, rows: Array, draws: int
+) -> tuple[Array, Array | None]:
+    """Return log densities (n, draws) of residuals under C: as stated, and off together.
+
+    ``rows`` (n, draws + r, m) are the residuals, then F'; without F' the second is None. It is the mean
+    density over `SCALES` under C + (s² - 1) F F'. With M = F' C⁻¹ F, a scale costs the factors of
+    I + (s² - 1) M (Woodbury).
+    """
+    m = rows.shape[2]
+    square, across, others = factorization.inner(rows, draws)
+    halves = factorization.half_log_determinant
+    stated = _log_density(square, halves[:, None], m)
+    if rows.shape[1] == draws:
+        return stated, None
+    parts = []
+    for scale, probability in SCALES:
+        more = scale**2 - 1
+        grown = Factorization.whole(np.eye(others.shape[1]) + more * others)
+        less = grown.inner(across.copy(), draws)[0]
+        spread = halves + grown.half_log_determinant
+        parts.append(np.log(probability) + _log_density(square - more * less, spread[:, None], m))
+    return stated, np.asarray(np.logaddexp.reduce(parts))
+
+
+def _log_density(square: Array, half_log_determinant: Array, m: int) -> Array:
+    """Return the log density of Student's t with C as its covariance, from r' C^-1 r and ln sqrt|C|."""
+    if np.isinf(DEGREES):
+        return np.asarray(-0.5 * square - half_log_determinant - 0.5 * m * np.log(2 * np.pi))
+    n, scale = DEGREES, DEGREES - 2
+    constant = gammaln((n + m) / 2) - gammaln(n / 2) - 0.5 * m * np.log(scale * np.pi)
+    return np.asarray(constant - half_log_determinant - 0.5 * (n + m) * np.log1p(square / scale))
+
+
+def standardized_residuals(
+    observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
+) -> Array:
+    """Return measured less modelled over its standard deviation, shaped as `Observed.features`."""
+    mask = observed.used.ravel()
+    c = alpha_covariance(predicted, 0) + discrepancy.covariance
+    spread = np.sqrt(np.diag(c)[mask] + np.diag(observed.covariance))
+    out = np.full(mask.size, np.nan)
+    residual = observed.values - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
+    out[mask] = residual / spread
+    return out.reshape(observed.used.shape)
