@@ -10,7 +10,8 @@ import pytest
 
 pytest.importorskip("numba", reason="the geometric world is compiled (extra fast)")
 
-from tests.geometric_world import generate, hidden, rooms
+from rtcal.simulators import PathTracing
+from tests.geometric_world import generate, hidden, load, rooms
 from tests.position_rooms import parameters, shapes
 from tests.position_rooms.tracer import Scene, trace
 
@@ -133,3 +134,41 @@ def test_the_stored_rooms_are_the_first_ones_and_what_they_are_said_to_be(popula
         if hid["surface"] >= 0:
             assert hid["size"] <= rooms.LARGEST * stated["areas"][hid["surface"]] + 0.01
             assert hid["effect_on_t"] > 0.005
+
+
+@pytest.mark.parametrize("index", range(8))
+def test_the_package_closes_the_same_room_with_the_same_air(index: int) -> None:
+    stated, scene, _, made = rooms.draw(0, index)
+    case = load.load(0, index)
+    assert case.geometry.volume == pytest.approx(stated["volume"], rel=1e-5)
+    np.testing.assert_allclose(case.geometry.face_areas, made.areas, rtol=1e-3)
+    np.testing.assert_allclose(case.room.air_attenuation, scene.air, rtol=2e-3)
+    np.testing.assert_allclose(case.room.speed_of_sound, scene.c, rtol=1e-4)
+
+
+def of_its_own(index: int) -> bool:
+    """Return whether every surface has a material of its own, as the package's scattering has."""
+    room = load.load(0, index)
+    return room.room.n_materials == len(room.geometry.faces)
+
+
+def test_told_the_truth_the_package_hears_the_same() -> None:
+    # Two tracers that share nothing, one room without anything hidden: four times the noise of means.
+    index = next(i for i, k in enumerate(rooms.order(0)) if k == rooms.NOTHING and of_its_own(i))
+    truth, case = load.truth(0, index), load.load(0, index)
+    heard = PathTracing(
+        geometry=case.geometry,
+        room=case.room,
+        sources=dict(zip(load.SOURCES, truth["sources"], strict=True)),
+        receivers=dict(zip(load.RECEIVERS, truth["receivers"], strict=True)),
+        scattering=np.array(truth["scattering"]),
+        scattering_model="vector" if truth["vectors"] else "random",
+        n_paths=4000,
+    ).observe(np.array(truth["alpha"]), ("t20", "edt", "c80", "ts", "level"))
+    exact = load.without_noise(0, index)
+    for name, bound in (("t20", 0.03), ("edt", 0.03), ("ts", 0.03), ("c80", 0.25), ("level", 0.15)):
+        of_truth = exact.values["g" if name == "level" else name]
+        difference = heard.natural(name) - of_truth
+        if name in ("t20", "edt", "ts"):
+            difference = difference / of_truth
+        assert np.abs(difference.mean(axis=0)).max() < bound, name
