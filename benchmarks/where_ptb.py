@@ -4,8 +4,8 @@
     python -m benchmarks.where_ptb run --folder out --only own   # rtcal's model alone
     python -m benchmarks.where_ptb table --folder out
 
-Two sources and three receivers, six octaves (Bork 2005). The closed curtains hang 0.24 m before the wall
-y = 0 (40.2 m²) and 0.29 m before the wall x = -4.19 (17.3 m²); the model has their 13.9 m² gathered.
+Two sources and three receivers, six octaves (Bork 2005). The closed curtains hang 0.24 m before
+the wall y = 0 (40.2 m²) and 0.29 m before x = -4.19 (17.3 m²); the model has their 13.9 m² gathered.
 Right is the wall y = 0. ``own`` is rtcal's simulation of the round robin's geometry and materials, a
 number is that participant's simulation of the open state, with rtcal's derivatives. As a control each
 model meets the measurement with the curtains open, in which nothing is hidden.
