@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,13 @@ from rtcal.io import obj, position_files
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
 from rtcal.report import positions_figures, positions_folder
-from rtcal.simulators import ImageSource, Observable, PathTracing, ScatteringDelayNetwork
+from rtcal.simulators import (
+    ImageSource,
+    Observable,
+    PathTracing,
+    ScatteringDelayNetwork,
+    paths,
+)
 from rtcal.simulators.observations import MATCH
 
 HALL = halls.lecture_hall()
@@ -131,6 +138,20 @@ def test_the_same_data_are_not_counted_twice(tracer, measured):
     mean = rt.calibrate(ROOM, measured).room
     with pytest.raises(DataError, match="already calibrated on these data"):
         rt.calibrate_simulator(tracer, mean, measured, match=("t20", "c80"))
+
+
+def test_paths_that_leave_through_gaps_are_said(measured, monkeypatch):
+    def traced(*arguments, **options):
+        made = trace(*arguments, **options)
+        leaky = replace(made.batches[0][0], lost=1)
+        return replace(made, batches=((leaky, *made.batches[0][1:]), *made.batches[1:]))
+
+    trace = paths.trace
+    monkeypatch.setattr(paths, "trace", traced)
+    tracer = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=160, scattering=0.5)
+    assert tracer.lost_share == 0
+    result = calibrate(tracer, measured)
+    assert "0.31 % of the paths left through gaps" in "\n".join(result.notes)
 
 
 def test_control_runs_of_another_simulator_are_refused(tracer, measured):

@@ -141,7 +141,7 @@ def calibrate_positions(
         prior_covariance=prior,
         steps=tuple(steps),
         settled=settled,
-        notes=(*notes, *data.notes),
+        notes=(*notes, *data.notes, *_lost_paths(simulator)),
     )
 
 
@@ -277,6 +277,17 @@ def _given(
     absent = [p.upper() for p in match if p not in given]
     note = f"Left out, since the simulator does not give it: {', '.join(absent)}."
     return given, (note,) if absent else ()
+
+
+def _lost_paths(simulator: Simulator) -> tuple[str, ...]:
+    """Return a note of the paths that left through gaps of the geometry."""
+    share = getattr(simulator, "lost_share", 0.0)
+    if not share:
+        return ()
+    return (
+        f"{100 * share:.2g} % of the paths left through gaps between the faces. They were dropped, and "
+        "the others weigh the more.",
+    )
 
 
 def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: float) -> None:

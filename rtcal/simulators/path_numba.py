@@ -83,7 +83,8 @@ def trace(
     """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.paths.Batch`), counts.
 
     ``owners`` has the face of each triangle, ``scattering`` the coefficient of each face.
-    ``counts``: paths lost; free paths, their sum and their sum of squares.
+    ``counts``: paths lost; free paths, their sum and their sum of squares. A path that hits no wall is
+    lost: none of its events is kept.
     """
     n_paths, n_receivers, n_faces = len(directions), len(receivers), len(scattering)
     starts = np.zeros(n_paths + 1, np.int64)
@@ -94,6 +95,7 @@ def trace(
     n_events = n_heard = 0
     p, v, state = np.empty(3), np.empty(3), np.empty(1, np.uint64)
     for path in range(n_paths):
+        first_event, first_heard = n_events, n_heard
         p[:] = origin
         v[:] = directions[path]
         state[0] = seeds[path]
@@ -102,6 +104,7 @@ def trace(
             triangle, t = nearest(p, v, planes, sides)
             if triangle < 0:
                 counts[0] += 1
+                n_events, n_heard = first_event, first_heard
                 break
             events = grown(events, n_events + n_receivers + 1)
             lengths = grown(lengths, n_heard + n_receivers)

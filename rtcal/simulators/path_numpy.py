@@ -61,13 +61,14 @@ def trace(
     state, travelled = seeds.copy(), np.zeros(n_paths)
     diffuse = np.zeros(n_paths, dtype=bool)
     alive = np.arange(n_paths)
+    lost = np.zeros(n_paths, dtype=bool)
     counts = np.zeros(4)
     events: list[tuple[Any, Any, Any, Any]] = []  # path, code, length and weight, by step
     step = 0
     while alive.size:
         triangle, t = nearest(p, v, planes, sides)
         hits_wall = np.isfinite(t)
-        counts[0] += np.count_nonzero(~hits_wall)
+        lost[alive[~hits_wall]] = True
         alive, p, v, travelled, state, diffuse, triangle, t = _kept(
             hits_wall, alive, p, v, travelled, state, diffuse, triangle, t
         )
@@ -113,7 +114,9 @@ def trace(
         v /= np.linalg.norm(v, axis=1, keepdims=True)
         diffuse = diffuse | spread
         step += 1
+    counts[0] = np.count_nonzero(lost)
     path, code, length, weight = (np.concatenate(column) for column in zip(*events, strict=True))
+    path, code, length, weight = _kept(~lost[path], path, code, length, weight)
     order = np.argsort(path, kind="stable")  # keeps the order of the steps of each path
     heard = order[code[order] >= n_faces]
     starts = np.concatenate([[0], np.cumsum(np.bincount(path, minlength=n_paths))])

@@ -98,6 +98,14 @@ class PathTracing(Tracer):
         """Name that calibrated coefficients belong to."""
         return f"path tracing of {self.room.name} ({self.scattering_model} scattering)"
 
+    @property
+    def lost_share(self) -> float:
+        """Largest share of the paths of a trace that left through gaps of the geometry.
+
+        They are dropped. Of the traces that are kept; 0 before the first.
+        """
+        return max((traced.lost_share for traced in self._traced.values()), default=0.0)
+
     def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:
         """Return energy decays, (n_batches, n_sources, n_receivers, n_bands, n_bins), in 1/m².
 
