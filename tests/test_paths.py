@@ -265,7 +265,9 @@ def leaky_box(hole):
         [(2 + hole, 3), (5, 3), (5, 3 + hole), (2 + hole, 3 + hole)],
     ]
     floor = next(i for i, f in enumerate(closed.faces) if (closed.vertices[list(f), 2] == 0).all())
-    triangles = [t for t, f in zip(closed.triangles, closed.triangle_faces, strict=True) if f != floor]
+    triangles = [
+        t for t, f in zip(closed.triangles, closed.triangle_faces, strict=True) if f != floor
+    ]
     faces = [f for f in closed.triangle_faces if f != floor]
     for strip in strips:
         corners = np.array([(*c, 0.0) for c in strip])

@@ -342,8 +342,8 @@ def trace(
     lost = sum(batch.lost for batch in done)
     if lost > max(1, MOST_LOST * per_batch * len(jobs)):
         raise DataError(
-            f"{lost} of {per_batch * len(jobs)} paths hit no wall, at most {100 * MOST_LOST:g} % may: the "
-            "room's faces leave gaps or cut through each other"
+            f"{lost} of {per_batch * len(jobs)} paths hit no wall, at most {100 * MOST_LOST:g} % may: "
+            "the room's faces leave gaps or cut through each other"
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
     direct = direct_lengths(geometry, sources, receivers)
