@@ -254,7 +254,7 @@ def verdict(rows: Sequence[Row]) -> str:
             f"OSQP on {o.failed} ({o.worst})."
         )
     return f"""**Keep the default: Clarabel at 1e-10 with rtcal's polish and certificate.** Of {own.feasible} feasible problems it failed on
-{own.failed}. It called {own.wrong} wrong answers solved (an error above 1e-4; {own.off} above 1e-6). Its worst error in alpha is {own.worst} against exact
+{own.failed}. It called {own.wrong} wrong answers solved (an error above 1e-4; {own.off} above 1e-6). Its worst error in α is {own.worst} against exact
 arithmetic. It detected {own.detected} infeasible problems. Without the polish it fails on {raw.failed} (worst error {raw.worst}), where OSQP
 fails on {other_raw.failed}. For many rooms at once and one band at a time, use `rtcal.exact` (worst error {exact.worst}).
 
@@ -298,12 +298,12 @@ Run of {also["date"]} on {also["processor"]}, {also["cores"]} cores, {also["syst
 - *Paper* is Figs. 1 and 3 and Table 1 of Bellows & Katz (2025). A stand-in with 23 surfaces, 334 m³ and the same ratio of areas
   replaces Table 3's lecture hall.
 - *Random* is 6, 23 and 40 materials in 8 bands.
-- *Hard* and *infeasible* are one band with areas over 1000:1 and sigma over 100:1. Targets lie at, near and beyond both ends.
-  Some have sigma = 0, one bound active, or all but one.
+- *Hard* and *infeasible* are one band with areas over 1000:1 and σ over 100:1. Targets lie at, near and beyond both ends.
+  Some have σ = 0, one bound active, or all but one.
 - *Composed* is a tolerance, a soft match, correlated bands and two configurations.
 - *Sizes* goes up to {max(r.unknowns for r in rows)} unknowns.
 
-They are a qpbenchmark `TestSet` (`benchmarks.solvers.cases.Rooms`), in the whitened unknowns x = (alpha - mu) / sigma.
+They are a qpbenchmark `TestSet` (`benchmarks.solvers.cases.Rooms`), in the whitened unknowns $x = (\\alpha - \\mu) / \\sigma$.
 {left_out}
 The exact answer shares nothing with rtcal's solvers, polish or certificate (`benchmarks/solvers/truth.py`). A separable problem
 is solved in rational arithmetic. For a composed problem PIQP names the active set. The optimality conditions on that set are
@@ -312,7 +312,7 @@ optimum, whoever named the set (residuals below 1e-20). Rounded to floats, every
 
 ## Accuracy and failures
 
-Errors are max |alpha - exact|. qpsolvers' `Solution` computes residuals and gap from x and the duals. Those of rtcal's routes are
+Errors are $\\max \\lvert \\alpha - \\text{{exact}} \\rvert$. qpsolvers' `Solution` computes residuals and gap from x and the duals. Those of rtcal's routes are
 its certificate's, in units of the prior. "Wrong" is called solved, yet off by more than 1e-4, not finite, or without an answer
 to find. "Within tolerance" counts solved problems within qpbenchmark's tolerance of that setting: 1, 1e-3, 1e-6 or 1e-9. "–"
 means that the route gives no duals. A solver asked for 1e-3 may well be off by more than 1e-4: the row tells that. The default
@@ -410,7 +410,7 @@ def _errors(rows: Sequence[Row]) -> bytes:
     axes.set_yticks(range(len(groups)), list(groups), fontsize=7)
     axes.set_xscale("log")
     axes.axvline(1e-4, color="0.5", linestyle="--")
-    axes.set_xlabel("max |alpha - exact| of an answer called solved (dot: the worst)")
+    axes.set_xlabel("max |α - exact| of an answer called solved (dot: the worst)")
     return _png(figure)
 
 
