@@ -1,6 +1,8 @@
 """Does every reverberation formula predict T within 10 % once alpha is known? On measured rooms.
 
-    python -m benchmarks.formulas_on_real_rooms
+    python -m benchmarks.formulas_on_real_rooms [store]
+
+prints the stored errors; `store` computes them anew, which takes the data.
 
 Prawda, Schlecht and Välimäki (2022, J. Acoust. Soc. Am. 152, 1004) say that Sabine's and Eyring's
 errors are mostly those of the coefficients. Here the coefficients are fitted with a formula to some
@@ -15,7 +17,11 @@ published coefficients, which were fitted with Eyring's formula, and every formu
 
 from __future__ import annotations
 
+import json
+import sys
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -30,6 +36,7 @@ MEAN = ("sabine", "eyring", "millington", "kuttruff")
 ALL = (*MEAN, "fitzroy", "arau")
 MEASURED = 0.01
 """Relative uncertainty of T in the fits, small beside the coefficients' 30 %."""
+STORED = Path(__file__).with_suffix(".json")
 
 
 def formula(key: str) -> Equation:
@@ -158,20 +165,37 @@ def line(fit: str, predict: str, errors: Array) -> str:
     )
 
 
-def print_all() -> dict[str, dict[str, dict[str, Array]]]:
-    rooms = {
+def compute() -> dict[str, Any]:
+    """Return the errors of T by room, formula of the fit and formula of the prediction."""
+    return {
         "dEchorate, one of ten states left out": dechorate(),
         "PTB studio, the other state of the curtains": ptb(),
         "BRAS CR2 and CR3, the state that was fitted": bras(),
     }
-    for name, table in rooms.items():
+
+
+def store() -> None:
+    """Write the errors for those who do not have the data."""
+    rooms = {
+        name: {
+            fit: {k: v.ravel().round(5).tolist() for k, v in row.items()} for fit, row in of.items()
+        }
+        for name, of in compute().items()
+    }
+    STORED.write_text(json.dumps(rooms, indent=1) + "\n", encoding="utf-8")
+
+
+def print_all() -> None:
+    """Print the stored errors."""
+    for name, table in json.loads(STORED.read_text(encoding="utf-8")).items():
         print(f"\n{name}: fitted with, predicted with")
         for fit, row in table.items():
             for predict, errors in row.items():
                 if fit == predict or fit == "eyring":
-                    print(line(fit, predict, errors))
-    return rooms
+                    print(line(fit, predict, np.array(errors)))
 
 
 if __name__ == "__main__":
+    if "store" in sys.argv[1:]:
+        store()
     print_all()

@@ -31,7 +31,7 @@ import numpy as np
 from scipy.stats import norm
 
 import rtcal as rt
-from benchmarks.judging import FLAGS, first_of, kept_controls, one, rate, row_of
+from benchmarks.judging import FLAGS, NOTHING, first_of, kept_controls, one, rate, row_of
 from rtcal.discrepancy import (
     AppliedEffect,
     Case,
@@ -242,15 +242,20 @@ def naming(here: list[Any], data: str, rows: list[dict[str, Any]]) -> None:
             )
 
 
+def most_probable(row: dict[str, Any]) -> str:
+    """Return the most probable effect of a finding, "not detected" where it is not flagged."""
+    if not found(row):
+        return "not detected"
+    effects = {k: v for k, v in row["probabilities"].items() if k != NOTHING}
+    return max(effects, key=effects.__getitem__)
+
+
 def confusion(here: list[Any]) -> None:
-    names = [*NAMES.values()]
-    print("\nrows: hidden; columns: the best name (of the detected), '-' not detected")
-    print(f"{'':18}{'-':>5}" + "".join(f"{n[:7]:>8}" for n in (*names, "direct sound")))
+    print("\nhidden: the most probable effect, how often")
     for kind in (0, *NAMES):
-        group = [x for r, x in here if r["kind"] == kind]
-        count = Counter(x["effect"] if found(x) else "-" for x in group)
-        cells = "".join(f"{count[n] or '.':>8}" for n in (*names, "direct sound"))
-        print(f"{NAMES.get(kind, 'nothing'):18}{count['-']:5}{cells}")
+        count = Counter(most_probable(x) for r, x in here if r["kind"] == kind)
+        cells = ", ".join(f"{name} {n}" for name, n in count.most_common())
+        print(f"  {NAMES.get(kind, 'nothing')}: {cells or '-'}")
 
 
 def by_size(here: list[Any]) -> None:

@@ -242,13 +242,11 @@ def print_calibration(rooms: Sequence[Judged], what: str) -> None:
 
 def print_confusion(rooms: Sequence[Judged], names: Sequence[str]) -> None:
     """Print what was hidden against the best name of the flagged rooms."""
-    columns = [*dict.fromkeys([*names, *(str(r.row["effect"]) for r in rooms if r.flagged)])]
-    columns = [c for c in columns if c != NOTHING]
-    print("rows: hidden; columns: the best name where flagged; '-' not flagged")
-    print(f"{'':18}{'-':>5}" + "".join(f"{n[:7]:>8}" for n in columns))
+    print("hidden: the best name where flagged, how often")
     for name in names:
         group = [r.row for r in rooms if name in r.truths]
         if group:
-            count = Counter(str(x["effect"]) if x["verdict"] in FLAGS else "-" for x in group)
-            cells = "".join(f"{count[n] or '.':>8}" for n in columns)
-            print(f"{name:18}{count['-']:5}{cells}")
+            count = Counter(
+                str(x["effect"]) if x["verdict"] in FLAGS else "not flagged" for x in group
+            )
+            print(f"  {name}: " + ", ".join(f"{best} {n}" for best, n in count.most_common()))

@@ -16,6 +16,8 @@ from rtcal.support.types import Array
 
 MOST_PANELS = 12
 """Largest number of materials that `shifts` draws."""
+_FEW = 6
+"""Up to so many panels stand in two columns, which a phone shows legibly; more in three."""
 _STRONG = 4.0
 """Residual in standard deviations at which the colours of the map saturate."""
 _BENT = 0.01
@@ -68,7 +70,7 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
     ]
     names = [c.name for c in finding.case.configurations]
     several = len(names) > 1
-    figure, axes = new_figure(7.0, 1.0 + 0.34 * len(rows) * len(maps), rows=len(maps))
+    figure, axes = new_figure(6.4, 1.2 + 0.36 * len(rows) * len(maps), rows=len(maps))
     for axis, (title, table) in zip(np.atleast_1d(axes), maps, strict=True):
         cells = np.array([table[c, k] for c, k in rows])
         image = axis.imshow(cells, cmap="PuOr", vmin=-_STRONG, vmax=_STRONG, aspect="auto")
@@ -82,13 +84,13 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
                         f"{value:+.1f}",
                         ha="center",
                         va="center",
-                        fontsize=7,
+                        fontsize=9,
                         color="white" if strong else "black",
                     )
         labels = [
             FEATURE_NAMES[k] + (f", {shown(names[c], 20)}" if several else "") for c, k in rows
         ]
-        axis.set_yticks(range(len(rows)), labels, fontsize=8)
+        axis.set_yticks(range(len(rows)), labels, fontsize=9)
         axis.set_xticks(range(len(f)), [f"{v:g}" for v in f], rotation=90 if len(f) > 10 else 0)
         axis.set_title(shown(title), fontsize=9)
     # One colour bar for all maps, since its label does not fit beside a flat map.
@@ -108,7 +110,7 @@ def evidence(finding: Finding) -> Any:
     names = list(finding.evidence)
     values = np.array([finding.evidence[n] for n in names])
     top = max(float(values.max()), finding.threshold)
-    figure, axes = new_figure(7.0, 0.8 + 0.28 * len(names))
+    figure, axes = new_figure(6.4, 0.8 + 0.28 * len(names))
     at = np.arange(len(names))[::-1]
     is_candidate = [n in finding.candidates for n in names]
     # Bars of large negative evidence are cut, and marked by an arrow.
@@ -122,7 +124,7 @@ def evidence(finding: Finding) -> Any:
         hatch=["//" if h else "" for h in is_candidate],
     )
     for y, value, end in zip(at, values, drawn, strict=True):
-        axes.text(max(end, 0.0), y, f" {value:+.1f}", va="center", fontsize=8)
+        axes.text(max(end, 0.0), y, f" {value:+.1f}", va="center", fontsize=9)
     cut = values < low
     if cut.any():
         axes.plot(
@@ -220,7 +222,7 @@ def shifts(verification: Verification) -> Any:
     models = (verification.plain, verification.corrected)
     moved = np.max([np.abs(x.alpha - room.alpha).max(1) for x in models], axis=0) * room.areas
     drawn = np.sort(np.argsort(-moved, kind="stable")[:MOST_PANELS])
-    columns = min(3, len(drawn))
+    columns = min(2 if len(drawn) <= _FEW else 3, len(drawn))
     rows = -(-len(drawn) // columns)
     figure, grid = new_figure(max(5.0, 3.0 * columns), 2.2 * rows + 0.8, rows, columns)
     panels = np.atleast_1d(grid).ravel()
@@ -248,13 +250,13 @@ def shifts(verification: Verification) -> Any:
                 label=shown(label),
             )
         band_axis(axes, f)
-        step = -(-len(f) // 7)
+        step = -(-len(f) // 4)
         axes.set_xticks(f[::step], [f"{v:g}" for v in f[::step]], rotation=0)
-        axes.tick_params(labelsize=7)
-        axes.set_xlabel("Band / Hz", fontsize=8)
-        axes.set_ylabel("shift of α", fontsize=8)
+        axes.tick_params(labelsize=8.5)
+        axes.set_xlabel("Band / Hz", fontsize=9)
+        axes.set_ylabel("shift of α", fontsize=9)
         axes.set_title(f"{shown(room.materials[i], 25)}, {room.areas[i]:.4g} m²", fontsize=9)
     for axes in panels[len(drawn) :]:
         axes.set_visible(False)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", fontsize=9)
     return figure

@@ -22,8 +22,8 @@ _STYLES = ("-", "--", "-.", ":")
 def path(loop: Loop) -> Any:
     """Return the figure of a loop's path, like Fig. 7 of Bellows & Katz (2025).
 
-    Left: the measured T20 with its band of one JND, and the simulated T20 of the first, the
-    intermediate and each band's best step. Right: each band's gap in JND over the simulations.
+    Above: the measured T20 with its band of one JND, and the simulated T20 of the first, the
+    intermediate and each band's best step. Below: each band's gap in JND over the simulations.
 
     Raises
     ------
@@ -32,13 +32,13 @@ def path(loop: Loop) -> Any:
     """
     if not loop.steps:
         raise DataError("the loop has no simulation yet: there is no path to show")
-    figure, (left, right) = new_figure(10.5, 4.4, 1, 2)
+    figure, (above, below) = new_figure(6.2, 7.6, 2, 1)
     f, wanted = loop.room.centre_frequencies, loop.wanted
-    jnd_band(left, f, wanted)
-    left.plot(f, wanted, color=BLACK, marker="o", markersize=4, label="measured")
+    jnd_band(above, f, wanted)
+    above.plot(f, wanted, color=BLACK, marker="o", markersize=4, label="measured")
     simulated = np.array([step.simulated for step in loop.steps])
     for number, times in enumerate(simulated[1:-1], start=2):
-        left.plot(
+        above.plot(
             f,
             times,
             color="0.45",
@@ -46,8 +46,8 @@ def path(loop: Loop) -> Any:
             linewidth=1,
             label="in between" if number == 2 else None,
         )
-    left.plot(f, simulated[0], color=ORANGE, marker="s", linestyle="--", label="first simulation")
-    left.plot(
+    above.plot(f, simulated[0], color=ORANGE, marker="s", linestyle="--", label="first simulation")
+    above.plot(
         f,
         simulated[loop.best, np.arange(len(f))],
         color=BLUE,
@@ -56,32 +56,32 @@ def path(loop: Loop) -> Any:
         markerfacecolor="none",
         label="nearest, by band",
     )
-    band_axis(left, f)
-    left.set_ylabel("T20 / s")
-    left.set_ylim(bottom=0)
-    left.set_title(shown(loop.room.name, 45))
-    left.legend(fontsize=8)
+    band_axis(above, f)
+    above.set_ylabel("T20 / s")
+    above.set_ylim(bottom=0)
+    above.set_title(shown(loop.room.name, 45))
+    above.legend(fontsize=9)
     gaps = np.array([gap_jnd(times, wanted) for times in simulated])
     steps = np.arange(1, len(gaps) + 1)
-    right.axhspan(-1, 1, color="0.85")
-    right.axhline(0, color=BLACK, linewidth=0.8)
+    below.axhspan(-1, 1, color="0.85")
+    below.axhline(0, color=BLACK, linewidth=0.8)
     greys = np.linspace(0.0, 0.6, len(f))
     for k, frequency in enumerate(f):
         blue = (greys[k], 0.25 + 0.65 * greys[k], 0.45 + 0.35 * greys[k])
-        right.plot(
+        below.plot(
             steps,
             gaps[:, k],
             color=blue,
             marker=_MARKERS[k % len(_MARKERS)],
-            linestyle=_STYLES[k % len(_STYLES)],
+            linestyle=_STYLES[(k + k // len(_MARKERS)) % len(_STYLES)],
             label=f"{frequency:g} Hz",
         )
-    right.set_xticks(steps)
-    right.set_xlim(0.7, len(steps) + 0.3)
+    below.set_xticks(steps)
+    below.set_xlim(0.7, len(steps) + 0.3)
     reach = 1.2 * max(1.5, float(np.nanmax(np.abs(gaps), initial=0.0)))
-    right.set_ylim(-reach, reach)
-    right.set_xlabel("Simulation number")
-    right.set_ylabel("Gap of T20 / JND")
-    right.set_title("Gap by simulation (grey: within 1 JND)")
-    right.legend(fontsize=8, ncols=2 if len(f) > 8 else 1)
+    below.set_ylim(-reach, reach)
+    below.set_xlabel("Simulation number")
+    below.set_ylabel("Gap of T20 / JND")
+    below.set_title("Gap by simulation (grey: within 1 JND)")
+    below.legend(fontsize=9, ncols=2 if len(f) > 8 else 1)
     return figure

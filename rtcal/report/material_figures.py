@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 MOST_PANELS = 12
 """Largest number of materials that `coefficients` draws; the table of a page lists more."""
-_COLUMNS = 3
+_FEW = 6
+"""Up to so many panels stand in two columns, which a phone shows legibly; more in three."""
 _NORMAL_90 = 1.6449  # standard deviations on each side that hold 90 % of a normal distribution
 _SHARES = (
     ("#0072B2", ""),
@@ -41,7 +42,7 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
     calibration = saved(result)
     size = np.max(calibration.areas[:, np.newaxis] * calibration.alpha_after, axis=1)
     drawn = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
-    columns = min(_COLUMNS, len(drawn))
+    columns = min(2 if len(drawn) <= _FEW else 3, len(drawn))
     rows = -(-len(drawn) // columns)
     figure, grid = new_figure(max(5.0, 3.1 * columns), 2.4 * rows + 0.7, rows, columns)
     panels = np.atleast_1d(grid).ravel()
@@ -93,11 +94,10 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
         )
         stars.set_in_layout(False)
         band_axis(axes, f)
-        if len(f) > 7:
-            step = -(-len(f) // 7)
-            axes.set_xticks(f[::step], [f"{v:g}" for v in f[::step]], rotation=0)
-        axes.tick_params(axis="x", labelsize=7)
-        axes.set_xlabel("Band / Hz", fontsize=8)
+        step = -(-len(f) // 4)
+        axes.set_xticks(f[::step], [f"{v:g}" for v in f[::step]], rotation=0)
+        axes.tick_params(labelsize=8.5)
+        axes.set_xlabel("Band / Hz", fontsize=9)
         axes.set_ylabel("α", fontsize=9)
         axes.set_ylim(0, None)
         axes.margins(y=0.1)
@@ -107,8 +107,8 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
     for axes in panels[len(drawn) :]:
         axes.set_visible(False)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
-    figure.suptitle("Absorption coefficients α (each panel has its own scale)", fontsize=11)
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(columns, 2), fontsize=9)
+    figure.suptitle("α by band (each panel has its own scale)", fontsize=11)
     return figure
 
 
@@ -131,7 +131,7 @@ def shares(result: CalibrationResult | Saved) -> Any:
     """
     calibration = saved(result)
     names, parts = absorption_shares(calibration, len(_SHARES))
-    figure, axes = new_figure(7.0, 4.4)
+    figure, axes = new_figure(6.4, 4.4)
     at = np.arange(len(calibration.centre_frequencies))
     below = np.zeros(len(at))
     styles = [*_SHARES[: len(names) - 1], ("#FFFFFF", "")]

@@ -41,7 +41,7 @@ def plan(
         raise DataError(f'receiver "{missing[0]}" of the result has no position')
     heard = list(dict.fromkeys(r for _, r in result.pairs))
     gaps = [_by_receiver(result, gap, heard) for gap in (result.gap_before, result.gap_after)]
-    figure, axes = new_figure(10.5, 4.8, 1, 2)
+    figure, axes = new_figure(6.2, 8.4, 2, 1)
     most = max(2.0, *(float(np.nanmax(gap)) for gap in gaps))
     points = np.array([receivers[r] for r in heard], dtype=float)
     drawn = None
@@ -67,8 +67,8 @@ def plan(
             _label(panel, place, f"{shown(name, 12)}: {value:.1f}")
         panel.set_aspect("equal")
         panel.set_title(f"{when}: {np.sqrt(np.nanmean(gap**2)):.1f} JND")
-        panel.set_xlabel("x / m")
-    axes[0].set_ylabel("y / m")
+        panel.set_ylabel("y / m")
+    axes[1].set_xlabel("x / m")
     figure.colorbar(drawn, ax=list(axes), label="Gap / JND")
     return figure
 
@@ -79,7 +79,7 @@ def shifts(result: PositionsResult) -> Any:
     sigma = np.where(result.prior.sigma > 0, result.prior.sigma, np.inf)
     moved = (result.alpha - result.prior.alpha) / sigma
     n_materials, n_bands = moved.shape
-    figure, axes = new_figure(3.2 + 0.7 * n_bands, 1.6 + 0.32 * n_materials)
+    figure, axes = new_figure(2.4 + 0.55 * n_bands, 1.6 + 0.32 * n_materials)
     reach = max(2.0, float(np.max(np.abs(moved))))
     image = axes.imshow(moved, cmap="RdBu_r", vmin=-reach, vmax=reach, aspect="auto")
     axes.set_yticks(range(n_materials), [shown(m, 30) for m in result.prior.materials])
@@ -95,10 +95,10 @@ def shifts(result: PositionsResult) -> Any:
                 f"{value:+.1f}",
                 ha="center",
                 va="center",
-                fontsize=8,
+                fontsize=9,
                 color="white" if dark else BLACK,
             )
-    figure.colorbar(image, ax=axes, label="Shift of alpha / prior sigma")
+    figure.colorbar(image, ax=axes, label="Shift of α / prior σ")
     return figure
 
 
@@ -111,5 +111,5 @@ def _by_receiver(result: PositionsResult, gap: Array, receivers: Sequence[str]) 
 
 def _label(panel: Any, place: Any, text: str) -> None:
     panel.annotate(
-        text, (place[0], place[1]), xytext=(6, 6), textcoords="offset points", fontsize=8
+        text, (place[0], place[1]), xytext=(6, 6), textcoords="offset points", fontsize=9
     )

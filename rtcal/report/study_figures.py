@@ -12,7 +12,8 @@ from rtcal.report.figures import new_figure
 from rtcal.studies.study import Table
 from rtcal.support.arguments import checked
 
-_STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1)), (0, (1, 1)))
+_STYLES = ("-", "--", "-.", ":", (0, (9, 3)), (0, (7, 2, 1, 2, 1, 2)))
+_MARKERS = "os^Dv*"
 NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 
@@ -24,7 +25,14 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
     for i, (m, s) in enumerate(zip(mu, sigma, strict=True)):
         density = TruncatedNormal(np.asarray(m), np.asarray(s)).pdf(alpha)
         label = f"μ = {m:g}, σ = {s:g}"
-        axes.plot(alpha, density, linestyle=_STYLES[i % len(_STYLES)], label=label)
+        axes.plot(
+            alpha,
+            density,
+            linestyle=_STYLES[i % len(_STYLES)],
+            marker=_MARKERS[(i + i // len(_STYLES)) % len(_MARKERS)],
+            markevery=[int(density.argmax())],
+            label=label,
+        )
     axes.set_xlabel("Absorption coefficient α")
     axes.set_ylabel("Probability density")
     axes.set_xlim(0, 1)

@@ -1,0 +1,128 @@
+"""Every figure is legible on a phone, and its lines are told apart without colours."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from tests.test_docs import blocks
+
+pytest.importorskip("matplotlib", reason="needs the extra report")
+from matplotlib.text import Text
+
+from rtcal.report import figures, gap_figures, loop_figures, study_figures
+
+ROOT = Path(__file__).resolve().parents[1]
+PHONE = 370  # px: a screen of 400 px less the page's margins
+LEAST = 7.0  # px: size of the smallest text
+
+
+@pytest.fixture(scope="module")
+def drawn() -> dict[str, Any]:
+    """Every figure by name: those of the gallery, a finding's, and those of every position."""
+    found = {}
+    names: dict[str, Any] = {}
+    for block in blocks(ROOT / "docs" / "gallery.md", "python"):
+        exec(block, names)
+        found[block.rsplit("figure = ", 1)[1].split("(")[0]] = names["figure"]
+    case, _ = rt.datasets.hidden_room()
+    finding = rt.discrepancy.find(case)
+    verification = rt.discrepancy.verify(finding)
+    found["evidence"] = gap_figures.evidence(finding)
+    found["residuals"] = gap_figures.residuals(finding)
+    for draw in (gap_figures.reverberation_time, gap_figures.shifts, gap_figures.decay):
+        found[f"gap_figures.{draw.__name__}"] = draw(verification)
+    found["priors of six"] = study_figures.priors([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.05] * 6, "")
+    return found
+
+
+def texts(figure: Any) -> Iterator[Text]:
+    for text in figure.findobj(Text):
+        if text.get_visible() and text.get_text().strip():
+            yield text
+
+
+def test_text_is_legible_on_a_phone(drawn: dict[str, Any]) -> None:
+    small = {
+        name: round(size, 1)
+        for name, figure in drawn.items()
+        if (
+            size := min(t.get_fontsize() for t in texts(figure))
+            / 72
+            * PHONE
+            / figure.get_figwidth()
+        )
+        < LEAST
+    }
+    assert not small, f"px of the smallest text: {small}"
+    assert len(drawn) >= 12
+
+
+def look(line: Any) -> tuple[object, ...]:
+    """How a line looks in grey: marker, whether it is filled, dashes and width."""
+    hollow = line.get_fillstyle() == "none" or line.get_markerfacecolor() in ("none", "white")
+    dashes = str(line._unscaled_dash_pattern) if line.get_linestyle() != "None" else "none"
+    return (line.get_marker(), hollow, dashes, line.get_linewidth())
+
+
+def twins(figure: Any) -> list[str]:
+    """Return lines of one panel that nothing but their colour tells apart."""
+    found = []
+    for axes in figure.axes:
+        seen: dict[tuple[object, ...], str] = {}
+        for line in axes.get_lines():
+            label = str(line.get_label())
+            if not label.startswith("_") and look(line) in seen:
+                found.append(f"{seen[look(line)]} and {label}")
+            seen.setdefault(look(line), label)
+    return found
+
+
+def test_lines_are_told_apart_in_grey(drawn: dict[str, Any]) -> None:
+    for name, figure in drawn.items():
+        assert not twins(figure), name
+
+
+def test_lines_that_differ_in_colour_alone_are_seen() -> None:
+    figure, axes = figures.new_figure()
+    axes.plot([0, 1], color="C0", label="one")
+    axes.plot([1, 0], color="C1", label="another")
+    assert twins(figure) == ["one and another"]
+
+
+def test_sixteen_bands_of_a_loop_are_told_apart(measured_loop: Any) -> None:
+    assert not twins(loop_figures.path(measured_loop))
+
+
+@pytest.fixture
+def measured_loop() -> Any:
+    bands = [50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600]
+    room = rt.Room(
+        name="thirds",
+        volume=100,
+        materials=["walls", "floor"],
+        areas=[100, 30],
+        alpha=np.full((2, 16), 0.2),
+        sigma=np.full((2, 16), 0.05),
+        centre_frequencies=bands,
+        air=rt.Air(),
+    )
+    program = rt.simulators.External(
+        room=room,
+        name="stand-in",
+        run=lambda alpha, seed: 1.2 * rt.Eyring().time(room, room.areas @ alpha),
+    )
+    measured = rt.Measurement.from_values(bands, t20=np.full(16, 0.6))
+    return rt.calibrate_simulator(program, room, measured).loop
+
+
+def test_every_picture_of_the_pages_has_words() -> None:
+    for page in (*(ROOT / "docs").glob("**/*.md"), ROOT / "README.md"):
+        for words in re.findall(r"!\[([^\]]*)\]\(", page.read_text(encoding="utf-8")):
+            assert len(words) > 60, f"{page.name}: {words!r} does not say what is seen"
