@@ -15,6 +15,8 @@ from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 AXES = ("x", "y", "z")
+LARGEST_LABORATORY_ALPHA = 2.0
+"""ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
 
 
 @dataclass(frozen=True)

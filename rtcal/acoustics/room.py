@@ -13,6 +13,7 @@ from rtcal.acoustics import bands, room_files
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import (
     AXES,
+    LARGEST_LABORATORY_ALPHA,
     CalibrationRecord,
     Material,
     Surface,
@@ -29,10 +30,6 @@ from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
-
-
-_LARGEST_LABORATORY_ALPHA = 2.0
-"""ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
 
 
 @checked
@@ -188,11 +185,11 @@ class Room:
         alpha = array_of("alpha", self.alpha)
         if alpha.shape == (self.n_materials, self.n_bands):
             above = np.argwhere(alpha > 1)
-            if (alpha > _LARGEST_LABORATORY_ALPHA).any():
-                i, k = np.argwhere(alpha > _LARGEST_LABORATORY_ALPHA)[0].tolist()
+            if (alpha > LARGEST_LABORATORY_ALPHA).any():
+                i, k = np.argwhere(alpha > LARGEST_LABORATORY_ALPHA)[0].tolist()
                 raise DataError(
                     f"{self.place('alpha', i, k)} = {alpha[i, k]:g} looks like percent; "
-                    f'above_one = "clip" takes values up to {_LARGEST_LABORATORY_ALPHA:g}, as '
+                    f'above_one = "clip" takes values up to {LARGEST_LABORATORY_ALPHA:g}, as '
                     "laboratories report them"
                 )
             cut = [f"{self.place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above.tolist()]
