@@ -311,6 +311,8 @@ BAD = [
     (bras, b"20,25\n.1,1.5\n", r"line 2: alpha 1.5 is not in \[0, 1\]"),
     (bras, b"room,20\nCR2,0.1\n", 'line 1: column "material" is not there once'),
     (bras, b"material,20\na,0.1,0.2\n", "line 2: 3 cells; the header has 2"),
+    (bras, b"material,20\n ,0.1\n", "line 2: .* has ''; a name is not blank"),
+    (pyroomacoustics, b'{"": {"coeffs": [0.1], "center_freqs": [500]}}', "a name is not blank"),
     (bras, b"", "line 1: empty"),
 ]
 

@@ -125,7 +125,9 @@ class MaterialList:
     def __post_init__(self) -> None:
         first: dict[str, int] = {}
         for material in self.materials:
-            text_name(f"{self.path}, line {material.line}: a material's name", material.name)
+            place = f"{self.path}, line {material.line}: a material's name"
+            if not text_name(place, material.name).strip():
+                raise DataError(f"{place} has {material.name!r}; a name is not blank")
             if material.name in first:
                 raise DataError(
                     f'{self.path}, line {material.line}: "{material.name}" is given twice, first '
