@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -29,7 +31,7 @@ from tests.browser import chromium
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (rtcal[report])")
 pytest.importorskip("jinja2", reason="jinja2 is not installed (rtcal[report])")
 
-from rtcal.report import figures, loop_figures, material_figures, page, result_folder
+from rtcal.report import document, figures, loop_figures, material_figures, page, result_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 EVIL = "<script>alert(1)</script> & \"double\" 'single' $x_1$ --> ]]>"
@@ -319,7 +321,7 @@ def test_the_page_says_what_it_must(html, result) -> None:
         "250, 500, 1000 and 2000 Hz",
     ):
         assert text in html, text
-    assert len(html.encode()) < page.MAX_BYTES
+    assert len(html.encode()) < document.MAX_BYTES
     assert html.count("data:image/svg+xml") == 5
 
 
@@ -395,38 +397,82 @@ def test_verdicts() -> None:
     assert shifts[0].sigmas >= shifts[-1].sigmas > 2
 
 
-def test_a_finding_has_its_section(result) -> None:
-    finding = {
-        "summary": ["It may lack <i>this</i>."],
-        "verdict": "named",
-        "effect": "opening",
-        "candidates": ["opening", "coupled room"],
-        "evidence": {"none": 0.0, "opening": 12.3},
-    }
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "_figures", no_figures)
-        text = page.page(
-            result, finding=finding, finding_figures=[(figures.gap(result), "Evidence map")]
-        )
-        assert "discrepancy" not in page.page(result)
-    section = text.split('id="discrepancy"')[1].split("<h2")[0]
-    assert "It may lack &lt;i&gt;this&lt;/i&gt;." in section
-    assert section.index("opening</td><td>+12.3") < section.index("none</td><td>0.0")
-    assert "Evidence map" in section
-    assert "data:image/svg+xml" in section
+FINDING = {
+    "headline": "The model lacks <i>this</i>.",
+    "level": "contradicts",
+    "sizes": ["Size of opening: 12 m²."],
+    "rests_on": ["The odds are high."],
+    "to_do": ["Measure once without it."],
+    "notes": ["A note."],
+    "effects": [("opening", 93.0, 12.3), ("none", 7.0, 0.0)],
+    "plain_heading": "The plain calibration: the model lacks something",
+    "plain": "plain calibration: not to be used",
+    "corrected": None,
+    "unknowable": "",
+    "reproduce": None,
+}
 
 
 def test_a_findings_page_opens_with_the_finding(result) -> None:
     """Not with the sentence that the plain calibration meets the measured T, which proves nothing."""
-    finding = {"summary": ["An opening is missing."], "plain": "plain calibration: not to be used"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(page, "_figures", no_figures)
-        text = page.page(result, finding=finding)
+        pictures = {
+            "residuals": (figures.gap(result), "Map"),
+            "evidence": (figures.gap(result), "E"),
+        }
+        text = page.finding_page(result, FINDING, pictures)
         usual = page.page(result)
-    met = "Now the model has the measured T"
-    order = ["An opening is missing.", "plain calibration: not to be used", met]
+    met = "now the model has the measured T in all 6 bands"
+    order = [
+        "The model lacks &lt;i&gt;this&lt;/i&gt;.",
+        "Size of opening",
+        "The odds are high.",
+        "Measure once without it.",
+        "opening</td><td>93</td><td>+12.3",
+        "From here on, text, tables and pictures are of the plain calibration: not to be used",
+        met,
+    ]
     assert [text.index(sentence) for sentence in order] == sorted(map(text.index, order))
+    assert text.count("data:image/svg+xml") == 2
     assert met in usual
+    assert "What to do" not in usual.split('id="doubts"')[0]
+
+
+def test_a_calibrations_page_opens_with_three_sentences_and_a_figure(html) -> None:
+    summary = html.split('id="summary"')[1].split("<h2")[0]
+    sentences = re.findall(r"<p[^>]*>(.*?)</p>", summary)
+    assert len(sentences) == 3
+    assert all(len(re.findall(r"\.(?: |$)", sentence)) == 1 for sentence in sentences)
+    assert summary.count("<img") == 1
+
+
+def test_title_author_and_date_are_settable(result, loop, tmp_path, capsys) -> None:
+    """They are text, also in the style sheet that prints them on each sheet."""
+    heading = document.Heading('Hall "A" </style><b>', "B & Sons", "2026-11-22")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "_figures", no_figures)
+        texts = [
+            page.page(result, heading=heading),
+            page.loop_page(loop, heading=heading),
+            page.finding_page(result, FINDING, {}, heading=heading),
+        ]
+        assert page.page(result) == page.page(result)
+        assert "2026" not in page.page(result).split("<main>")[0]
+        (tmp_path / "result.json").write_text(result.to_json(), encoding="utf-8")
+        options = ["--title", "Hall B", "--author", "C", "--date", "today"]
+        assert run("report", tmp_path, *options, "--quiet") == 0
+        assert run("report", tmp_path, "--title", "two\nlines") == 2
+        assert "title is not one line" in capsys.readouterr().err
+    for text in texts:
+        assert "<h1>Hall &#34;A&#34; &lt;/style&gt;&lt;b&gt;</h1>" in text
+        assert "· 2026-11-22 · B &amp; Sons" in text
+        assert '"Hall \\22 A\\22  \\3c \\2f style\\3e \\3c b\\3e , 2026-11-22"' in text
+        assert text.count("</style>") == 1
+    written = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<h1>Hall B</h1>" in written
+    assert "· today · C" in written
+    assert "BRAS CR2, seminar room: calibration" in written
 
 
 def test_the_page_names_the_bands_that_were_compared() -> None:
@@ -440,8 +486,8 @@ def test_the_page_names_the_bands_that_were_compared() -> None:
         centre_frequencies=[125, 250, 500, 1000, 2000, 4000, 8000, 16000],
     )
     measured = rt.Measurement.from_values([250, 500, 1000, 2000, 4000, 8000], t20=[0.35] * 6)
-    sentences = words.summary(saving.saved(rt.calibrate(room, measured)))
-    assert "in 6 bands, 250 to 8000 Hz." in sentences[0]
+    calibration = saving.saved(rt.calibrate(room, measured))
+    assert words.compared(calibration) == "6 bands, 250 to 8000 Hz"
 
 
 def test_half_a_surrogate_pair_is_refused_before_a_page_is_begun(result, tmp_path, capsys) -> None:
@@ -510,8 +556,8 @@ def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
     monkeypatch.setattr(page, "_figures", no_figures)
     text = page.page(rt.calibrate(room, [1.0, 1.0]))
     assert "the 100 of 130 materials that absorb most" in text
-    assert len(text.encode()) < page.MAX_BYTES
-    monkeypatch.setattr(page, "MAX_BYTES", 1000)
+    assert len(text.encode()) < document.MAX_BYTES
+    monkeypatch.setattr(document, "MAX_BYTES", 1000)
     with pytest.raises(DataError, match="more than 1000"):
         page.page(rt.calibrate(room, [1.0, 1.0]))
 
@@ -524,8 +570,8 @@ def test_in_a_browser(html, evil_html, tmp_path) -> None:
     from matplotlib.image import imread
 
     ordinary, nasty, control = (tmp_path / f"{n}.html" for n in ("page", "evil", "control"))
-    page.write(ordinary, html)
-    page.write(nasty, evil_html)
+    document.write(ordinary, html)
+    document.write(nasty, evil_html)
     seen = chromium(tmp_path, ordinary, "--dump-dom")
     assert "What not to believe" in seen.stdout
     assert "plaster" in seen.stdout
@@ -537,8 +583,78 @@ def test_in_a_browser(html, evil_html, tmp_path) -> None:
     blue = np.abs(pixels - np.array([0x00, 0x72, 0xB2]) / 255).max(axis=2) < 0.02
     assert blue.sum() > 500  # dots and lines of the pictures; nothing else on the page is blue
     # The console is read indeed: a script, which the page's policy forbids, is complained of.
-    page.write(control, html.replace("</body>", "<script>alert(1)</script></body>"))
+    document.write(control, html.replace("</body>", "<script>alert(1)</script></body>"))
     assert "CONSOLE" in chromium(tmp_path, control, "--dump-dom").stderr
+
+
+_FRAME = """<body><iframe style="width: 400px" src="%s"></iframe><script>
+document.querySelector("iframe").onload = event => {
+  const root = event.target.contentDocument.documentElement;
+  document.body.append("width: " + root.scrollWidth + " ");
+};</script>"""
+
+
+def test_no_page_is_wider_than_a_phone(html, evil_html, loop, result, tmp_path) -> None:
+    """Tables, figures and long names scroll or wrap within their own box."""
+    drawn = {"evidence": (figures.gap(result), "E"), "residuals": (figures.gap(result), "R")}
+    pages = {
+        "page": html,
+        "evil": evil_html,
+        "loop": page.loop_page(loop),
+        "finding": page.finding_page(result, FINDING, drawn),
+        "wide": '<div style="width: 700px">x</div>',
+    }
+    seen = {}
+    for name, text in pages.items():
+        document.write(tmp_path / f"{name}.html", text)
+        frame = tmp_path / "frame.html"
+        frame.write_text(_FRAME % f"{name}.html")
+        arguments = ("--allow-file-access-from-files", "--virtual-time-budget=9000", "--dump-dom")
+        seen[name] = (
+            chromium(tmp_path, frame, *arguments).stdout.rpartition("width: ")[2].split()[0]
+        )
+    assert [name for name, width in seen.items() if int(width) > 400] == ["wide"]
+
+
+def printed(folder: Path, text: str) -> list[str]:
+    """The text of each sheet of a printed page, as poppler reads it."""
+    program = shutil.which("pdftotext")
+    if program is None:
+        pytest.skip("needs Debian's poppler-utils, which is not installed here")
+    document.write(folder / "p.html", text)
+    pdf = folder / "p.pdf"
+    chromium(folder, folder / "p.html", "--no-pdf-header-footer", f"--print-to-pdf={pdf}")
+    command = [program, "-layout", str(pdf), "-"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return done.stdout.removesuffix("\f").split("\f")
+
+
+def test_a_printed_page_can_be_handed_to_a_client(result, tmp_path) -> None:
+    """Each sheet has title, date and number; no table is split, no command is cut off."""
+    n, f = 14, [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
+    room = rt.Room(
+        name="A hall",
+        volume=900,
+        materials=[f"material {i}" for i in range(n)],
+        areas=np.full(n, 45.0),
+        alpha=np.full((n, 6), 0.2),
+        sigma=np.full((n, 6), 0.02),
+        centre_frequencies=f,
+        air=rt.Air(),
+    )
+    heading = document.Heading("Hall “A”", "A. Consultant", "2026-11-22")
+    sheets = printed(tmp_path, page.page(rt.calibrate(room, [1.6] * 6), heading=heading))
+    assert len(sheets) >= 3
+    for number, sheet in enumerate(sheets, start=1):
+        assert f"Page {number} of {len(sheets)}" in sheet
+        assert "Hall “A”, 2026-11-22" in sheet
+    for rows in (("measured T / s", "reservations"), ("material 0 .*→", "material 13 .*→")):
+        on = [[k for k, s in enumerate(sheets) if re.search(rf"^ *{r}", s, re.M)] for r in rows]
+        assert on[0] == on[1]
+        assert len(on[0]) == 1
+    assert "--out calibrated" in " ".join(sheets[-1].split())
+    assert "A. Consultant" in sheets[0]
+    assert sheets[0].index("off by") < sheets[0].index("What not to believe")
 
 
 # The command.
@@ -580,9 +696,9 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     assert (folder / "report.html").read_text(encoding="utf-8") == text
     assert sorted(p.name for p in folder.iterdir()) == kept
     monkeypatch.setitem(__import__("sys").modules, "jinja2", None)
-    page._environment.cache_clear()
+    document._environment.cache_clear()
     with pytest.raises(MissingDependencyError, match=r"rtcal\[report\]"):
-        page._render("layout.html", {})
+        document.render("layout.html", {}, document.Heading("x"))
 
 
 def commands():
@@ -666,7 +782,7 @@ def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, e
     pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
     assert not console.bar_wanted(quiet=False)  # standard error is caught here, no terminal
     (tmp_path / "result.json").write_text(evil.to_json(), encoding="utf-8")
-    monkeypatch.setattr(page, "_source", lambda _, step: step() or "data:,")
+    monkeypatch.setattr(page, "source", lambda _, step: step() or "data:,")
     monkeypatch.setattr("rtcal.command.report.bar_wanted", lambda quiet: not quiet)
     assert run("report", tmp_path) == 0
     assert capsys.readouterr().err == ""  # done within two seconds

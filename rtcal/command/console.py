@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
+import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,6 +33,33 @@ equation_option = click.option(
     callback=lambda context, parameter, key: EQUATIONS[key](),
     help="The reverberation equation.",
 )
+
+
+def heading_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add --title, --author and --date to a command that takes the ``heading`` of a page."""
+
+    @functools.wraps(command)
+    def with_heading(title: str, author: str, date: str | None, **others: Any) -> None:
+        from rtcal.report.document import Heading
+
+        today = time.strftime("%Y-%m-%d")
+        command(heading=Heading(title, author, today if date is None else date), **others)
+
+    for option in (
+        click.option("--date", help="Date on the page; today if not given."),
+        click.option(
+            "--author",
+            default="",
+            envvar="RTCAL_AUTHOR",
+            show_envvar=True,
+            help="Who made the page, as the page names it.",
+        ),
+        click.option(
+            "--title", default="", help="Title of the page; the room's name if not given."
+        ),
+    ):
+        with_heading = option(with_heading)
+    return with_heading
 
 
 _STANDARD_OUTPUT = 1  # POSIX's number of the stream

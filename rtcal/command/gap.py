@@ -12,13 +12,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
+from rtcal.command.console import (
+    bar_wanted,
+    heading_options,
+    json_option,
+    quiet_option,
+    tell,
+    written,
+)
 from rtcal.errors import DataError
 from rtcal.support.files import spare
 from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
     from rtcal.discrepancy import Case, Finding
+    from rtcal.report.document import Heading
 
 NOTHING_TO_ADD = 6
 """Exit code of ``rtcal gap apply`` if the finding names nothing to add to the model."""
@@ -176,8 +184,8 @@ def apply(
     from rtcal.report.correction import correct
     from rtcal.support.files import write_all
 
-    written = [out] if room is None else [out, room]
-    finding = _find(case, _case(case, written), search, quiet)
+    targets = [out] if room is None else [out, room]
+    finding = _find(case, _case(case, targets), search, quiet)
     correction = correct(finding, out, room)
     write_all(correction.files)
     tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
@@ -209,12 +217,19 @@ def verify(case: str, search: Search, as_json: bool, quiet: bool) -> None:
 @gap.command(short_help="Write finding, verification and figures.")
 @_common
 @click.option(
-    "--out", type=click.Path(file_okay=False), required=True, help="Folder for figures and JSON."
+    "--out",
+    type=click.Path(file_okay=False),
+    required=True,
+    help="Folder for the page (report.html), figures (PNG) and numbers (finding.json).",
 )
-def report(case: str, search: Search, as_json: bool, quiet: bool, out: str) -> None:
+@heading_options
+def report(
+    case: str, search: Search, heading: Heading, as_json: bool, quiet: bool, out: str
+) -> None:
     """Write finding, verification and their figures into a folder.
 
-    The page names the missing effect, its certainty, and the coefficients with the effect in the model.
+    The page leads with the finding: what is missing, what that rests on and what to do. Then follow the
+    calibration with the effect in the model, and last the plain one.
 
     Example: rtcal gap report case.toml --out gap
     """
@@ -227,20 +242,20 @@ def report(case: str, search: Search, as_json: bool, quiet: bool, out: str) -> N
     finding = _find(case, read, search, quiet)
     command = shlex.join(["rtcal", "gap", "report", case, *search.arguments(), "--out", out])
     files = [os.fspath(p) for p in files_of(case)]
-    written = write(finding, Path(out), Reproduction(command, tuple(files), search.seed))
-    names = [str(p) for p in written]
-    text = f"{finding}\nWritten: {', '.join(names)}"
+    paths = write(finding, Path(out), Reproduction(command, tuple(files), search.seed), heading)
+    names = [str(p) for p in paths]
+    text = f"{finding}\n{written(names)}"
     tell(text, {"written": names, **finding.to_dict()}, quiet=quiet, as_json=as_json)
 
 
-def _case(path: str, written: Sequence[str] = ()) -> Case:
+def _case(path: str, targets: Sequence[str] = ()) -> Case:
     """Read the case; DataError if a file to be written is also one of the case's files."""
     from rtcal.discrepancy import Case
     from rtcal.discrepancy.case_files import files as files_of
 
-    spare(written, [path])
+    spare(targets, [path])
     case = Case.from_file(path)
-    spare(written, files_of(path))
+    spare(targets, files_of(path))
     return case
 
 

@@ -132,13 +132,13 @@ def next_(
     from rtcal.acoustics.room import Room
     from rtcal.loop import by_hand
     from rtcal.loop.state import Loop
+    from rtcal.report.loop_words import statuses
 
     spare([state, out], [room, simulated])
     before = Loop.load(state, Room.from_file(room))
     after = by_hand.record(before, simulated, state, out, again=again)
     by_hand.write(after, state, out)
-    finished, frequencies = after.finished, after.room.centre_frequencies
-    shown = ["not yet" if s == "not converging" and not finished else s for s in after.status]
+    finished, frequencies, shown = after.finished, after.room.centre_frequencies, statuses(after)
     lines = [
         f"{frequency:7g} Hz  {'-' if gap != gap else format(gap, '+.2f'):>6} JND  {status}"
         for frequency, gap, status in zip(frequencies, after.gap, shown, strict=True)

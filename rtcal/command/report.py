@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
+from rtcal.command.console import bar_wanted, heading_options, json_option, quiet_option, tell
 from rtcal.errors import DataError
+
+if TYPE_CHECKING:
+    from rtcal.report.document import Heading
 
 _FIGURES = 5
 
@@ -19,17 +23,18 @@ _FIGURES = 5
     type=click.Path(dir_okay=False),
     help="Page (HTML) to write; by default report.html beside the result.",
 )
+@heading_options
 @json_option
 @quiet_option
-def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
-    """Write RESULT as one HTML page: summary, doubts, figures, tables.
+def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet: bool) -> None:
+    """Write RESULT as one HTML page: summary, doubts, tables, figures.
 
     RESULT is the folder of `rtcal calibrate --out`, its result.json, the state of an `rtcal loop`, or
-    the file of `LoopResult.save`. The page needs no network and no other file.
+    the file of `LoopResult.save`. The page needs no network and no other file. It can be printed.
 
-    Example: rtcal report calibrated --out calibrated.html
+    Example: rtcal report calibrated --author "A. Consultant" --out hall.html
     """
-    from rtcal.report import page, result_folder
+    from rtcal.report import document, page, result_folder
     from rtcal.support.files import spare
     from rtcal.support.progress import bar
 
@@ -40,8 +45,8 @@ def report(result: str, out: str | None, as_json: bool, quiet: bool) -> None:
     target = Path(out) if out is not None else folder / "report.html"
     spare([target], [result, *kept])
     with bar(_FIGURES, "figure", bar_wanted(quiet)) as shown:
-        text = page.page_of(result, progress=lambda: shown.update(1))
-    page.write(target, text)
+        text = page.page_of(result, heading=heading, progress=lambda: shown.update(1))
+    document.write(target, text)
     tell(
         f"Written: {target}",
         {"written": str(target), "bytes": len(text.encode())},

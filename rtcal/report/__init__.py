@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
+    from rtcal.report import document as document
     from rtcal.report import figures as figures
     from rtcal.report import gap_figures as gap_figures
     from rtcal.report import gap_report as gap_report

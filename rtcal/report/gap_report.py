@@ -14,16 +14,16 @@ from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.verification import Verification, verify
 from rtcal.discrepancy.wording import listed
 from rtcal.errors import MissingAirWarning
-from rtcal.report import gap_figures
+from rtcal.report import gap_figures, gap_words
+from rtcal.report.document import Heading
 from rtcal.report.figures import rendered
-from rtcal.report.page import page
+from rtcal.report.page import FINDING_FIGURES, finding_page
 from rtcal.report.rows import material_rows
 from rtcal.support.arguments import checked
 from rtcal.support.encode import json_text
 from rtcal.support.files import make_folder, write_all
 
-FIGURES = ("evidence", "residuals", "reverberation_time", "decay", "shifts")
-WRITTEN = ("finding.json", "report.html", *(f"{name}.png" for name in FIGURES))
+WRITTEN = ("finding.json", "report.html", *(f"{name}.png" for name in FINDING_FIGURES))
 """The files of a report; ``decay`` only if the effect bends the decay."""
 
 
@@ -76,10 +76,16 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
 
 
 @checked
-def write(finding: Finding, folder: Path, reproduction: Reproduction | None = None) -> list[Path]:
+def write(
+    finding: Finding,
+    folder: Path,
+    reproduction: Reproduction | None = None,
+    heading: Heading | None = None,
+) -> list[Path]:
     """Write finding.json, the figures (PNG) and report.html; return their paths.
 
-    ``reproduction``, if there is one, is printed on the page.
+    ``reproduction``, if there is one, is printed on the page. ``heading`` is as for
+    `rtcal.report.page.page`.
 
     Raises DataError if the folder cannot be made, MissingDependencyError without matplotlib or jinja2.
     """
@@ -98,7 +104,7 @@ def write(finding: Finding, folder: Path, reproduction: Reproduction | None = No
             equation=mean_equation(finding.case.equation).linear(),
         )
     entries = summary(finding, verified, reproduction)
-    text = page(usual, finding=entries, finding_figures=list(drawn.values()))
+    text = finding_page(usual, entries, drawn, heading=heading)
     contents = {
         folder / "finding.json": (json_text(record) + "\n").encode(),
         folder / "report.html": text.encode(),
@@ -113,41 +119,44 @@ def write(finding: Finding, folder: Path, reproduction: Reproduction | None = No
 def summary(
     finding: Finding, verification: Verification | None, reproduction: Reproduction | None = None
 ) -> dict[str, Any]:
-    """Return the finding as plain values for the page; `rtcal.report.page.page` describes the keys."""
-    sentences = [
-        finding.sentence,
-        *(f"{words[0].upper()}{words[1:].rstrip('.')}." for words in finding.in_words),
-        f"Next: {finding.advice.rstrip('.')}.",
-    ]
+    """Return the finding as plain values for the page.
+
+    ``headline`` and ``level``, ``sizes``, ``rests_on``, ``to_do`` and ``notes`` (sentences),
+    ``effects`` (name, probability in %, evidence), ``plain_heading`` and ``plain`` (title of the
+    calibration without the effect), ``corrected`` (title, use, effects, materials with their cells),
+    ``unknowable`` (a sentence), ``reproduce`` (command, files, seed, engines).
+    """
     first = finding.case.configurations[0].name
-    entries: dict[str, Any] = {
-        "verdict": finding.verdict,
-        "effect": "" if finding.best is None else finding.title,
-        "candidates": list(finding.candidates),
-        "evidence": dict(finding.evidence),
-        "probabilities": dict(finding.probabilities),
+    supported = verification is not None and verification.verdict == "proven"
+    plain = f'plain calibration to T20 of "{first}"'
+    if supported:
+        plain += (
+            f": not to be used, the model lacks {' or '.join([finding.title, *finding.rivals])}"
+        )
+    return {
+        "headline": gap_words.headline(finding),
+        "level": gap_words.level(finding),
+        "sizes": gap_words.sizes(finding),
+        "rests_on": gap_words.rests_on(finding, verification),
+        "to_do": gap_words.to_do(finding, verification),
         "notes": list(finding.notes),
-        "plain": f'plain calibration to T20 of "{first}"',
-    }
-    if verification is None:
-        if (nothing := finding.reason_for_none) is not None:
-            sentences.append(nothing)
-    else:
-        sentences.append(verification.sentence)
-        supported = verification.verdict == "proven"
-        entries["corrected"] = _corrected(verification)
-        entries["unknowable"] = _unknowable(finding, supported)
-        if supported:
-            lacking = " or ".join([finding.title, *finding.rivals])
-            entries["plain"] += f": not to be used, the model lacks {lacking}"
-    if reproduction is not None:
-        entries["reproduce"] = {
+        "effects": [
+            (name, 100 * probability, finding.evidence.get(name, 0.0))
+            for name, probability in finding.probabilities.items()
+        ],
+        "plain_heading": gap_words.plain_heading(finding),
+        "plain": plain,
+        "corrected": None if verification is None else _corrected(verification),
+        "unknowable": "" if verification is None else _unknowable(finding, supported),
+        "reproduce": None
+        if reproduction is None
+        else {
             "command": reproduction.command,
             "files": list(reproduction.files),
             "seed": reproduction.seed,
             "engines": list(finding.engines),
-        }
-    return {**entries, "summary": sentences}
+        },
+    }
 
 
 def _corrected(verification: Verification) -> dict[str, Any]:

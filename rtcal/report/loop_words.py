@@ -24,11 +24,18 @@ _LIMITS = (-1e6, 1e6)  # s and dB: far beyond any parameter of a room
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
     "unreachable": "cannot be reached: no coefficients within the equation's range bring it nearer",
-    "not converging": "did not come within the goal so far",
+    "not converging": "did not come within the goal",
+    "not yet": "did not come within the goal yet",
     "no measured T": "had no measured T; the coefficients are the stated ones",
     "not confirmed": "came within the goal, but not with fresh random numbers, or the simulator's "
     "noise is too large to tell: simulate with less of it (more paths)",
 }
+
+
+def statuses(loop: Loop) -> tuple[str, ...]:
+    """Return the status of each band as a user reads it: while the loop goes on, nothing has failed."""
+    unfinished = not loop.finished
+    return tuple("not yet" if unfinished and s == "not converging" else s for s in loop.status)
 
 
 def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
@@ -50,8 +57,11 @@ def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
         bands = [float(v) for v, s in zip(f, status_of_bands, strict=True) if s == status]
         if bands:
             sentences.append(f"{hertz(bands)}: {description}.")
-    if not loop.finished:
-        sentences.append("The loop is not finished: simulate again and run `rtcal loop next`.")
+    sentences.append(
+        "The loop is done."
+        if loop.finished
+        else "The loop is not finished: simulate again and run `rtcal loop next`."
+    )
     return sentences
 
 
@@ -88,7 +98,8 @@ def bands_table(loop: Loop, status: Sequence[str]) -> dict[str, Any]:
             ("first simulated / s", loop.steps[0].simulated, 3, False),
             ("nearest simulated / s", nearest, 3, False),
             ("first gap / JND", gap_jnd(loop.steps[0].simulated, loop.wanted), 1, True),
-            ("gap left / JND", loop.gap, 1, True),
+            ("gap left / JND", loop.gap, 2, True),
+            ("z", loop.outcome.plausibility.z, 1, True),
         ],
         "nearest": [int(b) + 1 for b in loop.best],
         "status": status,

@@ -1,14 +1,10 @@
-"""A self-contained HTML page of a result, for readers without Python.
-
-No other module imports jinja2. Autoescaping makes every name plain text.
-"""
+"""The HTML pages of a calibration, a finding and a closed loop, for readers without Python."""
 
 from __future__ import annotations
 
 import base64
 import os
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,33 +12,30 @@ import numpy as np
 
 from rtcal.acoustics import room_files
 from rtcal.acoustics.quality import letters
-from rtcal.errors import DataError, MissingDependencyError
+from rtcal.discrepancy.wording import NATS
 from rtcal.loop import files as loop_files
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
 from rtcal.report import figures, loop_figures, loop_words, material_figures, words
+from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.rows import material_rows
 from rtcal.report.saved import Saved, from_dict, read_json, saved
 from rtcal.support.arguments import checked
-from rtcal.support.files import write_text
-from rtcal.support.version import __version__
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
-MAX_BYTES = 2 * 10**6
-"""Largest size of a page in bytes."""
 MOST_MATERIALS = 100
 """Largest number of materials in the page's table, which lists those that absorb most."""
-_BANDS_ABREAST = 7
+FINDING_FIGURES = ("evidence", "residuals", "reverberation_time", "decay", "shifts")
+"""Names of a finding's figures; those that a finding lacks are left out of its page."""
 
 
 @checked
 def page(
     result: CalibrationResult | Saved,
     *,
-    finding: Mapping[str, Any] | None = None,
-    finding_figures: Sequence[tuple[Any, str]] = (),
+    heading: Heading | None = None,
     progress: Callable[[], None] | None = None,
 ) -> str:
     """Return a calibration as one HTML page under 2 MB, without scripts and links to the network.
@@ -50,14 +43,8 @@ def page(
     Parameters
     ----------
     result : CalibrationResult or Saved
-    finding : mapping, optional
-        A finding about the model: ``summary`` (list of sentences), ``verdict``, ``effect``,
-        ``candidates`` (list of names), ``evidence`` (name to nats) and ``notes`` (list of
-        sentences), each optional; ``plain`` (title of the tables without the effect),
-        ``corrected`` (title, use, effects, materials with their cells), ``unknowable`` (a sentence),
-        ``reproduce`` (command, files, seed, engines).
-    finding_figures : sequence of (figure, caption)
-        Figures of the finding.
+    heading : Heading, optional
+        Title, author and date; by default the room's name alone.
     progress : callable, optional
         Called after each figure.
 
@@ -69,7 +56,57 @@ def page(
         If the page would be larger than 2 MB.
     """
     calibration = saved(result)
-    step = progress or (lambda: None)
+    values = _calibration(calibration, progress or (lambda: None))
+    return render("calibration.html", values, _heading(heading, calibration))
+
+
+@checked
+def finding_page(
+    result: CalibrationResult | Saved,
+    finding: Mapping[str, Any],
+    pictures: Mapping[str, tuple[Any, str]],
+    *,
+    heading: Heading | None = None,
+) -> str:
+    """Return a finding as one HTML page: finding, corrected calibration, and last the plain one.
+
+    Parameters
+    ----------
+    result : CalibrationResult or Saved
+        The plain calibration.
+    finding : mapping
+        As `rtcal.report.gap_report.summary` returns it.
+    pictures : mapping of str to (figure, caption)
+        Figures of the finding by name, as `rtcal.report.gap_report.figures` returns them.
+    heading : Heading, optional
+        As for `page`.
+
+    Raises
+    ------
+    MissingDependencyError
+        Without jinja2 or matplotlib.
+    DataError
+        If the page would be larger than 2 MB.
+    """
+    calibration = saved(result)
+    drawn = {
+        name: {"source": source(figure, lambda: None), "alt": caption, "caption": caption}
+        for name, (figure, caption) in pictures.items()
+    }
+    values = {
+        **_calibration(calibration, lambda: None),
+        "finding": {**finding, "figures": dict.fromkeys(FINDING_FIGURES) | drawn},
+        "nats": NATS,
+    }
+    return render("finding.html", values, _heading(heading, calibration))
+
+
+def _heading(heading: Heading | None, calibration: Saved) -> Heading:
+    return (heading or Heading()).or_title(calibration.record["room"])
+
+
+def _calibration(calibration: Saved, step: Callable[[], None]) -> dict[str, Any]:
+    """Return what the template of a calibration shows."""
     clean, marked = words.usable(calibration)
     shifts, shift_count = words.large_shifts(calibration)
     certificate = {
@@ -82,41 +119,37 @@ def page(
     }
     bounds = [v for m in calibration.record["materials"] for v in m["error_bound"]]
     certificate["error"] = _worst(bounds)
-    return _render(
-        "calibration.html",
-        {
-            "title": f"{calibration.record['room']}: calibration",
-            "calibration": calibration,
-            "summary": words.summary(calibration),
-            "verdict": words.verdict(calibration),
-            "hertz": words.hertz,
-            "clean": clean,
-            "marked": marked,
-            "doubts": words.doubts(calibration.trust_marks),
-            "shifts": shifts,
-            "shift_count": shift_count,
-            "large_shift": f"{words.LARGE_SHIFT:g}",
-            "not_met": words.not_met(calibration),
-            "finding": _finding(finding, finding_figures, step),
-            "figures": _figures(calibration, step),
-            "blocks": _blocks(len(calibration.centre_frequencies)),
-            "labels": words.band_labels(calibration),
-            "band_rows": _band_rows(calibration),
-            "band_letters": [
-                letters(calibration.trust_marks, f) for f in calibration.centre_frequencies
-            ],
-            "materials": _materials(calibration),
-            "interval_note": _interval_note(calibration),
-            "assumed": words.assumed(calibration),
-            "sources": [
-                (m["name"], m["source"]) for m in calibration.record["materials"] if m["source"]
-            ],
-            "certificate": certificate,
-            "inputs": _inputs(calibration),
-            "command": words.command(calibration),
-            "composed": words.composed(calibration),
-        },
-    )
+    return {
+        "calibration": calibration,
+        "summary": words.summary(calibration),
+        "verdict": words.verdict(calibration),
+        "hertz": words.hertz,
+        "clean": clean,
+        "marked": marked,
+        "doubts": words.doubts(calibration.trust_marks),
+        "shifts": shifts,
+        "shift_count": shift_count,
+        "large_shift": f"{words.LARGE_SHIFT:g}",
+        "not_met": words.not_met(calibration),
+        "proves_nothing": words.PROVES_NOTHING,
+        "figures": _figures(calibration, step),
+        "blocks": blocks(len(calibration.centre_frequencies)),
+        "labels": words.band_labels(calibration),
+        "band_rows": _band_rows(calibration),
+        "band_letters": [
+            letters(calibration.trust_marks, f) for f in calibration.centre_frequencies
+        ],
+        "materials": _materials(calibration),
+        "interval_note": _interval_note(calibration),
+        "assumed": words.assumed(calibration),
+        "sources": [
+            (m["name"], m["source"]) for m in calibration.record["materials"] if m["source"]
+        ],
+        "certificate": certificate,
+        "inputs": _inputs(calibration),
+        "command": words.command(calibration),
+        "composed": words.composed(calibration),
+    }
 
 
 @checked
@@ -125,116 +158,69 @@ def loop_page(
     ends: Any = None,
     *,
     place: str = "result",
+    heading: Heading | None = None,
     progress: Callable[[], None] | None = None,
 ) -> str:
     """Return a closed loop as one HTML page; DataError if it has no simulation.
 
     A `Loop` needs ``ends``, as `LoopResult.ends` returns it; a `LoopResult` has its own. Messages name
-    it by ``place``.
+    it by ``place``. ``heading`` is as for `page`.
     """
     loop = result.loop if isinstance(result, LoopResult) else result
     if isinstance(result, LoopResult):
         ends = result.ends()
     simulated = None if ends is None else loop_words.read_ends(loop, ends, place)
-    status = loop.status if simulated is None else simulated["status"]
+    status = loop_words.statuses(loop) if simulated is None else simulated["status"]
     summary = loop_words.summary(loop, status)
     if simulated is not None:
         summary.append(loop_words.confirmed(loop, simulated))
     figure = loop_figures.path(loop)
-    source = _source(figure, progress or (lambda: None))
-    return _render(
+    drawn = source(figure, progress or (lambda: None))
+    return render(
         "loop.html",
         {
-            "title": f"{loop.room.name}: closed loop",
             "loop_state": loop,
+            "doubts": words.doubts(loop.trust_marks),
             "summary": summary,
             "at_ends": loop_words.at_ends(loop),
             "assumed": loop_words.assumed(loop),
             "figure": {
-                "source": source,
+                "source": drawn,
                 "alt": "T20 wanted and simulated by band; gap by simulation",
-                "caption": "Left: T20 by band. Right: how far each simulation was off.",
+                "caption": "Left: T20 by band. Right: how far each simulation was off, in JND of 5 %.",
             },
             "bands": loop_words.bands_table(loop, status),
             "ends": simulated,
-            "blocks": _blocks(loop.room.n_bands),
+            "blocks": blocks(loop.room.n_bands),
             "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
             "materials": loop_words.materials_table(loop),
             "equation_option": loop_words.equation_option(loop),
         },
+        (heading or Heading()).or_title(loop.room.name),
     )
 
 
 @checked
-def page_of(path: str | os.PathLike[str], progress: Callable[[], None] | None = None) -> str:
+def page_of(
+    path: str | os.PathLike[str],
+    *,
+    heading: Heading | None = None,
+    progress: Callable[[], None] | None = None,
+) -> str:
     """Return the page of a saved result: ``result.json``, its folder, a loop's state or result."""
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
     record = read_json(place)
     if record.get("rtcal") == loop_files.KIND:
         loop = Loop.load(os.fspath(place))
-        return loop_page(loop, record.get("result"), place=os.fspath(place), progress=progress)
-    return page(from_dict(record, os.fspath(place)), progress=progress)
-
-
-@checked
-def write(path: str | os.PathLike[str], text: str) -> None:
-    """Write a page, whole or not at all."""
-    write_text(path, text)
-
-
-@cache
-def _environment() -> Any:
-    try:
-        import jinja2
-    except ImportError as error:
-        raise MissingDependencyError(
-            "the page needs jinja2: pip install 'rtcal[report]'"
-        ) from error
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("rtcal.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["fixed"] = _fixed
-    environment.filters["signed"] = _signed
-    return environment
-
-
-def _render(template: str, values: Mapping[str, Any]) -> str:
-    text: str = _environment().get_template(template).render(version=__version__, **values)
-    if (size := len(text.encode("utf-8", errors="backslashreplace"))) > MAX_BYTES:
-        raise DataError(f"the page would have {size} bytes, more than {MAX_BYTES}")
-    return text
-
-
-def _blocks(n_bands: int) -> list[slice]:
-    """Return the bands of each part of a table, so that it fits a sheet of paper."""
-    return [slice(k, k + _BANDS_ABREAST) for k in range(0, n_bands, _BANDS_ABREAST)]
+        return loop_page(
+            loop, record.get("result"), place=os.fspath(place), heading=heading, progress=progress
+        )
+    return page(from_dict(record, os.fspath(place)), heading=heading, progress=progress)
 
 
 def _worst(values: Sequence[float | None]) -> str:
     numbers = [v for v in values if v is not None]
     return f"{max(numbers):.1e}" if len(numbers) == len(values) else "unknown"
-
-
-def _fixed(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if np.isfinite(value) else "–"
-
-
-def _signed(value: float, digits: int) -> str:
-    if not np.isfinite(value):
-        return "–"
-    text = f"{value:+.{digits}f}"
-    return text.replace("-", "−") if float(text) else text.lstrip("+-")
-
-
-def _source(figure: Any, step: Callable[[], None]) -> str:
-    """Return a figure as a data URI, a separate document whose ids do not clash with the page's."""
-    content = base64.b64encode(figures.rendered(figure, "svg")).decode()
-    step()
-    return f"data:image/svg+xml;base64,{content}"
 
 
 def _figures(calibration: Saved, step: Callable[[], None]) -> dict[str, dict[str, str]]:
@@ -244,7 +230,8 @@ def _figures(calibration: Saved, step: Callable[[], None]) -> dict[str, dict[str
             figures.gap(calibration),
             "Gap to the measured reverberation time by band, before and after",
             "How far the model's reverberation time was from the measured one: before (bars) and after "
-            "calibration (dots).",
+            f"calibration (dots), in {words.compared(calibration)}. One JND, the just noticeable "
+            "difference, is 5 %.",
         ),
         "reverberation_time": (
             figures.reverberation_time(calibration),
@@ -272,36 +259,10 @@ def _figures(calibration: Saved, step: Callable[[], None]) -> dict[str, dict[str
             "reverberation time.",
         )
     encoded = {
-        name: {"source": _source(figure, step), "alt": f"{room}: {alt}", "caption": caption}
+        name: {"source": source(figure, step), "alt": f"{room}: {alt}", "caption": caption}
         for name, (figure, alt, caption) in drawn.items()
     }
     return encoded | ({} if "plane" in encoded else {"plane": {}})
-
-
-def _finding(
-    finding: Mapping[str, Any] | None,
-    pictures: Sequence[tuple[Any, str]],
-    step: Callable[[], None],
-) -> dict[str, Any] | None:
-    if finding is None and not pictures:
-        return None
-    entries = dict(finding or {})
-    return {
-        "summary": list(entries.get("summary", ())),
-        "verdict": entries.get("verdict", ""),
-        "effect": entries.get("effect", ""),
-        "candidates": list(entries.get("candidates", ())),
-        "evidence": sorted(dict(entries.get("evidence", {})).items(), key=lambda e: -e[1]),
-        "notes": list(entries.get("notes", ())),
-        "plain": entries.get("plain", ""),
-        "corrected": entries.get("corrected"),
-        "unknowable": entries.get("unknowable", ""),
-        "reproduce": entries.get("reproduce"),
-        "figures": [
-            {"source": _source(figure, step), "alt": caption, "caption": caption}
-            for figure, caption in pictures
-        ],
-    }
 
 
 def _band_rows(calibration: Saved) -> list[tuple[str, Any, int, bool]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import EQUATIONS
-from rtcal.acoustics.quality import JND, TrustMark, agreement
+from rtcal.acoustics.quality import TrustMark, agreement
 from rtcal.calibration.presets import METHODS
 from rtcal.report.saved import Saved
 
@@ -19,6 +19,12 @@ LARGE_SHIFT = 2.0
 _MOST_SHIFTS = 20
 _MET = 0.05
 """Gap in JND below which the words count the measured T as met: too small to hear by a factor of 20."""
+
+PROVES_NOTHING = (
+    "That the model agrees with the measurement now proves nothing. It agrees by construction, and "
+    "would do so too if a wall, the air or an opening were missing from it. Whether to believe it "
+    "shows in how far the coefficients had to move."
+)
 
 _AGAINST = "The measurement contradicts what was stated of the materials"
 
@@ -68,29 +74,42 @@ def hertz(frequencies: Sequence[float]) -> str:
     return (", ".join(texts[:-1]) + " and " if len(texts) > 1 else "") + texts[-1] + " Hz"
 
 
+def compared(calibration: Saved) -> str:
+    """Return the bands in which model and measurement were compared."""
+    has_gap = np.isfinite(calibration.gap_before)
+    return bands.span(calibration.centre_frequencies[has_gap]) if has_gap.any() else "no band"
+
+
 def summary(calibration: Saved) -> list[str]:
-    """Return the calibration as a few sentences."""
-    f, compared = calibration.centre_frequencies, np.isfinite(calibration.gap_before)
-    sentences = [
-        f"The reverberation time T of the model was compared with the measured one in "
-        f"{bands.span(f[compared]) if compared.any() else 'no band'}. Differences are given in just "
-        f"noticeable differences: one JND is {100 * JND['t20']:g} % of the measured T."
+    """Return the calibration in three sentences: before, after, and whether to believe it."""
+    f, has_gap = calibration.centre_frequencies, np.isfinite(calibration.gap_before)
+    if not has_gap.any():
+        return ["Model and measurement could be compared in no band.", _believable(calibration)]
+    gap = np.where(has_gap, np.abs(calibration.gap_before), -1.0)
+    k = int(np.argmax(gap))
+    return [
+        "Before calibration the model's reverberation time was off by "
+        f"{gap[has_gap].mean():.1f} JND on average and by {gap[k]:.1f} JND at worst: at {f[k]:g} Hz it "
+        f"had {calibration.before[k]:.2f} s where {calibration.measured[k]:.2f} s were measured.",
+        _after(calibration),
+        _believable(calibration),
     ]
-    if compared.any():
-        gap = np.where(compared, np.abs(calibration.gap_before), -1.0)
-        k = int(np.argmax(gap))
-        sentences.append(
-            f"Before calibration the model was off by {gap[compared].mean():.1f} JND on average and by "
-            f"{gap[k]:.1f} JND at worst: at {f[k]:g} Hz it had {calibration.before[k]:.2f} s where "
-            f"{calibration.measured[k]:.2f} s were measured."
-        )
-        sentences.append(_after(calibration))
-    sentences.append(
-        "That the model agrees with the measurement now proves nothing. It agrees by construction, and "
-        "would do so too if a wall, the air or an opening were missing from it. Whether to "
-        "believe it shows in how far the coefficients had to move."
-    )
-    return sentences
+
+
+def _believable(calibration: Saved) -> str:
+    """Return whether measurement and prior agree, and the bands that carry a reservation."""
+    level, heading, _ = verdict(calibration)
+    clean, marked = usable(calibration)
+    if not marked:
+        doubtful = "no band carries a reservation"
+    elif not clean:
+        doubtful = "every band carries a reservation"
+    else:
+        one = len(marked) == 1
+        doubtful = f"{hertz(marked)} carr{'ies' if one else 'y'} a reservation"
+    if level == "contradicts":
+        return f"{heading}, so find out why before you use the coefficients; {doubtful}."
+    return f"{heading}; {doubtful}."
 
 
 def _after(calibration: Saved) -> str:
@@ -98,15 +117,12 @@ def _after(calibration: Saved) -> str:
     met, count = int(np.sum(gap < _MET)), len(gap)
     n = len(calibration.materials)
     text = (
-        f"The absorption coefficients of {n} material{'' if n == 1 else 's'} were then changed, as "
-        "little as what was known of them allows. "
+        f"The absorption coefficients of {n} material{'' if n == 1 else 's'} were then changed as "
+        "little as what was known of them allows, and now the model has the measured T in "
     )
     if met == count:
-        return text + f"Now the model has the measured T in all {count} bands."
-    return text + (
-        f"Now the model has the measured T in {met} of {count} bands; the largest gap that remains is "
-        f"{gap.max():.1f} JND."
-    )
+        return text + f"all {count} bands."
+    return text + f"{met} of {count} bands; the largest gap that remains is {gap.max():.1f} JND."
 
 
 def verdict(calibration: Saved) -> tuple[str, str, str]:
@@ -143,7 +159,7 @@ def verdict(calibration: Saved) -> tuple[str, str, str]:
     if agreement(p) == "too good":
         return (
             "agrees",
-            "Too good to be true",
+            "It agrees too well to be true",
             (
                 "Over all bands the coefficients moved less than their stated uncertainty makes "
                 f"likely ({numbers}, p = {p:.2g}); {asks}. A sigma or the uncertainty of T is stated "
@@ -162,7 +178,8 @@ def verdict(calibration: Saved) -> tuple[str, str, str]:
         )
     return (
         "open" if far else "agrees",
-        ("In keeping with what was stated" + (", with exceptions" if far else "")),
+        "The measurement agrees with what was stated of the materials"
+        + (", with exceptions" if far else ""),
         (
             "Over all bands the coefficients moved no further than their stated uncertainty explains "
             f"({numbers}, p = {p:.2g}); {asks}."

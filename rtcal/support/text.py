@@ -73,23 +73,22 @@ def fitted(text: str) -> str:
     return "\n".join(lines)
 
 
-def shell(command: str, indent: str = "", most: int | None = None) -> list[str]:
-    r"""Return a shell command as lines within ``most`` characters, joined by backslashes for the shell.
+def shell(command: str, indent: str = "") -> list[str]:
+    r"""Return a shell command as lines within `width`, with backslashes, so that it can be copied.
 
-    ``most`` is `width` by default. An option stays on the line of its value.
+    An option stays on the line of its value.
 
     Examples
     --------
-    >>> command = "rtcal gap report case.toml --engine 'path tracing' --engine network --seed 0"
+    >>> command = "rtcal gap report case.toml --engine 'path tracing' --engine network --seed 10"
     >>> print("\n".join(shell(command)))
     rtcal gap report case.toml --engine 'path tracing' --engine network \
-        --seed 0
+        --seed 10
     """
     parts = re.findall(r"(?:--\S+ )?(?:'[^']*'|\"[^\"]*\"|[^\s'\"])+", command)
     lines = [indent + parts[0]]
-    most = width() if most is None else most
     for part in parts[1:]:
-        if len(lines[-1]) + len(part) + 3 <= most:  # a blank, and " \\" at the end
+        if len(lines[-1]) + len(part) + 3 <= width():  # a blank, and " \\" at the end
             lines[-1] += f" {part}"
         else:
             lines[-1] += " \\"

@@ -1,0 +1,123 @@
+"""A finding in a client's words: headline, what it rests on, what to do."""
+
+from __future__ import annotations
+
+import math
+
+from rtcal.discrepancy.finding import Finding
+from rtcal.discrepancy.verification import Verification
+from rtcal.discrepancy.wording import listed
+
+_FAMILIES = {
+    "added absorption": "something that absorbs sound",
+    "added absorption, flat": "something that absorbs sound alike at all frequencies",
+    "added absorption, rising": "something that absorbs sound, more at high frequencies",
+    "added absorption, low": "something that absorbs low frequencies",
+    "less absorption": "a covered surface",
+    "climate": "the air as it was",
+    "field": "that sound does not spread evenly",
+    "scale": "the right area, volume or equation",
+    "measurement": "something of the measurement",
+}
+_SAID = 0.03  # probability below which an effect is not listed
+
+
+def headline(finding: Finding) -> str:
+    """Return the verdict as one sentence for a reader who is no acoustician."""
+    several = f"The measurements do not tell which of these it is: {_candidates(finding)}."
+    lacks = _FAMILIES.get(str(finding.family), f"an effect of the family “{finding.family}”")
+    return {
+        "none": "Nothing shows that the model lacks anything.",
+        "hint": "The model may lack something, but the measurements do not establish it.",
+        "named": finding.sentence,
+        "family": f"The model lacks {lacks}. {several}",
+        "ambiguous": f"The model lacks something. {several}",
+        "unknown": "The model lacks something, and no known effect explains it.",
+    }[finding.verdict]
+
+
+def level(finding: Finding) -> str:
+    """Return the kind of the box around the headline: "agrees", "open" or "contradicts"."""
+    return {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
+
+
+def sizes(finding: Finding) -> list[str]:
+    """Return the sizes of the candidates, and how the coefficients are off, a sentence each."""
+    off = [finding.coefficients_in_words] if finding.coefficients is not None else []
+    return [_sentence(words) for c in finding.candidates if (words := finding.size_of(c))] + [
+        _sentence(words) for words in off
+    ]
+
+
+def plain_heading(finding: Finding) -> str:
+    """Return the title of the calibration without the effect."""
+    usable = finding.verdict in ("none", "hint")
+    return "The calibration" if usable else "The plain calibration: the model lacks something"
+
+
+def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
+    """Return what the verdict rests on, a sentence each."""
+    said = [f"{k} {finding.percent(k)}" for k, p in finding.probabilities.items() if p >= _SAID]
+    sentences = [
+        _evidence(finding),
+        f"Probabilities: {', '.join(said)}.",
+        *(_sentence(reason) for reason in finding.reasons),
+    ]
+    if finding.engines:
+        sentences.append(
+            f"How large model errors can be comes from control rooms, simulated with "
+            f"{listed(finding.engines)}, in which nothing is missing."
+        )
+    if verification is not None:
+        sentences.append(verification.sentence)
+    return sentences
+
+
+def to_do(finding: Finding, verification: Verification | None) -> list[str]:
+    """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
+    steps = [] if finding.verdict == "none" else [_sentence(finding.advice)]
+    if verification is not None:
+        steps.append(
+            {
+                "proven": "Use the corrected calibration below, not the plain one.",
+                "unproven": "Do this before the corrected calibration is used: no measurement but "
+                "that of T speaks for it.",
+                "withdrawn": "Use neither calibration: with the effect in the model the measurements "
+                "fit worse.",
+            }[verification.verdict]
+        )
+    else:
+        steps.append(
+            "Do not use the calibration below: its coefficients make up for what is missing."
+            if finding.verdict == "unknown"
+            else "The calibration below can be used, with the reservations that it states."
+        )
+    return steps
+
+
+def _evidence(finding: Finding) -> str:
+    """Return the evidence and its threshold, with the odds of larger ones in words."""
+    score = finding.score
+    numbers = f"{score:.1f} nats; above {finding.threshold:.1f} it counts"
+    if score <= 0:
+        return f"The measurements speak for the model as it stands (evidence {numbers})."
+    odds = f"{_rounded(math.exp(score))} to 1" if score < math.log(1e6) else "over a million to 1"
+    return f"The odds against the model as it stands are {odds} (evidence {numbers})."
+
+
+def _rounded(value: float) -> str:
+    """Return a number of two digits that count.
+
+    >>> _rounded(662_000.0), _rounded(3.21)
+    ('660,000', '3.2')
+    """
+    return f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def _candidates(finding: Finding) -> str:
+    names = [f"{finding.title_of(c)} ({finding.percent(c)})" for c in finding.candidates]
+    return listed(names).replace(" and ", " or ")
+
+
+def _sentence(words: str) -> str:
+    return words[:1].upper() + words[1:].rstrip(".") + "."
