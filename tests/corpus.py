@@ -139,7 +139,7 @@ def headers() -> list[Case]:
             "tables",
             b"Hall A, 12.3.2024\nOperator;N.N.\nTemperature;21,5\n\nFrequency;T20\n500;1,5\n1000;1,4\n",
             values=TWO,
-            said="lines before the header, line 5, are left out",
+            said="the header is line 5; what stands before it is left out",
         ),
         Case(
             "Excel's separator line",

@@ -125,7 +125,7 @@ def computed() -> Any:
         ):
             patch.setattr(module, name, once(getattr(module, name)))
         patch.setattr(gap_report, "figures", lambda *_: {})
-        patch.setattr(page, "_source", lambda *_: "data:,")
+        patch.setattr(page, "source", lambda *_: "data:,")
         patch.setattr(positions_folder, "write", lambda _, folder, *__: [folder / "room.toml"])
         yield
 

@@ -12,6 +12,7 @@ from rtcal.command.console import json_option, output_folder, quiet_option, tell
 _PURPOSES = {
     "room": "a room and a measured T",
     "responses": "impulse responses and a mesh",
+    "program": "a CATT list and a table of T",
     "simulator": "a simulator in Python",
     "optimisation": "terms, solvers and the certificate",
     "missing-effect": "a model that may lack something",

@@ -14,6 +14,7 @@ from rtcal.command.console import json_option, quiet_option, tell
 from rtcal.command.files import PROGRAMS
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support.files import spare
+from rtcal.support.text import shortened
 
 if TYPE_CHECKING:
     from rtcal.acoustics.air import Air
@@ -99,7 +100,7 @@ def import_room(
 
     spare([out], [path for path in (materials, mesh, sigma_table) if path is not None])
     listed = _materials(program, materials)
-    volume, surfaces = _geometry(mesh, unit, volume, areas)
+    volume, surfaces = _geometry(mesh, unit, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", entries, "ENTRY")
     others = _from_catalogue(listed, program, used, chosen)
@@ -144,20 +145,30 @@ def _materials(program: str, path: str | None) -> MaterialList:
 
 
 def _geometry(
-    mesh: str | None, unit: float, volume: float | None, areas: tuple[str, ...]
+    mesh: str | None,
+    unit: float,
+    volume: float | None,
+    areas: tuple[str, ...],
+    names: Sequence[str],
 ) -> tuple[float, Sequence[Surface]]:
-    """Return volume in m³ and surfaces, from the mesh or from the options."""
+    """Return volume in m³ and surfaces, from the mesh or from the options.
+
+    ``names`` are those of the list's materials, for the message where the options lack them.
+    """
     from rtcal.acoustics.materials import Surface
     from rtcal.io import obj
 
-    if (mesh is None) == (volume is None and not areas):
-        raise DataError("either --mesh, or --volume and --area, say how large the room is")
+    if mesh is not None and (volume is not None or areas):
+        raise DataError("--mesh states volume and areas already: leave --volume and --area out")
     if mesh is not None:
         with errors_name_options("unit"):
             polyhedron = obj.read(mesh, unit=unit)
         return polyhedron.volume, polyhedron.surfaces
-    if volume is None:
-        raise DataError("--volume is missing")
+    if volume is None or not areas:
+        raise DataError(
+            "how large is the room? State --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
+            f"each material in it. The list has: {shortened(', '.join(names), 200)}"
+        )
     stated = numbers("--area", areas, "M2")
     return volume, [Surface(name, name, area) for name, area in stated.items()]
 
@@ -253,7 +264,10 @@ def _notes(
         notes.append(
             f"scattering left out, since {', '.join(without)} state none; --scattering gives theirs"
         )
-    notes += [f"{name}: {source}" for name, source in room.sources.items()]
+    by_source: dict[str, list[str]] = {}
+    for name, source in room.sources.items():
+        by_source.setdefault(source, []).append(name)
+    notes += [f"alpha of {', '.join(names)}: {source}" for source, names in by_source.items()]
     return notes
 
 

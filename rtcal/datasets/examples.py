@@ -87,6 +87,32 @@ def _responses() -> Example:
     )
 
 
+_GEO = """; A rehearsal room of 9 m x 8 m x 3 m. Absorption in percent, octaves from 125 Hz.
+ABS plaster = <14 10 6 5 4 3> {200 200 200}
+ABS carpet = <8 24 57 69 71 73> {120 60 60}
+CORNERS
+"""
+_TABLE = """Position,Parameter,125 Hz,250 Hz,500 Hz,1 kHz,2 kHz,4 kHz
+P1,T20,1.21,1.05,0.82,0.80,0.78,0.70
+P2,T20,1.27,1.01,0.85,0.78,0.77,0.71
+P3,T20,1.18,1.07,0.86,0.83,0.75,0.69
+"""
+
+
+def _program() -> Example:
+    return Example(
+        {"hall.geo": _GEO.encode(), "measured.csv": _TABLE.encode()},
+        (
+            "rtcal table measured.csv --out t.csv",
+            "rtcal import catt hall.geo --volume 216 --area plaster=174 --area carpet=72 "
+            "--temperature 21 --humidity 40 --out room.toml",
+            _CALIBRATE,
+            _REPORT,
+            "rtcal export catt calibrated/room.toml hall.geo",
+        ),
+    )
+
+
 _SIMULATOR = '''"""Calibrate a simulator: change the coefficients until its T20 is the measured one."""
 
 import rtcal as rt
@@ -160,6 +186,7 @@ def _missing_effect() -> Example:
 _EXAMPLES: Mapping[str, Callable[[], Example]] = {
     "room": _room,
     "responses": _responses,
+    "program": _program,
     "simulator": _simulator,
     "optimisation": _optimisation,
     "missing-effect": _missing_effect,

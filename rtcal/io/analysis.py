@@ -42,20 +42,7 @@ class Analysis:
 
     def __str__(self) -> str:
         """Return the means by band, what is missing by band, and the notes."""
-        measurement, n = self.measurement, len(self.measurement.pairs)
-        title = f"Means over {n} pairs of source and receiver" if n > 1 else "One impulse response"
-        header = ("", [bands.label(f) for f in measurement.centre_frequencies])
-        rows = [
-            (
-                parameter.upper() + (f" / {unit}" if (unit := UNITS[parameter]) else ""),
-                [
-                    format(value, ".1f" if unit == "dB" else ".3f") if np.isfinite(value) else "-"
-                    for value in measurement.mean(parameter)
-                ],
-            )
-            for parameter in measurement.values
-        ]
-        lines = [title, *text.table(rows, header=header)]
+        lines = means(self.measurement)
         if self.missing:
             lines += ["", *text.wrapped(self._rule)]
             for sentence in self._missing_by_band():
@@ -100,6 +87,24 @@ class Analysis:
             pairs = "" if len(ratios) == 1 else f" in {silent} of {len(ratios)} pairs"
             parts.append(f"No decay stands out of the noise{pairs}.")
         return " ".join(parts)
+
+
+def means(measurement: Measurement) -> list[str]:
+    """Return the means over the pairs as the lines of a table, one row per parameter."""
+    n = len(measurement.pairs)
+    title = f"Means over {n} pairs of source and receiver:" if n > 1 else "Values:"
+    rows = [
+        (
+            parameter.upper() + (f" / {unit}" if (unit := UNITS[parameter]) else ""),
+            [
+                format(value, ".1f" if unit == "dB" else ".3f") if np.isfinite(value) else "-"
+                for value in measurement.mean(parameter)
+            ],
+        )
+        for parameter in measurement.values
+    ]
+    header = ("", [bands.label(f) for f in measurement.centre_frequencies])
+    return [title, *text.table(rows, header=header)]
 
 
 def spread(values: Sequence[float] | Array, form: str) -> str:

@@ -75,7 +75,11 @@ def layout_of(
                 raise
     chosen = next((s for s, rows in tables.items() if headers.complete(rows) is not None), None)
     if chosen is None:
-        chosen = next((s for s in candidates if s in first), candidates[0])
+        # The separator that names most columns, so that the message is of the header, not of a title.
+        named = {s: headers.names(rows[headers.header(rows)][1])[0] for s, rows in tables.items()}
+        best = max(named.values(), default=0)
+        likely = [s for s in candidates if named.get(s, 0) == best]
+        chosen = next((s for s in likely if s in first), likely[0])
     rows = tables[chosen] if chosen in tables else _rows(characters, chosen, path)
     notes = [f"text in {text.encoding}, columns separated by {chosen!r}"]
     return headers.layout(rows, notes)
@@ -172,7 +176,7 @@ class _Headers:
     def layout(self, rows: list[Row], notes: list[str]) -> Layout:
         at = self.header(rows)
         if at:
-            notes.append(f"lines before the header, line {rows[at][0]}, are left out")
+            notes.append(f"the header is line {rows[at][0]}; what stands before it is left out")
         line, header = rows[at]
         while header and not header[-1]:  # a separator at the end of every line
             header = header[:-1]

@@ -24,6 +24,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import of_single_values
 from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS, plausible_time
 from rtcal.errors import DataError
+from rtcal.io.analysis import means
 from rtcal.io.table_columns import frequency_of, nominal_band, parameter_of, scale_of
 from rtcal.io.table_layout import Layout, Row, layout_of
 from rtcal.io.text import MAX_TEXT, decode, number, shown
@@ -81,7 +82,8 @@ class Table:
     columns: tuple[str, ...]
 
     def __str__(self) -> str:
-        return "\n".join(self.columns)
+        """Return how each column was read, and the means of what was read."""
+        return "\n".join([*self.columns, "", *means(self.measurement)])
 
 
 @checked
