@@ -16,6 +16,7 @@ from rtcal.discrepancy.effects import Absorber, Effect, library
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.recalibration import Recalibrated, recalibrate
 from rtcal.discrepancy.search import find
+from rtcal.discrepancy.several import SeveralFinding, find_several
 from rtcal.discrepancy.verification import Verification, verify
 
 __all__ = [
@@ -28,11 +29,13 @@ __all__ = [
     "Finding",
     "Plan",
     "Recalibrated",
+    "SeveralFinding",
     "Threshold",
     "Verification",
     "control_rooms",
     "corrected_room",
     "find",
+    "find_several",
     "library",
     "plan",
     "recalibrate",

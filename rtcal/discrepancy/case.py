@@ -74,6 +74,17 @@ class AppliedEffect:
         elif self.name not in {e.name for e in library()}:
             raise DataError(f'effect "{self.name}" is not in the library')
 
+    @classmethod
+    def of(
+        cls,
+        effect: Effect,
+        parameters: Mapping[str, float],
+        size_interval: tuple[float, float] | None = None,
+    ) -> AppliedEffect:
+        """Return an effect of the library, or another one, with these parameters."""
+        custom = None if effect in library() else effect
+        return cls(effect.name, dict(parameters), size_interval, custom)
+
     @property
     def effect(self) -> Effect:
         """The effect, from the library or ``custom``."""

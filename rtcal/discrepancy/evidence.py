@@ -108,13 +108,13 @@ def evaluate(
     mask = observed.used.ravel()
     residual = y - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
     alpha, other = covariance_of(observed, predicted, discrepancy, 0)
-    unknown = _unknown(residual, alpha + other, observed.used)
+    unknown = unknown_evidence(residual, alpha + other, observed.used)
     if values is None:
         stated, off, unknown = stated[:, 0], off[:, 0], unknown[0]
     return Evidence(stated, off, unknown, predicted.names, predicted.weights, prior_off)
 
 
-def _unknown(residual: Array, covariance: Array, used: Array) -> Array:
+def unknown_evidence(residual: Array, covariance: Array, used: Array) -> Array:
     """Return the log evidence of an unknown effect: a change that is partly smooth over bands."""
     count, kinds, bands = used.shape
     scale = np.array(UNKNOWN_FEATURES)

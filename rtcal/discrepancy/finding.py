@@ -11,7 +11,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.coefficients import OffTogether
-from rtcal.discrepancy.effects import Effect, library
+from rtcal.discrepancy.effects import Effect
 from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import COEFFICIENTS, Prior
 from rtcal.discrepancy.size import Size
@@ -151,9 +151,7 @@ class Finding:
         if name == COEFFICIENTS:
             return case
         ends = None if fit.size is None else (fit.size.low, fit.size.high)
-        effect = self.effects[name]
-        custom = None if effect in library() else effect
-        added = AppliedEffect(name, dict(fit.parameters), ends, custom)
+        added = AppliedEffect.of(self.effects[name], fit.parameters, ends)
         return replace(case, applied=(*case.applied, added))
 
     def title_of(self, name: str) -> str:

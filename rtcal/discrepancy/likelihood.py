@@ -77,7 +77,7 @@ class _Likelihood:
 
     @cached_property
     def _fixed(self) -> Array:
-        return _without_alpha(self._observed, self._predicted, self._discrepancy)
+        return without_alpha(self._observed, self._predicted, self._discrepancy)
 
     @cached_property
     def _fixed_low_rank(self) -> tuple[Array, Array] | None:
@@ -178,7 +178,7 @@ def covariance_of(
             spreading(observed, predicted, i) @ predicted.alpha_covariance.off_together(part)[0]
         )
         alpha = alpha + (scale**2 - 1) * common @ common.T
-    fixed = _without_alpha(observed, predicted, discrepancy)
+    fixed = without_alpha(observed, predicted, discrepancy)
     return alpha, fixed + model.misfit(part).covariance[0]
 
 
@@ -200,7 +200,7 @@ def log_density(residual: Array, covariance: Array) -> float:
     )
 
 
-def _without_alpha(
+def without_alpha(
     observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
 ) -> Array:
     """Return R + D + the covariance from the applied effects, of the features in use."""
@@ -234,7 +234,7 @@ def log_densities(
     m = rows.shape[2]
     square, across, others = factorization.inner(rows, draws)
     halves = factorization.half_log_determinant
-    stated = _log_density(square, halves[:, None], m)
+    stated = student(square, halves[:, None], m)
     if rows.shape[1] == draws:
         return stated, None
     parts = []
@@ -243,11 +243,11 @@ def log_densities(
         grown = Factorization.whole(np.eye(others.shape[1]) + more * others)
         less = grown.inner(across.copy(), draws)[0]
         spread = halves + grown.half_log_determinant
-        parts.append(np.log(probability) + _log_density(square - more * less, spread[:, None], m))
+        parts.append(np.log(probability) + student(square - more * less, spread[:, None], m))
     return stated, np.asarray(np.logaddexp.reduce(parts))
 
 
-def _log_density(square: Array, half_log_determinant: Array, m: int) -> Array:
+def student(square: Array, half_log_determinant: Array, m: int) -> Array:
     """Return the log density of Student's t with C as its covariance, from r' C^-1 r and ln sqrt|C|."""
     if np.isinf(DEGREES):
         return np.asarray(-0.5 * square - half_log_determinant - 0.5 * m * np.log(2 * np.pi))

@@ -1,0 +1,237 @@
+"""Evidence of sets of effects: several effects in the model at once.
+
+A hypothesis here is a set of rows of `Hypotheses`, each of another effect. There are some 200,000
+pairs, so all are screened in closed form, and the best of each two effects are evaluated as `evidence`
+does. The screen adds the changes that the effects cause alone. With C = L L' the covariance under
+"none", M = U U' the misfit of an effect's change and W = L⁻¹ U, a pair costs one system of a few rows
+(Woodbury) in place of a factorisation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from rtcal.discrepancy.alpha_covariance import AlphaCovariance
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.effects import Effect
+from rtcal.discrepancy.effects.checks import changed_states
+from rtcal.discrepancy.evidence import unknown_evidence
+from rtcal.discrepancy.factorization import Factorization
+from rtcal.discrepancy.features import Observed
+from rtcal.discrepancy.hypotheses import Hypotheses, misfit
+from rtcal.discrepancy.likelihood import (
+    covariance_of,
+    log_densities,
+    student,
+    without_alpha,
+)
+from rtcal.discrepancy.model import State, predict
+from rtcal.discrepancy.model_error import ModelDiscrepancy
+from rtcal.discrepancy.states import distances, state
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What is compared: a case, its measured features, the single hypotheses, and the model's error."""
+
+    case: Case
+    observed: Observed
+    predicted: Hypotheses
+    discrepancy: ModelDiscrepancy
+
+
+Rows = tuple[int, ...]
+"""A set of effects with their parameters: rows of `Hypotheses`, in the order in which they act."""
+_AT_ONCE = 256
+
+
+def acting_order(case: Case, predicted: Hypotheses) -> list[str]:
+    """Return the effects' names in the order in which they act on a state.
+
+    Another equation comes first, since absorbers are added in its terms; then whatever contradicts
+    what the room states; then what is added to it.
+    """
+    base = state(case, case.configurations[0])
+    first = dict(zip(reversed(predicted.names), reversed(predicted.parameters), strict=True))
+
+    def rank(effect: Effect) -> tuple[bool, bool]:
+        changed = changed_states(effect, base, [first[effect.name]])[0]
+        return changed.equation == base.equation, not effect.contradicts(case.room)
+
+    return [e.name for e in sorted(predicted.effects.values(), key=rank)]
+
+
+def shapes(case: Case, predicted: Hypotheses) -> frozenset[str]:
+    """Return the effects that replace the decay's shape: a set holds one of them at most."""
+    base = state(case, case.configurations[0])
+    out = set()
+    for name, theta in zip(predicted.names[1:], predicted.parameters[1:], strict=True):
+        if name not in out:
+            changed = changed_states(predicted.effects[name], base, [theta])[0]
+            if changed.shape is not None:
+                out.add(name)
+    return frozenset(out)
+
+
+class Screen:
+    """Log likelihoods of pairs from the changes that each effect causes alone.
+
+    With a ``base``, of pairs beside the effects of these rows. Row 0, "none", is a member that changes
+    nothing.
+    """
+
+    def __init__(self, compared: Comparison, base: Rows = ()) -> None:
+        observed, predicted = compared.observed, compared.predicted
+        discrepancy = compared.discrepancy
+        mask = observed.used.ravel()
+        c, f, b = np.nonzero(observed.used)
+        alpha, other = covariance_of(observed, predicted, discrepancy, 0)
+        change = (predicted.features - predicted.features[0])[:, c, f, b]
+        amount = (predicted.features - predicted.features[0])[:, c, 0, b]
+        smooth = predicted.spectrum_errors[:, :, :2].take(b, 1)
+        error = misfit(change, amount, f, smooth, 0.0)
+        residual = observed.values - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
+        for i in base:
+            residual = residual - change[i]
+            other = (
+                other
+                + misfit(
+                    change[i],
+                    amount[i],
+                    f,
+                    predicted.spectrum_errors[i][b],
+                    predicted.formula_errors[i],
+                ).covariance
+            )
+        factor = np.linalg.cholesky(alpha + other)
+        self._half = float(np.log(np.diag(factor)).sum())
+        self._m = len(factor)
+
+        def whitened(rows: Array) -> Array:
+            flat = rows.reshape(-1, self._m)
+            return np.asarray(solve_triangular(factor, flat.T, lower=True).T.reshape(rows.shape))
+
+        self._z = whitened(residual[None])[0]
+        self._v = whitened(change)
+        self._w = whitened(error.factor.swapaxes(1, 2))
+        self._own = self._w @ self._w.swapaxes(1, 2)
+
+    def pairs(self, first: Array, second: Array) -> Array:
+        """Return the log likelihoods of every row of ``first`` with every one of ``second``."""
+        a, b, r = len(first), len(second), self._w.shape[1]
+        left = self._z - self._v[first]
+        v, w1, w2 = self._v[second], self._w[first], self._w[second]
+        square = (left**2).sum(1)[:, None] - 2 * left @ v.T + (v**2).sum(1)
+        gram = np.empty((a, b, 2 * r, 2 * r))
+        gram[:, :, :r, :r] = self._own[first][:, None]
+        gram[:, :, r:, r:] = self._own[second]
+        cross = np.tensordot(w1, w2, axes=(2, 2)).transpose(0, 2, 1, 3)  # (a, b, r, r)
+        gram[:, :, :r, r:] = cross
+        gram[:, :, r:, :r] = cross.swapaxes(2, 3)
+        along = np.empty((a, b, 2 * r))
+        along[:, :, :r] = (w1 @ left[:, :, None])[:, None, :, 0] - np.einsum(
+            "arm,bm->abr", w1, v, optimize=True
+        )
+        along[:, :, r:] = (
+            np.einsum("am,brm->abr", left, w2, optimize=True) - (w2 @ v[:, :, None])[None, :, :, 0]
+        )
+        diagonal = np.arange(2 * r)
+        gram[:, :, diagonal, diagonal] += 1.0
+        small = np.linalg.cholesky(gram)
+        half = np.log(np.diagonal(small, axis1=2, axis2=3)).sum(-1)
+        y = np.linalg.solve(gram, along[..., None])[..., 0]
+        return student(square - (y * along).sum(-1), self._half + half, self._m)
+
+
+@dataclass(frozen=True, eq=False)
+class SetEvidence:
+    """Log likelihoods of sets in nats, (n_sets,): coefficients as stated, and off together."""
+
+    stated: Array
+    off: Array
+
+
+def evaluate_sets(compared: Comparison, sets: Sequence[Rows], *, off: bool) -> SetEvidence:
+    """Return the log likelihoods of sets, each with all of its effects in the state."""
+    case, observed, predicted = compared.case, compared.observed, compared.predicted
+    discrepancy = compared.discrepancy
+    fixed = without_alpha(observed, predicted, discrepancy)
+    mask = observed.used.ravel()
+    c, f, b = np.nonzero(observed.used)
+    bands = observed.used.shape[2]
+    t20 = c * bands + b
+    change = (predicted.features - predicted.features[0])[:, c, f, b]
+    amount = (predicted.features - predicted.features[0])[:, c, 0, b]
+    base = [state(case, configuration) for configuration in case.configurations]
+    stated, together = (np.full(len(sets), -np.inf) for _ in range(2))
+    for begin in range(0, len(sets), _AT_ONCE):
+        part = sets[begin : begin + _AT_ONCE]
+        states = [_states(case, predicted, s, i, part) for i, s in enumerate(base)]
+        made = [
+            predict(column, distances(case, where))
+            for column, where in zip(states, case.configurations, strict=True)
+        ]
+        features = np.stack([p.features for p in made], axis=1)[:, c, f, b]
+        slopes = np.stack([p.slopes for p in made], axis=1)[:, c, f, b]
+        alpha = AlphaCovariance(case, len(part))
+        alpha.fill(slice(0, len(part)), states, made)
+        whole = slice(0, len(part))
+        covariance = alpha.of(whole).take(t20, 2) * slopes[:, None, :]
+        covariance = covariance.take(t20, 1) * slopes[:, :, None] + fixed
+        for member in range(max(map(len, part))):
+            at = np.array([rows[member] if member < len(rows) else 0 for rows in part])
+            errors = predicted.spectrum_errors[at].take(b, 1)
+            alone = predicted.formula_errors[at]
+            covariance += misfit(change[at], amount[at], f, errors, alone).covariance
+        residual = observed.values - features - discrepancy.bias[mask]
+        possible = np.isfinite(residual).all(1) & np.isfinite(covariance).all((1, 2))
+        residual[~possible], covariance[~possible] = 0.0, np.eye(len(f))
+        rows = residual[:, None, :]
+        if off:
+            common = alpha.off_together(whole).take(t20, 1) * slopes[:, :, None]
+            common[~possible] = 0.0
+            rows = np.concatenate([rows, common.swapaxes(1, 2)], axis=1)
+        one, scaled = log_densities(Factorization.whole(covariance), rows, 1)
+        stated[begin : begin + len(part)] = np.where(possible, one[:, 0], -np.inf)
+        if scaled is not None:
+            together[begin : begin + len(part)] = np.where(possible, scaled[:, 0], -np.inf)
+    return SetEvidence(stated, together)
+
+
+def _states(
+    case: Case, predicted: Hypotheses, base: State, configuration: int, sets: Sequence[Rows]
+) -> list[State]:
+    """Return the state of each set in one configuration; what is removed there is left out."""
+    removed = case.configurations[configuration].suspect_removed
+    made: dict[Rows, State] = {(): base}
+    for length in range(1, max(map(len, sets)) + 1):
+        groups: dict[tuple[Rows, str], list[int]] = {}
+        for rows in dict.fromkeys(s[:length] for s in sets if len(s) >= length):
+            groups.setdefault((rows[:-1], predicted.names[rows[-1]]), []).append(rows[-1])
+        for (before, name), last in groups.items():
+            effect = predicted.effects[name]
+            if removed and effect.removable:
+                made |= {(*before, i): made[before] for i in last}
+                continue
+            grid = [predicted.parameters[i] for i in last]
+            states = changed_states(effect, made[before], grid)
+            made |= {(*before, i): s for i, s in zip(last, states, strict=True)}
+    return [made[rows] for rows in sets]
+
+
+def unknown_beside(compared: Comparison, rows: Array) -> Array:
+    """Return the log evidence of single hypotheses with an unknown effect beside them, (n_rows,)."""
+    observed, predicted = compared.observed, compared.predicted
+    bias = compared.discrepancy.bias
+    mask = observed.used.ravel()
+    out = []
+    for i in rows:
+        alpha, other = covariance_of(observed, predicted, compared.discrepancy, int(i))
+        residual = observed.values - predicted.features[i].ravel()[mask] - bias[mask]
+        out.append(unknown_evidence(residual[None], alpha + other, observed.used)[0])
+    return np.array(out)
