@@ -12,8 +12,9 @@ built beside them, from the numbers that follow. Population 1 judges.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,14 +23,16 @@ from scipy.stats import norm
 from benchmarks.hidden_effects import NAMES
 from benchmarks.judging import first_of, kept_controls, one, rate
 from benchmarks.second_world import place
-from rtcal.discrepancy import AppliedEffect, Case
+from rtcal.discrepancy import AppliedEffect, Case, find, find_several, recalibrate
 from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.likelihood import alpha_covariance
 from rtcal.discrepancy.model_error import ModelDiscrepancy, estimate_discrepancy
+from rtcal.discrepancy.recalibration import plain
+from rtcal.discrepancy.verdict import CLAIMED
 from tests.hidden_world.generate import read
-from tests.hidden_world.populations import COUNTS, DOUBLE, build
+from tests.hidden_world.populations import COUNTS, DOUBLE, TOGGLED, build
 
 LEVEL = 0.05
 """Of Neyman and Pearson's test: one effect taken for two."""
@@ -49,9 +52,10 @@ def rooms(folder: str, population: int, more: int, *, double: bool) -> Iterator[
             case = Case.from_dict(cases[index])
             yield int(index), case, truths[index], kept_controls(case, kept)
     for index in range(more if double else 0):
-        made = built(folder, population, COUNTS[population][DOUBLE] + index)
+        number = COUNTS[population][DOUBLE] + index
+        made = built(folder, population, number)
         case = Case.from_dict(made["case"])
-        kept = place(folder, 1, population, "more", index, "npz")
+        kept = place(folder, 1, population, "more", number, "npz")
         yield len(cases) + index, case, made["truth"], kept_controls(case, kept)
 
 
@@ -151,7 +155,191 @@ def cut(case: Case, controls: list[ControlRooms]) -> dict[str, tuple[Case, list[
     return {"one": (one(case), first_of(controls)), "all": (case, controls)}
 
 
-if __name__ == "__main__":
-    import sys
+def controls(folder: str, population: int, more: int) -> None:
+    """Simulate the control rooms of the rooms with two effects; seconds of processor each."""
+    cases, truths = read(population, "case"), read(population, "truth")
+    for index, truth in enumerate(truths):
+        if truth["seed"][1] == DOUBLE:
+            kept = place(folder, 1, population, "controls", index, "npz")
+            kept_controls(Case.from_dict(cases[index]), kept)
+    for _ in rooms(folder, population, more, double=True):
+        pass
 
-    bound(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
+
+def run(folder: str, population: int, more: int, label: str, step: int) -> None:
+    """Search the rooms for several effects, those with two first, and keep what was said.
+
+    Of the rooms with one effect or none every ``step``-th is searched.
+    """
+    warnings.simplefilter("ignore")
+    two = list(rooms(folder, population, more, double=True))
+    others = [r for r in rooms(folder, population, 0, double=False) if judged_alone(r[2])]
+    for index, case, truth, made in [*two, *others[::step]]:
+        path = place(folder, 1, population, label, index, "json")
+        if path.exists():
+            continue
+        row = {data: said_of(*part, truth) for data, part in cut(case, made).items()}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps({"truth": truth["effects"], **row}), encoding="utf-8")
+        print(f"\r{index}   ", end="", flush=True)
+    print()
+
+
+def judged_alone(truth: dict[str, Any]) -> bool:
+    """Whether the room has one effect of the library, or none, and is made to look like no other."""
+    kind = TOGGLED.get(truth["seed"][1], truth["seed"][1])
+    return kind == 0 or kind in range(1, 13)
+
+
+def said_of(case: Case, made: list[ControlRooms], truth: dict[str, Any]) -> dict[str, Any]:
+    """What a search for several effects said, what became of alpha, and the time of its parts."""
+    began = time.process_time()
+    found = find_several(case, controls=made)
+    row = {
+        "seconds": time.process_time() - began,
+        "verdict": found.verdict,
+        "score": found.single.score,
+        "threshold": found.single.threshold,
+        "single": row_of(found.single),
+        "named": list(found.named),
+        "named_families": list(found.named_families),
+        "members": list(found.members),
+        "reasons": {n: list(m.reasons) for n, m in found.members.items()},
+        "numbers": list(found.numbers),
+        "families": rounded(found.families),
+        "probabilities": rounded(found.probabilities),
+        "sets": [[list(s), p] for s, p in found.sets.items() if p > 1e-4],
+    }
+    if len(truth["effects"]) == 2:
+        simple = rmse(plain(case).alpha, truth)
+        row["rmse"] = [rmse(case.room.alpha, truth), simple, simple]
+        if found.can_be_added:
+            row["rmse"][2] = rmse(recalibrate(found.apply(), found.discrepancy).alpha, truth)
+    return row
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What was hidden in a room and what a search for several effects said."""
+
+    truth: list[str]
+    row: dict[str, Any]
+
+    @property
+    def families(self) -> list[str]:
+        """The families of what was hidden, added absorption as one, sorted."""
+        return wide(self.truth)
+
+    @property
+    def claimed(self) -> set[str]:
+        """The families that were claimed."""
+        return {f.split(",")[0] for f in self.row["named_families"]}
+
+    @property
+    def both_claimed(self) -> bool:
+        """Whether both families are claimed; of one family, that it has two effects as well."""
+        two = len(set(self.families)) == 2 or sum(self.row["numbers"][2:]) >= CLAIMED
+        return two and set(self.families) <= self.claimed
+
+    @property
+    def wrong_claim(self) -> bool:
+        """Whether a family is claimed that nothing hidden belongs to."""
+        return bool(self.claimed - set(self.families))
+
+    @property
+    def likeliest_right(self) -> bool:
+        """Whether the most probable set has the families of what was hidden."""
+        return self.row["verdict"] in ("named", "ambiguous") and (
+            wide(self.row["members"]) == self.families
+        )
+
+    @property
+    def both_among_pairs(self) -> bool:
+        """Whether the most probable families of two effects are right, told that there are two."""
+        table: Counter[tuple[str, ...]] = Counter()
+        for names, p in self.row["sets"]:
+            if len(names) == 2 and "unknown" not in names:
+                table[tuple(wide(names))] += p
+        return bool(table) and list(max(table, key=lambda k: table[k])) == self.families
+
+
+def wide(names: list[str]) -> list[str]:
+    """The families of effects, added absorption as one, sorted."""
+    return sorted(families()[n].split(",")[0] for n in names)
+
+
+def table(folder: str, population: int, label: str) -> None:
+    """Print what the issue asks."""
+    stored = sorted(place(folder, 1, population, label, 0, "json").parent.glob("*.json"))
+    rows = [json.loads(path.read_text(encoding="utf-8")) for path in stored]
+    for data, words in DATA.items():
+        every = [
+            Searched([NAMES[e["kind"]] for e in row["truth"]], row[data])
+            for row in rows
+            if all(e["kind"] in NAMES for e in row["truth"])
+        ]
+        two = [r for r in every if len(r.truth) == 2]
+        single, none = ([r for r in every if len(r.truth) == n] for n in (1, 0))
+        print(f"\n== population {population}: {words} ==")
+        print("two hidden: both families claimed       ", rate(r.both_claimed for r in two))
+        print("  of the most probable set              ", rate(r.likeliest_right for r in two))
+        print("  most probable, told that there are two", rate(r.both_among_pairs for r in two))
+        print("  a family claimed that is not there    ", rate(r.wrong_claim for r in two))
+        errors = np.array([r.row["rmse"] for r in two])
+        if len(errors):
+            print(
+                "  alpha's error at most half of plain's ", rate(errors[:, 2] <= errors[:, 1] / 2)
+            )
+            print("  its medians: prior, plain, corrected  ", np.median(errors, axis=0).round(4))
+        print("one hidden: a family claimed beside it  ", rate(r.wrong_claim for r in single))
+        print(
+            "nothing hidden: flagged                 ",
+            rate(r.row["verdict"] in ("named", "ambiguous") for r in none),
+        )
+        claims = [(f.split(",")[0] in r.families) for r in every for f in r.row["named_families"]]
+        print("claims of a family that were right      ", rate(claims))
+        seconds = [r.row["seconds"] for r in every]
+        print(f"seconds of processor: median {np.median(seconds):.2f}, at most {max(seconds):.2f}")
+
+
+def speed(folder: str, population: int) -> None:
+    """Print the time of a search for several effects against that for one, control rooms given."""
+    warnings.simplefilter("ignore")
+    ratios = []
+    for _, case, _, made in list(rooms(folder, population, 0, double=True))[:5]:
+        seconds = []
+        for search in (find, find_several):
+            began = time.process_time()
+            search(case, controls=made)
+            seconds.append(time.process_time() - began)
+        ratios.append([*seconds, seconds[1] - seconds[0]])
+    one_effect, several, beyond = np.median(ratios, axis=0)
+    print(
+        f"one effect {one_effect:.2f} s, several {several:.2f} s (pairs and sizes {beyond:.2f} s): "
+        f"{several / one_effect:.1f} times as long"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("controls", "bound", "run", "table", "speed"))
+    parser.add_argument("--folder", required=True)
+    parser.add_argument("--population", type=int, default=0)
+    parser.add_argument("--more", type=int, default=0, help="rooms that are built beside them")
+    parser.add_argument("--label", default="several", help="folder of this run's rows")
+    parser.add_argument("--step", type=int, default=1, help="every so many rooms with one or none")
+    given = parser.parse_args()
+    if given.what == "controls":
+        controls(given.folder, given.population, given.more)
+    elif given.what == "bound":
+        bound(given.folder, given.population, given.more)
+    elif given.what == "run":
+        run(given.folder, given.population, given.more, given.label, given.step)
+    elif given.what == "table":
+        table(given.folder, given.population, given.label)
+    else:
+        speed(given.folder, given.population)
+
+
+if __name__ == "__main__":
+    main()

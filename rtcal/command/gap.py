@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import click
 
@@ -25,7 +25,7 @@ from rtcal.support.files import spare
 from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
-    from rtcal.discrepancy import Case, Finding
+    from rtcal.discrepancy import Case, Finding, SeveralFinding
     from rtcal.report.document import Heading
 
 NOTHING_TO_ADD = 6
@@ -120,6 +120,26 @@ def _common(command: Any) -> Any:
     return with_search
 
 
+def _several(command: Any) -> Any:
+    """Add the options of a search for several effects; the command takes their expected number."""
+
+    @wraps(command)
+    def with_number(several: bool, expected: float, **others: Any) -> Any:
+        return command(expected=expected if several else None, **others)
+
+    for option in (
+        click.option(
+            "--expected",
+            default=0.7,
+            show_default=True,
+            help="Expected number of missing effects, with --several.",
+        ),
+        click.option("--several", is_flag=True, help="Several effects may be missing at once."),
+    ):
+        with_number = option(with_number)
+    return with_number
+
+
 @gap.command(short_help="Which effects the data could distinguish.")
 @click.argument("case", type=click.Path())
 @click.option(
@@ -145,12 +165,16 @@ def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
 
 @gap.command(short_help="Whether the model misses something, and what.")
 @_common
-def find(case: str, search: Search, as_json: bool, quiet: bool) -> None:
+@_several
+def find(case: str, search: Search, expected: float | None, as_json: bool, quiet: bool) -> None:
     """Print whether CASE's model misses something, where it shows, and what it is.
+
+    With --several, sets of up to three effects are compared, and each effect has the probability that
+    it is there at all.
 
     Example: rtcal gap find case.toml
     """
-    finding = _find(case, _case(case), search, quiet)
+    finding = _find(case, _case(case), search, quiet, expected)
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
@@ -164,9 +188,11 @@ def find(case: str, search: Search, as_json: bool, quiet: bool) -> None:
     type=click.Path(dir_okay=False),
     help="The room with the effect (TOML), for rtcal calibrate. Absorbers are materials of it.",
 )
+@_several
 def apply(
     case: str,
     search: Search,
+    expected: float | None,
     as_json: bool,
     quiet: bool,
     out: str,
@@ -175,7 +201,8 @@ def apply(
     """Add the named effect to CASE's model, and print the calibration with it.
 
     If the finding is ambiguous, the best candidate is added, and the others are printed. If there is
-    nothing to add, nothing is written and the exit code is 6.
+    nothing to add, nothing is written and the exit code is 6. With --several, the most probable set is
+    added.
 
     The written case can be used like any other. Neither it nor the room is calibrated.
 
@@ -185,7 +212,7 @@ def apply(
     from rtcal.support.files import write_all
 
     targets = [out] if room is None else [out, room]
-    finding = _find(case, _case(case, targets), search, quiet)
+    finding = _find(case, _case(case, targets), search, quiet, expected)
     correction = correct(finding, out, room)
     write_all(correction.files)
     tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
@@ -259,8 +286,23 @@ def _case(path: str, targets: Sequence[str] = ()) -> Case:
     return case
 
 
-def _find(path: str, case: Case, search: Search, quiet: bool) -> Finding:
-    """Find what the case's model misses; control rooms are kept beside its file."""
+@overload
+def _find(path: str, case: Case, search: Search, quiet: bool) -> Finding: ...
+
+
+@overload
+def _find(
+    path: str, case: Case, search: Search, quiet: bool, expected: float | None
+) -> Finding | SeveralFinding: ...
+
+
+def _find(
+    path: str, case: Case, search: Search, quiet: bool, expected: float | None = None
+) -> Finding | SeveralFinding:
+    """Find what the case's model misses; control rooms are kept beside its file.
+
+    With an ``expected`` number of effects, several are sought at once.
+    """
     from rtcal import discrepancy
     from rtcal.discrepancy.cache import FOLDER
 
@@ -274,14 +316,15 @@ def _find(path: str, case: Case, search: Search, quiet: bool) -> Finding:
                 shown.set_description(f"{engine}, {len(begun)} of {len(search.engines)}")
             shown.update(1)
 
-        folder = Path(path).parent / FOLDER
-        return discrepancy.find(
-            case,
-            seed=search.seed,
-            without=search.without,
-            only=search.only,
-            prior=search.prior,
-            engines=search.engines,
-            cache=folder,
-            report=report,
-        )
+        arguments: dict[str, Any] = {
+            "seed": search.seed,
+            "without": search.without,
+            "only": search.only,
+            "prior": search.prior,
+            "engines": search.engines,
+            "cache": Path(path).parent / FOLDER,
+            "report": report,
+        }
+        if expected is None:
+            return discrepancy.find(case, **arguments)
+        return discrepancy.find_several(case, expected=expected, **arguments)

@@ -20,6 +20,7 @@ from rtcal.discrepancy.wording import NATS, amount, listed
 from rtcal.errors import DataError
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
+from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
@@ -224,7 +225,7 @@ class Finding:
             "candidates": list(self.candidates),
             "probabilities": dict(self.probabilities),
             "families": dict(self.families),
-            "evidence": dict(self.evidence),
+            "evidence": {k: json_numbers(v) for k, v in self.evidence.items()},
             "sizes": {name: _size(f.size) for name, f in self.fits.items()},
             "coefficients": None
             if self.coefficients is None

@@ -129,7 +129,7 @@ def set_posterior(
         tables.add_pairs()
     if most > 2 and not tables.explained():
         tables.add_triples()
-    weight = _log_prior(prior, tables.order, expected, most)
+    weight = log_prior(prior, tables.order, expected, most)
     total = {s: v + weight(s) for s, v in tables.log.items()}
     norm = float(logsumexp(list(total.values())))
     probability = {s: float(np.exp(v - norm)) for s, v in total.items()}
@@ -206,7 +206,7 @@ class _Tables:
         return fit[1] >= UNEXPLAINED
 
     def _likeliest_pairs(self, n: int) -> list[Names]:
-        pairs = [s for s in self.log if len(s) == 2 and UNKNOWN not in s]
+        pairs: list[Names] = [s for s in self.log if len(s) == 2 and UNKNOWN not in s]
         return sorted(pairs, key=lambda s: -self.log[s])[:n]
 
     def add_triples(self) -> None:
@@ -259,7 +259,7 @@ class _Tables:
                 self.best[names] = sets[int(np.argmax(np.logaddexp(*values[part].T)))]
 
 
-def _log_prior(
+def log_prior(
     prior: Prior, order: Sequence[str], expected: float, most: int
 ) -> Callable[[Names], float]:
     """Return the function from a set to its prior log probability."""
@@ -273,9 +273,9 @@ def _log_prior(
     number = np.array([expected**n / factorial(n) for n in range(most + 1)])
     number /= number.sum()
 
-    def log_prior(names: Names) -> float:
+    def of(names: Names) -> float:
         with np.errstate(divide="ignore"):
             log_odds = sum(float(np.log(odds[n])) for n in names)
             return float(np.log(number[len(names)]) + log_odds - np.log(sums[len(names)]))
 
-    return log_prior
+    return of

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from rtcal.discrepancy.alpha_covariance import AlphaCovariance
@@ -45,6 +46,7 @@ class Comparison:
     discrepancy: ModelDiscrepancy
 
 
+Indices = NDArray[np.intp]
 Rows = tuple[int, ...]
 """A set of effects with their parameters: rows of `Hypotheses`, in the order in which they act."""
 _AT_ONCE = 256
@@ -121,7 +123,7 @@ class Screen:
         self._w = whitened(error.factor.swapaxes(1, 2))
         self._own = self._w @ self._w.swapaxes(1, 2)
 
-    def pairs(self, first: Array, second: Array) -> Array:
+    def pairs(self, first: Indices, second: Indices) -> Array:
         """Return the log likelihoods of every row of ``first`` with every one of ``second``."""
         a, b, r = len(first), len(second), self._w.shape[1]
         left = self._z - self._v[first]
@@ -224,7 +226,7 @@ def _states(
     return [made[rows] for rows in sets]
 
 
-def unknown_beside(compared: Comparison, rows: Array) -> Array:
+def unknown_beside(compared: Comparison, rows: Indices) -> Array:
     """Return the log evidence of single hypotheses with an unknown effect beside them, (n_rows,)."""
     observed, predicted = compared.observed, compared.predicted
     bias = compared.discrepancy.bias

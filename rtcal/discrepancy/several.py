@@ -122,7 +122,8 @@ class SeveralFinding:
         """Return the case with the most probable set of effects in its model.
 
         Each has its size with the others in the model. Where the coefficients are off together, the
-        room's alpha is moved and its sigma widened. An effect that the case has already is left as it is.
+        room's alpha is moved and its sigma widened. An effect that the case has already is left as it
+        is.
 
         Raises
         ------
@@ -141,6 +142,27 @@ class SeveralFinding:
             if name not in present
         ]
         return replace(case, applied=(*case.applied, *added))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Data that were dropped, origins of the uncertainties, and reasons to doubt the result."""
+        return self.single.notes
+
+    @property
+    def reason_for_none(self) -> str | None:
+        """Why there is no effect to add, in words; None where there is one."""
+        return None if self.can_be_added else self.single.reason_for_none
+
+    @property
+    def added(self) -> str:
+        """What `apply` adds, in words."""
+        titles = [
+            f"{self.single.effects[n].title(m.together.parameters, self.case.room)} "
+            f"({self.percent(n)})"
+            for n, m in self.members.items()
+        ]
+        share = 100 * next(p for s, p in self.sets.items() if s == tuple(self.members))
+        return f"Added {listed(titles)}, the most probable set ({share:.0f} %; verdict {self.verdict})."
 
     def percent(self, name: str) -> str:
         """The probability that an effect is there at all, in percent."""
@@ -232,7 +254,7 @@ class SeveralFinding:
         if self.members and self.coefficients is not None:
             words = self.coefficients.words(self.case.room.centre_frequencies)
             sentences.append(f"the coefficients are off together: {words}")
-        sentences += [f"note: {n}" for n in self.single.notes]
+        sentences += [f"note: {n}" for n in self.notes]
         for sentence in sentences:
             lines += text.wrapped(sentence, indent="  ")
         return "\n".join(lines)

@@ -9,6 +9,10 @@ from typing import Any
 from rtcal.discrepancy.corrected import corrected_room, not_in_room
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.recalibration import recalibrate, table
+from rtcal.discrepancy.several import SeveralFinding
+
+_KEPT = ("verdict", "effect", "named", "family", "candidates", "sets", "probabilities", "evidence")
+"""Entries of a finding that are stored with the correction."""
 
 
 @dataclass(frozen=True)
@@ -27,25 +31,21 @@ class Correction:
         return dict(self.record)
 
 
-def correct(finding: Finding, case_path: str, room_path: str | None = None) -> Correction:
-    """Add the named effect, or the best candidate, to a finding's case, and calibrate it.
+def correct(
+    finding: Finding | SeveralFinding, case_path: str, room_path: str | None = None
+) -> Correction:
+    """Add the named effects, or the most probable ones, to a finding's case, and calibrate it.
 
     Parameters
     ----------
-    finding : Finding
+    finding : Finding or SeveralFinding
     case_path : str
         Path of the case with the effect (JSON).
     room_path : str, optional
         Path of the room with the effect (TOML).
     """
-    record: dict[str, Any] = {
-        "verdict": finding.verdict,
-        "effect": finding.effect,
-        "family": finding.family,
-        "candidates": list(finding.candidates),
-        "probabilities": dict(finding.probabilities),
-        "evidence": dict(finding.evidence),
-    }
+    said = finding.to_dict()
+    record: dict[str, Any] = {k: said[k] for k in _KEPT if k in said}
     if (nothing := finding.reason_for_none) is not None:
         record |= {"sentence": nothing, "written": []}
         return Correction(f"{nothing}\nNothing is written.", record)

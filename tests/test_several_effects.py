@@ -1,0 +1,261 @@
+"""Several effects at once: the evidence of sets, their prior, and what is said of each effect."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import combinations
+from math import exp, factorial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.stats import multivariate_t
+
+import rtcal as rt
+from rtcal.command.main import cli
+from rtcal.discrepancy import (
+    AppliedEffect,
+    Case,
+    Configuration,
+    SeveralFinding,
+    find_several,
+    hypotheses,
+    library,
+)
+from rtcal.discrepancy.engines import ControlRooms
+from rtcal.discrepancy.evidence import evaluate
+from rtcal.discrepancy.features import observe
+from rtcal.discrepancy.hypotheses import predict_hypotheses
+from rtcal.discrepancy.likelihood import DEGREES, alpha_covariance, covariance_of
+from rtcal.discrepancy.model import FEATURES
+from rtcal.discrepancy.model_error import estimate_discrepancy
+from rtcal.discrepancy.prior import UNKNOWN, prior_of
+from rtcal.discrepancy.set_posterior import log_prior
+from rtcal.discrepancy.sets import Comparison, Screen, acting_order, evaluate_sets
+from rtcal.errors import DataError
+
+F = 125.0 * 2.0 ** np.arange(7)
+AREAS = np.array([60.0, 60.0, 30.0, 50.0])
+ALPHA = np.outer([0.1, 0.3, 0.05, 0.2], np.linspace(0.7, 1.2, 7))
+FEW = ("volume", "noise floor", "opening", "air", "coupled room", "unknown")
+BOTH = (
+    AppliedEffect("volume", {"ratio": 1.3}),
+    AppliedEffect("noise floor", {"level": -45.0, "record": 2.0}),
+)
+
+
+def measured(features: np.ndarray) -> rt.Measurement:
+    """What a model predicts, as a measurement of a pair at 5 m."""
+    t20 = np.exp(features[0])
+    values = {
+        "t20": t20,
+        "edt": t20 * np.exp(features[1]),
+        "t30": t20 * np.exp(features[2]),
+        "c80": features[3],
+        "g": features[4],
+    }
+    spread = {k: 0.01 * v if k in ("t20", "edt", "t30") else 0.2 for k, v in values.items()}
+    return rt.Measurement(
+        centre_frequencies=F,
+        values={k: v[None] for k, v in values.items()},
+        uncertainty={k: np.broadcast_to(u, (1, 7)).copy() for k, u in spread.items()},
+    )
+
+
+def case_with(*effects: AppliedEffect) -> Case:
+    """A case whose measurement is what the model predicts with the effects in it."""
+    room = rt.Room(
+        name="hall",
+        volume=300,
+        materials=["a", "b", "c", "d"],
+        areas=AREAS,
+        alpha=ALPHA,
+        sigma=0.005 + 0.03 * ALPHA,
+        centre_frequencies=F,
+        band_correlation=0.7,
+        air=rt.Air(20, 50),
+    )
+    nothing = np.array([np.zeros(7)] * len(FEATURES))
+    blank = Configuration(name="as built", measured=measured(nothing), distances=np.array([5.0]))
+    case = Case(room=room, configurations=[blank])
+    features = predict_hypotheses(replace(case, applied=effects), []).features[0, 0]
+    return replace(case, configurations=[replace(blank, measured=measured(features))])
+
+
+def controls_of(case: Case) -> list[ControlRooms]:
+    """Control rooms without an engine: what the model errs by, drawn."""
+    rng = np.random.default_rng(1)
+    shape = (40, len(case.configurations), len(FEATURES), case.room.n_bands)
+    scale = 0.01 * np.array([1, 1, 0.7, 20, 20])[:, None]
+    return [ControlRooms(name, scale * rng.standard_normal(shape)) for name in ("one", "other")]
+
+
+def compared(*effects: AppliedEffect) -> Comparison:
+    case = case_with(*effects)
+    observed, _ = observe(case)
+    error = estimate_discrepancy(case, controls_of(case))
+    return Comparison(case, observed, predict_hypotheses(case, library()), error)
+
+
+def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> SeveralFinding:
+    return find_several(case, only=only, controls=controls_of(case), **more)  # type: ignore[arg-type]
+
+
+def row(c: Comparison, name: str, place: int = 3) -> int:
+    return [i for i, n in enumerate(c.predicted.names) if n == name][place]
+
+
+def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model() -> None:
+    c = compared(*BOTH)
+    rows = (row(c, "volume", 13), row(c, "noise floor", 28))
+    applied = [AppliedEffect(c.predicted.names[i], c.predicted.parameters[i]) for i in rows]
+    together = predict_hypotheses(replace(c.case, applied=applied), [])
+    mask = c.observed.used.ravel()
+    covariance = alpha_covariance(together, 0)[np.ix_(mask, mask)]
+    fixed = covariance_of(c.observed, c.predicted, c.discrepancy, 0)[1]
+    covariance = covariance + fixed
+    for i in rows:
+        covariance += covariance_of(c.observed, c.predicted, c.discrepancy, i)[1] - fixed
+    mean = together.features[0].ravel()[mask] + c.discrepancy.bias[mask]
+    shape = covariance * (DEGREES - 2) / DEGREES
+    expected = multivariate_t.logpdf(c.observed.values, mean, shape, DEGREES)
+    assert evaluate_sets(c, [rows], off=False).stated[0] == pytest.approx(expected, abs=1e-6)
+    assert np.isneginf(evaluate_sets(c, [rows], off=False).off[0])
+
+
+def test_a_set_of_one_is_the_single_hypothesis() -> None:
+    c = compared(*BOTH)
+    single = evaluate(c.observed, c.predicted, c.discrepancy, 0.1)
+    rows = [row(c, name) for name in ("opening", "air", "coupled room")]
+    sets = evaluate_sets(c, [(i,) for i in rows], off=True)
+    np.testing.assert_allclose(sets.stated, single.stated[rows], atol=1e-8)
+    np.testing.assert_allclose(sets.off, single.off[rows], atol=1e-8)
+
+
+def test_the_screen_is_the_density_where_effects_add(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of effects whose error is smooth over bands, with or without one of them as the base."""
+    monkeypatch.setattr(hypotheses, "SHAPE_CHANGE", (("edt", 0.0), ("t30", 0.0)))
+    c = compared(*BOTH)
+    smooth = c.predicted.spectrum_errors.copy()
+    smooth[:, :, 2:] = 0
+    predicted = replace(
+        c.predicted, spectrum_errors=smooth, formula_errors=np.zeros(len(c.predicted.names))
+    )
+    c = replace(c, predicted=predicted)
+    i, k = row(c, "volume"), row(c, "opening")
+    none = evaluate(c.observed, c.predicted, c.discrepancy, 0.0).stated[0]
+    first = np.array([i, 0])
+    table = Screen(c).pairs(first, np.array([k, 0]))
+    assert table[1, 1] == pytest.approx(none, abs=1e-8)
+    beside = Screen(c, (i,)).pairs(np.array([k]), np.array([0]))
+    assert beside[0, 0] == pytest.approx(table[0, 0], abs=1e-8)
+
+
+def test_effects_act_in_an_order_in_which_absorbers_see_the_right_equation() -> None:
+    c = compared()
+    order = acting_order(c.case, c.predicted)
+    assert order[0] == "formula"
+    assert order.index("volume") < order.index("opening")
+
+
+@pytest.mark.parametrize("most", [1, 2, 3])
+def test_the_prior_of_sets_sums_to_one_by_number(most: int) -> None:
+    prior = prior_of(case_with().room, library(), {})
+    names = [*(e.name for e in library()), UNKNOWN]
+    weight = log_prior(prior, names[:-1], 0.7, most)
+    poisson = np.array([0.7**n / factorial(n) for n in range(most + 1)])
+    for n in range(most + 1):
+        total = sum(exp(weight(s)) for s in combinations(names, n))
+        assert total == pytest.approx(poisson[n] / poisson.sum())
+
+
+def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
+    case = case_with(*BOTH)
+    found = sought(case)
+    assert found.verdict == "named"
+    assert set(found.members) == {"volume", "noise floor"}
+    assert {"scale", "measurement"} <= {f.split(",")[0] for f in found.named_families}
+    assert sum(found.sets.values()) == pytest.approx(1)
+    assert sum(found.numbers) == pytest.approx(1)
+    volume = found.members["volume"]
+    assert volume.together.size is not None
+    assert volume.together.size.low < 1.3 < volume.together.size.high
+    assert volume.alone.size is not None
+    assert abs(volume.together.size.mean - 1.3) < abs(volume.alone.size.mean - 1.3)
+    corrected = found.apply()
+    assert [a.name for a in corrected.applied] == list(found.members)
+    done = rt.discrepancy.recalibrate(corrected, found.discrepancy)
+    plain = rt.discrepancy.recalibrate(case)
+    assert np.abs(done.alpha - ALPHA).max() < 0.5 * np.abs(plain.alpha - ALPHA).max()
+    assert found.apply(corrected).applied == corrected.applied
+    assert "size" in json.dumps(found.to_dict(), allow_nan=False)
+    assert "volume" in str(found)
+    assert repr(found).startswith("<SeveralFinding named: volume")
+
+
+@pytest.mark.parametrize("effect", BOTH, ids=lambda e: e.name)
+def test_one_effect_is_not_taken_for_two(effect: AppliedEffect) -> None:
+    case = case_with(effect)
+    found = sought(case)
+    assert set(found.members) == {effect.name}
+    assert set(found.named) <= {effect.name}
+    assert found.numbers[1] > 0.5
+
+
+def test_nothing_is_claimed_where_nothing_is_missing() -> None:
+    case = case_with()
+    found = sought(case)
+    assert found.verdict == "none"
+    assert found.named == found.named_families == ()
+    assert found.numbers[0] > 0.5
+    with pytest.raises(DataError, match='the verdict is "none"'):
+        found.apply()
+
+
+def test_three_effects_are_tried_where_two_do_not_explain_the_measurement() -> None:
+    air = AppliedEffect("air", {"temperature": 30.0, "humidity": 8.0})
+    case = case_with(AppliedEffect("volume", {"ratio": 1.7}), air, BOTH[1])
+    only = ("volume", "air", "noise floor", "non-diffuse field")
+    assert set(sought(case, only).members) == {"volume", "air", "noise floor"}
+    assert len(sought(case, only, most=2).members) == 2
+
+
+@pytest.mark.parametrize(
+    ("argument", "value", "words"),
+    [
+        ("expected", 0.0, "expected = 0"),
+        ("expected", float("nan"), "expected"),
+        ("most", 4, "most = 4 is not from 1 to 3"),
+        ("most", 0, "most = 0"),
+    ],
+)
+def test_bad_numbers_of_effects_are_refused(argument: str, value: float, words: str) -> None:
+    case = case_with()
+    with pytest.raises(DataError, match=words):
+        sought(case, **{argument: value})
+
+
+def test_the_command_finds_and_adds_the_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = case_with(*BOTH)
+    monkeypatch.setattr(
+        "rtcal.discrepancy.search.cached_control_rooms", lambda *_a, **_k: controls_of(case)
+    )
+    case.save(str(tmp_path / "case.json"))
+
+    def run(*arguments: str) -> str:
+        done = CliRunner().invoke(cli, ["gap", *arguments], catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    only = [x for name in FEW for x in ("--only", name)]
+    path, out = str(tmp_path / "case.json"), str(tmp_path / "corrected.json")
+    said = json.loads(run("find", path, *only, "--several", "--json"))
+    assert set(said["members"]) == {"volume", "noise floor"}
+    assert "number of effects" in run("find", path, *only, "--several")
+    assert "candidates" in json.loads(run("find", path, *only, "--json"))
+    assert "the most probable set" in run("apply", path, *only, "--several", "--out", out)
+    assert {a.name for a in Case.from_file(out).applied} == {"volume", "noise floor"}
