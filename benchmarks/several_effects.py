@@ -11,7 +11,10 @@ built beside them, from the numbers that follow. Population 1 judges.
 
 from __future__ import annotations
 
+import argparse
 import json
+import time
+import warnings
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -20,8 +23,16 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from benchmarks.hidden_effects import NAMES
-from benchmarks.judging import first_of, kept_controls, one, rate
+from benchmarks.hidden_effects import NAMES, rmse
+from benchmarks.judging import (
+    families,
+    first_of,
+    kept_controls,
+    one,
+    rate,
+    rounded,
+    row_of,
+)
 from benchmarks.second_world import place
 from rtcal.discrepancy import AppliedEffect, Case, find, find_several, recalibrate
 from rtcal.discrepancy.engines import ControlRooms
