@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rtcal import report as report
     from rtcal import simulators as simulators
     from rtcal import studies as studies
+    from rtcal import where as where
     from rtcal.acoustics import priors as priors
     from rtcal.acoustics.air import Air as Air
     from rtcal.acoustics.equations import ArauPuchades as ArauPuchades

@@ -26,6 +26,7 @@ ORDER = (
     "loop",
     "studies",
     "discrepancy",
+    "where",
     "datasets",
     "report",
     "command",

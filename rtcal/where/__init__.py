@@ -1,0 +1,14 @@
+"""Say where: what is other than stated in a geometry, and on which surface.
+
+    >>> import rtcal as rt
+    >>> case = rt.where.Case(simulator=tracing, measured=pairs)     # doctest: +SKIP
+    >>> print(rt.where.find(case))                                  # doctest: +SKIP
+
+docs/where.md has the method and what it can and cannot do.
+"""
+
+from rtcal.where.case import Case
+from rtcal.where.find import EFFECTS, find
+from rtcal.where.finding import Candidate, Finding
+
+__all__ = ["EFFECTS", "Candidate", "Case", "Finding", "find"]

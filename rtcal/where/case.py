@@ -1,0 +1,143 @@
+"""A case in a geometry: a simulator, and what was measured at its pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.loop.control_runs import POSITION
+from rtcal.loop.measured_pairs import Pair, history
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.observations import MATCH, checked_parameters
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.text import shortened
+from rtcal.where import surfaces as of_room
+from rtcal.where.surfaces import Faces
+
+
+@checked
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Case:
+    """A simulator of a room, and what was measured at its source-receiver pairs.
+
+    Parameters
+    ----------
+    simulator : PathTracing
+        Geometry, sources, receivers, and the room with the prior of its coefficients.
+    measured : Measurement
+        A row per pair. Its pairs have the simulator's names of sources and receivers.
+    match : sequence of str
+        Parameters that are compared. The level is G of a calibrated source where ``g`` was measured.
+        A measured ``level`` has any reference that all receivers of a source share.
+    simulated : Measurement, optional
+        What another program gave for the model at the same pairs. The disagreement is then that
+        program's. How it depends on the surfaces is still what the simulator says.
+    exclude : sequence of (source, receiver)
+        Measured pairs that are left out.
+    surfaces : mapping of str to sequence of str, optional
+        Names of each surface's faces. By default the coplanar faces of one material are one surface.
+    position_uncertainty : float
+        Of sources and receivers, in m.
+
+    Attributes
+    ----------
+    faces : dict of str to int array
+        Numbers of each surface's faces.
+
+    Raises
+    ------
+    DataError
+        If the measurement is a mean over pairs, if the room was calibrated already, or for a
+        surface, parameter or number that breaks its rule.
+    """
+
+    simulator: PathTracing
+    measured: Measurement
+    match: Sequence[str] = MATCH
+    simulated: Measurement | None = None
+    exclude: Sequence[Pair] = ()
+    surfaces: Mapping[str, Sequence[str]] | None = None
+    position_uncertainty: float = POSITION
+    faces: dict[str, Faces] = field(init=False)
+
+    def __post_init__(self) -> None:
+        checks.instance("simulator", self.simulator, PathTracing)
+        checks.instance("measured", self.measured, Measurement)
+        checks.positive("position_uncertainty", self.position_uncertainty, "m")
+        object.__setattr__(self, "match", checked_parameters(self.match))
+        pairs = tuple((str(s), str(r)) for s, r in checks.listed("exclude", self.exclude))
+        object.__setattr__(self, "exclude", pairs)
+        for name in ("measured", "simulated"):
+            values = getattr(self, name)
+            if values is not None and values.is_summary:
+                raise DataError(
+                    f"{name} holds means over pairs; to say where, it needs a row for each source and "
+                    "receiver. Without a geometry rtcal.discrepancy says what is missing"
+                )
+        if self.simulated is not None:
+            self._check_simulated(self.simulated)
+        if history(self.room):
+            raise DataError(
+                f'room "{self.room.name}" is calibrated: its coefficients hide what it misses. Use the '
+                "room as it was before"
+            )
+        if not self.room.sigma.any():
+            raise DataError(
+                f'room "{self.room.name}" states sigma = 0: every coefficient is exactly known'
+            )
+        object.__setattr__(self, "faces", of_room.of_geometry(self.geometry, self.surfaces))
+
+    def _check_simulated(self, simulated: Measurement) -> None:
+        checks.instance("simulated", simulated, Measurement)
+        if not np.array_equal(simulated.centre_frequencies, self.room.centre_frequencies):
+            raise DataError(
+                f"simulated has the bands {bands.span(simulated.centre_frequencies)}; the room has "
+                f"{bands.span(self.room.centre_frequencies)}"
+            )
+        if not set(simulated.pairs) & set(self.simulator.pairs):
+            raise DataError("simulated has none of the simulator's pairs")
+
+    @property
+    def room(self) -> Room:
+        """The simulator's room: materials and the prior of their coefficients."""
+        return self.simulator.room
+
+    @property
+    def geometry(self) -> Polyhedron:
+        """The simulator's geometry."""
+        return self.simulator.geometry
+
+    @property
+    def areas(self) -> dict[str, float]:
+        """Area of each surface in m²."""
+        return {n: float(self.geometry.face_areas[f].sum()) for n, f in self.faces.items()}
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """The measured pairs that are used, in the simulator's order."""
+        return tuple(
+            p for p in self.simulator.pairs if p in self.measured.pairs and p not in self.exclude
+        )
+
+    @checked
+    def only(self, pairs: Sequence[Pair]) -> Case:
+        """Return the case with these measured pairs alone; DataError for one that it lacks."""
+        wanted = [tuple(pair) for pair in checks.listed("pairs", pairs)]
+        if lacking := [p for p in wanted if p not in self.pairs]:
+            raise DataError(f"pairs has {' to '.join(lacking[0])}, which the case lacks")
+        left = tuple(p for p in self.measured.pairs if p not in wanted)
+        return replace(self, exclude=left)
+
+    def __repr__(self) -> str:
+        return (
+            f'<Case "{shortened(self.room.name)}" in its geometry: {len(self.faces)} surfaces, '
+            f"{len(self.pairs)} pairs, {bands.span(self.room.centre_frequencies)}>"
+        )

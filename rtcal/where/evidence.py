@@ -1,0 +1,156 @@
+"""The evidence of every hypothesis, linear in the shifts and Gaussian in the errors.
+
+    y - f(mu) = d_h + J (alpha - mu) + e,   e of covariance R + D,
+
+y is what was measured and f(mu) what the simulator hears as stated, d_h the shift of hypothesis h. The
+prior of alpha and the error of d_h are integrated. All values are ordered (band, parameter, pair).
+
+A shift of band k is a mixture of the shifts at the nodes of one response, and no parameter of a band
+depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.support.types import Array
+from rtcal.where.hypotheses import Shift, Spread
+
+
+@dataclass(eq=False)
+class Likelihood:
+    """The density of residuals (n,) under one covariance of everything but the hypothesis.
+
+    Parameters
+    ----------
+    covariance : array (n, n)
+        In the order (band, parameter, pair).
+    used : bool array (n,)
+        Which values were measured; the others say nothing.
+    nodes : mapping of str to array (n_bands, n_values, n_nodes)
+        Shifts at the nodes of each response, by band.
+    """
+
+    covariance: Array
+    used: NDArray[np.bool_]
+    nodes: Mapping[str, Array]
+    inverse: Array = field(init=False)
+    log_determinant: float = field(init=False)
+    _products: dict[str, Array] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        both = np.outer(self.used, self.used)
+        kept = np.where(both, self.covariance, 0.0) + np.diag(np.where(self.used, 0.0, 1.0))
+        factor = np.linalg.cholesky(kept)
+        self.log_determinant = 2 * float(np.log(np.diag(factor)).sum())
+        # A value that was not measured has a residual of any size: its row is 0.
+        self.inverse = np.where(both, np.linalg.inv(kept), 0.0)
+
+    @property
+    def number(self) -> int:
+        """Number of values that were measured."""
+        return int(self.used.sum())
+
+    def stated(self, residuals: Array) -> Array:
+        """Return the log density of residuals (n, n_draws) if nothing is other than stated."""
+        return self._log(self._square(residuals), 0.0)
+
+    def shifted(self, shift: Shift, residuals: Array, scale: Array | float = 1.0) -> Array:
+        """Return the log density of residuals (n, n_draws) by hypothesis, (n_hypotheses, n_draws)."""
+        projected, forms = self._forms(shift, residuals)
+        error = np.linalg.cholesky(shift.error + 1e-9 * np.eye(len(shift.error)))
+        whole = self._square(residuals) - 2 * projected.sum(1)
+        whole = whole + forms.sum((1, 2))[:, np.newaxis]
+        left = projected - forms.sum(2)[:, :, np.newaxis]
+        inner = np.eye(len(error)) + error.T @ forms @ error
+        turned = np.einsum("kl,hkm->hlm", error, left)
+        whole = whole - np.einsum("hkm,hkm->hm", turned, np.linalg.solve(inner, turned))
+        return self._log(whole, np.linalg.slogdet(inner)[1][:, np.newaxis])
+
+    def spread(self, spread: Spread, residuals: Array) -> Array:
+        """Return the log density of residuals (n, n_draws) with some errors wider, (n_draws,)."""
+        rows = spread.rows[self.used[spread.rows]]
+        if not len(rows):
+            return self.stated(residuals)
+        kept = self.used[spread.rows]
+        added = spread.covariance[np.ix_(kept, kept)]
+        inside = self.inverse[np.ix_(rows, rows)]
+        pulled = self.inverse[rows] @ self._known(residuals)
+        inner = np.eye(len(rows)) + added @ inside
+        gained = np.einsum("rm,rm->m", pulled, np.linalg.solve(inner, added @ pulled))
+        return self._log(self._square(residuals) - gained, float(np.linalg.slogdet(inner)[1]))
+
+    def standardised(self, shift: Shift, residuals: Array) -> Array:
+        """Return d' K⁻¹ r over its standard deviation, (n_hypotheses, n_draws)."""
+        projected, forms = self._forms(shift, residuals)
+        size = np.sqrt(np.maximum(forms.sum((1, 2)), 1e-12))
+        return np.asarray(projected.sum(1) / size[:, np.newaxis])
+
+    def forms(self, shift: Shift) -> Array:
+        """Return d' K⁻¹ d by pairs of bands, (n_hypotheses, n_bands, n_bands)."""
+        products = self._node_products(shift.response)
+        return np.einsum(
+            "hkm,kmln,hln->hkl", shift.weights, products, shift.weights, optimize=True
+        )
+
+    def pull(self, residuals: Array) -> Array:
+        """Return K⁻¹ r, (n, n_draws)."""
+        return np.asarray(self.inverse @ self._known(residuals))
+
+    def _forms(self, shift: Shift, residuals: Array) -> tuple[Array, Array]:
+        nodes = self.nodes[shift.response]
+        pulled = self.pull(residuals).reshape(len(nodes), nodes.shape[1], -1)
+        by_node = np.einsum("krn,krm->knm", nodes, pulled)
+        projected = np.einsum("hkn,knm->hkm", shift.weights, by_node)
+        return projected, self.forms(shift)
+
+    def _node_products(self, response: str) -> Array:
+        """Return N' K⁻¹ N, (n_bands, n_nodes, n_bands, n_nodes)."""
+        if response not in self._products:
+            nodes = self.nodes[response]
+            n_bands, n_values, _ = nodes.shape
+            inverse = self.inverse.reshape(n_bands, n_values, n_bands, n_values)
+            half = np.einsum("krls,lsn->krln", inverse, nodes, optimize=True)
+            self._products[response] = np.einsum("krm,krln->kmln", nodes, half, optimize=True)
+        return self._products[response]
+
+    def _known(self, residuals: Array) -> Array:
+        return np.where(self.used[:, np.newaxis], residuals, 0.0)
+
+    def _square(self, residuals: Array) -> Array:
+        known = self._known(residuals)
+        return np.einsum("nm,nm->m", known, self.inverse @ known)
+
+    def _log(self, square: Array, more: Array | float) -> Array:
+        """Return the log density of a chi-square, ``more`` added to the log determinant.
+
+        Normal up to the number of values; beyond it as if the errors were larger throughout, since few
+        control runs say how large they are.
+        """
+        n = self.number
+        excess = np.log(np.maximum(square / n, 1.0))
+        fit = np.where(square <= n, square / 2, n / 2 * (1 + excess))
+        return np.asarray(-fit - (self.log_determinant + more) / 2)
+
+
+def flat(values: Array) -> Array:
+    """Return values (n_parameters, n_pairs, n_bands) in the order (band, parameter, pair), (n,)."""
+    return np.asarray(np.moveaxis(values, 2, 0).reshape(-1))
+
+
+def band_first(values: Array) -> Array:
+    """Return shifts (n_parameters, n_pairs, n_bands, n_nodes) by band, (n_bands, n_values, n_nodes)."""
+    moved = np.moveaxis(values, 2, 0)
+    return np.asarray(moved.reshape(len(moved), -1, values.shape[-1]))
+
+
+def reordered(covariance: Array, shape: Sequence[int]) -> Array:
+    """Return a covariance over (parameter, pair, band) in the order (band, parameter, pair)."""
+    p, i, k = shape
+    number = np.arange(p * i * k).reshape(p, i, k)
+    order = flat(number)
+    return np.asarray(covariance[np.ix_(order, order)])

@@ -1,0 +1,391 @@
+"""Find what is other than stated in a geometry, and where."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.discrepancy.prior import COEFFICIENTS, NONE
+from rtcal.errors import DataError
+from rtcal.loop.control_runs import ControlRuns, control_runs
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.threads import single_threaded_blas
+from rtcal.support.types import Array
+from rtcal.where.case import Case
+from rtcal.where.evidence import Likelihood
+from rtcal.where.finding import LIKELY, Candidate, Finding
+from rtcal.where.hypotheses import (
+    MEASUREMENT,
+    NOISE,
+    POSITION,
+    SCATTERING,
+    UNKNOWN,
+    Shift,
+    library,
+    shifts,
+    spreads,
+)
+from rtcal.where.model import Model, model
+from rtcal.where.responses import responses
+from rtcal.where.search import Hypotheses, Weights, evaluate, prior_off, threshold, weights
+
+EFFECTS = (
+    *(e.name for e in library()),
+    "air",
+    "volume",
+    SCATTERING,
+    POSITION,
+    NOISE,
+    COEFFICIENTS,
+    UNKNOWN,
+)
+"""Names of all effects that are tried."""
+CLAIMED = 0.9
+"""Probability from which an effect, a family or a surface is claimed."""
+APART = 2.3
+"""Nats below which two surfaces are not told apart: odds of ten to one."""
+_SPACING = 0.1
+"""Standard deviation of ln size within the grid's distance, which is 0.26."""
+_ADDED = "added absorption"
+_NORMAL_90 = 1.6449
+
+Report = Callable[[str, int, int], None]
+"""Called with what is computed, the number of steps done, and their total."""
+
+
+@single_threaded_blas()
+@checked
+def find(
+    case: Case,
+    *,
+    controls: ControlRuns | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    seed: int = 0,
+    only: Sequence[str] = (),
+    without: Sequence[str] = (),
+    report: Report | None = None,
+) -> Finding:
+    """Return whether a room is other than stated, in what, and where.
+
+    Parameters
+    ----------
+    case : Case
+    controls : ControlRuns, optional
+        The simulator's error, as another finding's ``controls``.
+    cache : path, optional
+        Folder in which control runs and weighings are kept, by a hash of all that they depend on.
+    seed : int
+        Of control runs and threshold.
+    only, without : sequence of str
+        Effects to try alone, or to leave out; names of `EFFECTS`.
+    report : callable, optional
+        Called with what is computed, the number of steps done, and their total.
+
+    Raises
+    ------
+    DataError
+        For an unknown effect, too few pairs, or control runs of another simulator.
+    """
+    checks.whole("seed", seed, 0)
+    left_out = _left_out(only, without)
+    tell = report or (lambda what, done, of: None)
+    if controls is None:
+        controls = control_runs(
+            case.simulator,
+            case.room,
+            case.match,
+            seed=seed,
+            position_uncertainty=case.position_uncertainty,
+            cache=cache,
+            report=lambda done, of: tell("control runs", done, of),
+        )
+    if controls is None:  # a PathTracing has control runs always
+        raise DataError(f"{case.simulator.name} has no geometry to trace")
+    steps = ("paths", "surfaces", "scattering", "places")
+    made = responses(
+        case, seed, cache, lambda what: tell(what, steps.index(what) + 1, len(steps))
+    )
+    numbers = model(case, made, controls)
+    p, i, k = numbers.shape
+    columns = [case.simulator.pairs.index(pair) for pair in numbers.data.observations.pairs]
+    rows = [list(case.match).index(name) for name in numbers.data.observations.parameters]
+    moved = {name: shift[:, rows] for name, shift in made.moved.items()}
+    errors = (numbers.measurement + numbers.simulator_error()).reshape(k, p, i, k, p, i)
+    hypotheses = Hypotheses(
+        shifts=shifts(case, left_out),
+        spreads=[
+            s
+            for s in spreads(numbers.data.observations.pairs, moved, errors, columns)
+            if s.effect not in left_out
+        ],
+        off=0.0 if COEFFICIENTS in left_out else prior_off(case),
+        unknown=UNKNOWN not in left_out,
+    )
+    limit = threshold(numbers, hypotheses, seed)
+    likelihoods = numbers.likelihoods()
+    evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
+    posterior = weights(evidence, hypotheses, limit.temper)
+    return _finding(case, numbers, hypotheses, posterior, limit.value, likelihoods[0], limit.temper)
+
+
+def _left_out(only: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
+    """Return the effects that are not tried; DataError for an unknown name."""
+    for place, names in (("only", only), ("without", without)):
+        for name in checks.listed(place, names):
+            if name not in EFFECTS:
+                raise DataError(f'{place} has "{name}", which is not one of {", ".join(EFFECTS)}')
+    left = set(without) | (set(EFFECTS) - set(only) if only else set())
+    if left >= set(EFFECTS):
+        raise DataError("only and without leave no effect to try")
+    return tuple(sorted(left))
+
+
+@dataclass(frozen=True, eq=False)
+class _Posterior:
+    """Probabilities of everything that may be other than stated."""
+
+    candidates: tuple[Candidate, ...]
+    probabilities: dict[str, float]
+    families: dict[str, float]
+    surfaces: dict[str, float]
+    on_surfaces: float
+
+
+def _posterior(case: Case, hypotheses: Hypotheses, posterior: Weights) -> _Posterior:
+    total = float(posterior.total[0])
+    names = list(case.faces)
+    candidates = []
+    for shift, logs in zip(hypotheses.shifts, posterior.shifts, strict=True):
+        candidates.append(_candidate(shift, np.exp(logs[:, 0] - total), names))
+    places: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
+    for spread, log in zip(hypotheses.spreads, posterior.spreads, strict=True):
+        chance = float(np.exp(log[0] - total))
+        places.setdefault((spread.effect, spread.place), []).append(
+            (chance, spread.size, spread.unit)
+        )
+    for (effect, place), members in places.items():
+        candidates.append(_misplaced(effect, place, members))
+    for effect, log in ((COEFFICIENTS, posterior.coefficients), (UNKNOWN, posterior.unknown)):
+        chance = float(np.exp(log[0] - total))
+        if chance > 0:
+            candidates.append(_plain(effect, chance))
+    candidates.sort(key=lambda c: -c.probability)
+    probabilities = {NONE: float(np.exp(posterior.none[0] - total))}
+    families = dict(probabilities)
+    surfaces = dict.fromkeys(names, 0.0)
+    for c in candidates:
+        probabilities[c.effect] = probabilities.get(c.effect, 0.0) + c.probability
+        families[c.family] = families.get(c.family, 0.0) + c.probability
+        if c.surface is not None:
+            surfaces[c.surface] += c.probability
+    added = [p for f, p in families.items() if f.startswith(_ADDED)]
+    if len(added) > 1:
+        families[_ADDED] = sum(added)
+    on_surfaces = sum(surfaces.values())
+    shares = {n: p / on_surfaces if on_surfaces > 0 else 0.0 for n, p in surfaces.items()}
+    return _Posterior(
+        tuple(candidates), _sorted(probabilities), _sorted(families), _sorted(shares), on_surfaces
+    )
+
+
+def _sorted(values: Mapping[str, float]) -> dict[str, float]:
+    return dict(sorted(values.items(), key=lambda kv: -kv[1]))
+
+
+def _candidate(shift: Shift, chances: Array, names: Sequence[str]) -> Candidate:
+    total = float(chances.sum())
+    share = chances / total if total > 0 else np.full(len(chances), 1 / len(chances))
+    likely = int(np.argmax(share))
+    signed = bool((shift.sizes <= 0).any())
+    scale = shift.sizes if signed else np.log(shift.sizes)
+    mean = float(share @ scale)
+    deviation = float(np.sqrt(share @ (scale - mean) ** 2 + (0.0 if signed else _SPACING**2)))
+    ends = [mean, mean - _NORMAL_90 * deviation, mean + _NORMAL_90 * deviation]
+    size, low, high = ends if signed else np.exp(ends).tolist()
+    surface = None if shift.surface is None else names[shift.surface]
+    return Candidate(
+        effect=shift.effect,
+        family=shift.family,
+        surface=surface,
+        place=surface or "",
+        probability=total,
+        size=size,
+        low=low,
+        high=high,
+        unit=shift.unit,
+        parameters=shift.parameters[likely],
+        spectrum=np.asarray(share @ shift.spectra),
+    )
+
+
+def _misplaced(
+    effect: str, place: str, members: Sequence[tuple[float, float, str]]
+) -> Candidate:
+    """Return a candidate of the measurement: its sizes are those that are tried."""
+    chances = np.array([chance for chance, _, _ in members])
+    sizes = np.array([size for _, size, _ in members])
+    total = float(chances.sum())
+    share = chances / total if total > 0 else np.full(len(chances), 1 / len(chances))
+    likely = sizes[share > 0.05]
+    return Candidate(
+        effect=effect,
+        family=MEASUREMENT,
+        surface=None,
+        place=place,
+        probability=total,
+        size=float(share @ sizes),
+        low=float(likely.min()),
+        high=float(likely.max()),
+        unit=members[0][2],
+        parameters={},
+        spectrum=np.zeros(0),
+    )
+
+
+def _plain(effect: str, chance: float) -> Candidate:
+    return Candidate(
+        effect=effect,
+        family=effect,
+        surface=None,
+        place="",
+        probability=chance,
+        size=float("nan"),
+        low=float("nan"),
+        high=float("nan"),
+        unit="",
+        parameters={},
+        spectrum=np.zeros(0),
+    )
+
+
+def _finding(
+    case: Case,
+    numbers: Model,
+    hypotheses: Hypotheses,
+    posterior: Weights,
+    limit: float,
+    likelihood: Likelihood,
+    temper: float,
+) -> Finding:
+    summary = _posterior(case, hypotheses, posterior)
+    score = float(posterior.score[0])
+    groups = _groups(case, hypotheses, summary, likelihood, temper)
+    verdict, effect, family = _claimed(summary, score, limit)
+    reasons = _reasons(hypotheses, summary, verdict)
+    first = next(iter(summary.surfaces))
+    sure = summary.surfaces[first] >= LIKELY and summary.on_surfaces >= CLAIMED
+    located = verdict in ("named", "family", "ambiguous") and sure and not reasons
+    observations = numbers.data.observations
+    return Finding(
+        case=case,
+        verdict=verdict,
+        effect=effect,
+        family=family,
+        surface=first if located else None,
+        surfaces=summary.surfaces,
+        groups=groups,
+        candidates=summary.candidates,
+        probabilities=summary.probabilities,
+        families=summary.families,
+        score=score,
+        threshold=limit,
+        map=_map(numbers, likelihood),
+        parameters=observations.parameters,
+        pairs=observations.pairs,
+        reasons=reasons,
+        notes=numbers.data.notes,
+        controls=numbers.controls,
+    )
+
+
+def _claimed(
+    summary: _Posterior, score: float, limit: float
+) -> tuple[str, str | None, str | None]:
+    """Return the verdict, and the effect and the family that are claimed."""
+    if score <= max(limit, 0.0):
+        return ("hint" if score > 0 else "none"), None, None
+    some = {e: p for e, p in summary.probabilities.items() if e != NONE}
+    best = next(iter(some))
+    families = [f for f, p in summary.families.items() if f != NONE and p >= CLAIMED]
+    family = max(families, key=len) if families else None
+    if best == UNKNOWN:
+        return "unknown", None, family
+    if some[best] >= CLAIMED:
+        return "named", best, family
+    return ("ambiguous" if family is None else "family"), None, family
+
+
+def _reasons(hypotheses: Hypotheses, summary: _Posterior, verdict: str) -> tuple[str, ...]:
+    """Return why the most probable surface is not claimed."""
+    if verdict not in ("named", "family", "ambiguous"):
+        return ()
+    best = next((c for c in summary.candidates if c.surface is not None), None)
+    if best is None or best is not summary.candidates[0]:
+        return ()
+    sizes = [s.sizes.max() for s in hypotheses.shifts if s.effect == best.effect]
+    if best.size > 0.9 * max(sizes):
+        return (f"The size of {best.title} stands at the end of what is tried.",)
+    return ()
+
+
+def _map(numbers: Model, likelihood: Likelihood) -> Array:
+    """Return the residuals in standard deviations, (n_parameters, n_pairs, n_bands)."""
+    p, i, k = numbers.shape
+    variance = np.diag(likelihood.covariance).copy()
+    z = np.where(numbers.used, numbers.residual / np.sqrt(variance), np.nan)
+    return np.asarray(np.moveaxis(z.reshape(k, p, i), 0, 2))
+
+
+def _groups(
+    case: Case,
+    hypotheses: Hypotheses,
+    summary: _Posterior,
+    likelihood: Likelihood,
+    temper: float,
+) -> tuple[tuple[str, ...], ...]:
+    """Return the surfaces that the most probable effect, in its size, does not tell apart.
+
+    Two surfaces are told apart where the shift of one, on the best size of the other, leaves more than
+    `APART` nats to be expected.
+    """
+    best = next((c for c in summary.candidates if c.surface is not None), None)
+    if best is None:
+        return ()
+    names, vectors = [], []
+    for shift in hypotheses.shifts:
+        if shift.effect != best.effect or shift.surface is None:
+            continue
+        near = np.abs(np.log(np.maximum(shift.sizes, 1e-9) / best.size))
+        row = int(np.argmin(near + _unlike(shift, best)))
+        nodes = likelihood.nodes[shift.response]
+        names.append(list(case.faces)[shift.surface])
+        vectors.append(np.einsum("kn,krn->kr", shift.weights[row], nodes).ravel())
+    every = np.array(vectors).T
+    gram = every.T @ likelihood.inverse @ every
+    size = np.maximum(np.diag(gram), 1e-12)
+    nats = 0.5 * (size[:, np.newaxis] - gram**2 / size) / temper
+    return _joined(names, np.minimum(nats, nats.T) < APART)
+
+
+def _unlike(shift: Shift, best: Candidate) -> Array:
+    """Return how far each hypothesis' spectrum is from the candidate's, (n_hypotheses,)."""
+    return np.asarray(np.abs(shift.spectra - best.spectrum).max(axis=1))
+
+
+def _joined(names: Sequence[str], alike: Array) -> tuple[tuple[str, ...], ...]:
+    """Return the connected groups of two and more names."""
+    left, out = set(range(len(names))), []
+    while left:
+        group = [left.pop()]
+        for member in group:
+            near = {other for other in left if alike[member, other]}
+            left -= near
+            group += sorted(near)
+        if len(group) > 1:
+            out.append(tuple(names[g] for g in sorted(group)))
+    return tuple(out)
+

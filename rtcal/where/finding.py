@@ -1,0 +1,309 @@
+"""What a search found: what is other than stated, and where."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtcal.discrepancy.wording import amount
+from rtcal.errors import DataError
+from rtcal.loop.control_runs import ControlRuns
+from rtcal.support import html, text
+from rtcal.support.arguments import checked
+from rtcal.support.files import json_numbers, write_text
+from rtcal.support.types import Array
+from rtcal.where.case import Case
+
+if TYPE_CHECKING:
+    from rtcal.where.corrected import Corrected
+
+KIND = "where 1"
+"""Value of the key ``rtcal`` in a saved finding."""
+_SAID = 0.03
+"""Probability below which a candidate is not printed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect in one place.
+
+    Attributes
+    ----------
+    effect, family : str
+    surface : str or None
+        None for the whole room and for the measurement.
+    place : str
+        The surface's name; of the measurement's errors "receiver R1", "source S1" or "S1 to R1"; "" for
+        the whole room.
+    probability : float
+    size, low, high : float
+        Posterior mean and 90 % interval, in ``unit``.
+    unit : str
+    parameters : mapping of str to float
+        The most probable ones.
+    spectrum : array (n_bands,) or (0,)
+        Posterior mean alpha of what stands on the surface.
+    """
+
+    effect: str
+    family: str
+    surface: str | None
+    place: str
+    probability: float
+    size: float
+    low: float
+    high: float
+    unit: str
+    parameters: Mapping[str, float]
+    spectrum: Array
+
+    @property
+    def title(self) -> str:
+        """Effect and place, as a sentence names them."""
+        if self.surface is not None:
+            return f'{self.effect} on "{self.surface}"'
+        return f"{self.effect} of {self.place}" if self.place else self.effect
+
+    @property
+    def in_words(self) -> str:
+        """Size with its interval."""
+        return f"{amount(self.size, self.unit)} (90 %: {self.low:.3g} to {self.high:.3g})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {
+            **{k: v for k, v in vars(self).items() if k not in ("spectrum", "parameters")},
+            "parameters": dict(self.parameters),
+            "spectrum": json_numbers(self.spectrum),
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Finding:
+    """What is other than stated, and where.
+
+    Attributes
+    ----------
+    case : Case
+    verdict : {"none", "hint", "named", "family", "ambiguous", "unknown"}
+        As that of `rtcal.discrepancy.Finding`: whether something is other than stated, and whether the
+        effect, or its family, has a probability of at least 0.9.
+    effect, family : str or None
+        What is claimed.
+    surface : str or None
+        The surface that is claimed: its probability is at least 0.9, and the checks agree.
+    surfaces : mapping of str to float
+        Probability of each surface, given that something stands on one. The most probable first.
+    groups : tuple of tuples of str
+        Surfaces that these positions cannot tell apart.
+    candidates : tuple of Candidate
+        Every effect in every place, the most probable first.
+    probabilities, families : mapping of str to float
+        Of each effect and family, of "none", "coefficients" and "unknown".
+    score, threshold : float
+        Evidence that something is other than stated in nats, and what it must exceed.
+    map : array (n_parameters, n_pairs, n_bands)
+        Measured less simulated in standard deviations of what prior, simulator and measurement leave
+        open; NaN where nothing was measured.
+    parameters, pairs : tuple
+        Of the map.
+    reasons : tuple of str
+        Why what is most probable is not claimed.
+    notes : tuple of str
+    controls : ControlRuns
+        The simulator's error, to be given to another search or calibration.
+    """
+
+    case: Case
+    verdict: str
+    effect: str | None
+    family: str | None
+    surface: str | None
+    surfaces: Mapping[str, float]
+    groups: tuple[tuple[str, ...], ...]
+    candidates: tuple[Candidate, ...]
+    probabilities: Mapping[str, float]
+    families: Mapping[str, float]
+    score: float
+    threshold: float
+    map: Array
+    parameters: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    controls: ControlRuns
+
+    @property
+    def detected(self) -> bool:
+        """Whether something is other than stated."""
+        return self.verdict not in ("none", "hint")
+
+    @property
+    def best(self) -> Candidate | None:
+        """The most probable candidate; None where nothing is other than stated."""
+        return self.candidates[0] if self.candidates and self.verdict != "none" else None
+
+    @property
+    def located(self) -> Candidate | None:
+        """The most probable candidate on the most probable surface, None without one."""
+        first = next(iter(self.surfaces), None)
+        return next((c for c in self.candidates if c.surface == first and first), None)
+
+    @property
+    def likely_surfaces(self) -> tuple[str, ...]:
+        """The fewest surfaces that hold 0.9 of the probability."""
+        held, out = 0.0, []
+        for name, probability in self.surfaces.items():
+            out.append(name)
+            held += probability
+            if held >= LIKELY:
+                break
+        return tuple(out)
+
+    @property
+    def can_be_added(self) -> bool:
+        """Whether `apply` has something to add: detected, and on a surface."""
+        best = self.best
+        return self.detected and best is not None and best.surface is not None
+
+    @checked
+    def apply(self, form: str = "patch") -> Corrected:
+        """Return room and geometry with the most probable candidate in them.
+
+        Parameters
+        ----------
+        form : {"patch", "material"}
+            A patch of the candidate's size in the middle of its surface, as a new material; or the
+            whole surface as a new material that absorbs as much. A patch that does not fit becomes a
+            material.
+
+        Raises
+        ------
+        DataError
+            If nothing is other than stated, or not on a surface.
+        """
+        from rtcal.where.corrected import corrected
+
+        best = self.best
+        if not self.can_be_added or best is None:
+            raise DataError(f'the verdict is "{self.verdict}"; no surface lacks anything to add')
+        return corrected(self.case, best, form)
+
+    def __repr__(self) -> str:
+        best = self.best
+        what = "nothing" if best is None else f"{best.title} {100 * best.probability:.0f} %"
+        return (
+            f"<Finding {self.verdict}: {what}; {self.score:+.1f} nats, threshold "
+            f"{self.threshold:.1f}>"
+        )
+
+    @property
+    def headline(self) -> str:
+        """The verdict in a sentence; what cannot be told stands first."""
+        best = self.best
+        if best is None:
+            return "none: no disagreement beyond what prior, measurement and simulator allow."
+        if self.verdict == "hint":
+            return (
+                f"hint: {best.title}, but not claimed. {self.reasons[0] if self.reasons else ''}"
+            ).rstrip()
+        what = {
+            "unknown": "Something is other than stated that no effect of the library explains.",
+            "named": f"Other than stated: {self.effect}.",
+            "family": f"Other than stated: {self.family}.",
+        }.get(self.verdict, f"Other than stated: {_listed(self._names())}.")
+        return f"{self.verdict}: {what} {self.place_in_words}".rstrip()
+
+    @property
+    def place_in_words(self) -> str:
+        """Where it is, as far as the positions tell."""
+        best = self.best
+        if best is None or best.surface is None:
+            return "" if best is None or not best.place else f"Most probably {best.place}."
+        if self.surface is not None:
+            return f'It is on "{self.surface}" ({100 * self.surfaces[self.surface]:.0f} %).'
+        some = [f'"{n}" ({100 * self.surfaces[n]:.0f} %)' for n in self.likely_surfaces]
+        return f"These positions do not say on which surface: {_listed(some)}."
+
+    def _names(self) -> list[str]:
+        every = dict.fromkeys(c.effect for c in self.candidates if c.probability >= _SAID)
+        return [f"{e} ({100 * self.probabilities[e]:.0f} %)" for e in every]
+
+    def __str__(self) -> str:
+        lines = text.wrapped(self.headline)
+        said = [c for c in self.candidates if c.probability >= _SAID][:8]
+        if said and self.verdict != "none":
+            header = ("", ["probability", "size"])
+            rows = [(c.title, [f"{100 * c.probability:.0f} %", c.in_words]) for c in said]
+            lines += ["", *text.table(rows, header=header), ""]
+        for group in self.groups:
+            lines += text.wrapped(f"Not told apart by these positions: {_listed(list(group))}.")
+        lines += text.wrapped(
+            f"Evidence that something is other than stated: {self.score:+.1f} nats; threshold "
+            f"{self.threshold:.1f}, exceeded by 5 % of control rooms."
+        )
+        for note in (*self.reasons, *self.notes):
+            lines += text.wrapped(note, hanging="    ")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        rows: list[list[str | html.Cell]] = [
+            [c.title, f"{100 * c.probability:.0f} %", c.in_words]
+            for c in self.candidates
+            if c.probability >= _SAID
+        ]
+        header = ["", "probability", "size"]
+        return html.table(self.headline, header, rows, [*self.reasons, *self.notes])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "rtcal": KIND,
+            "verdict": self.verdict,
+            "effect": self.effect,
+            "family": self.family,
+            "surface": self.surface,
+            "surfaces": dict(self.surfaces),
+            "likely_surfaces": list(self.likely_surfaces),
+            "groups": [list(group) for group in self.groups],
+            "candidates": [c.to_dict() for c in self.candidates[:20]],
+            "probabilities": dict(self.probabilities),
+            "families": dict(self.families),
+            "score": self.score,
+            "threshold": self.threshold,
+            "parameters": list(self.parameters),
+            "pairs": [list(pair) for pair in self.pairs],
+            "centre_frequencies": json_numbers(self.case.room.centre_frequencies),
+            "map": json_numbers(self.map),
+            "reasons": list(self.reasons),
+            "notes": list(self.notes),
+        }
+
+    def to_json(self) -> str:
+        """Return the text of `to_dict` as JSON."""
+        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+
+    @checked
+    def save(self, path: str) -> None:
+        """Write the text of `to_json` to a file; a failure leaves no part of it."""
+        write_text(path, self.to_json())
+
+
+LIKELY = 0.9
+"""Probability that the likely surfaces hold, and from which a single one is claimed."""
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def strongest(map_: Array) -> tuple[int, int, int]:
+    """Return the place of the largest disagreement."""
+    p, i, k = np.unravel_index(int(np.nanargmax(np.abs(map_))), map_.shape)
+    return int(p), int(i), int(k)

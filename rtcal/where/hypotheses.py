@@ -1,0 +1,430 @@
+"""What may be other than stated, and where: effect and surface, the whole room, or the measurement.
+
+A hypothesis of the room shifts the parameters at every pair: `Shift`. One of the measurement widens the
+errors of some pairs: `Spread`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics.air import Air
+from rtcal.discrepancy.effects import (
+    Audience,
+    Curtain,
+    Effect,
+    Membrane,
+    OmittedAir,
+    Opening,
+    Parameters,
+    Porous,
+    Resonator,
+    WrongVolume,
+)
+from rtcal.discrepancy.effects.audience import SEATED_ALPHA
+from rtcal.discrepancy.effects.base import Absorber, interpolate_octaves
+from rtcal.discrepancy.effects.covered import HARD, CoveredSurface
+from rtcal.discrepancy.hypotheses import error_over_bands
+from rtcal.discrepancy.prior import grid_weights
+from rtcal.loop.measured_pairs import Pair
+from rtcal.support.types import Array
+from rtcal.where.case import Case
+from rtcal.where.responses import AIR, MOVE, SHARES, VOLUME
+from rtcal.where.surfaces import kind
+
+POSITION, NOISE, SCATTERING, UNKNOWN = "position", "noise", "scattering", "unknown"
+MEASUREMENT = "measurement"
+SIZES = tuple(np.geomspace(0.05, 1.4, 14))
+"""Areas that are tried, over the room's absorption area at 500 to 2000 Hz."""
+ODDS = {
+    POSITION: 0.5,
+    NOISE: 0.5,
+    SCATTERING: 0.3,
+    UNKNOWN: 0.5,
+    "air": 1.0,
+    "volume": 1.0,
+}
+"""Prior odds against an effect of odds 1; those of the absorbers are their classes'."""
+DISPLACEMENTS = (0.5, 1.0, 2.0)
+"""Distances in m by which a source or receiver may stand elsewhere."""
+NOISES = (3.0, 10.0)
+"""Factors of the standard deviation of a pair whose measurement failed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shift:
+    """Hypotheses of one effect in one place, with their sizes.
+
+    Attributes
+    ----------
+    effect, family : str
+    surface : int or None
+        Number of the surface; None for the whole room.
+    response : str
+        Which of the responses is interpolated.
+    weights : array (n_hypotheses, n_bands, n_nodes)
+        Shift of band k is weights[:, k] @ the response's nodes of band k.
+    odds : array (n_hypotheses,)
+        Prior odds of each within its effect; over all surfaces they are normalised to 1.
+    sizes : array (n_hypotheses,)
+    unit : str
+    parameters : sequence of mapping
+    spectra : array (n_hypotheses, n_bands)
+        Alpha of what stands on the surface; empty for the whole room.
+    error : array (n_bands, n_bands)
+        Covariance of the relative error of the change, band by band.
+    """
+
+    effect: str
+    family: str
+    surface: int | None
+    response: str
+    weights: Array
+    odds: Array
+    sizes: Array
+    unit: str
+    parameters: Sequence[Parameters]
+    spectra: Array
+    error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """A hypothesis that some values err by more: their covariance grows by ``covariance``.
+
+    ``rows`` are the values' numbers in the order (band, parameter, pair). ``place`` names the
+    source, receiver or pair.
+    """
+
+    effect: str
+    place: str
+    size: float
+    unit: str
+    rows: NDArray[np.int64]
+    covariance: Array
+    odds: float
+
+
+def interpolation(nodes: Sequence[float], at: Array) -> Array:
+    """Return the nodes' weights (..., n_nodes) in a linear interpolation that is 0 at 0.
+
+    Beyond the nodes the value at the last one is taken.
+    """
+    every = np.array(sorted([*nodes, 0.0]))
+    position = np.clip(at, every[0], every[-1])
+    right = np.clip(np.searchsorted(every, position), 1, len(every) - 1)
+    share = (position - every[right - 1]) / (every[right] - every[right - 1])
+    out = np.zeros((*np.shape(at), len(every)))
+    np.put_along_axis(out, right[..., np.newaxis], share[..., np.newaxis], -1)
+    np.put_along_axis(out, right[..., np.newaxis] - 1, (1 - share)[..., np.newaxis], -1)
+    kept = [int(np.flatnonzero(every == node)[0]) for node in nodes]
+    return np.asarray(out[..., kept])
+
+
+def library() -> tuple[Effect, ...]:
+    """Return the effects that stand on a surface."""
+    return (
+        Opening(),
+        Porous(),
+        Curtain(),
+        Resonator(),
+        Membrane(),
+        Audience(),
+        CoveredSurface(),
+    )
+
+
+def surface_alpha(case: Case) -> Array:
+    """Return the mean alpha of each surface, (n_surfaces, n_bands)."""
+    rows = np.array([case.room.material_index(m) for m in case.geometry.materials])
+    areas = case.geometry.face_areas
+    return np.array(
+        [np.average(case.room.alpha[rows[f]], axis=0, weights=areas[f]) for f in case.faces.values()]
+    )
+
+
+def shifts(case: Case, without: Sequence[str] = ()) -> list[Shift]:
+    """Return the hypotheses of the room, but for some effects."""
+    out: list[Shift] = []
+    for effect in library():
+        if effect.name not in without:
+            out += _on_surfaces(case, effect)
+    whole = [_air(case), _volume(case), _scattering(case)]
+    return out + [shift for shift in whole if shift.effect not in without]
+
+
+def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
+    """Return an effect on each surface that can have it."""
+    frequencies, areas = case.room.centre_frequencies, np.array(list(case.areas.values()))
+    stated = surface_alpha(case)
+    kinds = [kind(case.geometry, f) for f in case.faces.values()]
+    possible = np.array([_may_have(effect, k) for k in kinds])
+    spectra = _spectra(effect, frequencies)
+    middle = _middle_absorption(case)
+    covering = isinstance(effect, CoveredSurface)
+    sizes = np.array(CoveredSurface.SHARES if covering else SIZES)
+    made = []
+    for j in np.flatnonzero(possible):
+        weights, odds, used, parameters, alpha = [], [], [], [], []
+        for settings, spectrum in spectra:
+            for size in sizes:
+                area = size * areas[j] if covering else size * middle
+                share = min(area / areas[j], 1.0)
+                if not covering and area > areas[j]:
+                    continue
+                moved = share * (spectrum - stated[j])
+                if covering:
+                    moved = np.minimum(moved, 0.0)
+                    if (-moved / np.maximum(stated[j], 1e-6)).max() < _LEAST_COVERED:
+                        continue
+                up = moved / np.maximum(1 - stated[j], 1e-6)
+                down = moved / np.maximum(stated[j] - HARD, 1e-6)
+                at = np.where(moved >= 0, up, np.maximum(down, -1.0))
+                weights.append(interpolation(SHARES, at))
+                fitting = areas[possible & (areas >= (0 if covering else area))]
+                odds.append(areas[j] / fitting.sum() / (len(spectra) * len(sizes)))
+                used.append(area)
+                parameters.append({**settings, "area": float(area)})
+                alpha.append(spectrum)
+        if weights:
+            made.append(
+                Shift(
+                    effect=effect.name,
+                    family=effect.family,
+                    surface=int(j),
+                    response=f"surface {j}",
+                    weights=np.array(weights),
+                    odds=np.array(odds),
+                    sizes=np.array(used),
+                    unit="m²",
+                    parameters=parameters,
+                    spectra=np.array(alpha),
+                    error=error_over_bands(effect, frequencies),
+                )
+            )
+    total = sum(s.odds.sum() for s in made)
+    return [_scaled(s, effect.prior_odds(case.room) / total) for s in made]
+
+
+_LEAST_COVERED = 0.1
+"""A cover that takes less than this share of a surface's absorption is no hypothesis."""
+
+
+def _scaled(shift: Shift, factor: float) -> Shift:
+    fields: dict[str, Any] = {**vars(shift), "odds": shift.odds * factor}
+    return Shift(**fields)
+
+
+def _may_have(effect: Effect, where: str) -> bool:
+    """Return whether a floor, a wall or a ceiling may have the effect."""
+    if isinstance(effect, Audience):
+        return where == "floor"
+    if isinstance(effect, Curtain):
+        return where == "wall"
+    return isinstance(effect, CoveredSurface | Porous) or where != "floor"
+
+
+def _spectra(effect: Effect, frequencies: Array) -> list[tuple[dict[str, float], Array]]:
+    """Return the effect's kinds: their parameters and alpha, (n_bands,)."""
+    if isinstance(effect, Absorber):
+        return [(dict(k), effect.spectrum(frequencies, k)) for k in effect.kinds()]
+    if isinstance(effect, Audience):
+        alpha = SEATED_ALPHA * interpolate_octaves(frequencies, effect.SEATED)
+        return [({"standing": 0.0}, np.minimum(alpha, 1.0))]
+    return [({}, np.full(len(frequencies), HARD))]
+
+
+def _middle_absorption(case: Case) -> float:
+    """Return the room's absorption area at 500 to 2000 Hz in m², over all bands if it has none."""
+    area = case.room.areas @ case.room.alpha
+    f = case.room.centre_frequencies
+    middle = (f > 440) & (f < 2300)
+    return float(area[middle].mean() if middle.any() else area.mean())
+
+
+def _whole(
+    effect: str,
+    family: str,
+    at: Array,
+    nodes: Sequence[float],
+    *,
+    odds: Array,
+    sizes: Array,
+    unit: str,
+    parameters: Sequence[Parameters],
+    error: Array,
+) -> Shift:
+    odds = odds * ODDS[effect] / odds.sum()
+    return Shift(
+        effect=effect,
+        family=family,
+        surface=None,
+        response=effect,
+        weights=interpolation(nodes, at),
+        odds=odds,
+        sizes=sizes,
+        unit=unit,
+        parameters=parameters,
+        spectra=np.zeros((len(sizes), 0)),
+        error=error,
+    )
+
+
+def _air(case: Case) -> Shift:
+    """Return other climates, or air where none is stated."""
+    effect, room = OmittedAir(), case.room
+    f = room.centre_frequencies
+    reference = Air(20, 50).attenuation(f)
+    grid = effect.grid(None)  # type: ignore[arg-type]  # the climates do not depend on the room
+    attenuation = np.array([Air(p["temperature"], p["humidity"]).attenuation(f) for p in grid])
+    density = grid_weights(effect, grid, None)  # type: ignore[arg-type]
+    return _whole(
+        "air",
+        effect.family,
+        (attenuation - room.air_attenuation) / reference,
+        AIR,
+        odds=density * effect.prior_odds(room),
+        sizes=np.array([p["humidity"] for p in grid]),
+        unit=effect.unit,
+        parameters=grid,
+        error=error_over_bands(effect, f),
+    )
+
+
+def _volume(case: Case) -> Shift:
+    effect, n_bands = WrongVolume(), case.room.n_bands
+    grid = effect.grid(None)  # type: ignore[arg-type]  # the ratios do not depend on the room
+    logs = np.log([p["ratio"] for p in grid])
+    density = grid_weights(effect, grid, None)  # type: ignore[arg-type]
+    return _whole(
+        "volume",
+        effect.family,
+        np.repeat(logs[:, np.newaxis], n_bands, axis=1),
+        VOLUME,
+        odds=density,
+        sizes=np.exp(logs),
+        unit=effect.unit,
+        parameters=grid,
+        error=np.full((n_bands, n_bands), 0.02**2) + 0.02**2 * np.eye(n_bands),
+    )
+
+
+def _scattering(case: Case) -> Shift:
+    """Return too little and too much scattering, as far as tracings at both ends show it."""
+    n_bands = case.room.n_bands
+    ends = np.array([-2.0, -1.0, 1.0, 2.0])
+    octaves = np.abs(np.subtract.outer(*(2 * [np.log2(case.room.centre_frequencies)])))
+    shift = _whole(
+        SCATTERING,
+        "field",
+        np.repeat(np.clip(ends, -1, 1)[:, np.newaxis], n_bands, axis=1),
+        (-1.0, 1.0),
+        odds=np.ones(4),
+        sizes=ends,
+        unit="of the way to 0.05 or 0.95",
+        parameters=[{"scattering": float(e)} for e in ends],
+        error=0.3**2 * 0.7**octaves,
+    )
+    doubled = shift.weights * np.abs(ends)[:, np.newaxis, np.newaxis]
+    return Shift(**{**vars(shift), "weights": doubled})
+
+
+def spreads(
+    measured: Sequence[Pair],
+    moved: Mapping[str, Array],
+    errors: Array,
+    columns: Sequence[int],
+) -> list[Spread]:
+    """Return the hypotheses of the measurement.
+
+    Parameters
+    ----------
+    measured : sequence of (source, receiver)
+    moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
+        Shifts of the measured parameters where a source or receiver is displaced; see `Responses`.
+    errors : array (n_bands, n_parameters, n_pairs, same three)
+        Covariance of the errors of simulator and measurement.
+    columns : sequence of int
+        Number of each measured pair among the simulator's.
+    """
+    n_bands, n_parameters, n_pairs = errors.shape[:3]
+    number = np.arange(n_bands * n_parameters * n_pairs).reshape(errors.shape[:3])
+    full = errors.reshape(number.size, number.size)
+    out = []
+    for place, shift in moved.items():
+        pairs = [i for i, c in enumerate(columns) if np.abs(shift[:, :, c]).max() > 0]
+        if not pairs:
+            continue
+        rows = number[:, :, pairs].ravel()
+        steps = np.moveaxis(shift[:, :, [columns[i] for i in pairs]], 3, 1)
+        samples = steps.reshape(len(shift), -1)
+        # The displacements along an axis and back have nearly opposite shifts: three free directions.
+        covariance = samples.T @ samples / 6
+        for distance in DISPLACEMENTS:
+            odds = ODDS[POSITION] / (len(moved) * len(DISPLACEMENTS))
+            scaled = (distance / MOVE) ** 2 * covariance
+            out.append(Spread(POSITION, place, distance, "m", rows, scaled, odds))
+    for i, pair in enumerate(measured):
+        rows = number[:, :, i].ravel()
+        for factor in NOISES:
+            odds = ODDS[NOISE] / (n_pairs * len(NOISES))
+            scaled = (factor**2 - 1) * full[np.ix_(rows, rows)]
+            name = " to ".join(pair)
+            out.append(Spread(NOISE, name, factor, "times as uncertain", rows, scaled, odds))
+    return out
+
+
+def family_of(effect: str, every: Sequence[Shift]) -> str:
+    """Return the family of an effect."""
+    if effect in (POSITION, NOISE):
+        return MEASUREMENT
+    return next((s.family for s in every if s.effect == effect), effect)
+
+
+def usual_errors(case: Case) -> Array:
+    """Return the changes of alpha that catalogues err by in common, (n, n_materials, n_bands).
+
+    As `rtcal.discrepancy.coefficients` describes them: a factor and a tilt of all coefficients, and of
+    each material's.
+    """
+    from rtcal.discrepancy import coefficients
+    from rtcal.discrepancy.prior import HANDBOOK_SIGMA
+
+    room = case.room
+    octaves = np.log2(room.centre_frequencies / 1000)
+    stated = room.sigma / np.maximum(room.alpha, 1e-6) / HANDBOOK_SIGMA
+    level = room.alpha * np.minimum(1.0, stated**2)
+    own = np.eye(room.n_materials)[:, :, np.newaxis] * level
+    parts = [
+        [coefficients.COMMON * level],
+        [coefficients.TILT * level * octaves],
+        coefficients.OWN * own,
+        coefficients.OWN_TILT * own * octaves,
+    ]
+    return np.concatenate([np.asarray(part) for part in parts])
+
+
+def climate_error(case: Case) -> Array:
+    """Return the standard deviations of the air's attenuation by an uncertain climate, (2, n_bands).
+
+    Over that at 20 °C and 50 %, as `AIR`; none where the room has no air.
+    """
+    from rtcal.discrepancy.case import CLIMATE_UNCERTAINTY
+
+    room = case.room
+    if room.air is None:
+        return np.zeros((0, room.n_bands))
+    f = room.centre_frequencies
+    reference = Air(20, 50).attenuation(f)
+    t, h = room.air.temperature, room.air.humidity
+    kelvin, percent = CLIMATE_UNCERTAINTY
+    ends = [
+        (Air(t + kelvin, h), Air(t - kelvin, h)),
+        (Air(t, min(h + percent, 100.0)), Air(t, max(h - percent, 1.0))),
+    ]
+    return np.array([(a.attenuation(f) - b.attenuation(f)) / 2 / reference for a, b in ends])

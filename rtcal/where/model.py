@@ -1,0 +1,174 @@
+"""The numbers of one search: what was measured, how it may err, and the shifts at the measured pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.discrepancy.coefficients import SCALES
+from rtcal.errors import DataError
+from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.measured_pairs import MeasuredPairs, measured_pairs
+from rtcal.loop.positions import prior_covariance
+from rtcal.simulators.observations import Observations
+from rtcal.support.types import Array
+from rtcal.where.case import Case
+from rtcal.where.evidence import Likelihood, band_first, flat, reordered
+from rtcal.where.hypotheses import AIR, climate_error, interpolation, usual_errors
+from rtcal.where.responses import Responses
+
+UNKNOWN_SCALES = (4.0, 16.0)
+"""Factors of the variance of the simulator's error if it misses something that no effect explains."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """What a search compares.
+
+    All arrays are in the order (band, parameter, pair).
+
+    Attributes
+    ----------
+    data : MeasuredPairs
+    residual : array (n,)
+        Measured less simulated as stated; 0 where nothing was measured.
+    used : bool array (n,)
+    alpha : array (n, n_unknowns)
+        Factor of the prior's covariance of the parameters: coefficients, what catalogues err by in
+        common, and the climate.
+    together : array (n, n_errors)
+        The part of it that is a common error of the coefficients.
+    measurement : array (n, n)
+        Covariance of the measurement's errors.
+    errors : array (n_runs, n)
+        The simulator's errors in the control runs.
+    nodes : mapping of str to array (n_bands, n_values, n_nodes)
+    """
+
+    data: MeasuredPairs
+    controls: ControlRuns
+    residual: Array
+    used: NDArray[np.bool_]
+    alpha: Array
+    together: Array
+    measurement: Array
+    nodes: Mapping[str, Array]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of parameters, pairs and bands."""
+        p, i, k = self.data.observations.values.shape
+        return p, i, k
+
+    @property
+    def errors(self) -> Array:
+        """The simulator's errors in the control runs, (n_runs, n)."""
+        return np.array([flat(run) for run in self._controls.errors])
+
+    @property
+    def _controls(self) -> ControlRuns:
+        observations = self.data.observations
+        return self.controls.at(observations.parameters, observations.pairs)
+
+    def simulator_error(self, without: NDArray[np.int64] | None = None) -> Array:
+        """Return the covariance of the simulator's error, from all control runs but some."""
+        runs = self._controls
+        kept = np.ones(len(runs.errors), dtype=bool)
+        if without is not None:
+            kept[without] = False
+        some = ControlRuns(parameters=runs.parameters, pairs=runs.pairs, errors=runs.errors[kept])
+        return reordered(some.covariance(), self.shape)
+
+    def likelihoods(
+        self, without: NDArray[np.int64] | None = None
+    ) -> tuple[Likelihood, list[Likelihood], list[Likelihood]]:
+        """Return the likelihoods with coefficients as stated, off together, and of the unknown."""
+        error = self.simulator_error(without)
+        base = self.alpha @ self.alpha.T + self.measurement + error
+        common = self.together @ self.together.T
+
+        def of(covariance: Array) -> Likelihood:
+            return Likelihood(covariance, self.used, self.nodes)
+
+        off = [of(base + (scale**2 - 1) * common) for scale, _ in SCALES]
+        unknown = [of(base + (scale - 1) * error) for scale in UNKNOWN_SCALES]
+        return of(base), off, unknown
+
+
+def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
+    """Return the numbers of a search; DataError if too little was measured."""
+    tracer, room = case.simulator, case.room
+    heard = Observations(
+        parameters=tuple(case.match),
+        pairs=tracer.pairs,
+        centre_frequencies=room.centre_frequencies,
+        values=made.base,
+    )
+    data = measured_pairs(room, case.measured, case.match, heard, case.exclude)
+    wanted = data.observations
+    if len(wanted.pairs) < 2:
+        raise DataError(
+            f"{' to '.join(wanted.pairs[0])} is the only pair; to say where, it needs at least two"
+        )
+    rows = [list(case.match).index(p) for p in wanted.parameters]
+    columns = [tracer.pairs.index(p) for p in wanted.pairs]
+
+    def at_pairs(values: Array) -> Array:
+        return np.asarray(values[rows][:, columns])
+
+    stated = at_pairs(made.base)
+    if case.simulated is not None:
+        stated = Observations.of_measurement(case.simulated, wanted.parameters, wanted.pairs).values
+    difference = wanted.values - stated
+    used = flat(np.isfinite(difference))
+    if not used.any():
+        raise DataError("no value was both measured and simulated")
+    air = at_pairs(made.air)
+    nodes = {f"surface {j}": band_first(at_pairs(s)) for j, s in enumerate(made.surfaces)}
+    nodes |= {
+        "air": band_first(air),
+        "volume": band_first(at_pairs(made.volume)),
+        "scattering": band_first(at_pairs(made.scattering)),
+    }
+    slopes = at_pairs(made.by_material)
+    alpha, together = _prior(case, slopes, nodes["air"])
+    return Model(
+        data=data,
+        controls=controls,
+        residual=np.where(used, flat(np.nan_to_num(difference)), 0.0),
+        used=used,
+        alpha=alpha,
+        together=together,
+        measurement=_measurement(data),
+        nodes=nodes,
+    )
+
+
+def _measurement(data: MeasuredPairs) -> Array:
+    """Return the covariance of the measurement's errors over all values, 0 where there is none."""
+    used = data.used.ravel()
+    full = np.zeros((used.size, used.size))
+    full[np.ix_(used, used)] = data.covariance
+    return reordered(full, data.used.shape)
+
+
+def _prior(case: Case, slopes: Array, air: Array) -> tuple[Array, Array]:
+    """Return the factors of what alpha and the climate leave open, and of the common errors."""
+    _, _, n_bands, n_materials = slopes.shape
+    by_band = band_first(slopes)  # (n_bands, n_values, n_materials)
+    n_values = by_band.shape[1]
+    full = np.zeros((n_bands, n_values, n_materials, n_bands))
+    for k in range(n_bands):
+        full[k, :, :, k] = by_band[k]
+    matrix = full.reshape(n_bands * n_values, -1)
+    covariance = prior_covariance(case.room)
+    values, vectors = np.linalg.eigh(covariance)
+    own = matrix @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    usual = usual_errors(case)
+    together = matrix @ usual.reshape(len(usual), -1).T
+    climate = interpolation(AIR, climate_error(case))  # (2, n_bands, n_nodes)
+    shifts = np.einsum("krn,tkn->krt", air, climate).reshape(n_bands * n_values, -1)
+    return np.hstack([own, together, shifts]), together

@@ -1,0 +1,242 @@
+"""What the positions hear if something of the room is other than stated: the shifts of every parameter.
+
+All of them belong to one tracing, so they are computed once per room and kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rtcal.acoustics.air import Air
+from rtcal.discrepancy.effects.covered import HARD
+from rtcal.simulators.observations import observe
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import checks, kept_arrays
+from rtcal.support.types import Array
+from rtcal.support.version import __version__
+from rtcal.where.case import Case
+from rtcal.where.weighing import Weighing
+
+SHARES = (-1.0, -0.5, 0.08, 0.25, 0.55, 1.0)
+"""Nodes of a surface's alpha: from what it is towards 1, or (below 0) towards that of a hard wall. The
+shifts between them are interpolated; halving the distances changes a shift by less than 3 %."""
+AIR = (-1.0, -0.5, 0.7, 1.5, 3.0)
+"""Nodes of the air: attenuation more than stated, over that at 20 °C and 50 %."""
+VOLUME = (-0.5, -0.25, 0.25, 0.5)
+"""Nodes of ln volume over what is stated."""
+SCATTERING = (0.05, 0.95)
+"""Scattering coefficients, of all surfaces, at the nodes -1 and 1."""
+MOVE = 0.5
+"""Distance in m by which a source or receiver is displaced, along each axis and both ways."""
+_SOURCE_PATHS = 4000
+"""Paths from each displaced source."""
+
+Report = Callable[[str], None]
+"""Called with what is computed next."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Responses:
+    """Shifts of the parameters at all pairs of a simulator.
+
+    Attributes
+    ----------
+    base : array (n_parameters, n_pairs, n_bands)
+        What the simulator hears as stated.
+    surfaces : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
+        At the nodes `SHARES` of each surface.
+    air, volume, scattering : array (n_parameters, n_pairs, n_bands, n_nodes)
+        At the nodes `AIR` and `VOLUME`, and at -1 and 1.
+    moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
+        Where a source or receiver is displaced by `MOVE`, by its name.
+    by_material : array (n_parameters, n_pairs, n_bands, n_materials)
+        Derivatives by alpha.
+    """
+
+    base: Array
+    surfaces: Array
+    air: Array
+    volume: Array
+    scattering: Array
+    moved: Mapping[str, Array]
+    by_material: Array
+
+
+def responses(
+    case: Case,
+    seed: int = 0,
+    cache: str | os.PathLike[str] | None = None,
+    report: Report | None = None,
+) -> Responses:
+    """Return the shifts in a case's room, from a folder where they are kept or newly weighed."""
+    path = None
+    if cache is not None:
+        path = checks.path("cache", cache) / f"{_key(case, seed)}.array"
+        if (kept := _read(path, case)) is not None:
+            return kept
+    made = _weighed(case, seed, report or (lambda text: None))
+    if path is not None:
+        kept_arrays.write(path, _packed(made))
+    return made
+
+
+def _weighed(case: Case, seed: int, report: Report) -> Responses:
+    report("paths")
+    weighing = Weighing(case.simulator, case.match, seed)
+    base = weighing.observe(weighing.alpha)
+    by_material = case.simulator.jacobian(case.room.alpha, case.match, seed=seed)
+    report("surfaces")
+    surfaces = [_of_surface(weighing, faces) - base[..., np.newaxis] for faces in case.faces.values()]
+    room = case.room
+    reference = Air(20, 50).attenuation(room.centre_frequencies)
+    air = [
+        weighing.observe(weighing.alpha, np.maximum(room.air_attenuation + t * reference, 0.0))
+        for t in AIR
+    ]
+    volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
+    report("scattering")
+    other = [
+        observe(_retraced(case.simulator, scattering=s), room.alpha, case.match, seed=seed).values
+        for s in SCATTERING
+    ]
+    report("places")
+    return Responses(
+        base=base,
+        surfaces=np.array(surfaces),
+        air=np.stack(air, axis=-1) - base[..., np.newaxis],
+        volume=np.stack(volume, axis=-1) - base[..., np.newaxis],
+        scattering=np.stack(other, axis=-1) - base[..., np.newaxis],
+        moved=_moved(case, base, seed),
+        by_material=by_material,
+    )
+
+
+def changed_alpha(alpha: Array, faces: Array, share: float) -> Array:
+    """Return alpha (n_faces, n_bands) with the faces' moved towards 1, or towards a hard wall's."""
+    out = alpha.copy()
+    if share >= 0:
+        out[faces] += share * (1 - out[faces])
+    else:
+        out[faces] += share * np.maximum(out[faces] - HARD, 0.0)
+    return out
+
+
+def _of_surface(weighing: Weighing, faces: Array) -> Array:
+    """Return what is heard at the nodes of a surface, (n_parameters, n_pairs, n_bands, n_nodes)."""
+    alpha = weighing.alpha
+    # An alpha of 1 leaves no sound after the first reflection where a surface is all of the room.
+    every = [changed_alpha(alpha, faces, min(t, 0.98)) for t in SHARES]
+    return np.stack([weighing.observe(a) for a in every], axis=-1)
+
+
+def _retraced(tracer: PathTracing, **changes: object) -> PathTracing:
+    return replace(tracer, **changes)  # type: ignore[arg-type]
+
+
+def _moved(case: Case, base: Array, seed: int) -> dict[str, Array]:
+    """Return the shifts where each source or receiver is displaced."""
+    tracer, match = case.simulator, case.match
+    out: dict[str, Array] = {}
+    steps = [sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)]
+
+    def displaced(points: Mapping[str, object]) -> dict[str, Array]:
+        places = {}
+        for name, point in points.items():
+            for i, step in enumerate(steps):
+                places[f"{name} {i}"] = _inside(case, np.array(point, dtype=float), step)
+        return places
+
+    n_sources, n_receivers = len(tracer.sources), len(tracer.receivers)
+    shape = (len(match), n_sources, n_receivers, base.shape[-1])
+    stated = base.reshape(shape)
+    for kind in ("receivers", "sources"):
+        points: Mapping[str, object] = getattr(tracer, kind)
+        fewer = min(tracer.n_paths, _SOURCE_PATHS) if kind == "sources" else tracer.n_paths
+        changed = _retraced(tracer, **{kind: displaced(points)}, n_paths=fewer)
+        values = observe(changed, case.room.alpha, match, seed=seed).values
+        axis = 1 if kind == "sources" else 2
+        sizes = list(shape)
+        sizes[axis : axis + 1] = [len(points), len(steps)]
+        values = np.moveaxis(values.reshape(sizes), axis + 1, 0)
+        for i, name in enumerate(points):
+            shift = np.zeros((len(steps), *shape))
+            rows = (slice(None),) * (axis + 1) + (i,)
+            shift[rows] = values[rows] - np.broadcast_to(stated, shift.shape)[rows]
+            out[f"{kind[:-1]} {name}"] = shift.reshape(len(steps), *base.shape)
+    return out
+
+
+def _inside(case: Case, point: Array, step: Array) -> Array:
+    """Return the point moved by the step, or by less where a wall is in the way."""
+    for share in (1.0, 0.5, 0.25, -0.5):
+        trial = point + share * step
+        if case.geometry.contains([trial])[0] and case.geometry.wall_distance([trial])[0] > 0.05:
+            return np.asarray(trial)
+    return point
+
+
+def _packed(made: Responses) -> Array:
+    """Return all shifts as one array, (n_parameters, n_pairs, n_bands, n_columns)."""
+    moved = [np.moveaxis(shift, 0, -1) for shift in made.moved.values()]
+    surfaces = [*made.surfaces]
+    parts = [
+        made.base[..., np.newaxis],
+        made.by_material,
+        made.air,
+        made.volume,
+        made.scattering,
+        *surfaces,
+        *moved,
+    ]
+    return np.concatenate(parts, axis=-1)
+
+
+def _read(path: Path, case: Case) -> Responses | None:
+    """Return the shifts that a file holds; None if it cannot be used."""
+    packed = kept_arrays.read(path)
+    tracer, n_moves = case.simulator, 6
+    names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
+    sizes = [1, case.room.n_materials, len(AIR), len(VOLUME), 2]
+    sizes += [len(SHARES)] * len(case.faces) + [n_moves] * len(names)
+    shape = (len(case.match), len(tracer.pairs), case.room.n_bands, sum(sizes))
+    if packed is None or packed.shape != shape or not np.isfinite(packed).all():
+        return None
+    parts = np.split(packed, np.cumsum(sizes)[:-1], axis=-1)
+    base, by_material, air, volume, scattering = parts[:5]
+    surfaces, moved = parts[5 : 5 + len(case.faces)], parts[5 + len(case.faces) :]
+    return Responses(
+        base=base[..., 0],
+        by_material=by_material,
+        air=air,
+        volume=volume,
+        scattering=scattering,
+        surfaces=np.array(surfaces),
+        moved={n: np.moveaxis(m, -1, 0) for n, m in zip(names, moved, strict=True)},
+    )
+
+
+def _key(case: Case, seed: int) -> str:
+    """Return a hash of all that the shifts depend on."""
+    tracer, room, geometry = case.simulator, case.room, case.geometry
+    content = [
+        "where",
+        tracer.name,
+        [tracer.n_paths, tracer.n_batches, tracer.radius, tracer.bin_width],
+        [room.to_dict()[name] for name in ("alpha", "centre_frequencies", "air")],
+        geometry.vertices.tolist(),
+        [list(map(int, face)) for face in geometry.faces],
+        list(geometry.materials),
+        {n: f.tolist() for n, f in case.faces.items()},
+        {name: list(map(float, p)) for name, p in {**tracer.sources, **tracer.receivers}.items()},
+        np.asarray(tracer.scattering).tolist(),
+        list(case.match),
+        [seed, SHARES, AIR, VOLUME, SCATTERING, MOVE, __version__],
+    ]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

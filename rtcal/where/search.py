@@ -1,0 +1,197 @@
+"""The search: evidence of every hypothesis, the threshold from control runs, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from rtcal.discrepancy.coefficients import SCALES
+from rtcal.discrepancy.prior import NO_EFFECT, off_together
+from rtcal.support.types import Array
+from rtcal.where.case import Case
+from rtcal.where.evidence import Likelihood
+from rtcal.where.hypotheses import ODDS, UNKNOWN, Shift, Spread
+from rtcal.where.model import Model
+
+FALSE_ALARMS = 0.05
+"""Share of rooms with nothing hidden that may be flagged."""
+FOLDS, DRAWS = 8, 50
+"""Groups of control runs that are left out in turn, and rooms that are drawn from each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Log evidence of every hypothesis, for n_draws sets of residuals.
+
+    ``none`` (n_draws,). ``shifts`` has an array (n_hypotheses, n_draws) for each `Shift`, ``spreads`` an
+    array (n_draws,) for each `Spread`.
+    """
+
+    none: Array
+    coefficients: Array
+    unknown: Array
+    shifts: list[Array]
+    spreads: list[Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """All hypotheses with their prior log probabilities, given that something is other than stated."""
+
+    shifts: Sequence[Shift]
+    spreads: Sequence[Spread]
+    off: float
+    unknown: bool = True
+
+    @property
+    def total(self) -> float:
+        """Sum of all odds."""
+        odds = sum(float(s.odds.sum()) for s in self.shifts) + sum(s.odds for s in self.spreads)
+        return odds + self.unknown_odds
+
+    @property
+    def unknown_odds(self) -> float:
+        """Odds of something that no effect explains."""
+        return ODDS[UNKNOWN] if self.unknown else 0.0
+
+    def log_prior(self, odds: Array | float) -> Array:
+        """Return the log prior probability of hypotheses with these odds."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(np.asarray(odds) / self.total * (1 - NO_EFFECT)))
+
+
+def prior_off(case: Case) -> float:
+    """Return the prior probability that the coefficients are off together."""
+    return off_together(case.room)
+
+
+def evaluate(
+    likelihoods: tuple[Likelihood, list[Likelihood], list[Likelihood]],
+    hypotheses: Hypotheses,
+    residuals: Array,
+) -> Evidence:
+    """Return the evidence of residuals (n, n_draws)."""
+    stated, off, unknown = likelihoods
+    shares = np.log([share for _, share in SCALES])
+    together = logsumexp(
+        [share + one.stated(residuals) for share, one in zip(shares, off, strict=True)], axis=0
+    )
+    none = stated.stated(residuals)
+
+    def either(shift: Shift) -> Array:
+        first = stated.shifted(shift, residuals)
+        if hypotheses.off <= 0:
+            return first
+        others = [
+            share + one.shifted(shift, residuals) for share, one in zip(shares, off, strict=True)
+        ]
+        both = [np.log1p(-hypotheses.off) + first, np.log(hypotheses.off) + logsumexp(others, axis=0)]
+        return np.asarray(logsumexp(both, axis=0))
+
+    return Evidence(
+        none=none,
+        coefficients=np.asarray(together),
+        unknown=np.asarray(
+            logsumexp([u.stated(residuals) for u in unknown], axis=0) - np.log(len(unknown))
+        ),
+        shifts=[either(shift) for shift in hypotheses.shifts],
+        spreads=[stated.spread(spread, residuals) for spread in hypotheses.spreads],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Log posterior weights of every hypothesis, for n_draws sets of residuals; see `Evidence`."""
+
+    none: Array
+    coefficients: Array
+    unknown: Array
+    shifts: list[Array]
+    spreads: list[Array]
+
+    @property
+    def score(self) -> Array:
+        """Evidence in nats that something is other than stated, (n_draws,)."""
+        every = [self.coefficients, self.unknown, *self.spreads]
+        every += [np.asarray(logsumexp(w, axis=0)) for w in self.shifts]
+        prior = np.log1p(-np.exp(self.none)) - self.none
+        return np.asarray(logsumexp(np.array(every), axis=0) - self.none - prior)
+
+    @property
+    def total(self) -> Array:
+        """Log of the sum of all weights, (n_draws,)."""
+        every = [self.none, self.coefficients, self.unknown, *self.spreads]
+        every += [np.asarray(logsumexp(w, axis=0)) for w in self.shifts]
+        return np.asarray(logsumexp(np.array(every), axis=0))
+
+
+def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float) -> Weights:
+    """Return log posterior weights, the weight of "none" being its prior.
+
+    Log evidences over "none" are divided by ``temper``: control runs say how much too sure they are.
+    """
+    off = max(hypotheses.off, 1e-300)
+
+    def relative(values: Array) -> Array:
+        return np.asarray((values - evidence.none) / temper)
+
+    return Weights(
+        none=np.full_like(evidence.none, np.log(NO_EFFECT * (1 - off))),
+        coefficients=np.log(NO_EFFECT * off) + relative(evidence.coefficients),
+        unknown=hypotheses.log_prior(hypotheses.unknown_odds) + relative(evidence.unknown),
+        shifts=[
+            hypotheses.log_prior(s.odds)[:, np.newaxis] + relative(e)
+            for s, e in zip(hypotheses.shifts, evidence.shifts, strict=True)
+        ],
+        spreads=[
+            hypotheses.log_prior(s.odds) + relative(e)
+            for s, e in zip(hypotheses.spreads, evidence.spreads, strict=True)
+        ],
+    )
+
+
+def drawn(model: Model, fold: NDArray[np.int64], rng: np.random.Generator, n: int) -> Array:
+    """Draw residuals of rooms that are as stated, (n_values, n), with the errors of some runs."""
+    kept = np.flatnonzero(model.used)
+    factor = np.linalg.cholesky(model.measurement[np.ix_(kept, kept)] + 1e-12 * np.eye(len(kept)))
+    out = model.alpha @ rng.standard_normal((model.alpha.shape[1], n))
+    out[kept] += factor @ rng.standard_normal((len(kept), n))
+    chosen = fold[np.arange(n) % len(fold)]
+    return np.asarray(out + model.errors[chosen].T)
+
+
+@dataclass(frozen=True, eq=False)
+class Threshold:
+    """What the search finds in rooms that are as stated.
+
+    ``temper`` is the mean square of a hypothesis' standardised projection, 1 if the covariances are
+    right and at least 1. ``scores`` are those of the rooms, ``value`` their `FALSE_ALARMS` quantile.
+    """
+
+    value: float
+    temper: float
+    scores: Array
+
+
+def threshold(model: Model, hypotheses: Hypotheses, seed: int) -> Threshold:
+    """Return the score that rooms as stated exceed in `FALSE_ALARMS`.
+
+    Their errors are those of control runs that the covariance has not seen.
+    """
+    rng = np.random.default_rng([seed, 22])
+    folds = np.array_split(np.arange(len(model.errors)), FOLDS)
+    evidences, squares = [], []
+    for fold in folds:
+        likelihoods = model.likelihoods(fold)
+        residuals = drawn(model, fold, rng, DRAWS)
+        evidences.append(evaluate(likelihoods, hypotheses, residuals))
+        for shift in hypotheses.shifts:
+            if shift.surface is not None:
+                squares.append(float(np.mean(likelihoods[0].standardised(shift, residuals) ** 2)))
+    temper = max(1.0, float(np.mean(squares)) if squares else 1.0)
+    scores = np.concatenate([weights(e, hypotheses, temper).score for e in evidences])
+    return Threshold(float(np.quantile(scores, 1 - FALSE_ALARMS)), temper, scores)
