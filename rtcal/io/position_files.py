@@ -14,7 +14,9 @@ The names are those of the measurement's pairs.
 
 from __future__ import annotations
 
+import json
 import os
+from collections.abc import Mapping, Sequence
 
 from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError
@@ -35,6 +37,20 @@ def read(path: str | os.PathLike[str]) -> tuple[Points, Points]:
         return _points(entries, "sources"), _points(entries, "receivers")
     except DataError as error:
         raise DataError(f"{os.fspath(path)}: {error}") from error
+
+
+@checked
+def text(sources: Mapping[str, Sequence[float]], receivers: Mapping[str, Sequence[float]]) -> str:
+    """Return the text of a file; reading it back gives the same points."""
+    lines = []
+    for kind, points in (("sources", sources), ("receivers", receivers)):
+        lines += [f"[{kind}]"]
+        for name, point in points.items():
+            lines += [
+                f"{json.dumps(name, ensure_ascii=False)} = [{', '.join(repr(float(x)) for x in point)}]"
+            ]
+        lines += [""]
+    return "\n".join(lines)
 
 
 def _points(entries: Entries, kind: str) -> Points:

@@ -8,7 +8,18 @@ docs/where.md has the method and what it can and cannot do.
 """
 
 from rtcal.where.case import Case
+from rtcal.where.corrected import Corrected
 from rtcal.where.find import EFFECTS, find
 from rtcal.where.finding import Candidate, Finding
+from rtcal.where.verification import Verification, verify
 
-__all__ = ["EFFECTS", "Candidate", "Case", "Finding", "find"]
+__all__ = [
+    "EFFECTS",
+    "Candidate",
+    "Case",
+    "Corrected",
+    "Finding",
+    "Verification",
+    "find",
+    "verify",
+]

@@ -93,9 +93,10 @@ class Likelihood:
     def forms(self, shift: Shift) -> Array:
         """Return d' K⁻¹ d by pairs of bands, (n_hypotheses, n_bands, n_bands)."""
         products = self._node_products(shift.response)
-        return np.einsum(
+        forms = np.einsum(
             "hkm,kmln,hln->hkl", shift.weights, products, shift.weights, optimize=True
         )
+        return np.asarray(forms)
 
     def pull(self, residuals: Array) -> Array:
         """Return K⁻¹ r, (n, n_draws)."""
@@ -123,7 +124,7 @@ class Likelihood:
 
     def _square(self, residuals: Array) -> Array:
         known = self._known(residuals)
-        return np.einsum("nm,nm->m", known, self.inverse @ known)
+        return np.asarray(np.einsum("nm,nm->m", known, self.inverse @ known))
 
     def _log(self, square: Array, more: Array | float) -> Array:
         """Return the log density of a chi-square, ``more`` added to the log determinant.
@@ -151,6 +152,5 @@ def band_first(values: Array) -> Array:
 def reordered(covariance: Array, shape: Sequence[int]) -> Array:
     """Return a covariance over (parameter, pair, band) in the order (band, parameter, pair)."""
     p, i, k = shape
-    number = np.arange(p * i * k).reshape(p, i, k)
-    order = flat(number)
+    order = np.moveaxis(np.arange(p * i * k).reshape(p, i, k), 2, 0).reshape(-1)
     return np.asarray(covariance[np.ix_(order, order)])

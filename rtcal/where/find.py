@@ -106,9 +106,7 @@ def find(
     if controls is None:  # a PathTracing has control runs always
         raise DataError(f"{case.simulator.name} has no geometry to trace")
     steps = ("paths", "surfaces", "scattering", "places")
-    made = responses(
-        case, seed, cache, lambda what: tell(what, steps.index(what) + 1, len(steps))
-    )
+    made = responses(case, seed, cache, lambda what: tell(what, steps.index(what) + 1, len(steps)))
     numbers = model(case, made, controls)
     p, i, k = numbers.shape
     columns = [case.simulator.pairs.index(pair) for pair in numbers.data.observations.pairs]
@@ -222,9 +220,7 @@ def _candidate(shift: Shift, chances: Array, names: Sequence[str]) -> Candidate:
     )
 
 
-def _misplaced(
-    effect: str, place: str, members: Sequence[tuple[float, float, str]]
-) -> Candidate:
+def _misplaced(effect: str, place: str, members: Sequence[tuple[float, float, str]]) -> Candidate:
     """Return a candidate of the measurement: its sizes are those that are tried."""
     chances = np.array([chance for chance, _, _ in members])
     sizes = np.array([size for _, size, _ in members])
@@ -302,9 +298,7 @@ def _finding(
     )
 
 
-def _claimed(
-    summary: _Posterior, score: float, limit: float
-) -> tuple[str, str | None, str | None]:
+def _claimed(summary: _Posterior, score: float, limit: float) -> tuple[str, str | None, str | None]:
     """Return the verdict, and the effect and the family that are claimed."""
     if score <= max(limit, 0.0):
         return ("hint" if score > 0 else "none"), None, None
@@ -388,4 +382,3 @@ def _joined(names: Sequence[str], alike: Array) -> tuple[tuple[str, ...], ...]:
         if len(group) > 1:
             out.append(tuple(names[g] for g in sorted(group)))
     return tuple(out)
-

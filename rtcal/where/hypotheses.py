@@ -14,23 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
-from rtcal.discrepancy.effects import (
-    Audience,
-    Curtain,
-    Effect,
-    Membrane,
-    OmittedAir,
-    Opening,
-    Parameters,
-    Porous,
-    Resonator,
-    WrongVolume,
-)
-from rtcal.discrepancy.effects.audience import SEATED_ALPHA
-from rtcal.discrepancy.effects.base import Absorber, interpolate_octaves
+from rtcal.discrepancy import coefficients
+from rtcal.discrepancy.case import CLIMATE_UNCERTAINTY
+from rtcal.discrepancy.effects.air import OmittedAir
+from rtcal.discrepancy.effects.audience import SEATED_ALPHA, Audience
+from rtcal.discrepancy.effects.base import Absorber, Effect, Parameters, interpolate_octaves
 from rtcal.discrepancy.effects.covered import HARD, CoveredSurface
+from rtcal.discrepancy.effects.curtain import Curtain
+from rtcal.discrepancy.effects.membrane import Membrane
+from rtcal.discrepancy.effects.opening import Opening
+from rtcal.discrepancy.effects.porous import Porous
+from rtcal.discrepancy.effects.resonator import Resonator
+from rtcal.discrepancy.effects.stated import WrongVolume
 from rtcal.discrepancy.hypotheses import error_over_bands
-from rtcal.discrepancy.prior import grid_weights
+from rtcal.discrepancy.prior import HANDBOOK_SIGMA, grid_weights
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array
 from rtcal.where.case import Case
@@ -144,7 +141,10 @@ def surface_alpha(case: Case) -> Array:
     rows = np.array([case.room.material_index(m) for m in case.geometry.materials])
     areas = case.geometry.face_areas
     return np.array(
-        [np.average(case.room.alpha[rows[f]], axis=0, weights=areas[f]) for f in case.faces.values()]
+        [
+            np.average(case.room.alpha[rows[f]], axis=0, weights=areas[f])
+            for f in case.faces.values()
+        ]
     )
 
 
@@ -392,9 +392,6 @@ def usual_errors(case: Case) -> Array:
     As `rtcal.discrepancy.coefficients` describes them: a factor and a tilt of all coefficients, and of
     each material's.
     """
-    from rtcal.discrepancy import coefficients
-    from rtcal.discrepancy.prior import HANDBOOK_SIGMA
-
     room = case.room
     octaves = np.log2(room.centre_frequencies / 1000)
     stated = room.sigma / np.maximum(room.alpha, 1e-6) / HANDBOOK_SIGMA
@@ -414,8 +411,6 @@ def climate_error(case: Case) -> Array:
 
     Over that at 20 °C and 50 %, as `AIR`; none where the room has no air.
     """
-    from rtcal.discrepancy.case import CLIMATE_UNCERTAINTY
-
     room = case.room
     if room.air is None:
         return np.zeros((0, room.n_bands))

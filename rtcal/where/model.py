@@ -1,4 +1,4 @@
-"""The numbers of one search: what was measured, how it may err, and the shifts at the measured pairs."""
+"""The numbers of one search: what was measured, how it may err, and the shifts at its pairs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood, band_first, flat, reordered
-from rtcal.where.hypotheses import AIR, climate_error, interpolation, usual_errors
-from rtcal.where.responses import Responses
+from rtcal.where.hypotheses import climate_error, interpolation, usual_errors
+from rtcal.where.responses import AIR, Responses
 
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""
@@ -123,7 +123,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
     if case.simulated is not None:
         stated = Observations.of_measurement(case.simulated, wanted.parameters, wanted.pairs).values
     difference = wanted.values - stated
-    used = flat(np.isfinite(difference))
+    used = flat(np.isfinite(difference)).astype(bool)
     if not used.any():
         raise DataError("no value was both measured and simulated")
     air = at_pairs(made.air)

@@ -22,6 +22,7 @@ from rtcal.support import checks, kept_arrays
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 from rtcal.where.case import Case
+from rtcal.where.surfaces import Faces
 from rtcal.where.weighing import Weighing
 
 SHARES = (-1.0, -0.5, 0.08, 0.25, 0.55, 1.0)
@@ -93,7 +94,9 @@ def _weighed(case: Case, seed: int, report: Report) -> Responses:
     base = weighing.observe(weighing.alpha)
     by_material = case.simulator.jacobian(case.room.alpha, case.match, seed=seed)
     report("surfaces")
-    surfaces = [_of_surface(weighing, faces) - base[..., np.newaxis] for faces in case.faces.values()]
+    surfaces = [
+        _of_surface(weighing, faces) - base[..., np.newaxis] for faces in case.faces.values()
+    ]
     room = case.room
     reference = Air(20, 50).attenuation(room.centre_frequencies)
     air = [
@@ -118,7 +121,7 @@ def _weighed(case: Case, seed: int, report: Report) -> Responses:
     )
 
 
-def changed_alpha(alpha: Array, faces: Array, share: float) -> Array:
+def changed_alpha(alpha: Array, faces: Faces, share: float) -> Array:
     """Return alpha (n_faces, n_bands) with the faces' moved towards 1, or towards a hard wall's."""
     out = alpha.copy()
     if share >= 0:
@@ -128,7 +131,7 @@ def changed_alpha(alpha: Array, faces: Array, share: float) -> Array:
     return out
 
 
-def _of_surface(weighing: Weighing, faces: Array) -> Array:
+def _of_surface(weighing: Weighing, faces: Faces) -> Array:
     """Return what is heard at the nodes of a surface, (n_parameters, n_pairs, n_bands, n_nodes)."""
     alpha = weighing.alpha
     # An alpha of 1 leaves no sound after the first reflection where a surface is all of the room.

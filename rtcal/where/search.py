@@ -27,8 +27,8 @@ FOLDS, DRAWS = 8, 50
 class Evidence:
     """Log evidence of every hypothesis, for n_draws sets of residuals.
 
-    ``none`` (n_draws,). ``shifts`` has an array (n_hypotheses, n_draws) for each `Shift`, ``spreads`` an
-    array (n_draws,) for each `Spread`.
+    ``none`` (n_draws,). ``shifts`` has an array (n_hypotheses, n_draws) for each `Shift`, ``spreads``
+    an array (n_draws,) for each `Spread`.
     """
 
     none: Array
@@ -89,7 +89,10 @@ def evaluate(
         others = [
             share + one.shifted(shift, residuals) for share, one in zip(shares, off, strict=True)
         ]
-        both = [np.log1p(-hypotheses.off) + first, np.log(hypotheses.off) + logsumexp(others, axis=0)]
+        both = [
+            np.log1p(-hypotheses.off) + first,
+            np.log(hypotheses.off) + logsumexp(others, axis=0),
+        ]
         return np.asarray(logsumexp(both, axis=0))
 
     return Evidence(

@@ -62,9 +62,7 @@ class Weighing:
         )
         return heard.values
 
-    def energy(
-        self, alpha: Array, attenuation: Array | None = None, stretch: float = 1.0
-    ) -> Array:
+    def energy(self, alpha: Array, attenuation: Array | None = None, stretch: float = 1.0) -> Array:
         """Return the energy decays, (n_pairs, n_bands, n_bins), long enough to hold T20."""
         room = self.tracer.room
         air = room.air_attenuation if attenuation is None else attenuation

@@ -1,0 +1,201 @@
+"""Room and geometry with what was found on a surface."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.io import catt, obj, odeon, position_files
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.files import make_folder, write_all
+from rtcal.support.types import Array
+from rtcal.where.case import Case
+from rtcal.where.finding import Candidate
+from rtcal.where.patch import patched
+
+SPECTRUM_ERROR = 0.15
+"""Relative standard deviation of the alpha of what was found: by so much catalogues differ."""
+HEADROOM = 0.9
+"""Largest alpha of a patch. One of alpha = 1 is drawn larger, so that a calibration can make it absorb
+more as well as less."""
+ROOM, MESH, PLACES, CATT, ODEON = (
+    "room.toml",
+    "room.obj",
+    "positions.toml",
+    "catt.txt",
+    "odeon.txt",
+)
+FILES = (ROOM, MESH, PLACES)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Corrected:
+    """A room and its geometry with what was found on a surface.
+
+    Attributes
+    ----------
+    case : Case
+        As it was stated.
+    added : Candidate
+    room : Room
+        With a further material. Its sigma is what the size's interval and the spectrum leave open.
+    geometry : Polyhedron
+    material : str
+        Name of the further material.
+    form : {"patch", "material"}
+        Whether it is a face of its own, or a surface that absorbs as much.
+    """
+
+    case: Case
+    added: Candidate
+    room: Room
+    geometry: Polyhedron
+    material: str
+    form: str
+
+    @property
+    def simulator(self) -> PathTracing:
+        """The case's simulator in the corrected room. The new material scatters as its surface does."""
+        stated = self.case.simulator
+        below = _material_below(self.case, self.added)
+        before = [below if m == self.material else m for m in self.room.materials]
+        rows = [self.case.room.material_index(m) for m in before]
+        scattering = stated.scattering[rows]
+        return replace(stated, room=self.room, geometry=self.geometry, scattering=scattering)
+
+    @checked
+    def save(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Write room, mesh and positions into a folder, all or none, and return their paths.
+
+        ``room.toml`` and ``room.obj`` are for rtcal and any program that reads a mesh. The lists of
+        materials for CATT and ODEON are those of `export`.
+        """
+        where = checks.path("folder", folder)
+        contents = {
+            where / ROOM: self.room.to_text().encode(),
+            where / MESH: obj.text(self.geometry).encode(),
+            where / PLACES: position_files.text(
+                self.case.simulator.sources, self.case.simulator.receivers
+            ).encode(),
+        }
+        make_folder(where)
+        write_all(contents)
+        return list(contents)
+
+    @checked
+    def export(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Write the lists of materials for CATT and ODEON into a folder, and return their paths.
+
+        Octaves that the room lacks have the coefficients of the nearest one.
+        """
+        where = checks.path("folder", folder)
+        make_folder(where)
+        catt.write(self.room, where / CATT, missing_bands="nearest")
+        odeon.write(self.room, where / ODEON, missing_bands="nearest")
+        return [where / CATT, where / ODEON]
+
+    def __repr__(self) -> str:
+        return f'<Corrected room: {self.added.title} as {self.form} "{self.material}">'
+
+
+def corrected(case: Case, added: Candidate, form: str = "patch") -> Corrected:
+    """Return room and geometry with a candidate on its surface; see `Finding.apply`."""
+    if form not in ("patch", "material"):
+        raise DataError(f'form = "{form}" is not "patch" or "material"')
+    if added.surface is None:
+        raise DataError(f"{added.title} stands on no surface: there is nothing to add to one")
+    faces = case.faces[added.surface]
+    face = int(faces[np.argmax(case.geometry.face_areas[faces])])
+    material = _new_name(case.room, f"{added.effect} on {added.surface}")
+    peak = float(added.spectrum.max())
+    area = added.size * max(1.0, peak / HEADROOM)
+    if form == "patch":
+        geometry = patched(case.geometry, face, area, material, material)
+        if geometry is not None:
+            alpha = added.spectrum * added.size / area
+            return _made(case, added, geometry, material, alpha, "patch")
+    return _as_material(case, added, material)
+
+
+def _as_material(case: Case, added: Candidate, material: str) -> Corrected:
+    """Return the room in which the whole surface absorbs what the candidate does."""
+    faces = case.faces[str(added.surface)]
+    area = float(case.geometry.face_areas[faces].sum())
+    share = min(added.size / area, 1.0)
+    rows = [case.room.material_index(case.geometry.materials[i]) for i in faces]
+    stated = np.average(case.room.alpha[rows], axis=0, weights=case.geometry.face_areas[faces])
+    materials = list(case.geometry.materials)
+    for i in faces:
+        materials[i] = material
+    geometry = replace(case.geometry, materials=materials)
+    alpha = (1 - share) * stated + share * added.spectrum
+    return _made(case, added, geometry, material, alpha, "material")
+
+
+def _made(
+    case: Case, added: Candidate, geometry: Polyhedron, material: str, alpha: Array, form: str
+) -> Corrected:
+    room, areas = case.room, geometry.areas
+    kept = [i for i, m in enumerate(room.materials) if m in areas]
+    below = room.material_index(_material_below(case, added))
+    deviation = np.log(max(added.high, added.size) / max(added.low, 1e-9)) / (2 * 1.645)
+    sigma = alpha * np.hypot(SPECTRUM_ERROR, deviation)
+    if form == "material":
+        sigma = np.hypot(np.abs(alpha - room.alpha[below]) * deviation, room.sigma[below])
+    names = [room.materials[i] for i in kept]
+    stated = case.geometry.areas
+    # A material keeps its stated area but for what the new one takes of it in the geometry.
+    sizes = [room.areas[i] - (stated[room.materials[i]] - areas[room.materials[i]]) for i in kept]
+
+    def extended(values: Any, new: Array) -> Array:
+        return np.vstack([np.asarray(values)[kept], new])
+
+    optional: dict[str, Any] = {}
+    if room.scattering is not None:
+        optional["scattering"] = extended(room.scattering, room.scattering[below])
+    if room.alpha_min is not None:
+        optional["alpha_min"] = extended(room.alpha_min, np.zeros(room.n_bands))
+    correlation: Mapping[tuple[str, str], float] = {
+        pair: r for pair, r in room.material_correlation.items() if set(pair) <= set(names)
+    }
+    return Corrected(
+        case=case,
+        added=added,
+        room=room.replace(
+            materials=[*names, material],
+            areas=np.array([*sizes, areas[material]]),
+            alpha=extended(room.alpha, np.clip(alpha, 0.0, 1.0)),
+            sigma=extended(room.sigma, np.minimum(np.maximum(sigma, 0.01), 1.0)),
+            surfaces=geometry.surfaces if room.surfaces else (),
+            material_correlation=correlation,
+            sources={m: s for m, s in room.sources.items() if m in names},
+            **optional,
+        ),
+        geometry=geometry,
+        material=material,
+        form=form,
+    )
+
+
+def _material_below(case: Case, added: Candidate) -> str:
+    """Return the material of the largest face of the candidate's surface."""
+    faces = case.faces[str(added.surface)]
+    return case.geometry.materials[int(faces[np.argmax(case.geometry.face_areas[faces])])]
+
+
+def _new_name(room: Room, wanted: str) -> str:
+    """Return a name that no material of the room has."""
+    name, number = wanted, 2
+    while name in room.materials:
+        name, number = f"{wanted} ({number})", number + 1
+    return name
