@@ -30,7 +30,7 @@ from rtcal.where.hypotheses import (
     spreads,
 )
 from rtcal.where.model import Model, model
-from rtcal.where.responses import responses
+from rtcal.where.responses import parameters, responses
 from rtcal.where.search import Hypotheses, Weights, evaluate, prior_off, threshold, weights
 
 EFFECTS = (
@@ -97,7 +97,7 @@ def find(
         controls = control_runs(
             case.simulator,
             case.room,
-            case.match,
+            parameters(case),
             seed=seed,
             position_uncertainty=case.position_uncertainty,
             cache=cache,
@@ -110,7 +110,7 @@ def find(
     numbers = model(case, made, controls)
     p, i, k = numbers.shape
     columns = [case.simulator.pairs.index(pair) for pair in numbers.data.observations.pairs]
-    rows = [list(case.match).index(name) for name in numbers.data.observations.parameters]
+    rows = [made.parameters.index(name) for name in numbers.data.observations.parameters]
     moved = {name: shift[:, rows] for name, shift in made.moved.items()}
     errors = (numbers.measurement + numbers.simulator_error()).reshape(k, p, i, k, p, i)
     hypotheses = Hypotheses(

@@ -102,7 +102,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
     """Return the numbers of a search; DataError if too little was measured."""
     tracer, room = case.simulator, case.room
     heard = Observations(
-        parameters=tuple(case.match),
+        parameters=made.parameters,
         pairs=tracer.pairs,
         centre_frequencies=room.centre_frequencies,
         values=made.base,
@@ -113,7 +113,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
         raise DataError(
             f"{' to '.join(wanted.pairs[0])} is the only pair; to say where, it needs at least two"
         )
-    rows = [list(case.match).index(p) for p in wanted.parameters]
+    rows = [made.parameters.index(p) for p in wanted.parameters]
     columns = [tracer.pairs.index(p) for p in wanted.pairs]
 
     def at_pairs(values: Array) -> Array:
