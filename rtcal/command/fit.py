@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -18,10 +17,6 @@ from rtcal.command.console import (
     written,
 )
 from rtcal.errors import DataError
-
-if TYPE_CHECKING:
-    from rtcal.acoustics.room import Room
-    from rtcal.simulators.geometry import Polyhedron
 
 _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
 
@@ -97,7 +92,7 @@ def fit(
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.discrepancy.cache import FOLDER
-    from rtcal.io import position_files
+    from rtcal.io import geometry_files, position_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
     from rtcal.report import positions_folder
@@ -114,7 +109,7 @@ def fit(
     sources, receivers = position_files.read(positions)
     with errors_name_options("scattering", "position_uncertainty"), without_air_warning():
         tracer = PathTracing(
-            geometry=_geometry(stated, mesh, unit),
+            geometry=geometry_files.read(stated, mesh, unit),
             room=stated,
             sources=sources,
             receivers=receivers,
@@ -140,21 +135,6 @@ def fit(
         )
         text += "\n" + written(paths_written)
     tell(text, result.to_dict(), quiet=quiet, as_json=as_json)
-
-
-def _geometry(room: Room, mesh: str | None, unit: float) -> Polyhedron:
-    """Return the mesh, or the box of a room with dimensions and a surface per wall."""
-    from rtcal.io import obj
-    from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-
-    if mesh is not None:
-        return obj.read(mesh, unit=unit)
-    if room.dimensions is None:
-        raise DataError(f'room "{room.name}" states no dimensions: give its mesh (--mesh)')
-    if room.n_materials == 1:
-        return Polyhedron.shoebox(room.dimensions, room.materials[0])
-    walls = {s.name: s.material for s in room.surfaces if s.name in SHOEBOX_WALLS}
-    return Polyhedron.shoebox(room.dimensions, walls)
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import click
 
+from rtcal.command import gap_where
 from rtcal.command.console import (
     bar_wanted,
     heading_options,
@@ -37,6 +38,7 @@ def gap() -> None:
     """Find what a model misses, add it, and verify it by the gaps that alpha cannot close.
 
     CASE is a TOML file: a room, its equation, and measurements by configuration (docs/discrepancy.md).
+    With geometry = a mesh and positions, it also says on which surface (docs/where.md).
     """
 
 
@@ -49,6 +51,7 @@ class Search:
     without: tuple[str, ...]
     only: tuple[str, ...]
     prior: Mapping[str, float]
+    engines_stated: bool = False
 
     def arguments(self) -> list[str]:
         """Return the options of a command that repeats the search."""
@@ -88,7 +91,8 @@ def _common(command: Any) -> Any:
         **others: Any,
     ) -> Any:
         chosen = engines or ("path tracing", "network")
-        return command(search=Search(chosen, seed, without, only, _odds(prior)), **others)
+        search = Search(chosen, seed, without, only, _odds(prior), bool(engines))
+        return command(search=search, **others)
 
     for option in (
         quiet_option,
@@ -174,6 +178,9 @@ def find(case: str, search: Search, expected: float | None, as_json: bool, quiet
 
     Example: rtcal gap find case.toml
     """
+    if has_geometry(case):
+        gap_where.tell_finding(case, search, quiet=quiet, as_json=as_json)
+        return
     finding = _find(case, _case(case), search, quiet, expected)
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
@@ -181,7 +188,10 @@ def find(case: str, search: Search, expected: float | None, as_json: bool, quiet
 @gap.command(short_help="Add the named effect, or the best candidate, to the model.")
 @_common
 @click.option(
-    "--out", type=click.Path(dir_okay=False), required=True, help="The case with the effect (JSON)."
+    "--out",
+    type=click.Path(),
+    required=True,
+    help="The case with the effect (JSON); of a case with a geometry, a folder.",
 )
 @click.option(
     "--room",
@@ -204,10 +214,17 @@ def apply(
     nothing to add, nothing is written and the exit code is 6. With --several, the most probable set is
     added.
 
-    The written case can be used like any other. Neither it nor the room is calibrated.
+    The written case can be used like any other. Neither it nor the room is calibrated. With a geometry,
+    a folder gets room, mesh, positions, and lists of materials for CATT and ODEON.
 
     Example: rtcal gap apply case.toml --out corrected.json --room corrected.toml
     """
+    if has_geometry(case):
+        if room is not None:
+            raise DataError("--room: with a geometry the room is written into the folder of --out")
+        if not gap_where.apply(case, search, out, quiet=quiet, as_json=as_json):
+            raise click.exceptions.Exit(NOTHING_TO_ADD)
+        return
     from rtcal.report.correction import correct
     from rtcal.support.files import write_all
 
@@ -226,10 +243,14 @@ def verify(case: str, search: Search, as_json: bool, quiet: bool) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
     This shows whether the model gets better, not whether the name is right, so the rivals are printed
-    too. If there is nothing to add, the output says so.
+    too. If there is nothing to add, the output says so. With a geometry, half of the pairs are fitted
+    and the others predicted.
 
     Example: rtcal gap verify case.toml
     """
+    if has_geometry(case):
+        gap_where.verify(case, search, quiet=quiet, as_json=as_json)
+        return
     from rtcal.discrepancy import verify as verified
 
     finding = _find(case, _case(case), search, quiet)
@@ -265,6 +286,9 @@ def report(
 
     if not out:
         raise DataError("--out is empty; it is a folder")
+    if has_geometry(case):
+        gap_where.report(case, search, out, quiet=quiet, as_json=as_json)
+        return
     read = _case(case, [str(Path(out) / name) for name in WRITTEN])
     finding = _find(case, read, search, quiet)
     command = shlex.join(["rtcal", "gap", "report", case, *search.arguments(), "--out", out])
@@ -273,6 +297,13 @@ def report(
     names = [str(p) for p in paths]
     text = f"{finding}\n{written(names)}"
     tell(text, {"written": names, **finding.to_dict()}, quiet=quiet, as_json=as_json)
+
+
+def has_geometry(path: str) -> bool:
+    """Return whether the case's file states a geometry."""
+    from rtcal.where import case_files
+
+    return case_files.has_geometry(path)
 
 
 def _case(path: str, targets: Sequence[str] = ()) -> Case:

@@ -31,7 +31,6 @@ from rtcal.io import geometry_files, position_files
 from rtcal.loop.control_runs import POSITION
 from rtcal.simulators.observations import MATCH
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, toml_table
 from rtcal.support.files import read_text
@@ -94,9 +93,7 @@ def _case(folder: Path, file: Entries) -> Case:
     sources, receivers = position_files.read(folder / file.text("positions"))
     optional: dict[str, Any] = {}
     if "paths" in file:
-        optional["n_paths"] = file.number("paths")
-        checks.whole("paths", optional["n_paths"], 1)
-        optional["n_paths"] = int(optional["n_paths"])
+        optional["n_paths"] = file.whole("paths", 1)
     simulator = PathTracing(
         geometry=geometry,
         room=room,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -96,11 +97,16 @@ class Corrected:
     def export(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the lists of materials for CATT and ODEON into a folder, and return their paths.
 
-        Octaves that the room lacks have the coefficients of the nearest one.
+        Octaves that the room lacks have the coefficients of the nearest one. In CATT's list a name has
+        an underscore in place of a character that CATT does not read.
         """
         where = checks.path("folder", folder)
         make_folder(where)
-        catt.write(self.room, where / CATT, missing_bands="nearest")
+        names = [re.sub(r"[^!-~]|[=<>{};:]", "_", m) for m in self.room.materials]
+        if len(set(names)) < len(names):
+            names = [f"{name}_{i + 1}" for i, name in enumerate(names)]
+        plain = self.room.replace(materials=names, surfaces=(), material_correlation={}, sources={})
+        catt.write(plain, where / CATT, missing_bands="nearest")
         odeon.write(self.room, where / ODEON, missing_bands="nearest")
         return [where / CATT, where / ODEON]
 

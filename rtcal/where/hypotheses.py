@@ -26,7 +26,7 @@ from rtcal.discrepancy.effects.opening import Opening
 from rtcal.discrepancy.effects.porous import Porous
 from rtcal.discrepancy.effects.resonator import Resonator
 from rtcal.discrepancy.effects.stated import WrongVolume
-from rtcal.discrepancy.hypotheses import error_over_bands
+from rtcal.discrepancy.hypotheses import spectrum_errors
 from rtcal.discrepancy.prior import HANDBOOK_SIGMA, grid_weights
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array
@@ -134,6 +134,12 @@ def library() -> tuple[Effect, ...]:
         Audience(),
         CoveredSurface(),
     )
+
+
+def error_over_bands(effect: Effect, frequencies: Array) -> Array:
+    """Return the covariance of the relative error of an effect's change, (n_bands, n_bands)."""
+    factor = spectrum_errors(effect, frequencies)
+    return np.asarray(factor @ factor.T)
 
 
 def surface_alpha(case: Case) -> Array:

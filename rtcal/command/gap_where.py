@@ -1,0 +1,119 @@
+"""``rtcal gap`` for a case with a geometry: what is other than stated, and on which surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rtcal.command.console import bar_wanted, tell, written
+from rtcal.errors import DataError
+from rtcal.support.files import spare
+from rtcal.support.progress import bar
+
+if TYPE_CHECKING:
+    from rtcal.where import Finding
+
+SEEDS = (0, 1, 2)
+"""Seeds of the simulator over which a gap is said."""
+
+
+def find(path: str, search: Any, quiet: bool, outputs: Sequence[Path] = ()) -> Finding:
+    """Return the finding of a case's file; DataError if an output is also one of its files.
+
+    Control runs and weighings are kept beside the file.
+    """
+    from rtcal import where
+    from rtcal.discrepancy.cache import FOLDER
+    from rtcal.where import case_files
+
+    if search.engines_stated:
+        raise DataError("--engine: a case with a geometry has control runs in that geometry")
+    if search.prior:
+        raise DataError("--prior: a case with a geometry takes --only and --without")
+    spare(outputs, [path])
+    case = case_files.read(path)
+    spare(outputs, case_files.files(path))
+    begun: list[str] = []
+    with bar(0, "control run", bar_wanted(quiet)) as shown:
+
+        def report(what: str, done: int, of: int) -> None:
+            step = "weighing" if what != "control runs" else what
+            if step not in begun and hasattr(shown, "reset"):
+                begun.append(step)
+                shown.reset(total=of)
+                shown.set_description(step)
+            shown.update(1)
+
+        return where.find(
+            case,
+            cache=Path(path).parent / FOLDER,
+            seed=search.seed,
+            only=search.only,
+            without=search.without,
+            report=report,
+        )
+
+
+def tell_finding(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
+    """Print the finding."""
+    finding = find(path, search, quiet)
+    tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
+
+
+def apply(path: str, search: Any, out: str, *, quiet: bool, as_json: bool) -> bool:
+    """Write the corrected room into a folder; return whether there was something to add."""
+    from rtcal.where.corrected import CATT, FILES, ODEON
+
+    folder = Path(out)
+    finding = find(path, search, quiet, [folder / name for name in (*FILES, CATT, ODEON)])
+    if not finding.can_be_added:
+        text = f"{finding.headline}\nNothing is written."
+        tell(text, {**finding.to_dict(), "written": []}, quiet=quiet, as_json=as_json)
+        return False
+    corrected = finding.apply()
+    paths = [*corrected.save(folder), *corrected.export(folder)]
+    added = corrected.added
+    text = "\n".join(
+        [
+            finding.headline,
+            f"Added {added.title}, {added.in_words}, as {corrected.form}: "
+            f'material "{corrected.material}".',
+            written(paths),
+        ]
+    )
+    record = {**finding.to_dict(), "added": added.to_dict(), "written": [str(p) for p in paths]}
+    tell(text, record, quiet=quiet, as_json=as_json)
+    return True
+
+
+def verify(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
+    """Print the gaps at pairs that were not fitted."""
+    from rtcal import where
+    from rtcal.discrepancy.cache import FOLDER
+
+    finding = find(path, search, quiet)
+    if not finding.can_be_added:
+        text = f"{finding.headline}\nThere is nothing to add to a surface."
+        tell(text, finding.to_dict(), quiet=quiet, as_json=as_json)
+        return
+    result = where.verify(finding, seeds=SEEDS, cache=Path(path).parent / FOLDER)
+    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
+
+
+def report(path: str, search: Any, out: str, *, quiet: bool, as_json: bool) -> None:
+    """Write finding, gaps and figures into a folder."""
+    from rtcal import where
+    from rtcal.discrepancy.cache import FOLDER
+    from rtcal.report import where_folder
+
+    folder = Path(out)
+    finding = find(path, search, quiet, [folder / name for name in where_folder.FILES])
+    verification = None
+    if finding.can_be_added:
+        verification = where.verify(finding, seeds=SEEDS, cache=Path(path).parent / FOLDER)
+    paths = where_folder.write(finding, verification, folder)
+    first = [] if verification is None else [verification.sentence]
+    text = "\n".join([*first, str(finding), written(paths)])
+    record = {**finding.to_dict(), "written": [str(p) for p in paths]}
+    tell(text, record, quiet=quiet, as_json=as_json)
