@@ -7,10 +7,11 @@
 docs/where.md has the method and what it can and cannot do.
 """
 
+from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
 from rtcal.where.corrected import Corrected
 from rtcal.where.find import EFFECTS, find
-from rtcal.where.finding import Candidate, Finding
+from rtcal.where.finding import Finding
 from rtcal.where.verification import Verification, verify
 
 __all__ = [

@@ -20,8 +20,8 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.types import Array
+from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
-from rtcal.where.finding import Candidate
 from rtcal.where.patch import patched
 
 SPECTRUM_ERROR = 0.15

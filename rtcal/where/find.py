@@ -15,9 +15,10 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
+from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
-from rtcal.where.finding import LIKELY, Candidate, Finding
+from rtcal.where.finding import LIKELY, Finding
 from rtcal.where.hypotheses import (
     MEASUREMENT,
     NOISE,

@@ -19,10 +19,11 @@ from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
+from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
 from rtcal.where.corrected import corrected
 from rtcal.where.find import find
-from rtcal.where.finding import Candidate, Finding
+from rtcal.where.finding import Finding
 
 MODELS = ("before", "plain", "corrected")
 LEAST_PAIRS = 4
