@@ -2,6 +2,7 @@
 
     python -m benchmarks.positions run --folder out --number 20     # can be resumed
     python -m benchmarks.positions table                            # of the stored run, or --folder out
+    python -m benchmarks.positions bound --number 10                # what a perfect simulator reaches
     python -m benchmarks.positions speed --folder out               # traces and seconds
     python -m benchmarks.positions cr2 --data DIRECTORY             # a real room, where its data are
 
@@ -20,6 +21,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,9 @@ import rtcal as rt
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.listener import Listener
+from rtcal.loop.measured_pairs import measured_pairs
+from rtcal.loop.positions import prior_covariance
 from rtcal.simulators import PathTracing, paths
 from rtcal.simulators.observations import Observations
 from tests.position_rooms.generate import HERE, order
@@ -143,7 +148,7 @@ def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> l
             figures, half = fitted(method, case, truth)
             row |= figures
             alpha = half.alpha
-        heard = simulated(judge, alpha)
+        heard = simulated(calibrated(judge, half) if method == "positions" else judge, alpha)
         row["gap"], row["gap_without_noise"] = (mean_gaps(heard, m) for m in held_out)
         if method == "positions":
             foretold = predicted(half.predicted, held_out[0])
@@ -152,6 +157,12 @@ def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> l
             )
         rows.append(row)
     return rows
+
+
+def calibrated(judge: PathTracing, result: Any) -> PathTracing:
+    """Return the judging tracer with the scattering that a calibration fitted."""
+    tracer = result.tracer
+    return replace(judge, scattering=tracer.scattering, scattering_model=tracer.scattering_model)
 
 
 def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> tuple[dict[str, Any], Any]:
@@ -332,9 +343,41 @@ def speed(population: int) -> None:
             controls = getattr(result, "controls", None)
 
 
+def bound(population: int, indices: Sequence[int], rows: Sequence[dict[str, Any]]) -> None:
+    """Print the expected error of alpha with a perfect simulator, over that of T20 alone.
+
+    The simulator knows how the room scatters and has no error. The linear estimate is then the best
+    there is: prior and the measurement's noise alone limit it.
+    """
+    t20 = {(r["index"], r["prior"]): r for r in rows if r["method"] == "t20"}
+    for prior in PRIORS:
+        expected, base = [], []
+        for index in indices:
+            if (index, prior) not in t20:
+                continue
+            case = load(population, index, prior)
+            hidden = stored(population, "truth")[index]["truth"]
+            tracer = case.simulator(
+                n_paths=PATHS,
+                scattering_model="vector" if hidden["vectors"] else "random",
+                scattering=np.array(hidden["scattering"]),
+            )
+            heard = tracer.observe(case.room.alpha, MATCH)
+            data = measured_pairs(case.room, case.measured, MATCH, heard)
+            matrix = Listener(tracer, data, heard, case.room.alpha, 0).linearised()
+            before = prior_covariance(case.room)
+            across = before @ matrix.T
+            gain = np.linalg.solve(matrix @ across + data.covariance, across.T)
+            variance = np.diag(before - across @ gain).reshape(case.room.alpha.shape)
+            expected.append(error(case.room, np.sqrt(variance), np.zeros_like(variance)))
+            base.append(t20[index, prior]["error"])
+        value, low, high = median_ratio(np.array(expected), np.array(base))
+        print(f"{prior}: {len(base)} rooms, {value:.3f}  {low:.3f} to {high:.3f}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=["run", "table", "speed", "cr2"])
+    parser.add_argument("command", choices=["run", "table", "bound", "speed", "cr2"])
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument(
@@ -350,6 +393,8 @@ def main() -> None:
         run(folder, arguments.population, indices, arguments.methods.split(","))
     elif arguments.command == "table":
         table(read(results))
+    elif arguments.command == "bound":
+        bound(arguments.population, order(arguments.population)[: arguments.number], read(results))
     elif arguments.command == "speed":
         speed(arguments.population)
     else:

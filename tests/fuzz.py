@@ -127,6 +127,7 @@ READERS: dict[str, Reader] = {
         native.read_loop_result, ".json", native.LOOP_RESULT, native.loop_result_holds
     ),
     "result": Reader(saved.read, ".json", native.RESULT, native.result_holds),
+    "positions result": Reader(native.read_positions, ".json", native.POSITIONS),
     "piece": Reader(native.read_piece, ".sums", native.PIECE, native.piece_holds),
     "kept array": Reader(
         native.read_kept_array, ".array", native.KEPT_ARRAY, native.kept_array_holds

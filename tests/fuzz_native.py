@@ -19,7 +19,7 @@ from rtcal.discrepancy import Case
 from rtcal.discrepancy.case import AppliedEffect
 from rtcal.errors import DataError
 from rtcal.loop import Loop, start
-from rtcal.report import loop_words, saved, words
+from rtcal.report import loop_words, saved, saved_positions, words
 from rtcal.studies.moments import Moments
 from rtcal.studies.runner import _open, _Store
 from rtcal.support import kept_arrays, transaction
@@ -132,6 +132,50 @@ RESULT = (
     rt.calibrate(_ROOM, _MEASURED).to_json().encode(),
     rt.calibrate(_ROOM.replace(air=None), _MEASURED, method="lse").to_json().encode(),
 )
+
+
+POSITIONS = (
+    json.dumps(
+        {
+            "rtcal": "positions 1",
+            "room": "box",
+            "simulator": "tracer",
+            "level": "",
+            "control_runs": 16,
+            "error_scale": 1.0,
+            "settled": True,
+            "notes": ["A note."],
+            "centre_frequencies": [500.0],
+            "parameters": ["t20"],
+            "pairs": [["S", "R"]],
+            "gap_before_jnd": [[[1.0]]],
+            "gap_after_jnd": [[[None]]],
+            "materials": [
+                {
+                    "name": "walls",
+                    "area": 142.0,
+                    "alpha_before": [0.2],
+                    "sigma_before": [0.05],
+                    "alpha_after": [0.25],
+                    "sigma_after": [0.03],
+                    "interval_after": [[0.2], [0.3]],
+                    "pulls": [[1.0]],
+                }
+            ],
+            "misfit": [1.0],
+            "contradictions": [],
+            "plan": {
+                "sources": {"S": [1.0, 1.0, 1.0]},
+                "receivers": {"R": [2.0, 2.0, 1.0]},
+                "faces": [[[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 3.0, 0.0]]],
+            },
+        }
+    ).encode(),
+)
+
+
+def read_positions(path: str) -> saved_positions.SavedPositions:
+    return saved_positions.read(saved.read_json(Path(path)), path)
 
 
 def result_holds(result: saved.Saved) -> None:

@@ -10,7 +10,17 @@ from rtcal.acoustics import decay
 from rtcal.acoustics.decay_gradients import gradients
 from rtcal.datasets import halls
 from rtcal.errors import DataError, SimulatorError
-from rtcal.simulators import Observable, PathTracing, path_numba, path_numpy, paths
+from rtcal.simulators import (
+    ImageSource,
+    Observable,
+    PathTracing,
+    ScatteringDelayNetwork,
+    observations,
+    path_numba,
+    path_numpy,
+    paths,
+)
+from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.simulators.observations import MATCH, differences, jacobian, observe
 
 
@@ -85,6 +95,46 @@ def test_both_kernels_give_the_same_derivatives(tracer, monkeypatch):
         found.append(tracer.jacobian(alpha, ["c80", "level"], seed=1))
     np.testing.assert_allclose(*found, rtol=1e-9, atol=1e-12)
     assert np.isfinite(found[0]).all()
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("kind", [ImageSource, ScatteringDelayNetwork])
+def test_shoebox_simulators_have_exact_derivatives(kind, compiled, monkeypatch):
+    monkeypatch.setattr("rtcal.support.jit.available", lambda: compiled)
+    monkeypatch.setattr(observations, "STEP", 1e-5)  # decays of one length, no curvature
+    areas = [21, 21, 15, 15, 35, 35]
+    room = rt.Room(
+        name="box",
+        volume=105,
+        materials=["hard", "soft"],
+        areas=[72, 70],
+        alpha=[[0.1, 0.2], [0.15, 0.25]],
+        sigma=[[0.1, 0.1], [0.1, 0.1]],
+        centre_frequencies=[500, 1000],
+        dimensions=(5, 7, 3),
+        surfaces=[
+            rt.Surface(wall, "hard" if i < 4 else "soft", areas[i])
+            for i, wall in enumerate(SHOEBOX_WALLS)
+        ],
+    )
+    options = {"duration": 0.4} if kind is ImageSource else {"sampling_rate": 2000}
+    simulator = kind(
+        room=room,
+        sources={"S": (4.5, 3.5, 2)},
+        receivers={"R": (2, 2, 1.5), "Q": (1, 5, 1.1)},
+        **options,
+    )
+    match = ("c80", "ts", "level")
+    exact = simulator.jacobian(room.alpha, match)
+    np.testing.assert_allclose(exact, differences(simulator, room.alpha, match), rtol=1e-5)
+    by_wall = simulator.jacobian(room.alpha, match, by="surface")
+    assert by_wall.shape[-1] == 6
+    np.testing.assert_allclose(by_wall[..., :4].sum(-1), exact[..., 0], rtol=1e-9)
+    hard = np.ones_like(room.alpha)
+    with pytest.raises(DataError, match=r"no T20|too short"):
+        simulator.jacobian(hard, ["t20"])
+    with pytest.raises(DataError, match="by = 3"):
+        simulator.jacobian(room.alpha, match, by=3)
 
 
 def test_bands_with_other_scattering_have_their_own_paths():

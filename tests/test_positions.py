@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def heard(room, alpha, **options):
 def case():
     """The hall with a wide prior, true coefficients drawn from it, and what was heard there."""
     room = HALL.room.replace(sigma=0.3 * HALL.room.alpha)
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(100)
     truth = np.clip(rng.normal(room.alpha, room.sigma), 0.01, 0.99)
     return room, truth, heard(room, truth, scattering=0.35, n_paths=4000)
 
@@ -79,21 +80,59 @@ def test_positions_that_were_not_measured_are_predicted(case, result):
     room, _, measured = case
     half = [p for p in measured.pairs if p[1] in ("R1", "R2")]
     without = [p for p in measured.pairs if p not in half]
-    fitted = rt.calibrate_simulator(
-        tracing(room), room, measured, match=MATCH, exclude=without, controls=result.controls
+    fitted, fixed = (
+        rt.calibrate_simulator(
+            tracing(room),
+            room,
+            measured,
+            match=MATCH,
+            exclude=without,
+            controls=result.controls,
+            fit_scattering=fit,
+        )
+        for fit in (True, False)
     )
+    assert fixed.scattering is None
     assert fitted.pairs == tuple(half)
     assert fitted.predicted.pairs == measured.pairs
     rows = [measured.pairs.index(p) for p in without]
     gaps = {}
     for name, heard in (
         ("prior", tracing(room).observe(room.alpha, MATCH)),
-        ("simulator", tracing(room).observe(fitted.alpha, MATCH)),
+        ("stated scattering", tracing(room).observe(fixed.alpha, MATCH)),
         ("predicted", fitted.predicted),
     ):
         off = np.log(heard.natural("edt") / measured.values["edt"])[rows]
         gaps[name] = np.abs(off).mean()
-    assert gaps["predicted"] < gaps["simulator"] < gaps["prior"]
+    assert gaps["predicted"] < gaps["stated scattering"] < gaps["prior"]
+
+
+def test_the_scattering_is_fitted_to_what_was_measured(case, result):
+    room, _, measured = case
+    assert (result.room.scattering == result.tracer.scattering).all()
+    assert f"scattering {result.scattering.level:.2f}" in result.simulator
+    assert np.average(result.tracer.scattering[:, 0], weights=room.areas) == pytest.approx(
+        result.scattering.level
+    )
+    low, high = (
+        rt.calibrate_simulator(
+            tracing(room),
+            room,
+            heard(room, room.alpha, scattering=scattering, n_paths=4000),
+            match=MATCH,
+            controls=result.controls,
+        ).scattering.level
+        for scattering in (0.15, 0.8)
+    )
+    assert low + 0.1 < high
+    few = replace(
+        result.controls,
+        errors=result.controls.errors[:4],
+        levels=result.controls.levels[:4],
+        models=result.controls.models[:4],
+    )
+    told = rt.calibrate_simulator(tracing(room), room, measured, match=MATCH, controls=few)
+    assert told.scattering is None  # four runs do not tell what scattering does
 
 
 def test_t20_alone_stays_the_default(case):

@@ -18,7 +18,7 @@ from rtcal.errors import DataError, SimulatorError
 from rtcal.io import obj, position_files
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
-from rtcal.report import positions_figures, positions_folder
+from rtcal.report import page, positions_figures, positions_folder
 from rtcal.simulators import (
     ImageSource,
     Observable,
@@ -63,6 +63,13 @@ def calibrate(tracer, measured, match=("t20", "c80"), **options):
     return rt.calibrate_simulator(tracer, ROOM, measured, match=match, **options)
 
 
+@pytest.fixture(scope="module")
+def record(tracer, measured):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(control_runs, "RUNS", 2)
+        return calibrate(tracer, measured).to_dict()
+
+
 def test_a_mean_over_pairs_is_refused(tracer):
     summary = rt.Measurement.from_values(ROOM.centre_frequencies, t20=np.ones(ROOM.n_bands))
     with pytest.raises(DataError, match="a row for each source and receiver"):
@@ -86,6 +93,17 @@ def test_parameters_that_were_not_measured_are_left_out_or_refused(tracer, measu
     assert "not measured: C80" in str(result)
     with pytest.raises(DataError, match="none of LEVEL"):
         calibrate(tracer, measured, match=("level",))
+
+
+def test_t30_is_matched_where_t20_is_absent(tracer, measured):
+    values = {"t30": measured.values["t30"], "c80": measured.values["c80"]}
+    without = rt.Measurement(
+        centre_frequencies=measured.centre_frequencies, pairs=measured.pairs, values=values
+    )
+    result = calibrate(tracer, without)
+    assert result.parameters == ("t30", "c80")
+    assert "T30 is matched in place of T20" in str(result)
+    assert calibrate(tracer, measured).parameters == ("t20", "c80")
 
 
 def test_a_missing_value_is_left_out_alone(tracer, measured):
@@ -286,9 +304,50 @@ def test_the_command_writes_room_and_record_whole(folder):
     np.testing.assert_allclose(room.alpha[0], record["materials"][0]["alpha_after"], rtol=1e-9)
     assert {p.name for p in (folder / "made").iterdir()} == set(positions_folder.FILES)
     assert len(list((folder / ".rtcal_cache").glob("*.array"))) == 1
+    kept_as_stated = fit(folder, "--match", "t20", "--keep-scattering", "--json")
+    assert json.loads(kept_as_stated.stdout)["scattering"] is None
     without = fit(folder, "--exclude", "S1:R1", "--match", "t20", "--match", "edt")
     assert without.exit_code == 0
     assert "Left out, as asked for: S1 to R1" in without.output
+
+
+def test_the_page_of_a_fit_shows_what_was_learned_and_what_not_to_believe(folder):
+    made = folder / "made"
+    assert fit(folder, "--match", "t20", "--match", "c80", "--out", str(made)).exit_code == 0
+    done = CliRunner().invoke(cli, ["report", str(made), "-q"])
+    assert done.exit_code == 0, done.output
+    text = (made / "report.html").read_text()
+    record = json.loads((made / "result.json").read_text())
+    for name in ("What was learned", "Gaps by pair", "What not to believe", *ROOM.materials):
+        assert name in text
+    assert text.count("data:image/svg+xml;base64,") == 2
+    for pair in record["pairs"]:
+        assert " to ".join(pair) in text
+    bare = {**record, "plan": None, "contradictions": [record["pairs"][0]]}
+    (made / "result.json").write_text(json.dumps(bare))
+    text = page.page_of(made)
+    assert text.count("data:image/svg+xml;base64,") == 1
+    assert f"--exclude {':'.join(record['pairs'][0])}" in text
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"pairs": []}, "no band, parameter or pair"),
+        ({"parameters": ["t20", "loud"]}, "loud"),
+        ({"misfit": [1.0]}, "misfit has 1 values"),
+        ({"materials": []}, "no material"),
+        ({"contradictions": ["S1"]}, "no pair of a source"),
+        ({"plan": {"sources": {}, "receivers": {}, "faces": [[[0, 0, 0]] * 3]}}, "receivers lacks"),
+        ({"plan": {"sources": {}, "receivers": {}, "faces": [[]]}}, "receivers lacks|corners"),
+        ({"error_scale": 0.5}, "error_scale = 0.5"),
+    ],
+)
+def test_a_damaged_record_is_named(tmp_path, record, change, said):
+    (tmp_path / "result.json").write_text(json.dumps({**record, **change}))
+    with pytest.raises(DataError, match=said) as stopped:
+        page.page_of(tmp_path)
+    assert str(tmp_path) in str(stopped.value)
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,11 @@ _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
 @click.option(
     "--scattering", type=float, help="Of every material, unless the room states coefficients."
 )
+@click.option(
+    "--keep-scattering",
+    is_flag=True,
+    help="Keep the scattering stated; else its level is fitted, too.",
+)
 @click.option("--paths", type=click.IntRange(100), default=8000, show_default=True, help="Traced.")
 @click.option(
     "--position-uncertainty",
@@ -76,6 +81,7 @@ def fit(
     match: tuple[str, ...],
     exclude: tuple[str, ...],
     scattering: float | None,
+    keep_scattering: bool,
     paths: int,
     position_uncertainty: float,
     seed: int,
@@ -125,6 +131,7 @@ def fit(
                 exclude=[_pair(text) for text in exclude],
                 cache=Path(room).parent / FOLDER,
                 position_uncertainty=position_uncertainty,
+                fit_scattering=not keep_scattering,
                 seed=seed,
                 report=lambda done, of: shown.update(1),
             )

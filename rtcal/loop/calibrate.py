@@ -63,6 +63,7 @@ def calibrate_simulator(
     controls: ControlRuns | None = None,
     cache: str | os.PathLike[str] | None = None,
     position_uncertainty: float = POSITION,
+    fit_scattering: bool = True,
     seed: int = 0,
     report: Callable[[int, int], None] | None = None,
 ) -> LoopResult | PositionsResult: ...
@@ -81,6 +82,7 @@ def calibrate_simulator(
     controls: ControlRuns | None = None,
     cache: str | os.PathLike[str] | None = None,
     position_uncertainty: float = POSITION,
+    fit_scattering: bool = True,
     report: Callable[[int, int], None] | None = None,
     method: str = "mle",
     equation: LinearEquation | None = None,
@@ -118,6 +120,9 @@ def calibrate_simulator(
         Every position: folder in which the control runs are kept.
     position_uncertainty : float
         Every position: how far sources and receivers may stand from where they are stated, in m.
+    fit_scattering : bool
+        Every position: whether the level of scattering of a `PathTracing` is fitted, too. If not,
+        the one stated is kept, and is uncertain.
     report : callable, optional
         Every position: called with the number of finished control runs and their total.
     rule : {"secant", "safeguarded", "regression"}, optional
@@ -169,29 +174,19 @@ def calibrate_simulator(
     <LoopResult of "reverb 3000": 2 simulations, 6 of 6 bands converged>
     """
     _check_simulator(simulator, room)
-    of_mean = {
-        "rule": rule is not None,
-        "method": method != "mle",
-        "equation": equation is not None,
-        "decimals": decimals is not None,
-        "tolerance": tolerance != 1.0,
-        "max_simulations": max_simulations != 12,
-        "after_step": after_step is not None,
-    }
-    of_positions = {
-        "exclude": len(exclude) > 0,
-        "calibration": calibration is not None,
-        "controls": controls is not None,
-        "cache": cache is not None,
-        "position_uncertainty": position_uncertainty != POSITION,
-        "report": report is not None,
-    }
     match = checked_parameters(match)
     checks.whole("seed", seed, 0)
-    for name, stated in (of_positions if match == _ALONE else of_mean).items():
-        if stated:
-            raise DataError(f"{name} does not go with match = {match!r}")
     if match != _ALONE:
+        _refuse(
+            match,
+            rule=rule is not None,
+            method=method != "mle",
+            equation=equation is not None,
+            decimals=decimals is not None,
+            tolerance=tolerance != 1.0,
+            max_simulations=max_simulations != 12,
+            after_step=after_step is not None,
+        )
         return calibrate_positions(
             simulator,
             room,
@@ -202,12 +197,20 @@ def calibrate_simulator(
             controls=controls,
             cache=cache,
             position_uncertainty=position_uncertainty,
+            fit_scattering=fit_scattering,
             seed=seed,
             report=report,
         )
-    if after_step is not None and not callable(after_step):
-        raise DataError(f"after_step = {after_step!r} cannot be called")
-    checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
+    _refuse(
+        match,
+        exclude=len(exclude) > 0,
+        calibration=calibration is not None,
+        controls=controls is not None,
+        cache=cache is not None,
+        position_uncertainty=position_uncertainty != POSITION,
+        fit_scattering=not fit_scattering,
+        report=report is not None,
+    )
     loop = start(
         room,
         measured,
@@ -217,6 +220,27 @@ def calibrate_simulator(
         decimals=decimals,
         tolerance=tolerance,
     )
+    return _run(simulator, loop, max_simulations, seed, after_step)
+
+
+def _refuse(match: Sequence[str], **stated: bool) -> None:
+    """Raise DataError for an argument that was stated but does not go with ``match``."""
+    for name, is_stated in stated.items():
+        if is_stated:
+            raise DataError(f"{name} does not go with match = {match!r}")
+
+
+def _run(
+    simulator: Simulator,
+    loop: Loop,
+    max_simulations: int,
+    seed: int,
+    after_step: Callable[[Loop], None] | None,
+) -> LoopResult:
+    """Simulate and step until the loop is finished or no call is left; see `calibrate_simulator`."""
+    if after_step is not None and not callable(after_step):
+        raise DataError(f"after_step = {after_step!r} cannot be called")
+    checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
     calls = _Calls(simulator, max(max_simulations - 1, 1))
     try:
         while not loop.finished and calls.left:

@@ -12,20 +12,21 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import bands, decay
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, RtcalError, TooShortError
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.observations import observe
+from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.paths import ScatteringModel
 from rtcal.simulators.shoebox import ShoeboxSimulator
+from rtcal.simulators.tracer import eyring_seconds
 from rtcal.support import checks, kept_arrays
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array, read_only
@@ -37,11 +38,17 @@ POSITION = 0.1
 """Standard uncertainty in m of where sources and receivers stand, along each axis over sqrt(3)."""
 SCATTERING = (0.1, 0.85)
 """Scattering coefficients of the control runs: those of ordinary walls and furniture."""
-_MODELS: tuple[ScatteringModel, ...] = ("random", "vector")
+MODELS: tuple[ScatteringModel, ...] = ("random", "vector")
 _BETWEEN_MATERIALS = 0.12
 """Standard deviation of the materials' scattering coefficients around the level of a run."""
 _PATHS = 6000
 """Most paths of a control run, per source: T20 of a pair then has a noise of some 2 %."""
+
+_FIRST = 2.0
+"""How many times Eyring's T the first runs follow the decays. They scatter least. The others, which
+scatter more and more, follow them for as long as the four before needed."""
+_SPARE = 1.3
+"""By how much longer, since T differs between runs."""
 
 Report = Callable[[int, int], None]
 """Called with the number of finished runs and their total."""
@@ -57,11 +64,17 @@ class ControlRuns:
         As in `rtcal.simulators.Observations`.
     errors : array (n_runs, n_parameters, n_pairs, n_bands)
         What a control run hears less what the simulator hears for the same alpha.
+    levels : array (n_runs,), optional
+        Mean scattering coefficient of each run over the surfaces, by area.
+    models : tuple of str (n_runs,)
+        Scattering model of each run.
     """
 
     parameters: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
     errors: Array
+    levels: Array | None = None
+    models: tuple[ScatteringModel, ...] = ()
 
     def __post_init__(self) -> None:
         errors = read_only(checks.array("errors", self.errors))
@@ -76,6 +89,15 @@ class ControlRuns:
                 f"parameters at {len(self.pairs)} pairs in at least 2 runs"
             )
         object.__setattr__(self, "errors", errors)
+        if self.levels is None:
+            return
+        levels = read_only(checks.array("levels", self.levels))
+        if levels.shape != (len(errors),) or len(self.models) != len(errors):
+            raise DataError(
+                f"levels of shape {levels.shape} and {len(self.models)} models do not belong to "
+                f"{len(errors)} control runs"
+            )
+        object.__setattr__(self, "levels", levels)
 
     def __repr__(self) -> str:
         return f"<ControlRuns: {len(self.errors)} runs, {len(self.pairs)} pairs>"
@@ -88,7 +110,8 @@ class ControlRuns:
             raise DataError(f"the control runs lack {missing[0]}: they belong to another simulator")
         rows = [self.parameters.index(p) for p in parameters]
         columns = [self.pairs.index(p) for p in pairs]
-        return ControlRuns(
+        return replace(
+            self,
             parameters=tuple(parameters),
             pairs=tuple(pairs),
             errors=self.errors[:, rows][:, :, columns],
@@ -177,28 +200,55 @@ def control_runs(
             checks.path("cache", cache)
             / f"{_key(base, simulator, room, match, seed, uncertainty)}.array"
         )
-        if (kept := _read(path, match, base)) is not None:
-            return kept
     rng = np.random.default_rng([seed, 20])
-    errors = []
-    for run in range(RUNS):
-        control = _varied(base, rng, run, uncertainty)
-        alpha = _draw(room, rng)
+    drawn = [(_varied(base, rng, run, uncertainty), _draw(room, rng)) for run in range(RUNS)]
 
-        def error(alpha: Array, control: PathTracing = control, run: int = run) -> Array:
+    def runs(errors: Array) -> ControlRuns:
+        return ControlRuns(
+            parameters=tuple(match),
+            pairs=base.pairs,
+            errors=errors,
+            levels=np.array([level(c.scattering, room.areas) for c, _ in drawn]),
+            models=tuple(c.scattering_model for c, _ in drawn),
+        )
+
+    kept = None if path is None else kept_arrays.read(path)
+    if kept is not None and kept.shape[-1:] == (base.room.n_bands,):
+        with suppress(RtcalError):  # another's file
+            return runs(kept)
+    errors, factors = [], [_FIRST]
+    for run, (control, alpha) in enumerate(drawn):
+        control.trace_ahead(alpha, max(factors[-4:]), seed=seed + 1 + run)
+
+        def error(
+            alpha: Array, control: PathTracing = control, run: int = run
+        ) -> tuple[Observations, Array]:
             heard = observe(control, alpha, match, seed=seed + 1 + run)
-            return heard.values - observe(simulator, alpha, match, seed=seed).values
+            return heard, heard.values - observe(simulator, alpha, match, seed=seed).values
 
         try:
-            errors.append(error(alpha))
+            heard, difference = error(alpha)
         except (DataError, TooShortError):  # some draws leave a decay without a parameter
-            errors.append(error(room.alpha))
+            alpha = room.alpha
+            heard, difference = error(alpha)
+        errors.append(difference)
+        factors.append(_needed(heard, control, alpha))
         if report is not None:
             report(run + 1, RUNS)
-    runs = ControlRuns(parameters=tuple(match), pairs=base.pairs, errors=np.array(errors))
+    made = runs(np.array(errors))
     if path is not None:
-        kept_arrays.write(path, runs.errors)
-    return runs
+        kept_arrays.write(path, made.errors)
+    return made
+
+
+def _needed(heard: Observations, control: PathTracing, alpha: Array) -> float:
+    """Return how many times Eyring's T the decays must be followed, at least once."""
+    times = [
+        heard.natural(name).max() * (decay.MARGIN_DB - decay.RANGES[name][1]) / 60
+        for name in ("t20", "t30")
+        if name in heard.parameters
+    ]
+    return max(_SPARE * max(times, default=0.0) / eyring_seconds(control.room, alpha), 1.0)
 
 
 def _tracing(simulator: Simulator) -> PathTracing | None:
@@ -226,8 +276,9 @@ def _varied(
     """Return the tracing with other scattering and positions."""
     low, high = SCATTERING
     share = (run // 2 + rng.uniform()) / (RUNS / 2)
-    level = low + (high - low) * share
-    by_material = level + _BETWEEN_MATERIALS * rng.standard_normal(base.room.n_materials)
+    stated = base.scattering.mean(axis=1, keepdims=True)
+    around = scattering_around(stated, base.room.areas, low + (high - low) * share)[:, 0]
+    by_material = around + _BETWEEN_MATERIALS * rng.standard_normal(base.room.n_materials)
     moved = [
         {
             name: _moved(base.geometry, np.array(point), rng, uncertainty)
@@ -238,11 +289,21 @@ def _varied(
     return replace(
         base,
         scattering=np.clip(by_material, low, high),
-        scattering_model=_MODELS[run % 2],
+        scattering_model=MODELS[run % 2],
         sources=moved[0],
         receivers=moved[1],
         n_paths=min(_PATHS, base.n_paths),
     )
+
+
+def level(scattering: Array, areas: Array) -> float:
+    """Return the mean of scattering coefficients (n_materials, n_bands) over the areas."""
+    return float(np.average(scattering.mean(axis=1), weights=areas))
+
+
+def scattering_around(scattering: Array, areas: Array, mean: float) -> Array:
+    """Return scattering coefficients (n_materials, n_bands) moved to another mean, within [0, 1]."""
+    return np.clip(scattering + mean - level(scattering, areas), 0.0, 1.0)
 
 
 def _moved(
@@ -293,15 +354,3 @@ def _key(
         [seed, uncertainty, RUNS, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def _read(path: Path, match: Sequence[str], base: PathTracing) -> ControlRuns | None:
-    """Return the errors that a file holds; None if it cannot be used."""
-    errors = kept_arrays.read(path)
-    if errors is None:
-        return None
-    try:
-        runs = ControlRuns(parameters=tuple(match), pairs=base.pairs, errors=errors)
-    except RtcalError:
-        return None
-    return runs if errors.shape[3] == base.room.n_bands else None

@@ -26,11 +26,14 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
 from rtcal.errors import DataError, SimulatorError
 from rtcal.loop.control_runs import POSITION, ControlRuns, Report, control_runs
+from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, measured_pairs
 from rtcal.loop.positions_result import PositionsResult, Step
+from rtcal.loop.scattering import Scattering, ScatteringFit, fitted, with_scattering
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
-from rtcal.simulators.observations import Observable, Observations, jacobian, observe
+from rtcal.simulators.observations import Observable, Observations, observe
+from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
@@ -42,6 +45,10 @@ _SETTLED = 0.05
 """Change of alpha in prior sigmas after which no further step is taken."""
 _UNKNOWN_ERROR = 0.05
 """Standard deviation of a simulator's error that no control run tells: one JND of T, and 0.5 dB."""
+
+_AHEAD = 2.0
+"""How many times Eyring's T of the prior the paths are followed: in ten development rooms, T20 of the
+draws of the control runs needed up to 2.2 times as much."""
 
 _LARGEST_SCALE = 1000.0
 """Largest factor of the simulator's error: then it is some 30 times as large as in the control runs."""
@@ -60,12 +67,18 @@ def calibrate_positions(
     controls: ControlRuns | None = None,
     cache: str | os.PathLike[str] | None = None,
     position_uncertainty: float = POSITION,
+    fit_scattering: bool = True,
     seed: int = 0,
     report: Report | None = None,
 ) -> PositionsResult:
     """Calibrate to every position; see `rtcal.calibrate_simulator`."""
     checks.positive("position_uncertainty", position_uncertainty, "m")
-    match, notes = _given(simulator, room.alpha, match, seed)
+    _trace_ahead(simulator, room.alpha, seed)
+    wanted = _with_t30(match, measured)
+    replaced = wanted != tuple(match)
+    match, notes = _given(simulator, room.alpha, wanted, seed)
+    if replaced:
+        notes = ("T30 is matched in place of T20, which was not measured.", *notes)
     first = observe(simulator, room.alpha, match, seed=seed)
     data = measured_pairs(room, measured, match, first, exclude)
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
@@ -79,70 +92,93 @@ def calibrate_positions(
             cache=cache,
             report=report,
         )
-    listener = _Listener(simulator, data, first.pairs, seed)
-    before = listener.chosen(first)
-    used = data.used.ravel()
-    error = _simulator_error(controls, data)[np.ix_(used, used)]
+    listener = Listener(simulator, data, first, room.alpha, seed)
+    before = listener.values()
+    prior = prior_covariance(room)
+    fit, error = _simulator_error(listener, controls, prior, fit_scattering)
+    scattering = None if fit is None else fit.scattering
+    if fit is not None:
+        listener.shift = fit.shift
+    tracer = simulator
+    if scattering is not None and isinstance(simulator, PathTracing):
+        tracer = with_scattering(simulator, scattering)
+    path = _gauss_newton(listener, calibration, measured, prior, room, error)
+    pull = np.asarray(path.scale * np.linalg.solve(path.covariance, listener.residual()))
+    return PositionsResult(
+        prior=room,
+        room=_calibrated(room, tracer, scattering, path, data, controls),
+        simulator=_named(tracer, scattering),
+        tracer=tracer,
+        scattering=scattering,
+        simulations=listener.calls,
+        measured=data,
+        before=_with(data.observations, before),
+        after=_with(data.observations, listener.values()),
+        predicted=_predicted(listener, error if controls is not None else None, pull),
+        controls=controls,
+        error_scale=path.scale,
+        innovation=listener.residual() + path.steps[-1].matrix @ (path.alpha - room.alpha).ravel(),
+        covariance=path.covariance,
+        prior_covariance=prior,
+        steps=path.steps,
+        settled=path.settled,
+        notes=(*notes, *data.notes, *_lost_paths(simulator)),
+    )
 
-    def residual(values: Array) -> Array:
-        return np.asarray((data.observations.values - values)[data.used])
 
-    composed = _composed(calibration or _plain(room))
-    problem = composed.build(room)
+@dataclass(frozen=True)
+class _Path:
+    """The Gauss-Newton steps, where they ended, and the covariance of the errors."""
+
+    alpha: Array
+    steps: tuple[Step, ...]
+    settled: bool
+    scale: float
+    covariance: Array
+
+
+def _gauss_newton(
+    listener: Listener,
+    calibration: Calibration | None,
+    measured: Measurement,
+    prior: Array,
+    room: Room,
+    error: Array,
+) -> _Path:
+    """Take at most `STEPS` Gauss-Newton steps; ``error`` (n, n) is the simulator's covariance."""
+    problem = _composed(calibration or _plain(room)).build(room)
     # T enters where the user's own terms match it.
     times = None if calibration is None else measured
-    prior = prior_covariance(room)
     inverse_sigma = np.divide(1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0)
-    alpha, heard, steps, settled = room.alpha, before, list[Step](), False
-    scale, covariance, factor = 1.0, data.covariance, np.eye(0)
+    of_measurement = listener.data.covariance
+    error = error[np.ix_(listener.used, listener.used)]
+    alpha, steps, settled = room.alpha, list[Step](), False
+    scale, covariance, factor = 1.0, of_measurement, np.eye(0)
     while len(steps) < STEPS and not settled:
-        matrix = listener.linearised(alpha)
-        values = residual(heard) + matrix @ alpha.ravel()
+        matrix = listener.linearised()
+        values = listener.residual() + matrix @ alpha.ravel()
         if not steps:
-            expected = matrix @ prior @ matrix.T + data.covariance
+            expected = matrix @ prior @ matrix.T + of_measurement
             scale = error_scale(values - matrix @ room.alpha.ravel(), expected, error)
-            covariance = data.covariance + scale * error
+            covariance = of_measurement + scale * error
             factor = np.asarray(np.linalg.cholesky(covariance))
         numbers = Observed(matrix=matrix, values=values, covariance=covariance)
         answer = problem.solve(times, observed={POSITIONS: numbers}, method="positions")
-        start, start_heard = alpha, heard
-        now, share = _objective(factor, residual(heard), answer, alpha), 1.0
+        start, start_heard = alpha, listener.heard
+        now, share = _objective(factor, listener.residual(), answer, alpha), 1.0
         for _ in range(_HALVINGS):
             alpha = start + share * (answer.alpha - start)
-            heard = listener.values(alpha)
+            listener.move(alpha)
             # The prior may break the constraints, and then its objective is no measure.
-            if not steps or _objective(factor, residual(heard), answer, alpha) <= now:
+            if not steps or _objective(factor, listener.residual(), answer, alpha) <= now:
                 break
             share /= 2
         else:
-            alpha, heard, share = start, start_heard, 0.0
+            alpha, share = start, 0.0
+            listener.alpha, listener.heard = start, start_heard
         steps.append(Step(start, matrix, share, answer))
         settled = bool(np.max(np.abs(alpha - start) * inverse_sigma) < _SETTLED)
-    last = steps[-1]
-    everywhere = observe(simulator, alpha, data.observations.parameters, seed=seed)
-    return PositionsResult(
-        prior=room,
-        room=_calibrated(room, alpha, last, simulator, data, controls),
-        simulator=simulator.name,
-        simulations=listener.calls + 1,
-        measured=data,
-        before=_with(data.observations, before),
-        after=_with(data.observations, heard),
-        predicted=_predicted(
-            everywhere,
-            controls,
-            data,
-            scale * np.asarray(np.linalg.solve(covariance, residual(heard))),
-        ),
-        controls=controls,
-        error_scale=scale,
-        innovation=residual(heard) + last.matrix @ (alpha - room.alpha).ravel(),
-        covariance=covariance,
-        prior_covariance=prior,
-        steps=tuple(steps),
-        settled=settled,
-        notes=(*notes, *data.notes, *_lost_paths(simulator)),
-    )
+    return _Path(alpha, tuple(steps), settled, scale, covariance)
 
 
 def error_scale(innovation: Array, expected: Array, error: Array) -> float:
@@ -175,90 +211,73 @@ def prior_covariance(room: Room) -> Array:
     return np.asarray(sigma[:, np.newaxis] * np.kron(between, of_bands) * sigma)
 
 
-def _simulator_error(controls: ControlRuns | None, data: MeasuredPairs) -> Array:
-    """Return the covariance of the simulator's error over all values."""
-    wanted = data.observations
-    if controls is not None:
-        return controls.at(wanted.parameters, wanted.pairs).covariance()
-    factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in wanted.parameters]
-    variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
-    return np.diag(np.broadcast_to(variance, wanted.values.shape).ravel())
+def _simulator_error(
+    listener: Listener,
+    controls: ControlRuns | None,
+    prior: Array,
+    fit_scattering: bool,
+) -> tuple[ScatteringFit | None, Array]:
+    """Return what the scattering explains, and the covariance of the error that is left, (n, n).
+
+    n is the number of all values: measured parameters at all pairs of the simulator.
+    """
+    heard, parameters = listener.heard, listener.data.observations.parameters
+    if controls is None:
+        factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in parameters]
+        variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
+        shape = (len(parameters), *heard.values.shape[1:])
+        return None, np.diag(np.broadcast_to(variance, shape).ravel())
+    controls = controls.at(parameters, heard.pairs)
+    if fit_scattering and isinstance(listener.simulator, PathTracing):
+        matrix = listener.linearised()
+        expected = matrix @ prior @ matrix.T + listener.data.covariance
+        if fit := fitted(controls, listener.residual(), expected, listener.used):
+            return fit, fit.covariance
+    return None, controls.covariance()
 
 
-def _predicted(
-    everywhere: Observations, controls: ControlRuns | None, data: MeasuredPairs, pull: Array
-) -> Observations:
+def _predicted(listener: Listener, error: Array | None, pull: Array) -> Observations:
     """Return what every position hears, with the simulator's error as the measured pairs tell it.
 
     The error's mean given the residual r at the measured pairs: D_all (R + D)⁻¹ r, D_all its
-    covariance between all values and those used. ``pull`` (n_used,) is the product (R + D)⁻¹ r.
+    covariance ``error`` between all values and those used. ``pull`` (n_used,) is (R + D)⁻¹ r.
     """
-    if controls is None:
-        return everywhere
-    parameters, pairs = everywhere.parameters, everywhere.pairs
-    error = controls.at(parameters, pairs).covariance()
-    used = np.zeros(everywhere.values.shape, dtype=bool)
-    used[:, [pairs.index(p) for p in data.observations.pairs]] = data.used
-    # The measured pairs stand in the simulator's order, so the values used do, too.
-    correction = error[:, used.ravel()] @ pull
-    return _with(everywhere, everywhere.values + correction.reshape(everywhere.values.shape))
+    heard = listener.heard
+    values = listener.everywhere()
+    if error is not None:
+        values = values + (error[:, listener.used] @ pull).reshape(values.shape)
+    return Observations(
+        parameters=listener.data.observations.parameters,
+        pairs=heard.pairs,
+        centre_frequencies=heard.centre_frequencies,
+        values=values,
+    )
 
 
 def _calibrated(
     room: Room,
-    alpha: Array,
-    last: Step,
     simulator: Simulator,
+    scattering: Scattering | None,
+    path: _Path,
     data: MeasuredPairs,
     controls: ControlRuns | None,
 ) -> Room:
-    """Return the room with its coefficients, their sigma where it is known, and a record."""
+    """Return the room with its coefficients, their sigma where it is known, and a record.
+
+    It has the scattering coefficients that were fitted, too.
+    """
+    answer = path.steps[-1].answer
     record = CalibrationRecord(
         method="positions",
-        equation=f"every position heard by {simulator.name}",
+        equation=f"every position heard by {_named(simulator, scattering)}",
         measured=" ".join([*history(room), *data.fingerprints]),
-        solver=last.answer.solver,
+        solver=answer.solver,
         version=__version__,
     )
-    sigma = room.sigma if controls is None else np.minimum(last.answer.posterior_sigma, 1.0)
-    return room.replace(alpha=np.clip(alpha, 0.0, 1.0), sigma=sigma, calibration=record)
-
-
-@dataclass
-class _Listener:
-    """What the simulator hears of the measured parameters and pairs; its calls are counted."""
-
-    simulator: Simulator
-    data: MeasuredPairs
-    pairs: tuple[Pair, ...]
-    seed: int
-    calls: int = 1
-
-    def values(self, alpha: Array) -> Array:
-        """Return the values, (n_parameters, n_pairs, n_bands)."""
-        self.calls += 1
-        parameters = self.data.observations.parameters
-        return self.chosen(observe(self.simulator, alpha, parameters, seed=self.seed))
-
-    def chosen(self, heard: Observations) -> Array:
-        """Return the values of the measured parameters and pairs."""
-        rows = [heard.parameters.index(p) for p in self.data.observations.parameters]
-        return np.asarray(heard.values[rows][:, self._columns])
-
-    def linearised(self, alpha: Array) -> Array:
-        """Return the derivatives of the values used, (n_used, n_materials * n_bands)."""
-        self.calls += 1
-        parameters = self.data.observations.parameters
-        full = jacobian(self.simulator, alpha, parameters, seed=self.seed)[:, self._columns]
-        n_bands, n_materials = full.shape[2:]
-        matrix = np.zeros((*full.shape[:3], n_materials, n_bands))
-        for k in range(n_bands):
-            matrix[:, :, k, :, k] = full[:, :, k]
-        return np.asarray(matrix[self.data.used].reshape(-1, n_materials * n_bands))
-
-    @property
-    def _columns(self) -> list[int]:
-        return [self.pairs.index(p) for p in self.data.observations.pairs]
+    sigma = room.sigma if controls is None else np.minimum(answer.posterior_sigma, 1.0)
+    if scattering is not None and isinstance(simulator, PathTracing):
+        room = room.replace(scattering=simulator.scattering)
+    return room.replace(alpha=np.clip(path.alpha, 0.0, 1.0), sigma=sigma, calibration=record)
 
 
 def _given(
@@ -277,6 +296,15 @@ def _given(
     absent = [p.upper() for p in match if p not in given]
     note = f"Left out, since the simulator does not give it: {', '.join(absent)}."
     return given, (note,) if absent else ()
+
+
+def _with_t30(match: Sequence[str], measured: Measurement) -> tuple[str, ...]:
+    """Return the parameters, with T30 in place of T20 where T30 alone was measured."""
+    names = observations.checked_parameters(match)
+    t20, t30 = (np.isfinite(measured.values.get(p, np.nan)).any() for p in ("t20", "t30"))
+    if "t30" in names or t20 or not t30:
+        return names
+    return tuple("t30" if p == "t20" else p for p in names)
 
 
 def _lost_paths(simulator: Simulator) -> tuple[str, ...]:
@@ -310,6 +338,19 @@ def _plain(room: Room) -> Calibration:
         ),
         [],
     )
+
+
+def _trace_ahead(simulator: Simulator, alpha: Array, seed: int) -> None:
+    """Trace paths that are long enough for other draws of alpha, too."""
+    if isinstance(simulator, PathTracing):
+        simulator.trace_ahead(alpha, _AHEAD, seed=seed)
+
+
+def _named(simulator: Simulator, scattering: Scattering | None) -> str:
+    """Return what the coefficients belong to."""
+    if scattering is None:
+        return simulator.name
+    return f"{simulator.name}, scattering {scattering.level:.2f}"
 
 
 def _composed(calibration: Calibration) -> Calibration:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +18,9 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair
+from rtcal.loop.scattering import Scattering
+from rtcal.simulators.base import Simulator
+from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import Observations
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
@@ -58,14 +61,20 @@ class PositionsResult:
     room : Room
         With the coefficients for the simulator, their posterior sigma, and a record.
     simulator : str
-        Name of the simulator. The coefficients belong to no other.
+        Name of the simulator and its scattering. The coefficients belong to no other.
+    tracer : Simulator
+        The simulator that the coefficients belong to: the one given, with the scattering fitted. It
+        was not run.
+    scattering : Scattering or None
+        The level of scattering that was fitted; None where none was.
     simulations : int
         Number of all evaluations of the simulator or its derivatives, without control runs.
         `PathTracing` weighs the same traced paths in each.
     measured : MeasuredPairs
         What was matched; its ``observations`` name parameters and pairs.
     before, after : Observations
-        What the simulator hears with the prior and with the coefficients returned.
+        What the simulator given hears with the prior; what it hears with the coefficients returned
+        and the scattering fitted, whose part comes from the control runs.
     predicted : Observations
         What all positions of the simulator hear with the coefficients returned, also those that
         were not measured. Where control runs tell the simulator's error, its mean given what was
@@ -89,6 +98,8 @@ class PositionsResult:
     prior: Room
     room: Room
     simulator: str
+    tracer: Simulator
+    scattering: Scattering | None
     simulations: int
     measured: MeasuredPairs
     before: Observations
@@ -148,6 +159,12 @@ class PositionsResult:
     def gap_after(self) -> Array:
         """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
         return self._gap(self.after)
+
+    @property
+    def shift(self) -> Array:
+        """How far alpha moved, in prior sigmas, (n_materials, n_bands); 0 where sigma is 0."""
+        sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf)
+        return np.asarray((self.alpha - self.prior.alpha) / sigma)
 
     def _gap(self, simulated: Observations) -> Array:
         """Return the gap; a relative level has its mean over each source's pairs taken off."""
@@ -276,8 +293,7 @@ class PositionsResult:
         """Return header and rows: what was learned of each material, most first."""
         header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
         strength = np.abs(self.pulls).mean(axis=2)
-        sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf)
-        shift = np.sqrt((((self.alpha - self.prior.alpha) / sigma) ** 2).mean(axis=1))
+        shift = np.sqrt((self.shift**2).mean(axis=1))
         rows = []
         for name, before, after in self.learned:
             i = self.prior.material_index(name)
@@ -292,6 +308,11 @@ class PositionsResult:
                 "Level: absolute, G of a calibrated source."
                 if self.measured.level == "absolute"
                 else "Level: relative between the positions of a source."
+            )
+        if self.scattering is not None:
+            notes.append(
+                f"Scattering: {self.scattering}, with which the simulator predicts best. It is no "
+                "measurement."
             )
         if self.controls is None:
             notes.append("No interval: no control run tells this simulator's error.")
@@ -314,8 +335,10 @@ class PositionsResult:
         interval = self.interval
         return {
             "rtcal": KIND,
+            "room": self.prior.name,
             "simulator": self.simulator,
             "simulations": self.simulations,
+            "scattering": self.scattering and asdict(self.scattering),
             "centre_frequencies": json_numbers(self.prior.centre_frequencies),
             "parameters": list(self.parameters),
             "units": [UNITS[p] for p in self.parameters],
@@ -329,6 +352,7 @@ class PositionsResult:
             "materials": [
                 {
                     "name": name,
+                    "area": float(self.prior.areas[i]),
                     "alpha_before": json_numbers(self.prior.alpha[i]),
                     "sigma_before": json_numbers(self.prior.sigma[i]),
                     "alpha_after": json_numbers(self.alpha[i]),
@@ -345,8 +369,21 @@ class PositionsResult:
             "steps": [step.share for step in self.steps],
             "settled": self.settled,
             "worst_certificate": self.certificate.worst,
+            "plan": self._plan(),
             "notes": self._notes(),
         }
+
+    def _plan(self) -> dict[str, Any] | None:
+        """Return where everything stands, in m; None for a simulator without a geometry."""
+        geometry = getattr(self.tracer, "geometry", None)
+        if not isinstance(geometry, Polyhedron):
+            return None
+        places = {
+            kind: {name: list(map(float, p)) for name, p in getattr(self.tracer, kind).items()}
+            for kind in ("sources", "receivers")
+        }
+        corners = [geometry.vertices[list(face)].tolist() for face in geometry.faces]
+        return {**places, "faces": corners}
 
     def _natural(self, heard: Observations) -> list[Array]:
         return [heard.natural(p) for p in self.parameters]

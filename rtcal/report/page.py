@@ -14,9 +14,18 @@ from rtcal.acoustics import room_files
 from rtcal.acoustics.quality import letters
 from rtcal.discrepancy.wording import NATS
 from rtcal.loop import files as loop_files
+from rtcal.loop.positions_result import KIND as POSITIONS
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
-from rtcal.report import figures, loop_figures, loop_words, material_figures, words
+from rtcal.report import (
+    figures,
+    loop_figures,
+    loop_words,
+    material_figures,
+    positions_page,
+    saved_positions,
+    words,
+)
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.rows import material_rows
 from rtcal.report.saved import Saved, from_dict, read_json, saved
@@ -214,6 +223,12 @@ def page_of(
         loop = Loop.load(os.fspath(place))
         return loop_page(
             loop, record.get("result"), place=os.fspath(place), heading=heading, progress=progress
+        )
+    if record.get("rtcal") == POSITIONS:
+        return positions_page.page(
+            saved_positions.read(record, os.fspath(place)),
+            heading or Heading(),
+            progress or (lambda: None),
         )
     return page(from_dict(record, os.fspath(place)), heading=heading, progress=progress)
 

@@ -39,15 +39,27 @@ def plan(
     """
     if missing := [r for _, r in result.pairs if r not in receivers]:
         raise DataError(f'receiver "{missing[0]}" of the result has no position')
-    heard = list(dict.fromkeys(r for _, r in result.pairs))
-    gaps = [_by_receiver(result, gap, heard) for gap in (result.gap_before, result.gap_after)]
+    faces = [geometry.vertices[list(face)] for face in geometry.faces]
+    return draw_plan(result.pairs, (result.gap_before, result.gap_after), faces, sources, receivers)
+
+
+def draw_plan(
+    pairs: Sequence[tuple[str, str]],
+    before_and_after: tuple[Array, Array],
+    faces: Sequence[Array],
+    sources: Mapping[str, Any],
+    receivers: Mapping[str, Any],
+) -> Any:
+    """Return the figure of `plan` from gaps in JND, each (n_parameters, n_pairs, n_bands)."""
+    heard = list(dict.fromkeys(r for _, r in pairs))
+    gaps = [_by_receiver(pairs, gap, heard) for gap in before_and_after]
     figure, axes = new_figure(6.2, 8.4, 2, 1)
     most = max(2.0, *(float(np.nanmax(gap)) for gap in gaps))
     points = np.array([receivers[r] for r in heard], dtype=float)
     drawn = None
     for panel, gap, when in zip(axes, gaps, ("before", "after"), strict=True):
-        for face in geometry.faces:
-            corners = geometry.vertices[[*face, face[0]]]
+        for face in faces:
+            corners = np.vstack([face, face[:1]])
             panel.plot(corners[:, 0], corners[:, 1], color="0.75", linewidth=1)
         for name, place in sources.items():
             panel.plot(*place[:2], marker="^", color=ORANGE, markersize=9)
@@ -76,14 +88,17 @@ def plan(
 @checked
 def shifts(result: PositionsResult) -> Any:
     """Return the figure of how far each coefficient moved, in prior sigmas, by material and band."""
-    sigma = np.where(result.prior.sigma > 0, result.prior.sigma, np.inf)
-    moved = (result.alpha - result.prior.alpha) / sigma
+    return draw_shifts(result.shift, result.prior.materials, result.prior.centre_frequencies)
+
+
+def draw_shifts(moved: Array, materials: Sequence[str], frequencies: Array) -> Any:
+    """Return the figure of `shifts` from shifts in prior sigmas, (n_materials, n_bands)."""
     n_materials, n_bands = moved.shape
     figure, axes = new_figure(2.4 + 0.55 * n_bands, 1.6 + 0.32 * n_materials)
     reach = max(2.0, float(np.max(np.abs(moved))))
     image = axes.imshow(moved, cmap="RdBu_r", vmin=-reach, vmax=reach, aspect="auto")
-    axes.set_yticks(range(n_materials), [shown(m, 30) for m in result.prior.materials])
-    labels = [f"{f:g}" for f in result.prior.centre_frequencies]
+    axes.set_yticks(range(n_materials), [shown(m, 30) for m in materials])
+    labels = [f"{f:g}" for f in frequencies]
     axes.set_xticks(range(n_bands), labels, rotation=90 if n_bands > 10 else 0)
     axes.set_xlabel("Band centre frequency / Hz")
     if moved.size <= _MOST_NUMBERS:
@@ -102,9 +117,9 @@ def shifts(result: PositionsResult) -> Any:
     return figure
 
 
-def _by_receiver(result: PositionsResult, gap: Array, receivers: Sequence[str]) -> Array:
+def _by_receiver(pairs: Sequence[tuple[str, str]], gap: Array, receivers: Sequence[str]) -> Array:
     """Return the root mean square gap of each receiver in JND, NaN without a value."""
-    rows = [[i for i, (_, r) in enumerate(result.pairs) if r == name] for name in receivers]
+    rows = [[i for i, (_, r) in enumerate(pairs) if r == name] for name in receivers]
     squares = [gap[:, row][np.isfinite(gap[:, row])] ** 2 for row in rows]
     return np.array([np.sqrt(s.mean()) if s.size else np.nan for s in squares])
 

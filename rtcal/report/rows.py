@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rtcal.support.types import Array
 
 
@@ -14,7 +17,7 @@ def material_rows(
     before: Array,
     after: Array,
     interval: tuple[Array, Array] | None = None,
-    at_bound: Array | None = None,
+    at_bound: NDArray[np.bool_] | None = None,
 ) -> list[dict[str, Any]]:
     """Return one row per material: name, area, and a cell per band.
 

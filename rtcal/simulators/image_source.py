@@ -9,6 +9,7 @@ distance d contributes the energy (Allen & Berkley 1979; energies are added, not
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import product
 
@@ -130,28 +131,43 @@ class ImageSource(ShoeboxSimulator):
         The source has unit energy: the direct sound is 1 / (4 pi d²). The air attenuates each bin
         by the mean length of its images.
         """
-        alpha = check_alpha(self, alpha)
-        out = np.zeros((len(self.images), alpha.shape[1], self._n_bins))
-        # (1 - alpha)^hits for every wall and number of hits, (6, n_bands, n_hits); 0**0 is 1.
+        reflected = self._reflected(check_alpha(self, alpha))
+        return np.stack([self._summed(images, reflected) for images in self.images])
+
+    def _reflected(self, alpha: Array) -> Array:
+        """Return (1 - alpha)^hits of every wall and number of hits, (6, n_bands, n_hits); 0**0 is 1."""
         most = max(int(axis.max()) for images in self.images for axis in images.hits)
-        reflected = (1 - alpha[self.box.walls])[..., np.newaxis] ** np.arange(most + 1)
+        return np.asarray((1 - alpha[self.box.walls])[..., np.newaxis] ** np.arange(most + 1))
+
+    def _summed(self, images: Images, reflected: Array) -> Array:
+        """Return the energy of a pair's bins, (n_bands, n_bins), by a factor per wall and hits."""
         weigh = _weigh
         if jit.available():
             from rtcal.simulators import image_numba
 
             weigh = image_numba.weigh
-        for energy, images in zip(out, self.images, strict=True):
-            x, y, z = (
-                near[:, hits[:, 0]] * far[:, hits[:, 1]]
-                for near, far, hits in zip(
-                    reflected[::2], reflected[1::2], images.hits, strict=True
-                )
+        x, y, z = (
+            near[:, hits[:, 0]] * far[:, hits[:, 1]]
+            for near, far, hits in zip(reflected[::2], reflected[1::2], images.hits, strict=True)
+        )
+        energy = weigh(
+            x, y, z, images.rows, images.starts, images.bins, images.weights, self._n_bins
+        )
+        return energy * np.exp(-np.multiply.outer(self.room.air_attenuation, images.lengths))
+
+    def _wall_gradients(self, alpha: Array, n_bins: int) -> Iterator[Array]:
+        """Yield each pair's derivatives: those of (1 - alpha)^n, summed over the images."""
+        reflected = self._reflected(alpha)
+        slopes = np.zeros_like(reflected)
+        slopes[..., 1:] = -np.arange(1, reflected.shape[-1]) * reflected[..., :-1]
+        walls = np.arange(len(reflected))[:, np.newaxis, np.newaxis]
+        for images in self.images:
+            yield np.stack(
+                [
+                    self._summed(images, np.where(walls == wall, slopes, reflected))[:, :n_bins]
+                    for wall in range(len(walls))
+                ]
             )
-            energy[:] = weigh(
-                x, y, z, images.rows, images.starts, images.bins, images.weights, self._n_bins
-            )
-            energy *= np.exp(-np.multiply.outer(self.room.air_attenuation, images.lengths))
-        return out
 
     def decays(self, alpha: Array) -> tuple[Array, float]:
         """Return `energy` and the width of its bins in s."""

@@ -30,6 +30,8 @@ MATCH = ("t20", "edt", "c80", "ts", "level")
 """Parameters that are matched where nothing else is asked for."""
 LOGARITHMIC = (*DECAY_TIMES, "ts")
 """Parameters whose logarithm is observed; the others are in dB."""
+LARGEST_ALPHA = 0.999
+"""Largest alpha in an analytic derivative: beyond it nothing is reflected, and it would be 0 / 0."""
 STEP = 0.01
 """Step in alpha of the differences. T of a diffuse field changes by 1 to 20 % over it, far more than
 rounding, and its curvature adds less than 1 % to the slope."""
@@ -135,6 +137,13 @@ def given(measurement: Measurement) -> tuple[str, ...]:
     """Return the parameters that a measurement has; G is a level too."""
     level = ("level",) if "g" in measurement.values else ()
     return (*measurement.values, *level)
+
+
+def by_surface(by: object) -> bool:
+    """Return whether derivatives are by surface, not by material; DataError for anything else."""
+    if not isinstance(by, str) or by not in ("material", "surface"):
+        raise DataError(f'by = {by!r} is not "material" or "surface"')
+    return by == "surface"
 
 
 def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:

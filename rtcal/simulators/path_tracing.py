@@ -14,12 +14,15 @@ from rtcal.errors import DataError
 from rtcal.simulators import observations, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.observations import MATCH, Observations
-from rtcal.simulators.tracer import Tracer, check_seconds, decay_long_enough
+from rtcal.simulators.tracer import (
+    LONGEST,
+    Tracer,
+    check_seconds,
+    decay_long_enough,
+    eyring_seconds,
+)
 from rtcal.support import checks
 from rtcal.support.types import Array
-
-_LARGEST_ALPHA = 0.999
-"""Largest alpha in a derivative: n E / (1 - alpha) is 0 / 0 where nothing is reflected."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -98,6 +101,16 @@ class PathTracing(Tracer):
         """Name that calibrated coefficients belong to."""
         return f"path tracing of {self.room.name} ({self.scattering_model} scattering)"
 
+    def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
+        """Trace the paths for ``factor`` times Eyring's T for alpha (n_materials, n_bands).
+
+        Simulations with this seed then trace none, unless a decay needs longer paths.
+        """
+        alpha = check_alpha(self, alpha)
+        seconds = min(checks.positive("factor", factor) * eyring_seconds(self.room, alpha), LONGEST)
+        for bands in self._bands_by_scattering():
+            self.traced(int(bands[0]), seconds, seed=seed)
+
     @property
     def lost_share(self) -> float:
         """Largest share of the paths of a trace that left through gaps of the geometry.
@@ -174,11 +187,9 @@ class PathTracing(Tracer):
             As `simulate` does, and for another ``by``.
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
-        alpha = np.minimum(alpha, _LARGEST_ALPHA)
+        alpha = np.minimum(alpha, observations.LARGEST_ALPHA)
         owners = self._materials()
-        if not isinstance(by, str) or by not in ("material", "surface"):
-            raise DataError(f'by = {by!r} is not "material" or "surface"')
-        surface = by == "surface"
+        surface = observations.by_surface(by)
         groups = np.arange(len(owners)) if surface else owners
         n_unknowns = len(owners) if surface else self.room.n_materials
         sweeps: list[list[tuple[Array, Array]]] = []

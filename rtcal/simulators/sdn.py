@@ -7,8 +7,10 @@ losses, and cost much less than image sources.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _NODES = 6
+_STEP = 1e-20  # of the derivatives: its square vanishes beside 1 in floats
 _PORTS = 5
 # Per mean free path. Fewer samples change T at alpha = 0.3 by more than one JND
 # (test_the_lowest_sampling_rate_has_the_right_t20).
@@ -180,6 +183,26 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
                 return energy / (4 * np.pi), 1 / self.sampling_rate
             duration = min(1.6 * duration, self.longest)
 
+    def _wall_gradients(self, alpha: Array, n_bins: int) -> Iterator[Array]:
+        """Yield each pair's derivatives, by an imaginary step of each wall's reflection factor.
+
+        A response is a polynomial in the reflection factors, so Im p(beta + i h) / h is its derivative
+        to rounding (Squire & Trapp 1998, SIAM Review 40(1)).
+        """
+        reflection = np.sqrt(1 - alpha[self.box.walls])
+        n = n_bins + max(network.direct_delay for network in self.networks)
+        steps = 1j * _STEP * np.eye(len(reflection))[:, :, np.newaxis]
+        response = np.empty((alpha.shape[1], n), dtype=complex)
+        for network in self.networks:
+            gradient = np.empty((len(reflection), alpha.shape[1], n_bins))
+            for wall, step in enumerate(steps):
+                self._render(network, reflection + step, response)
+                heard = response[:, network.direct_delay :][:, :n_bins]
+                # E = p² / (4 pi), and d beta / d alpha = -1 / (2 beta).
+                by_beta = 2 * heard.real * heard.imag / (_STEP * 4 * np.pi)
+                gradient[wall] = -by_beta / (2 * reflection[wall])[:, np.newaxis]
+            yield gradient
+
     def _estimate(self, alpha: Array) -> float:
         """Return Eyring's T in s of the most reverberant band, at least 0.1, plus the first delay.
 
@@ -197,8 +220,8 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
             [r[:, delay : delay + length] for r, delay in zip(responses, delays, strict=True)]
         )
 
-    def _render(self, network: Network, reflection: Array, out: Array) -> None:
-        """Write one pair's responses, (n_bands, n_samples)."""
+    def _render(self, network: Network, reflection: NDArray[Any], out: NDArray[Any]) -> None:
+        """Write one pair's responses, (n_bands, n_samples); complex for complex reflection factors."""
         half = self.room.air_attenuation / 2
         lines = np.exp(-half * network.line_lengths[..., np.newaxis])
         source = network.source_lengths[:, np.newaxis]
@@ -259,11 +282,11 @@ def _blocks(
     source_delays: NDArray[np.int64],
     tap_delays: NDArray[np.int64],
     lines: Array,
-    reflection: Array,
+    reflection: NDArray[Any],
     injected: Array,
     heard: Array,
     n: int,
-) -> Array:
+) -> NDArray[Any]:
     """Run the network in blocks of its smallest delay; return the response (n_bands, n).
 
     ``delays`` (6, 5), ``source_delays`` and ``tap_delays`` (6,) are in samples. ``lines`` (6, 5,
@@ -272,8 +295,8 @@ def _blocks(
     block, longest = int(delays.min()), int(delays.max())
     # Incoming waves by port. A full buffer is shifted to its start.
     kept = longest + 64 * block
-    incoming = np.zeros((_NODES, _PORTS, kept, lines.shape[-1]))
-    out = np.zeros((n + int(tap_delays.max()) + block, lines.shape[-1]))
+    incoming = np.zeros((_NODES, _PORTS, kept, lines.shape[-1]), reflection.dtype)
+    out = np.zeros((n + int(tap_delays.max()) + block, lines.shape[-1]), reflection.dtype)
     base = 0
     for start in range(0, n, block):
         if start + block + longest - base > kept:

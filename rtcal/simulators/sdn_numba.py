@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,20 +17,20 @@ def blocks(
     source_delays: NDArray[np.int64],
     tap_delays: NDArray[np.int64],
     lines: Array,
-    reflection: Array,
+    reflection: NDArray[Any],
     injected: Array,
     heard: Array,
     n: int,
-) -> Array:
+) -> NDArray[Any]:
     """Return the response (n_bands, n); arguments as in the NumPy function."""
     n_bands = lines.shape[2]
     block, longest = delays.min(), delays.max()
     # Incoming waves by port. The buffer fits the processor's cache. It is shifted to its start when
     # full, so that no block wraps around and the loops over samples vectorise.
     kept = 2 * longest + block
-    incoming = np.empty((6, 5, kept))
-    pressure = np.empty(block)
-    out = np.zeros((n_bands, n + tap_delays.max() + block))
+    incoming = np.empty((6, 5, kept), reflection.dtype)
+    pressure = np.empty(block, reflection.dtype)
+    out = np.zeros((n_bands, n + tap_delays.max() + block), reflection.dtype)
     for b in range(n_bands):
         incoming[:] = 0.0
         base = 0

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.decay_gradients import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -93,12 +94,49 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         energy, width = self.decays(check_alpha(self, alpha))
         return observations.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
 
-    def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
-        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_materials).
+    def jacobian(
+        self,
+        alpha: Array,
+        match: Sequence[str] = MATCH,
+        *,
+        seed: int = 0,
+        by: Literal["material", "surface"] = "material",
+    ) -> Array:
+        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_unknowns).
 
-        They are differences; see `rtcal.simulators.observations.differences`.
+        They are analytic. Coefficients above 0.999 count as 0.999.
+
+        Parameters
+        ----------
+        alpha : array (n_materials, n_bands)
+        match : sequence of str
+        seed : int
+            It has no effect.
+        by : {"material", "surface"}
+            Surfaces are the walls, in the order of `rtcal.simulators.geometry.SHOEBOX_WALLS`.
+
+        Raises
+        ------
+        DataError, TooShortError
+            As `observe` does, and for another ``by``.
         """
-        return observations.differences(self, alpha, match, seed=seed)
+        alpha = np.minimum(check_alpha(self, alpha), observations.LARGEST_ALPHA)
+        match = observations.checked_parameters(match)
+        surface = observations.by_surface(by)
+        energy, width = self.decays(alpha)
+        observations.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
+        out = np.empty((len(match), *energy.shape[:2], len(self.box.walls)))
+        for pair, of_walls in enumerate(self._wall_gradients(alpha, energy.shape[-1])):
+            by_bin = gradients(energy[pair], width, match)
+            out[:, pair] = np.einsum("pkb,wkb->pkw", by_bin, of_walls, optimize=True)
+        if surface:
+            return out
+        belongs = self.box.walls[:, np.newaxis] == np.arange(self.room.n_materials)
+        return np.asarray(out @ belongs)
+
+    @abstractmethod
+    def _wall_gradients(self, alpha: Array, n_bins: int) -> Iterator[Array]:
+        """Yield the derivatives of each pair's decays by alpha of each wall, (6, n_bands, n_bins)."""
 
     @abstractmethod
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:

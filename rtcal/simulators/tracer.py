@@ -207,6 +207,12 @@ def measurement(
     )
 
 
+def eyring_seconds(room: Room, alpha: Array) -> float:
+    """Return the longest of Eyring's T over the bands in s, from 0.2 to `LONGEST`."""
+    times = Eyring().reverberation_time(room.replace(alpha=alpha, calibration=None))
+    return float(np.clip(np.max(times), 0.2, LONGEST))
+
+
 def decay_long_enough(
     trace: Callable[[float], Array], room: Room, alpha: Array, parameter: str = "t20"
 ) -> Array:
@@ -214,8 +220,7 @@ def decay_long_enough(
 
     Starts with Eyring's T for alpha, and stops at `LONGEST`.
     """
-    times = Eyring().reverberation_time(room.replace(alpha=alpha, calibration=None))
-    seconds = float(np.clip(np.max(times), 0.2, LONGEST))
+    seconds = eyring_seconds(room, alpha)
     while True:
         energy = trace(seconds)
         if seconds >= LONGEST or not decay.too_short(energy.mean(axis=0), parameter).any():

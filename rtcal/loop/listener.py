@@ -1,0 +1,88 @@
+"""What a simulator hears of the parameters and pairs that were measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.loop.measured_pairs import MeasuredPairs
+from rtcal.simulators.base import Simulator
+from rtcal.simulators.observations import Observations, jacobian, observe
+from rtcal.support.types import Array
+
+
+@dataclass
+class Listener:
+    """What a simulator hears at ``alpha``, in the order of what was measured; its calls are counted.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    data : MeasuredPairs
+    heard : Observations
+        At all pairs of the simulator.
+    alpha : array (n_materials, n_bands)
+    seed, calls : int
+    shift : array (n_parameters, n_pairs, n_bands)
+        What other scattering adds to every value.
+    used : int array (n_used,)
+        Which of the values were measured, counted over the measured parameters at all pairs.
+    """
+
+    simulator: Simulator
+    data: MeasuredPairs
+    heard: Observations
+    alpha: Array
+    seed: int
+    shift: Array = field(default_factory=lambda: np.zeros(1))
+    calls: int = 1
+    used: NDArray[np.int64] = field(init=False)
+    _slopes: tuple[Array, Array] | None = field(init=False, default=None)
+    _rows: list[int] = field(init=False)
+    _columns: list[int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        parameters, pairs = self.data.observations.parameters, self.heard.pairs
+        self._rows = [self.heard.parameters.index(p) for p in parameters]
+        self._columns = [pairs.index(p) for p in self.data.observations.pairs]
+        shape = (len(parameters), *self.heard.values.shape[1:])
+        used = np.zeros(shape, dtype=bool)
+        used[:, self._columns] = self.data.used
+        # The measured pairs stand in the simulator's order, so the values used do, too.
+        self.used = np.flatnonzero(used)
+
+    def move(self, alpha: Array) -> None:
+        """Hear another alpha."""
+        self.calls += 1
+        parameters = self.heard.parameters
+        self.heard = observe(self.simulator, alpha, parameters, seed=self.seed)
+        self.alpha = alpha
+
+    def everywhere(self) -> Array:
+        """Return the values at all pairs of the simulator, (n_parameters, n_all_pairs, n_bands)."""
+        return np.asarray(self.heard.values[self._rows] + self.shift)
+
+    def values(self) -> Array:
+        """Return the values, (n_parameters, n_pairs, n_bands)."""
+        return np.asarray(self.everywhere()[:, self._columns])
+
+    def residual(self) -> Array:
+        """Return measured less heard, (n_used,)."""
+        return np.asarray((self.data.observations.values - self.values())[self.data.used])
+
+    def linearised(self) -> Array:
+        """Return the derivatives of the values used, (n_used, n_materials * n_bands)."""
+        if self._slopes is not None and self._slopes[0] is self.alpha:
+            return self._slopes[1]
+        self.calls += 1
+        parameters = self.data.observations.parameters
+        full = jacobian(self.simulator, self.alpha, parameters, seed=self.seed)[:, self._columns]
+        n_bands, n_materials = full.shape[2:]
+        matrix = np.zeros((*full.shape[:3], n_materials, n_bands))
+        for k in range(n_bands):
+            matrix[:, :, k, :, k] = full[:, :, k]
+        used = np.asarray(matrix[self.data.used].reshape(-1, n_materials * n_bands))
+        self._slopes = self.alpha, used
+        return used
