@@ -16,7 +16,7 @@ from rtcal.errors import DataError
 from rtcal.io import position_files
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.where import case_files
+from rtcal.where import case_files, scales
 from rtcal.where.patch import patched
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
@@ -327,3 +327,34 @@ def test_a_wrong_file_is_refused(folder: Path, tmp_path: Path, line: str, messag
 def test_engines_are_refused_with_a_geometry(folder: Path) -> None:
     with pytest.raises(DataError, match="--engine"):
         run("find", str(folder / "case.toml"), "--engine", "network", "--engine", "path tracing")
+
+
+def test_the_scales_are_linear_in_absorption() -> None:
+    """Exponential decays of a diffuse field: k and 1 / energy in proportion to the absorption area."""
+    rate = 13.8 * np.array([1.0, 2.0, 0.5])  # as stated, twice and half of the absorption
+
+    values = {
+        "t20": np.log(6 * np.log(10) / rate),
+        "ts": -np.log(rate),
+        "c80": 10 * np.log10(np.expm1(0.08 * rate)),
+        "level": -10 * np.log10(rate),
+    }
+    for name, each in values.items():
+        got = scales.linear(name, each, each[:1])
+        if name in ("t20", "ts", "level"):
+            got = -got  # 1 / T rises with the absorption, the scale of ln T falls
+        assert got == pytest.approx([0.0, 1.0, -0.5]), name
+        step = 1e-6
+        slope = (
+            scales.linear(name, each + step, each[:1]) - scales.linear(name, each, each[:1])
+        ) / step
+        assert scales.slope(name, each, each[:1]) == pytest.approx(slope, rel=1e-4), name
+
+
+def test_coefficients_that_are_all_off_are_no_surface(cache: Path) -> None:
+    """Half as much again of all coefficients: linear in ln T, that would look like an absorber."""
+    truth = tracing(stated(), n_paths=19200, scattering=0.5)
+    room = stated().replace(sigma=0.3 * stated().alpha)
+    data = heard(truth, 1.5 * stated().alpha)
+    finding = rt.where.find(rt.where.Case(simulator=tracing(room), measured=data), cache=cache)
+    assert finding.surface is None

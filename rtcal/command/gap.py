@@ -179,6 +179,10 @@ def find(case: str, search: Search, expected: float | None, as_json: bool, quiet
     Example: rtcal gap find case.toml
     """
     if has_geometry(case):
+        if expected is not None:
+            raise DataError(
+                "--several: a case with a geometry is searched for one effect at a time"
+            )
         gap_where.tell_finding(case, search, quiet=quiet, as_json=as_json)
         return
     finding = _find(case, _case(case), search, quiet, expected)

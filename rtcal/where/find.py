@@ -112,7 +112,11 @@ def find(
     p, i, k = numbers.shape
     columns = [case.simulator.pairs.index(pair) for pair in numbers.data.observations.pairs]
     rows = [made.parameters.index(name) for name in numbers.data.observations.parameters]
-    moved = {name: shift[:, rows] for name, shift in made.moved.items()}
+    scale = np.moveaxis(numbers.scale.reshape(k, p, i), 0, 2)
+    moved = {}
+    for name, shift in made.moved.items():
+        moved[name] = np.zeros(shift[:, rows].shape)
+        moved[name][:, :, columns] = shift[:, rows][:, :, columns] * scale
     errors = (numbers.measurement + numbers.simulator_error()).reshape(k, p, i, k, p, i)
     hypotheses = Hypotheses(
         shifts=shifts(case, left_out),
@@ -210,7 +214,7 @@ def _candidate(shift: Shift, chances: Array, names: Sequence[str]) -> Candidate:
         effect=shift.effect,
         family=shift.family,
         surface=surface,
-        place=surface or "",
+        place=surface or shift.place,
         probability=total,
         size=size,
         low=low,

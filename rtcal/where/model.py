@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +15,15 @@ from rtcal.loop.measured_pairs import MeasuredPairs, measured_pairs
 from rtcal.loop.positions import prior_covariance
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
+from rtcal.where import scales
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood, band_first, flat, reordered
 from rtcal.where.hypotheses import climate_error, interpolation, usual_errors
 from rtcal.where.responses import AIR, Responses
 
+TAILS = 4.0
+"""Degrees of freedom of Student's t for what catalogues err by in common, in rooms that are as stated:
+now and then a table is of another product altogether."""
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""
 
@@ -34,7 +38,10 @@ class Model:
     ----------
     data : MeasuredPairs
     residual : array (n,)
-        Measured less simulated as stated; 0 where nothing was measured.
+        Measured less simulated as stated, on the scales of `rtcal.where.scales`; 0 where nothing was
+        measured.
+    scale : array (n,)
+        Derivative of the scales at the measured values: factor of an error.
     used : bool array (n,)
     alpha : array (n, n_unknowns)
         Factor of the prior's covariance of the parameters: coefficients, what catalogues err by in
@@ -51,6 +58,7 @@ class Model:
     data: MeasuredPairs
     controls: ControlRuns
     residual: Array
+    scale: Array
     used: NDArray[np.bool_]
     alpha: Array
     together: Array
@@ -66,7 +74,7 @@ class Model:
     @property
     def errors(self) -> Array:
         """The simulator's errors in the control runs, (n_runs, n)."""
-        return np.array([flat(run) for run in self._controls.errors])
+        return np.array([flat(run) for run in self._controls.errors]) * self.scale
 
     @property
     def _controls(self) -> ControlRuns:
@@ -80,7 +88,7 @@ class Model:
         if without is not None:
             kept[without] = False
         some = ControlRuns(parameters=runs.parameters, pairs=runs.pairs, errors=runs.errors[kept])
-        return reordered(some.covariance(), self.shape)
+        return reordered(some.covariance(), self.shape) * np.outer(self.scale, self.scale)
 
     def likelihoods(
         self, without: NDArray[np.int64] | None = None
@@ -122,29 +130,68 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
     stated = at_pairs(made.base)
     if case.simulated is not None:
         stated = Observations.of_measurement(case.simulated, wanted.parameters, wanted.pairs).values
-    difference = wanted.values - stated
-    used = flat(np.isfinite(difference)).astype(bool)
+    used = flat(np.isfinite(wanted.values - stated)).astype(bool)
     if not used.any():
         raise DataError("no value was both measured and simulated")
-    air = at_pairs(made.air)
-    nodes = {f"surface {j}": band_first(at_pairs(s)) for j, s in enumerate(made.surfaces)}
+    measured = np.where(np.isfinite(wanted.values), wanted.values, stated)
+    scale = _slopes(wanted.parameters, _smooth(measured, stated), stated)
+
+    def shifted(values: Array) -> Array:
+        ends = stated[..., np.newaxis] + at_pairs(values)
+        return band_first(_linear(wanted.parameters, ends, stated[..., np.newaxis]))
+
+    nodes = {f"surface {j}": shifted(s) for j, s in enumerate(made.surfaces)}
+    nodes |= _of_materials(case, nodes)
     nodes |= {
-        "air": band_first(air),
-        "volume": band_first(at_pairs(made.volume)),
-        "scattering": band_first(at_pairs(made.scattering)),
+        "air": shifted(made.air),
+        "volume": shifted(made.volume),
+        "scattering": shifted(made.scattering),
     }
-    slopes = at_pairs(made.by_material)
+    at_stated = _slopes(wanted.parameters, stated, stated)
+    slopes = at_pairs(made.by_material) * at_stated[..., np.newaxis]
     alpha, together = _prior(case, slopes, nodes["air"])
     return Model(
         data=data,
         controls=controls,
-        residual=np.where(used, flat(np.nan_to_num(difference)), 0.0),
+        residual=np.where(used, flat(_linear(wanted.parameters, measured, stated)), 0.0),
+        scale=flat(scale),
         used=used,
         alpha=alpha,
         together=together,
-        measurement=_measurement(data),
+        measurement=_measurement(data) * np.outer(flat(scale), flat(scale)),
         nodes=nodes,
     )
+
+
+def _linear(parameters: Sequence[str], values: Array, stated: Array) -> Array:
+    """Return values (n_parameters, ...) on the scales of `rtcal.where.scales`."""
+    rows = zip(parameters, values, stated, strict=True)
+    return np.array([scales.linear(name, value, at) for name, value, at in rows])
+
+
+def _slopes(parameters: Sequence[str], values: Array, stated: Array) -> Array:
+    rows = zip(parameters, values, stated, strict=True)
+    return np.array([scales.slope(name, value, at) for name, value, at in rows])
+
+
+def _smooth(measured: Array, stated: Array) -> Array:
+    """Return what is stated, moved by the mean difference over the pairs: where errors are scaled."""
+    return np.asarray(stated + (measured - stated).mean(axis=1, keepdims=True))
+
+
+def _of_materials(case: Case, nodes: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the nodes of each material: those of all its surfaces, one after the other."""
+    made_of = np.array([case.room.material_index(m) for m in case.geometry.materials])
+    out = {}
+    for row in range(case.room.n_materials):
+        members = [
+            f"surface {j}"
+            for j, faces in enumerate(case.faces.values())
+            if (made_of[faces] == row).all()
+        ]
+        if members:
+            out[f"material {row}"] = np.concatenate([nodes[m] for m in members], axis=2)
+    return out
 
 
 def _measurement(data: MeasuredPairs) -> Array:
@@ -171,4 +218,4 @@ def _prior(case: Case, slopes: Array, air: Array) -> tuple[Array, Array]:
     together = matrix @ usual.reshape(len(usual), -1).T
     climate = interpolation(AIR, climate_error(case))  # (2, n_bands, n_nodes)
     shifts = np.einsum("krn,tkn->krt", air, climate).reshape(n_bands * n_values, -1)
-    return np.hstack([own, together, shifts]), together
+    return np.hstack([own, shifts, together]), together

@@ -15,7 +15,7 @@ from rtcal.support.types import Array
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
 from rtcal.where.hypotheses import ODDS, UNKNOWN, Shift, Spread
-from rtcal.where.model import Model
+from rtcal.where.model import TAILS, Model
 
 FALSE_ALARMS = 0.05
 """Share of rooms with nothing hidden that may be flagged."""
@@ -161,7 +161,11 @@ def drawn(model: Model, fold: NDArray[np.int64], rng: np.random.Generator, n: in
     """Draw residuals of rooms that are as stated, (n_values, n), with the errors of some runs."""
     kept = np.flatnonzero(model.used)
     factor = np.linalg.cholesky(model.measurement[np.ix_(kept, kept)] + 1e-12 * np.eye(len(kept)))
-    out = model.alpha @ rng.standard_normal((model.alpha.shape[1], n))
+    unknowns = rng.standard_normal((model.alpha.shape[1], n))
+    # What catalogues err by in common has heavy tails.
+    common = slice(len(unknowns) - model.together.shape[1], None)
+    unknowns[common] = rng.standard_t(TAILS, unknowns[common].shape)
+    out = model.alpha @ unknowns
     out[kept] += factor @ rng.standard_normal((len(kept), n))
     chosen = fold[np.arange(n) % len(fold)]
     return np.asarray(out + model.errors[chosen].T)
