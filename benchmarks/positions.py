@@ -52,7 +52,12 @@ RNG = 20261122
 ALLOWED = 0.05
 """An error of alpha that is at most so much larger than the prior's counts as no worse."""
 FITTING = {"t20": "T20 alone", "positions": "every position"}
-METHODS = {**FITTING, "truth": "true alpha", "stated": "stated alpha"}
+METHODS = {
+    **FITTING,
+    "perfect": "true alpha and scattering",
+    "truth": "true alpha",
+    "stated": "stated alpha",
+}
 GAP_KINDS = {"gap_without_noise": "to what is heard", "gap": "to what was measured"}
 """At the held-out pairs. What is heard has no noise. What was measured has it, and with it a gap that
 no alpha closes: that of the true one."""
@@ -142,13 +147,16 @@ def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> l
             "volume": round(case.room.volume),
             "prior_error": error(case.room, case.room.alpha, truth),
         }
-        if method in ("stated", "truth"):
-            alpha = case.room.alpha if method == "stated" else truth
-        else:
+        tracer = judge
+        if method in FITTING:
             figures, half = fitted(method, case, truth)
             row |= figures
             alpha = half.alpha
-        heard = simulated(calibrated(judge, half) if method == "positions" else judge, alpha)
+            tracer = calibrated(judge, half) if method == "positions" else judge
+        else:
+            alpha = case.room.alpha if method == "stated" else truth
+            tracer = knowing(judge, population, index) if method == "perfect" else judge
+        heard = simulated(tracer, alpha)
         row["gap"], row["gap_without_noise"] = (mean_gaps(heard, m) for m in held_out)
         if method == "positions":
             foretold = predicted(half.predicted, held_out[0])
@@ -157,6 +165,13 @@ def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> l
             )
         rows.append(row)
     return rows
+
+
+def knowing(tracer: PathTracing, population: int, index: int) -> PathTracing:
+    """Return the tracer with the room's true scattering."""
+    hidden = stored(population, "truth")[index]["truth"]
+    model: paths.ScatteringModel = "vector" if hidden["vectors"] else "random"
+    return replace(tracer, scattering=np.array(hidden["scattering"]), scattering_model=model)
 
 
 def calibrated(judge: PathTracing, result: Any) -> PathTracing:
@@ -288,7 +303,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, tuple[float, float, flo
             )
         for kind, name in GAP_KINDS.items():
             gaps = {m: over_parameters(of[m], kind) for m in METHODS if of[m]}
-            for method in ("positions", "truth", "stated"):
+            for method in ("positions", "perfect", "truth", "stated"):
                 if method in gaps:
                     label = f"{prior}: gap {name}, {METHODS[method]} / T20 alone"
                     found[label] = ratio_of_sums(gaps[method], gaps["t20"])
@@ -356,12 +371,7 @@ def bound(population: int, indices: Sequence[int], rows: Sequence[dict[str, Any]
             if (index, prior) not in t20:
                 continue
             case = load(population, index, prior)
-            hidden = stored(population, "truth")[index]["truth"]
-            tracer = case.simulator(
-                n_paths=PATHS,
-                scattering_model="vector" if hidden["vectors"] else "random",
-                scattering=np.array(hidden["scattering"]),
-            )
+            tracer = knowing(case.simulator(n_paths=PATHS), population, index)
             heard = tracer.observe(case.room.alpha, MATCH)
             data = measured_pairs(case.room, case.measured, MATCH, heard)
             matrix = Listener(tracer, data, heard, case.room.alpha, 0).linearised()
@@ -383,7 +393,7 @@ def main() -> None:
     parser.add_argument(
         "--number", type=int, default=60, help="the first rooms, as they were built"
     )
-    parser.add_argument("--methods", default="stated,truth,t20,positions")
+    parser.add_argument("--methods", default="stated,truth,perfect,t20,positions")
     parser.add_argument("--data", type=Path, help="directory of CR2's measured.json and scene9.ac")
     arguments = parser.parse_args()
     results = arguments.folder / "results.jsonl" if arguments.folder else STORED
