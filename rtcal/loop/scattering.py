@@ -37,7 +37,7 @@ class Scattering:
         Meaning of the coefficients; see `rtcal.simulators.paths.ScatteringModel`.
     level : float
         Mean coefficient over the surfaces, by area. It is the level with which this tracer predicts
-        best. In ten development rooms it was 0.08 from the true mean; it is no measurement of it.
+        best, and no measurement of the room's scattering.
     """
 
     model: ScatteringModel
