@@ -540,6 +540,31 @@ def test_a_loop_results_page(loop_result, tmp_path) -> None:
             page.page_of(path)
 
 
+def test_a_loops_page_says_what_the_terminal_says(
+    loop_result, tmp_path, capsys, monkeypatch
+) -> None:
+    """It lacked z, the reservations, and called a band of an unfinished loop "not converging"."""
+    text = page.loop_page(loop_result)
+    for mark in loop_result.trust_marks:
+        assert mark.advice in text
+    row = text.split('<th scope="row">z</th>')[1].split("</tr>")[0]
+    shown = [float(v.replace("−", "-")) for v in re.findall(r"<td>([-−+\d.]+)</td>", row)]
+    assert shown == loop_result.loop.outcome.plausibility.z.round(1).tolist()
+    monkeypatch.chdir(tmp_path)
+    room, measured = rt.datasets.bras_cr2()
+    room.save("room.toml")
+    measured.save("t.csv")
+    rt.Measurement.from_values(room.centre_frequencies, t20=[1.0] * 6).save("simulated.csv")
+    files = ["--state", "loop.json", "--out", "next.toml"]
+    assert run("loop", "start", "room.toml", "t.csv", *files, "--quiet") == 0
+    assert run("loop", "next", "room.toml", "simulated.csv", *files) == 0
+    said = capsys.readouterr().out
+    unfinished = page.page_of("loop.json")
+    assert said.count("not yet") == 6
+    assert unfinished.count("<td>not yet</td>") == 6
+    assert "not converging" not in unfinished
+
+
 def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
     """The table takes a hundred materials; a page beyond the limit is refused."""
     n, f = 130, [500.0, 1000.0]
@@ -585,6 +610,23 @@ def test_in_a_browser(html, evil_html, tmp_path) -> None:
     # The console is read indeed: a script, which the page's policy forbids, is complained of.
     document.write(control, html.replace("</body>", "<script>alert(1)</script></body>"))
     assert "CONSOLE" in chromium(tmp_path, control, "--dump-dom").stderr
+
+
+def test_dark_mode_is_dark_in_its_figures_too(html, tmp_path) -> None:
+    """A white figure in a dark page dazzles."""
+    from matplotlib.image import imread
+
+    document.write(tmp_path / "p.html", html)
+    bright = []
+    for setting in ("0", "1"):
+        picture = tmp_path / f"{setting}.png"
+        scheme = f"--blink-settings=preferredColorScheme={setting}"
+        size = "--window-size=1000,900"
+        chromium(tmp_path, tmp_path / "p.html", scheme, size, f"--screenshot={picture}")
+        bright.append((imread(picture)[:, :, :3].min(axis=2) > 0.5).mean())
+    dark, light = bright
+    assert dark < 0.1
+    assert light > 0.8
 
 
 _FRAME = """<body><iframe style="width: 400px" src="%s"></iframe><script>

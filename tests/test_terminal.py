@@ -230,3 +230,14 @@ def test_a_progress_bar_says_how_long_it_will_take(monkeypatch, capsys) -> None:
     frames = capsys.readouterr().err.replace("\n", "\r").split("\r")
     assert any("3/3 figures" in frame and "left" in frame for frame in frames)
     assert max(map(len, frames)) <= 60
+
+
+@pytest.mark.parametrize("columns", WIDTHS[1:])
+def test_every_example_of_a_help_text_can_be_copied(columns: int, monkeypatch, capsys) -> None:
+    """Five were wrapped without a backslash, so that a shell ran their second line by itself."""
+    monkeypatch.setenv("COLUMNS", str(columns))
+    for name in command_names():
+        assert run(*name.split(), "--help") == 0
+        example = capsys.readouterr().out.split("Example: ")[1].split("\n\n")[0]
+        for line in example.splitlines()[:-1]:
+            assert line.endswith("\\"), f"rtcal {name}: {line}"

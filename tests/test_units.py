@@ -166,7 +166,7 @@ def test_q_too_small_is_said() -> None:
     stated = room()
     spread = np.sqrt(stated.areas**2 @ stated.sigma**2)
     usual = rt.Eyring().time(stated, stated.absorption_area + 0.8 * spread)
-    assert "in keeping with what was stated" in unwrapped(rt.calibrate(stated, usual))
+    assert "the measurement agrees with what was stated" in unwrapped(rt.calibrate(stated, usual))
 
 
 def test_an_upper_bound_is_not_told_to_state_a_floor() -> None:

@@ -182,17 +182,17 @@ class TrustMark:
 _ADVICE: dict[str, tuple[str, str]] = {
     "unreachable": (
         "n",
-        "its coefficients are the ends of their bounds, not a finding: check T, volume and areas, "
-        "and give the materials wider bounds or look for an effect that the model lacks",
+        "its coefficients are the ends of their bounds, which says nothing of the materials: check T, "
+        "volume and areas, give the materials wider bounds, or look for an effect that the model lacks",
     ),
     "missing": (
         "m",
-        "alpha keeps its prior there: measure the band, or draw no conclusion from it",
+        "alpha stays as stated there: measure the band, or draw no conclusion from it",
     ),
     "below_schroeder": (
         "s",
-        "single modes rule, which no reverberation equation describes: do not carry these "
-        "coefficients to other positions or rooms",
+        "a few room modes determine the decay, which no reverberation equation describes: do not use "
+        "these coefficients at other positions or in other rooms",
     ),
     "air": (
         "a",
@@ -201,7 +201,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "uncertain": (
         "u",
-        "no verdict on the gap: measure at more positions, or calibrate with method soft",
+        "the gap says nothing of the model: measure at more positions, or calibrate with method soft",
     ),
     "at_bound": (
         "b",
@@ -221,7 +221,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
     "bent": (
         "c",
         "one T does not describe the decay, and these coefficients follow T20: look for coupled "
-        "spaces or absorption on one side, and do not carry them to other positions or rooms",
+        "spaces or absorption on one side, and do not use them at other positions or in other rooms",
     ),
     "no_air": (
         "",
@@ -230,7 +230,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "no_uncertainty": (
         "",
-        "z and Q may be overstated: give T per source and receiver, or its uncertainty",
+        "z and Q may be too large: state T per source and receiver, or its uncertainty",
     ),
     "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
     "clipped": (
@@ -240,13 +240,11 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "dimensions": (
         "",
-        "one of them is wrong: T is proportional to the volume, and so is the absorption that it "
-        "asks for",
+        "one of them is wrong: the absorption that T asks for is proportional to the volume",
     ),
     "wide_sigma": (
         "",
-        "so large a sigma says nothing of a coefficient, and any T agrees with it: is it a relative "
-        "one, or in percent?",
+        "any T agrees with so large a sigma: is it relative to alpha, or in percent?",
     ),
 }
 

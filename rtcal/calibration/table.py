@@ -237,12 +237,12 @@ def _plausibility(plausibility: Mapping[str, Any]) -> str:
     if agreement(p_value) == "too good":
         return (
             f"{start}, p = {p_value:.2g}: too good to be true. The coefficients moved less than their "
-            "stated uncertainty makes likely: a sigma or the uncertainty of T is stated too large, or "
-            "T was calculated from these coefficients."
+            "stated uncertainty makes likely. Either a sigma or the uncertainty of T is stated too "
+            "large, or T was calculated from these coefficients."
         )
     if agreement(p_value) == "contradicts":
         return (
             f"{start}, p = {p_value:.2g}: the measurement contradicts what was stated of the "
-            "materials. It fits all the same; do not take the fit for proof."
+            "materials. The calibrated T agrees with it all the same, which proves nothing."
         )
-    return f"{start}, p = {p_value:.2g}: in keeping with what was stated."
+    return f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated."

@@ -34,7 +34,7 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
     "ranges",
     multiple=True,
     metavar="PARAMETER=DB",
-    help="Impulse-to-noise ratio in dB that a parameter needs, in place of ISO 3382's: t30=38.",
+    help="Impulse-to-noise ratio in dB that a parameter needs, if not ISO 3382's: t30=38.",
 )
 @click.option(
     "--channels",
@@ -53,7 +53,7 @@ def measure(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """T20, T30, EDT, C50, C80, D50 and Ts of RESPONSES (WAV), and the reasons for missing values.
+    """Measure T20, T30, EDT, C50, C80, D50 and Ts of RESPONSES (WAV); say why values are missing.
 
     Example: rtcal measure *.wav --out t.csv
     """
@@ -154,12 +154,12 @@ def _write_and_tell(
 @click.argument("room", type=click.Path())
 @click.argument("materials", type=click.Path())
 @click.option(
-    "--template", type=click.Path(), help="Program's own file to change; else MATERIALS itself."
+    "--template", type=click.Path(), help="Program's file to change; by default MATERIALS itself."
 )
 @click.option(
     "--decimals",
     type=click.IntRange(0, 15),
-    help="Decimals of a coefficient (3: a tenth of a percent); else the format's.",
+    help="Decimals of a coefficient (3: a tenth of a percent); by default the format's.",
 )
 @click.option(
     "--missing-bands",

@@ -31,38 +31,49 @@ _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
     help="Where sources and receivers stand (TOML, m).",
 )
 @click.option(
-    "--mesh", type=click.Path(dir_okay=False), help="The room's mesh (OBJ), unless a box."
+    "--mesh", type=click.Path(dir_okay=False), help="The room's mesh (OBJ). Not needed for a box."
 )
-@click.option("--unit", type=float, default=1.0, show_default=True, help="Of the mesh, in m.")
+@click.option("--unit", type=float, default=1.0, show_default=True, help="The mesh's unit in m.")
 @click.option(
     "--match",
     multiple=True,
     type=click.Choice(_PARAMETERS),
     default=("t20", "edt", "c80", "ts", "level"),
     show_default=True,
-    help="What is matched at every position; several times.",
+    help="What is matched at every position. The option may be repeated.",
 )
 @click.option(
-    "--exclude", multiple=True, metavar="SOURCE:RECEIVER", help="Leave a pair out; several times."
+    "--exclude",
+    multiple=True,
+    metavar="SOURCE:RECEIVER",
+    help="Leave a pair out. The option may be repeated.",
 )
 @click.option(
-    "--scattering", type=float, help="Of every material, unless the room states coefficients."
+    "--scattering",
+    type=float,
+    help="Scattering coefficient of all materials, if the room states none.",
+)
+@click.option(
+    "--paths", type=click.IntRange(100), default=8000, show_default=True, help="Paths to trace."
 )
 @click.option(
     "--keep-scattering",
     is_flag=True,
-    help="Keep the scattering stated; else its level is fitted, too.",
+    help="Keep the stated scattering; by default its level is fitted too.",
 )
-@click.option("--paths", type=click.IntRange(100), default=8000, show_default=True, help="Traced.")
 @click.option(
     "--position-uncertainty",
     type=float,
     default=0.1,
     show_default=True,
-    help="How far sources and receivers may stand from there, in m.",
+    help="Standard uncertainty of the positions in m.",
 )
 @click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the random numbers."
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Seed of the random numbers.",
 )
 @click.option(
     "--out",
@@ -91,10 +102,13 @@ def fit(
 ) -> None:
     """Calibrate ROOM (TOML) to every pair of MEASURED (CSV) by path tracing.
 
-    The control runs are kept beside ROOM, in .rtcal_cache: a second calibration is quicker.
+    The control runs take most of the time. They are kept beside ROOM, in .rtcal_cache, so that a second
+    calibration is quicker.
 
-    Example: rtcal fit room.toml pairs.csv --mesh room.obj --positions positions.toml --out fitted
-    """
+    \b
+    Example: rtcal fit room.toml pairs.csv --mesh room.obj \\
+        --positions positions.toml --out fitted
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.discrepancy.cache import FOLDER

@@ -37,8 +37,10 @@ NOTHING_TO_ADD = 6
 def gap() -> None:
     """Find what a model misses, add it, and verify it by the gaps that alpha cannot close.
 
-    CASE is a TOML file: a room, its equation, and measurements by configuration (docs/discrepancy.md).
-    With geometry = a mesh and positions, it also says on which surface (docs/where.md).
+    CASE is a TOML file: a room, its equation, and measurements by configuration (docs/files.md). With
+    geometry = a mesh and positions, it also says on which surface (docs/where.md). The first search of
+    a case simulates control rooms, which takes a minute or more. They are kept beside CASE, in
+    .rtcal_cache.
     """
 
 
@@ -107,7 +109,7 @@ def _common(command: Any) -> Any:
             "--prior",
             multiple=True,
             metavar="EFFECT=ODDS",
-            help="Prior odds of an effect against the others, of none or of coefficients.",
+            help="Prior odds of an effect, of none or of coefficients: opening=2.",
         ),
         click.option("--only", multiple=True, metavar="EFFECT", help="Try this effect alone."),
         click.option("--without", multiple=True, metavar="EFFECT", help="Do not try this effect."),
@@ -115,8 +117,7 @@ def _common(command: Any) -> Any:
             "--engine",
             "engines",
             multiple=True,
-            help="At least two simulators for the control rooms; path tracing and network if not "
-            "given.",
+            help="Simulator of the control rooms, at least two; by default path tracing and network.",
         ),
         click.argument("case", type=click.Path()),
     ):
@@ -221,8 +222,10 @@ def apply(
     The written case can be used like any other. Neither it nor the room is calibrated. With a geometry,
     a folder gets room, mesh, positions, and lists of materials for CATT and ODEON.
 
-    Example: rtcal gap apply case.toml --out corrected.json --room corrected.toml
-    """
+    \b
+    Example: rtcal gap apply case.toml \\
+        --out corrected.json --room corrected.toml
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     if has_geometry(case):
         if room is not None:
             raise DataError("--room: with a geometry the room is written into the folder of --out")

@@ -26,15 +26,17 @@ if TYPE_CHECKING:
 @click.command("import", short_help="A program's material list and a mesh to a room.")
 @click.argument("program", type=click.Choice((*PROGRAMS, "catalogue")))
 @click.argument("materials", type=click.Path(), required=False)
-@click.option("--mesh", type=click.Path(), help="OBJ with the materials' names: areas and volume.")
+@click.option(
+    "--mesh", type=click.Path(), help="Mesh (OBJ) with the materials' names, for areas and volume."
+)
 @click.option("--unit", type=float, default=1.0, show_default=True, help="The mesh's unit in m.")
-@click.option("--volume", type=float, help="m³, without a mesh.")
+@click.option("--volume", type=float, help="The room's volume in m³, without a mesh.")
 @click.option(
     "--area",
     "areas",
     multiple=True,
     metavar="MATERIAL=M2",
-    help="Without a mesh, one per material.",
+    help="Area of a material in m², without a mesh; one option per material.",
 )
 @click.option(
     "--catalogue",
@@ -44,7 +46,9 @@ if TYPE_CHECKING:
     help="Take a material from the catalogue (Vorländer 2008).",
 )
 @click.option(
-    "--bands", metavar="octave|third-octave|HZ,HZ...", help="The room's bands; else the list's."
+    "--bands",
+    metavar="octave|third-octave|HZ,HZ...",
+    help="The room's bands; by default the list's.",
 )
 @click.option(
     "--temperature", type=float, help="Temperature of the air in °C (20 with --humidity alone)."
@@ -53,14 +57,25 @@ if TYPE_CHECKING:
     "--humidity", type=float, help="Relative humidity in % (50 with --temperature alone)."
 )
 @click.option(
-    "--sigma", "sigma_table", type=click.Path(), help="CSV: material,sigma or one per band."
+    "--sigma",
+    "sigma_table",
+    type=click.Path(),
+    help="Table of sigma (CSV): material,sigma or one column per band.",
 )
 @click.option(
-    "--sigma-relative", type=float, default=0.3, show_default=True, help="Share of alpha."
+    "--sigma-relative",
+    type=float,
+    default=0.3,
+    show_default=True,
+    help="sigma as a share of alpha.",
 )
-@click.option("--sigma-minimum", type=float, default=0.01, show_default=True, help="Least sigma.")
+@click.option(
+    "--sigma-minimum", type=float, default=0.01, show_default=True, help="Smallest sigma."
+)
 @click.option("--iso-12999-2", is_flag=True, help="Use at least the sigma between laboratories.")
-@click.option("--in-situ-factor", type=float, default=1.0, show_default=True, help="Times sigma.")
+@click.option(
+    "--in-situ-factor", type=float, default=1.0, show_default=True, help="Factor on every sigma."
+)
 @click.option(
     "--scattering", type=float, help="Scattering coefficient of materials that state none."
 )
@@ -90,11 +105,13 @@ def import_room(
 ) -> None:
     """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
 
-    A list states neither uncertainty nor air. Without the options for them, the output prints the
-    assumptions.
+    A list states neither uncertainty nor air. Without the options for them, the assumptions are
+    printed.
 
-    Example: rtcal import catt hall.geo --volume 2000 --area wood=300 --out room.toml
-    """
+    \b
+    Example: rtcal import catt hall.geo --volume 2000 \\
+        --area wood=300 --area plaster=800 --out room.toml
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import sigma_table as table
     from rtcal.io.material_list import SigmaRule
 
@@ -252,10 +269,11 @@ def _notes(
 ) -> list[str]:
     """Return the assumptions beyond the list, in words."""
     stated = "" if not sigma else f"; stated: {', '.join(sigma)}"
-    notes = [f"{rule}{stated}"]
+    notes = [f"Assumed: {rule}{stated}" if not stated else f"{rule}{stated}"]
     if room.air is None:
         notes.append(
-            "no air: state --temperature and --humidity, or alpha takes what the air absorbs"
+            "No air is stated, so alpha will include what the air absorbs: state --temperature and "
+            "--humidity."
         )
     else:
         notes.append(f"air {room.air.temperature:g} °C, {room.air.humidity:g} %")

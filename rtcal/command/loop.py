@@ -42,8 +42,15 @@ def loop() -> None:
 @loop.command(short_help="Begin: write what to simulate first.")
 @click.argument("room", type=click.Path())
 @click.argument("measured", type=click.Path())
-@click.option("--state", type=click.Path(dir_okay=False), required=True, help="State to write.")
-@click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
+@click.option(
+    "--state",
+    type=click.Path(dir_okay=False),
+    required=True,
+    help="File for the loop's state (JSON).",
+)
+@click.option(
+    "--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate next (TOML)."
+)
 @method_option
 @equation_option
 @click.option(
@@ -75,8 +82,10 @@ def start(
 
     A state that holds simulations is not overwritten: delete it to begin anew.
 
-    Example: rtcal loop start room.toml t.csv --state loop.json --out next.toml --decimals 2
-    """
+    \b
+    Example: rtcal loop start room.toml t.csv \\
+        --state loop.json --out next.toml --decimals 2
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.calibration.measured import times_in_room
@@ -99,7 +108,11 @@ def start(
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
     parameters = [p.upper() for p in sorted(set(times_in_room(begun.room, data).parameter)) if p]
     record = {"state": state, "simulate": out, "unreachable": beyond, "measured": parameters}
-    lines = [f"Measured T: {' and '.join(parameters)}.", *beyond, f"Simulate {out} first."]
+    lines = [
+        f"Measured T: {' and '.join(parameters)}.",
+        *beyond,
+        f"Simulate {out} first.",
+    ]
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 
@@ -107,9 +120,11 @@ def start(
 @click.argument("room", type=click.Path())
 @click.argument("simulated", type=click.Path())
 @click.option(
-    "--state", type=click.Path(dir_okay=False), required=True, help="State to go on from."
+    "--state", type=click.Path(dir_okay=False), required=True, help="File of the loop's state."
 )
-@click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
+@click.option(
+    "--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate next (TOML)."
+)
 @click.option(
     "--again",
     is_flag=True,
@@ -126,8 +141,10 @@ def next_(
     ROOM is the file that `start` read. `rtcal report STATE` shows the steps so far, `rtcal loop
     back` takes the last step back.
 
-    Example: rtcal loop next room.toml simulated.csv --state loop.json --out next.toml
-    """
+    \b
+    Example: rtcal loop next room.toml simulated.csv \\
+        --state loop.json --out next.toml
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.quality import explained
     from rtcal.acoustics.room import Room
     from rtcal.loop import by_hand
@@ -160,17 +177,21 @@ def next_(
 @loop.command(short_help="Take the last step back.")
 @click.argument("room", type=click.Path())
 @click.option(
-    "--state", type=click.Path(dir_okay=False), required=True, help="State to go back from."
+    "--state", type=click.Path(dir_okay=False), required=True, help="File of the loop's state."
 )
-@click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate.")
+@click.option(
+    "--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate next (TOML)."
+)
 @json_option
 @quiet_option
 @_holding_state
 def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
     """Forget the table that `next` read last, and write the room to simulate in its place.
 
-    Example: rtcal loop back room.toml --state loop.json --out next.toml
-    """
+    \b
+    Example: rtcal loop back room.toml \\
+        --state loop.json --out next.toml
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
     from rtcal.loop import by_hand
     from rtcal.loop.state import Loop

@@ -33,8 +33,10 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
     an `rtcal loop`, or the file of `LoopResult.save`. The page needs no network and no other file. It
     can be printed.
 
-    Example: rtcal report calibrated --author "A. Consultant" --out hall.html
-    """
+    \b
+    Example: rtcal report calibrated \\
+        --author "A. Consultant" --out hall.html
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.report import document, page, result_folder
     from rtcal.support.files import spare
     from rtcal.support.progress import bar

@@ -70,14 +70,14 @@ def next_measurement(
     named = [c for c in candidates if c not in (UNKNOWN, COEFFICIENTS)]
     if candidates and candidates[0] == COEFFICIENTS:
         return (
-            "look for another source of the coefficients, first for the material with the largest S "
-            "sigma; or measure with and without a known absorber"
+            "look for another source of the coefficients, first for the material with the largest "
+            "product of area and sigma; or measure with and without a known absorber"
         )
     if not named:
         return (
             "nothing to settle"
             if not candidates
-            else ("look at the residual map: which band, which parameter; then measure there again")
+            else "see in the residuals which band and parameter disagree, and measure these again"
         )
     best = named[0]
     rows = [i for i, n in enumerate(predicted.names) if n == best]
@@ -106,20 +106,23 @@ def next_measurement(
     if len(set(removable.values())) == 2:
         suspect = best if removable[best] else rival
         return (
-            f"measure with and without the {suspect}: if it is that, T changes, and what is not known "
-            "of alpha cancels"
+            f"measure with and without the {suspect}. If it is that, T changes, and the uncertainty of "
+            "alpha cancels in the difference"
         )
     if options and max(options)[0] > now + 1:
         gain, label = max(options)
-        return f"{label}: {best} and {rival} would differ by {gain:.1f} nats instead of {now:.1f}"
+        return (
+            f"measure {label}: with it {best} and {rival} would differ by {gain:.1f} nats instead of "
+            f"{now:.1f}"
+        )
     if all(removable.values()):
         return (
-            f"measure with and without the {best}, then the {rival}: what is not known of "
-            "alpha cancels"
+            f"measure with and without the {best}, then with and without the {rival}. The uncertainty "
+            "of alpha cancels in the difference"
         )
     return (
-        f"{best} and {rival} predict the same in every parameter; look at the room: one of them can be "
-        "seen or measured with a rule"
+        f"look at the room: {best} and {rival} predict the same in every parameter, and one of them "
+        "can be seen, or measured with a rule"
     )
 
 

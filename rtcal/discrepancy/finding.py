@@ -307,9 +307,9 @@ class Finding:
             f"{k} {self.percent(k)}" for k, p in self.probabilities.items() if p >= _SAID
         )
         return (
-            f"probabilities: {first}; evidence that something is missing {self.score:+.1f} nats "
-            f"({NATS}); threshold {self.threshold:.1f}, bootstrapped on "
-            f"{' and '.join(self.engines) or 'no engine'}"
+            f"probabilities: {first}. Evidence that something is missing: {self.score:+.1f} nats "
+            f"({NATS}). Threshold: {self.threshold:.1f} nats, from control rooms of "
+            f"{' and '.join(self.engines) or 'no engine'} that lack nothing."
         )
 
     @property
@@ -331,7 +331,7 @@ class Finding:
             "none": "No disagreement beyond what prior, measurement and model error allow.",
             "hint": hint,
             "named": named,
-            "family": f"{self.kind}: {self.family} ({others}).",
+            "family": f"{self.kind}: {self.family}, one of {others}.",
             "ambiguous": f"{self.kind}: one of {others}.",
             "unknown": "Something is missing that no effect of the library explains.",
         }[self.verdict]

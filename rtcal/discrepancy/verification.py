@@ -172,9 +172,10 @@ class Verification:
         lines = text.wrapped(self.sentence)
         lines += text.table(rows, header=("mean gap in JND", ["plain", "corrected"]))
         for sentence in (
-            f"What alpha cannot absorb, predicted from T20: {_better(self.predictive)}.",
-            "Plain calibration meets the fitted T20 exactly; the corrected one as closely as the "
-            "uncertainty of T deserves.",
+            "Once T20 is fitted, the corrected model predicts what alpha cannot absorb "
+            f"{_better(self.predictive)} than the plain one.",
+            "Plain calibration meets the fitted T20 exactly. The corrected one meets it as closely as "
+            "the uncertainty of T allows.",
         ):
             lines += text.wrapped(sentence)
         room = self.finding.case.room

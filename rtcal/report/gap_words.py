@@ -113,8 +113,8 @@ def _proof(verification: Verification) -> str:
     )
     return {
         "proven": f"{gap}, which supports the finding.",
-        "unproven": f"{gap}, which neither supports nor refutes it.",
-        "withdrawn": f"{gap}, which speaks against it.",
+        "unproven": f"{gap}, which neither supports nor refutes the finding.",
+        "withdrawn": f"{gap}, which speaks against the finding.",
     }[verification.verdict]
 
 

@@ -23,10 +23,10 @@ _SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
 _LIMITS = (-1e6, 1e6)  # s and dB: far beyond any parameter of a room
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
-    "unreachable": "cannot be reached: no coefficients within the equation's range bring it nearer",
+    "unreachable": "cannot come nearer: no coefficients within the equation's range do better",
     "not converging": "did not come within the goal",
     "not yet": "did not come within the goal yet",
-    "no measured T": "had no measured T; the coefficients are the stated ones",
+    "no measured T": "had no measured T and keeps the stated coefficients",
     "not confirmed": "came within the goal, but not with fresh random numbers, or the simulator's "
     "noise is too large to tell: simulate with less of it (more paths)",
 }
@@ -43,25 +43,22 @@ def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
     f, first = loop.room.centre_frequencies, gap_jnd(loop.steps[0].simulated, loop.wanted)
     n = len(loop.steps)
     sentences = [
-        f"A simulator was run {n} time{'' if n == 1 else 's'}. After each run the absorption "
-        "coefficients were changed so that its T20 comes nearer to the measured one, band by band. "
-        "Differences are given in just noticeable differences: one JND is 5 % of the measured T20."
+        f"A simulator was run {n} time{'' if n == 1 else 's'}, and after each run the absorption "
+        "coefficients were changed so that its T20 comes nearer to the measured one."
     ]
     compared = np.isfinite(first)
     if compared.any():
         sentences.append(
-            f"The first run was off by {np.abs(first[compared]).max():.1f} JND in the worst band; "
-            f"taking each band's nearest run, {np.abs(loop.gap[compared]).max():.1f} JND are left."
+            f"The first run was off by {np.abs(first[compared]).max():.1f} JND in the worst band; in "
+            f"each band's nearest run {np.abs(loop.gap[compared]).max():.1f} JND are left."
         )
     for status, description in _STATUS_IN_WORDS.items():
         bands = [float(v) for v, s in zip(f, status_of_bands, strict=True) if s == status]
         if bands:
-            sentences.append(f"{hertz(bands)}: {description}.")
-    sentences.append(
-        "The loop is done."
-        if loop.finished
-        else "The loop is not finished: simulate again and run `rtcal loop next`."
-    )
+            which = "All bands" if len(bands) == len(f) else hertz(bands)
+            sentences.append(f"{which} {description}.")
+    if not loop.finished:
+        sentences.append("The loop is not finished: simulate again and run `rtcal loop next`.")
     return sentences
 
 

@@ -196,7 +196,7 @@ def loop_page(
             "figure": {
                 "source": drawn,
                 "alt": "T20 wanted and simulated by band; gap by simulation",
-                "caption": "Left: T20 by band. Right: how far each simulation was off, in JND of 5 %.",
+                "caption": "T20 by band, and how far each simulation was off. One JND is 5 % of T20.",
             },
             "bands": loop_words.bands_table(loop, status),
             "ends": simulated,
