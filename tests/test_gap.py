@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import multiprocessing
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -156,6 +157,26 @@ def unsure(finding: Finding) -> Finding:
         runner_up="opening",
         fits={**finding.fits, "area": area},
     )
+
+
+@pytest.mark.parametrize("verdict", ["none", "hint", "named", "family", "ambiguous", "unknown"])
+def test_every_verdict_has_a_headline_and_says_what_to_do(finding: Finding, verdict: str) -> None:
+    """A client reads these first; the page had led with the plain calibration."""
+    seen = replace(
+        finding, verdict=verdict, candidates=() if verdict == "none" else finding.candidates
+    )
+    proved = verify(seen) if seen.can_be_added else None
+    page = summary(seen, proved)
+    for sentence in (page["headline"], *page["rests_on"], *page["to_do"]):
+        assert re.match(r"[A-Z].*\.$", sentence), sentence
+    assert page["level"] == {"none": "agrees", "hint": "open"}.get(verdict, "contradicts")
+    lacks = verdict not in ("none", "hint")
+    assert ("lacks something" in page["plain_heading"]) is lacks
+    can_be_used = "The calibration below can be used, with the reservations that it states."
+    assert (can_be_used in page["to_do"]) is not lacks
+    shown = str(page["headline"])
+    named = [c for c in finding.candidates if seen.title_of(c) in shown]
+    assert bool(named) is (verdict in ("named", "family", "ambiguous"))
 
 
 def test_the_verdict_stands_beside_what_is_supported(finding: Finding) -> None:
