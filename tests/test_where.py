@@ -301,7 +301,10 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     assert (tmp_path / "corrected" / "catt.txt").exists()
     assert (tmp_path / "corrected" / "odeon.txt").exists()
     assert "not fitted" in run("report", case, "--out", str(tmp_path / "page"))
-    assert {p.name for p in (tmp_path / "page").iterdir()} >= {"finding.json"}
+    names = {"report.html", "finding.json", "map.png", "surfaces.png", "gap.png"}
+    assert {p.name for p in (tmp_path / "page").iterdir()} == names
+    page = (tmp_path / "page" / "report.html").read_text()
+    assert page.index("not fitted") < page.index("What was found")
 
 
 @pytest.mark.parametrize(

@@ -294,7 +294,7 @@ def report(
     if not out:
         raise DataError("--out is empty; it is a folder")
     if has_geometry(case):
-        gap_where.report(case, search, out, quiet=quiet, as_json=as_json)
+        gap_where.report(case, search, out, heading, quiet=quiet, as_json=as_json)
         return
     read = _case(case, [str(Path(out) / name) for name in WRITTEN])
     finding = _find(case, read, search, quiet)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +14,7 @@ from rtcal.support.files import spare
 from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
+    from rtcal.report.document import Heading
     from rtcal.where import Finding
 
 SEEDS = (0, 1, 2)
@@ -101,8 +104,10 @@ def verify(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
-def report(path: str, search: Any, out: str, *, quiet: bool, as_json: bool) -> None:
-    """Write finding, gaps and figures into a folder."""
+def report(
+    path: str, search: Any, out: str, heading: Heading, *, quiet: bool, as_json: bool
+) -> None:
+    """Write page, finding and figures into a folder."""
     from rtcal import where
     from rtcal.discrepancy.cache import FOLDER
     from rtcal.report import where_folder
@@ -112,7 +117,10 @@ def report(path: str, search: Any, out: str, *, quiet: bool, as_json: bool) -> N
     verification = None
     if finding.can_be_added:
         verification = where.verify(finding, seeds=SEEDS, cache=Path(path).parent / FOLDER)
-    paths = where_folder.write(finding, verification, folder)
+    command = shlex.join(
+        ["rtcal", "gap", "report", path, *replace(search, engines=()).arguments(), "--out", out]
+    )
+    paths = where_folder.write(finding, verification, folder, heading, command)
     first = [] if verification is None else [verification.sentence]
     text = "\n".join([*first, str(finding), written(paths)])
     record = {**finding.to_dict(), "written": [str(p) for p in paths]}
