@@ -46,7 +46,7 @@ from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.likelihood import alpha_covariance, goodness_of_fit
 from rtcal.discrepancy.model import State, predict, sensitivities
 from rtcal.discrepancy.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.discrepancy.states import state
+from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)
@@ -254,7 +254,9 @@ def test_evidence_is_the_normal_density() -> None:
         covariance += 0.5 * (np.outer(bent, bent) + np.diag(bent**2))
         mean = predicted.features[i].ravel()[mask] + error.bias[mask]
         # Student's t with 5 degrees of freedom, scaled to this covariance.
-        expected = multivariate_t(mean, 0.6 * covariance, df=5).logpdf(observed.values)
+        # 21 features have the power 50 / 71.
+        power = 50 / (50 + observed.used.sum())
+        expected = power * multivariate_t(mean, 0.6 * covariance, df=5).logpdf(observed.values)
         assert got.stated[i] == pytest.approx(expected, rel=1e-6)
         # Off together: the error that the coefficients have in common is twice or four times as large.
         common = predicted.alpha_covariance.off_together(slice(i, i + 1))[0]
@@ -264,6 +266,7 @@ def test_evidence_is_the_normal_density() -> None:
             multivariate_t(mean, 0.6 * (covariance + (s**2 - 1) * common @ common.T), df=5).pdf(
                 observed.values
             )
+            ** power
             for s in (2, 4)
         ]
         assert got.off[i] == pytest.approx(np.log(0.6 * both[0] + 0.4 * both[1]), rel=1e-6)
@@ -518,6 +521,18 @@ def test_what_no_effect_explains_is_said_so() -> None:
     finding = find(tenfold, controls=controls_of(tenfold))
     assert finding.verdict not in ("named", "family")
     assert "times the model's: look for a mistake" in finding.reasons[0]
+
+
+def test_a_noise_floor_that_makes_t_many_times_longer_is_named() -> None:
+    """T20 is 2.9 times the model's: the decay's bend tells a noise floor from a mistake."""
+    case = opened()
+    noisy = [replace(state(case, c), floor_db=-32.0) for c in case.configurations]
+    features = predict(noisy, distances(case, case.configurations[0])).features[0]
+    t20 = np.exp(features[0])
+    assert np.median(t20 / np.exp(predict_hypotheses(case, []).features[0, 0, 0])) > 2
+    case = case_with(t20, edt=t20 * np.exp(features[1]), t30=t20 * np.exp(features[2]))
+    finding = find(case, controls=controls_of(case))
+    assert (finding.verdict, finding.effect) == ("named", "noise floor"), finding.reasons
 
 
 def test_surprise_is_chi_square_s() -> None:

@@ -20,7 +20,9 @@ from rtcal.discrepancy.evidence import Evidence
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.prior import HANDBOOK_SIGMA, off_together, prior_of
+from rtcal.discrepancy.probabilities import by_family
 from rtcal.discrepancy.states import distances, state
+from rtcal.discrepancy.verdict import claim
 from rtcal.errors import DataError
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
@@ -242,3 +244,13 @@ def test_coefficients_off_together_given_an_effect_follow_bayes() -> None:
         without = (1 - prior) * (weights[rows] @ np.exp(stated[rows]))
         expected = with_off / (with_off + without)
         assert evidence.off_given(name) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_room_s_coupling_is_claimed_by_its_family() -> None:
+    effects = {e.name: e for e in library()}
+    probabilities = {"coupled room": 0.97, "non-diffuse field": 0.02, "none": 0.01}
+    families = by_family(probabilities, effects)
+    assert claim(probabilities, families, effects, 5.0, 1.0) == ("family", "field")
+    probabilities = {"opening": 0.97, "none": 0.03}
+    families = by_family(probabilities, effects)
+    assert claim(probabilities, families, effects, 5.0, 1.0)[0] == "named"

@@ -20,6 +20,8 @@ from rtcal.support.types import Array
 
 GROSS = np.log(2.0)
 """Change of ln T, a factor of two, beyond which a mistake in what is stated is the first suspicion."""
+SHOWN = 4.6
+"""Evidence in nats, odds of 100 to one, from which features other than T show an effect."""
 SURPRISING = 1e-3
 """Probability of the residuals below which the best effect does not explain them."""
 
@@ -121,10 +123,14 @@ def decided_below_schroeder(
     ]
 
 
-def gross(observed: Observed, predicted: Hypotheses) -> list[str]:
-    """Return a reason where T is twice or half the model's."""
+def gross(observed: Observed, predicted: Hypotheses, gap: GapCheck) -> list[str]:
+    """Return a reason where T is twice or half the model's.
+
+    None where decay shape, level and the other configurations show the effect by themselves: a noise
+    floor may make T six times as long, and a wrong volume does not bend the decay.
+    """
     change = float(np.nanmedian((observed.features - predicted.features[0])[:, 0]))
-    if abs(change) <= GROSS:
+    if abs(change) <= GROSS or gap.predictive > SHOWN:
         return []
     return [
         f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "

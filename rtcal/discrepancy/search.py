@@ -141,7 +141,7 @@ def _conclude(
     families = by_family(probabilities, predicted.effects)
     order = [k for k in probabilities if k != NONE]
     best, score = order[0], float(evidence_of_something(evidence, prior))
-    verdict, family = claim(probabilities, families, score, limit)
+    verdict, family = claim(probabilities, families, predicted.effects, score, limit)
     candidates: tuple[str, ...] = ()
     if verdict != "none":
         candidates = (best,) if verdict == "named" else credible_set(probabilities)

@@ -53,7 +53,11 @@ class Fit:
 
 
 def claim(
-    probabilities: Mapping[str, float], families: Mapping[str, float], score: float, limit: float
+    probabilities: Mapping[str, float],
+    families: Mapping[str, float],
+    effects: Mapping[str, Effect],
+    score: float,
+    limit: float,
 ) -> tuple[str, str | None]:
     """Return the verdict before any check, and the family that is probable enough to be claimed."""
     best = next(k for k in probabilities if k != NONE)
@@ -62,7 +66,7 @@ def claim(
         return ("hint" if score > 0 else "none"), None
     if best == UNKNOWN:
         return "unknown", family
-    if probabilities[best] >= CLAIMED:
+    if probabilities[best] >= CLAIMED and (best == COEFFICIENTS or effects[best].alone):
         return "named", family
     return ("ambiguous" if family is None else "family"), family
 
@@ -119,7 +123,7 @@ def doubts(
     nats: float,
 ) -> tuple[str, ...]:
     """Return the reasons against a claim of the best candidate, ``nats`` its evidence."""
-    out = gross(observed, predicted)
+    out = gross(observed, predicted, best.gap)
     out += unexplained(best.name, *best.surprise)
     out += gap_against(best.name, best.gap)
     effects = []

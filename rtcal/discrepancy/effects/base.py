@@ -50,6 +50,10 @@ class Effect(ABC):
         Words for the values 0, 1, ... of a discrete parameter.
     family : str
         The effects that change the measurement alike; "added absorption, ..." names three of one kind.
+    alone : bool
+        Whether the effect is claimed by its own name. Otherwise its family is: in development rooms of
+        tests/second_world, a coupled room and a non-diffuse field pass for each other at any
+        probability, since both formulas are rough.
     odds : float
         Prior odds against the other effects of the library, most of which have 1.
     spectrum_error : (float, float, float)
@@ -75,6 +79,7 @@ class Effect(ABC):
     parameter_units: ClassVar[Mapping[str, str]] = {}
     parameter_values: ClassVar[Mapping[str, Sequence[str]]] = {}
     family: ClassVar[str] = "of your own"
+    alone: ClassVar[bool] = True
     odds: ClassVar[float] = 1.0
     formula_error: ClassVar[float] = 0.106
     largest_share: ClassVar[float] = 0.25

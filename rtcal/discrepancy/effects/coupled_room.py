@@ -19,6 +19,7 @@ class CoupledRoom(Effect):
 
     name: ClassVar[str] = "coupled room"
     family: ClassVar[str] = "field"
+    alone: ClassVar[bool] = False
     formula_error: ClassVar[float] = 0.35
     odds: ClassVar[float] = 0.5
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.2, 0.1, 0.3)

@@ -25,6 +25,7 @@ class NonDiffuse(Effect):
 
     name: ClassVar[str] = "non-diffuse field"
     family: ClassVar[str] = "field"
+    alone: ClassVar[bool] = False
     formula_error: ClassVar[float] = 0.35
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.2, 0.1, 0.3)
     size: ClassVar[str] = "scattering"
