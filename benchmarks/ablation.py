@@ -107,6 +107,7 @@ PARTS = {
         ((OmittedAir, "density", even), (OmittedAir, "prior_odds", even)), measured_climate
     ),
     "normal densities instead of Student's t": Part(((likelihood, "DEGREES", np.inf),)),
+    "likelihood at full power": Part(((likelihood, "COARSENING", np.inf),)),
 }
 """By what is taken away. The seventh change, one size of an effect everywhere, changes no name."""
 

@@ -168,10 +168,12 @@ def load(population: int) -> None:
     ROOMS[population], TRUTHS[population] = read(population, "case"), read(population, "truth")
 
 
-def run(population: int, folder: str, step: int, workers: int) -> None:
+def run(population: int, folder: str, step: int, workers: int, kept: bool) -> None:
     load(population)
     order = np.random.default_rng(0).permutation(len(ROOMS[population]))[::step]
     jobs = [(population, int(i), folder) for i in order]
+    if kept:
+        jobs = [j for j in jobs if (Path(folder) / "controls" / f"{j[1]}.npz").exists()]
     with multiprocessing.Pool(workers) as pool:
         for done, _ in enumerate(pool.imap_unordered(work, jobs), 1):
             print(f"\r{done}/{len(jobs)}", end="", flush=True)
@@ -731,11 +733,12 @@ def main() -> None:
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument("--step", type=int, default=1, help="every so many rooms")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--kept", action="store_true", help="rooms whose control rooms stand")
     parser.add_argument("--first", type=int, default=0, help="room to begin with")
     parser.add_argument("--rooms", type=int, default=40)
     given = parser.parse_args()
     if given.what == "run":
-        run(given.population, given.folder, given.step, given.workers)
+        run(given.population, given.folder, given.step, given.workers, given.kept)
     elif given.what == "store":
         store(given.folder)
     elif given.what == "table":
