@@ -528,7 +528,7 @@ def speed(first: int, rooms: int) -> None:
         print(f"  {label:30} median {np.median(taken):6.2f} s, most {max(taken):6.2f} s")
 
 
-def bound(folder: str) -> None:
+def bound(folder: str, kept: bool) -> None:
     """Print what could be had at best on these rooms.
 
     First of a test that is told which effect, and its size: Phi(delta - 1.645) at 5 % false alarms,
@@ -543,8 +543,10 @@ def bound(folder: str) -> None:
     for index, truth in enumerate(TRUTHS[1]):
         if not 1 <= truth["seed"][1] <= 12:
             continue
-        case = Case.from_dict(ROOMS[1][index])
-        controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
+        case, path = Case.from_dict(ROOMS[1][index]), Path(folder) / "controls" / f"{index}.npz"
+        if kept and not path.exists():
+            continue
+        controls = kept_controls(case, path)
         name, parameters = NAMES[truth["seed"][1]], parameters_of(truth["effects"][0])
         for data, part, rooms in (("one", one(case), first_of(controls)), ("all", case, controls)):
             observed, _ = observe(part)
@@ -744,7 +746,7 @@ def main() -> None:
     elif given.what == "table":
         table(given.folder)
     elif given.what == "bound":
-        bound(given.folder)
+        bound(given.folder, given.kept)
     elif given.what == "alpha":
         alpha(given.folder, given.rooms)
     elif given.what == "engines":
