@@ -28,7 +28,7 @@ from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.likelihood import DEGREES, alpha_covariance, covariance_of
+from rtcal.discrepancy.likelihood import COARSENING, DEGREES, alpha_covariance, covariance_of
 from rtcal.discrepancy.model import FEATURES
 from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import UNKNOWN, prior_of
@@ -120,7 +120,8 @@ def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model() -> N
         covariance += covariance_of(c.observed, c.predicted, c.discrepancy, i)[1] - fixed
     mean = together.features[0].ravel()[mask] + c.discrepancy.bias[mask]
     shape = covariance * (DEGREES - 2) / DEGREES
-    expected = multivariate_t.logpdf(c.observed.values, mean, shape, DEGREES)
+    power = COARSENING / (COARSENING + len(mean))
+    expected = power * multivariate_t.logpdf(c.observed.values, mean, shape, DEGREES)
     assert evaluate_sets(c, [rows], off=False).stated[0] == pytest.approx(expected, abs=1e-6)
     assert np.isneginf(evaluate_sets(c, [rows], off=False).off[0])
 
