@@ -361,3 +361,14 @@ def test_coefficients_that_are_all_off_are_no_surface(cache: Path) -> None:
     data = heard(truth, 1.5 * stated().alpha)
     finding = rt.where.find(rt.where.Case(simulator=tracing(room), measured=data), cache=cache)
     assert finding.surface is None
+
+
+def test_the_next_position_is_free_and_tells_something(finding: rt.where.Finding) -> None:
+    places = rt.where.next_position(finding, number=6)
+    assert len(places) == 6 * len(SOURCES)
+    assert places[0].nats > places[-1].nats > 0
+    points = np.array([p.point for p in places])
+    assert finding.case.geometry.contains(points).all()
+    assert (finding.case.geometry.wall_distance(points) > 0.69).all()
+    with pytest.raises(DataError, match="number = 0"):
+        rt.where.next_position(finding, number=0)

@@ -47,7 +47,7 @@ def disagreement(finding: Finding) -> Any:
 
 
 def _plan(axes: Any, finding: Finding) -> None:
-    case = finding.case
+    case, level = finding.case, list[str]()
     for name, faces in case.faces.items():
         probability = finding.surfaces.get(name, 0.0) if finding.verdict != "none" else 0.0
         wall = kind(case.geometry, faces) == "wall"
@@ -65,9 +65,12 @@ def _plan(axes: Any, finding: Finding) -> None:
                     solid_capstyle="butt",
                 )
         if probability >= _SHOWN:
-            middle = _middle(case.geometry, faces)
             label = f"{shown(name, 20)}: {100 * probability:.0f} %"
-            axes.annotate(label, middle[:2], fontsize=8, ha="center", zorder=5)
+            if wall:
+                middle = _middle(case.geometry, faces)
+                axes.annotate(label, middle[:2], fontsize=8, ha="center", zorder=5)
+            else:
+                level.append(label)
     z = np.sqrt(np.nanmean(finding.map**2, axis=(0, 2)))
     most = max(2.0, float(np.nanmax(z)))
     sources, receivers = case.simulator.sources, case.simulator.receivers
@@ -83,7 +86,7 @@ def _plan(axes: Any, finding: Finding) -> None:
                 shown(name, 12), point[:2], xytext=(5, 5), textcoords="offset points", fontsize=8
             )
     axes.set_aspect("equal")
-    axes.set_xlabel("x / m")
+    axes.set_xlabel("\n".join(["x / m", *level]))
     axes.set_ylabel("y / m")
     axes.set_title(f"Residuals by pair: darkest {float(np.nanmax(z)):.1f} standard deviations")
 

@@ -7,6 +7,7 @@
 docs/where.md has the method and what it can and cannot do.
 """
 
+from rtcal.where.advice import Place, next_position
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
 from rtcal.where.corrected import Corrected
@@ -20,7 +21,9 @@ __all__ = [
     "Case",
     "Corrected",
     "Finding",
+    "Place",
     "Verification",
     "find",
+    "next_position",
     "verify",
 ]

@@ -1,0 +1,22 @@
+"""Draw the picture of docs/where.md and the README: the room, the surface that was found, the gap.
+
+Run: python docs/figures/where.py
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from rtcal.report import figures, where_figures
+
+DOCS = Path(__file__).parents[1]
+
+if __name__ == "__main__":
+    names: dict[str, Any] = {}
+    page = (DOCS / "where.md").read_text(encoding="utf-8")
+    example = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)[0]
+    exec(compile(example, "where.md", "exec"), names)
+    figure, axes = figures.new_figure(9.0, 4.0, 1, 2)
+    where_figures.draw_room(axes[0], names["finding"])
+    where_figures.draw_bars(axes[1], names["verification"])
+    figures.save(figure, DOCS / "figures" / "where.svg")
