@@ -313,3 +313,27 @@ def test_a_file_name_that_is_no_text_is_refused(tmp_path: Path, capsys) -> None:
     path.write_bytes(fuzz.READERS["wav"].seeds[0])
     assert run("measure", path) == 2
     assert "cannot be read as WAV" in capsys.readouterr().err
+
+
+def test_a_message_is_of_the_header_and_not_of_a_title_with_a_comma(tmp_path: Path, capsys) -> None:
+    """It had proposed to leave out the column "Kleiner Saal", which is a title."""
+    table = tmp_path / "saal.csv"
+    table.write_text("Kleiner Saal, Messung 3\nFrequenz [Hz];RT60 [s];EDT [s]\n500;1,25;1,31\n")
+    assert run("table", table) == 2
+    said = capsys.readouterr().err
+    assert 'line 2: "RT60" does not say which decay time it is; state --decay-time t20' in said
+    assert run("table", table, "--decay-time", "t20") == 0
+    shown = capsys.readouterr().out
+    assert "the header is line 2" in shown
+    assert re.search(r"^T20 / s +1\.250$", shown, re.M)
+
+
+@pytest.mark.parametrize("options", [(), ("--volume", "200"), ("--area", "wood=80")])
+def test_an_import_without_areas_names_the_materials(tmp_path: Path, capsys, options) -> None:
+    """It had said "no areas; a room has at least one surface", and not of which materials."""
+    hall = tmp_path / "hall.geo"
+    hall.write_bytes(b"ABS wood = <10 10 10 10 10 10>\r\nABS felt = <20 20 20 20 20 20>\r\n")
+    assert run("import", "catt", hall, *options, "--out", tmp_path / "room.toml") == 2
+    said = capsys.readouterr().err
+    assert "--volume M3 and --area MATERIAL=M2 for each material" in said
+    assert "The list has: wood, felt" in said
