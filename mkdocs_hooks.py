@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import nbformat
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 from nbconvert import MarkdownExporter
@@ -30,12 +31,22 @@ def on_files(files: Files, config: Any) -> Files:
     for path in sorted(NOTEBOOKS.glob("*/*.ipynb")):
         folder = f"notebooks/{path.parent.name}"
         keys = {"unique_key": path.stem, "output_files_dir": f"{path.stem}_files"}
-        body, resources = MarkdownExporter().from_filename(str(path), dict(keys))
-        page = _linked(body).replace("](../../docs/", "](../../")
+        notebook = nbformat.read(path, as_version=4)
+        body, resources = MarkdownExporter().from_notebook_node(notebook, dict(keys))
+        page = _linked(_with_words(body, notebook)).replace("](../../docs/", "](../../")
         files.append(File.generated(config, f"{folder}/{path.stem}.md", content=page))
         for name, content in resources["outputs"].items():
             files.append(File.generated(config, f"{folder}/{name}", content=content))
     return files
+
+
+def _with_words(body: str, notebook: nbformat.NotebookNode) -> str:
+    """Give each picture its alternative text, which `IPython.display.Image` keeps in the metadata."""
+    outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
+    words = (
+        out.metadata["image/png"]["alt"] for out in outputs if "image/png" in out.get("data", {})
+    )
+    return re.sub(r"!\[png\]", lambda _: f"![{next(words)}]", body)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

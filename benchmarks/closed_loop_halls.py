@@ -9,8 +9,8 @@ times the paths and another seed, at receivers that the calibration did not see.
 
 Printed per trial: simulations used; the largest gap of T20 over the bands in JND with the prior, with
 the equation's calibration (the loop's first simulation), after the loop with a fresh seed, and at the
-held-out receivers; there also the largest gaps of C50 and C80, which were not fitted; and the largest
-noise of the measurement's own T20, standard error in JND.
+held-out receivers; there also the largest gaps of EDT, C50 and C80, which were not fitted; and the
+largest noise of the measurement's own T20, standard error in JND.
 """
 
 from __future__ import annotations
@@ -45,7 +45,17 @@ CASES = {
 }
 TOLERANCE = 0.5  # JND: the other half is left to the noise of simulator and measurement
 RELATIVE_SIGMA = 0.3  # large hard walls would hit alpha = 0 with absolute sigma
-COLUMNS = ("simulations", "prior", "equation", "after", "held out", "C50", "C80", "own noise")
+COLUMNS = (
+    "simulations",
+    "prior",
+    "equation",
+    "after",
+    "held out",
+    "EDT",
+    "C50",
+    "C80",
+    "own noise",
+)
 
 
 def moved(points: dict[str, halls.Point], rng: np.random.Generator) -> dict[str, halls.Point]:
@@ -101,7 +111,17 @@ def chosen(hall: halls.Hall, case: Case) -> dict[str, halls.Point]:
     return dict(list(hall.sources.items())[: case.n_sources])
 
 
-def run(name: str, case: Case, trial: int) -> list[float]:
+@dataclass(frozen=True)
+class Trial:
+    """Numbers of one trial in the order of `COLUMNS`; what was measured; first and last simulation."""
+
+    numbers: list[float]
+    measured: rt.Measurement
+    first: rt.Measurement
+    after: rt.Measurement
+
+
+def run(name: str, case: Case, trial: int) -> Trial:
     measured = measure(name, case, trial)
     hall = getattr(halls, name)()
     room = prior(hall, case)
@@ -124,16 +144,18 @@ def run(name: str, case: Case, trial: int) -> list[float]:
         result.alpha, seed=200 + trial
     )
     noise = seen.mean_uncertainty("t20") / seen.mean("t20") / JND["t20"]
-    return [
-        result.simulations,
+    numbers = [
+        float(result.simulations),
         largest(with_prior, seen, "t20"),
         largest(result.before, seen, "t20"),
         largest(after, seen, "t20"),
         largest(confirmed, unseen, "t20"),
+        largest(confirmed, unseen, "edt"),
         largest(confirmed, unseen, "c50"),
         largest(confirmed, unseen, "c80"),
         float(noise.max()),
     ]
+    return Trial(numbers, seen, result.before, after)
 
 
 def main() -> None:
@@ -157,7 +179,7 @@ def main() -> None:
     for name in arguments.hall or CASES:
         rows = []
         for trial in range(arguments.trials):
-            rows.append(run(name, CASES[name], trial))
+            rows.append(run(name, CASES[name], trial).numbers)
             show(name, str(trial), rows[-1])
         show(name, "median", list(np.median(rows, axis=0)))
         show(name, "worst", list(np.max(rows, axis=0)))

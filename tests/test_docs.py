@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import inspect
 import io
 import re
 import tomllib
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -94,3 +96,66 @@ def test_version_and_citation_agree() -> None:
     assert f"version: {rt.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert "10.1051/aacus/2025011" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"## {rt.__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def public_names() -> dict[str, object]:
+    """Return what is public: the classes, functions and constants of every ``__all__`` below rtcal.
+
+    A module that is public without an ``__all__`` has the functions and classes that it defines.
+    """
+    found: dict[str, object] = {}
+    modules = [rt]
+    while modules:
+        module = modules.pop()
+        names = getattr(module, "__all__", None)
+        if names is None:
+            names = [n for n, v in vars(module).items() if _defined_in(module, n, v)]
+        for name in names:
+            value = getattr(module, name)
+            if isinstance(value, ModuleType):
+                modules.append(value)
+            else:
+                found[f"{module.__name__}.{name}"] = value
+    return found
+
+
+def _defined_in(module: ModuleType, name: str, value: object) -> bool:
+    is_code = inspect.isclass(value) or inspect.isfunction(value)
+    return not name.startswith("_") and is_code and value.__module__ == module.__name__
+
+
+NEEDS_NO_EXAMPLE = {
+    "Rule": "a type: one of three names",
+    "Rows": "what a constraint of one's own returns: rows of numbers",
+    "match_matrix": "for a term of one's own that matches T; ExactMatch shows it",
+    "lacking": "for messages about a term of one's own",
+    "Threshold": "part of a Finding, never made by a user",
+    "bins": "part of every simulator's decay, never called by a user",
+    "bent_marks": "trust_marks calls it",
+    "absorption_shares": "the numbers of material_figures.shares",
+    "of_energy": "one response of impulse_responses.analyse",
+}
+
+
+def test_every_public_name_has_an_example_that_runs() -> None:
+    shown = "\n".join(
+        block for page in (ROOT / "docs").glob("**/*.md") for block in blocks(page, "python")
+    )
+    words = set(re.findall(r"\w+", shown))
+    names = public_names()
+    assert len(names) > 150
+    missing = [
+        name
+        for name, value in names.items()
+        if (last := name.rpartition(".")[2]) not in words | {*NEEDS_NO_EXAMPLE}
+        and ">>> " not in (inspect.getdoc(value) or "")
+        and not (inspect.isclass(value) and last in _mentioned())
+    ]
+    assert not missing
+    assert {n.rpartition(".")[2] for n in names} >= {*NEEDS_NO_EXAMPLE}
+
+
+def _mentioned() -> set[str]:
+    """Classes that are never called by name: the page says which line of its example returns one."""
+    pages = (ROOT / "docs" / "api").glob("*.md")
+    return {w for page in pages for w in re.findall(r"`(\w+)`", page.read_text(encoding="utf-8"))}
