@@ -134,6 +134,14 @@ NEEDS_NO_EXAMPLE = {
     "bent_marks": "trust_marks calls it",
     "absorption_shares": "the numbers of material_figures.shares",
     "of_energy": "one response of impulse_responses.analyse",
+    "finding_page": "`rtcal gap report` calls it; takes seconds",
+    "loop_page": "as page.page, with a loop's result",
+    "page_of": "as page.page, from a folder",
+    "Reproduction": "what `rtcal gap report` was called with",
+    "summary": "the first sentences of a finding's page",
+    "render": "fills a template of this package",
+    "source": "a figure as text within a page",
+    "blocks": "divides a table of many bands",
 }
 
 
