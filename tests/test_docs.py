@@ -98,6 +98,19 @@ def test_version_and_citation_agree() -> None:
     assert f"## {rt.__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
+MINUTES, PER_MINUTE = 5, 220  # words that an adult reads per minute of a technical text
+
+
+@pytest.mark.parametrize("guide", ["closed_loop", "discrepancy", "positions"])
+def test_a_guide_is_read_in_five_minutes_and_has_a_study(guide: str) -> None:
+    page = ROOT / "docs" / f"{guide}.md"
+    prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    assert len(prose.split()) <= MINUTES * PER_MINUTE
+    study = (ROOT / "docs" / f"{guide}_study.md").read_text(encoding="utf-8")
+    assert f"({guide}_study.md)" in prose
+    assert len(re.findall(r"\d", study)) > 200
+
+
 def public_names() -> dict[str, object]:
     """Return what is public: the classes, functions and constants of every ``__all__`` below rtcal.
 
