@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 import rtcal as rt
-from rtcal.report import page
+from rtcal.report import document, page
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
@@ -55,7 +55,7 @@ def main(folder: Path) -> None:
         check=True,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
     )
-    page.write(folder / "report.html", page.page(rt.calibrate(*rt.datasets.bras_cr2())))
+    document.write(folder / "report.html", page.page(rt.calibrate(*rt.datasets.bras_cr2())))
     places = {name: folder / "site" / path for name, path in PAGES.items()}
     places["page"] = folder / "report.html"
     with tempfile.TemporaryDirectory() as profile:

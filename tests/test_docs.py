@@ -138,6 +138,10 @@ def _defined_in(module: ModuleType, name: str, value: object) -> bool:
 
 
 NEEDS_NO_EXAMPLE = {
+    "EFFECTS": "a tuple of names",
+    "Candidate": "part of a rt.where.Finding",
+    "Corrected": "what rt.where.verify compares",
+    "SeveralFinding": "a Finding of more than one effect",
     "Rule": "a type: one of three names",
     "Rows": "what a constraint of one's own returns: rows of numbers",
     "match_matrix": "for a term of one's own that matches T; ExactMatch shows it",
