@@ -41,12 +41,15 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def _with_words(body: str, notebook: nbformat.NotebookNode) -> str:
-    """Give each picture its alternative text, which `IPython.display.Image` keeps in the metadata."""
-    outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
-    words = (
-        out.metadata["image/png"]["alt"] for out in outputs if "image/png" in out.get("data", {})
-    )
-    return re.sub(r"!\[png\]", lambda _: f"![{next(words)}]", body)
+    """Give each picture its alternative text, which `Image` and `SVG` keep in the metadata."""
+    words = [
+        out.metadata[kind]["alt"]
+        for cell in notebook.cells
+        for out in cell.get("outputs", [])
+        for kind in ("image/png", "image/svg+xml")
+        if kind in out.get("data", {})
+    ]
+    return re.sub(r"!\[(?:png|svg)\]", lambda _: f"![{words.pop(0)}]", body)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
