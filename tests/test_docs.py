@@ -140,6 +140,7 @@ def _defined_in(module: ModuleType, name: str, value: object) -> bool:
 NEEDS_NO_EXAMPLE = {
     "EFFECTS": "a tuple of names",
     "Candidate": "part of a rt.where.Finding",
+    "Place": "part of a rt.where.Finding",
     "Corrected": "what rt.where.verify compares",
     "SeveralFinding": "a Finding of more than one effect",
     "Rule": "a type: one of three names",
