@@ -11,7 +11,7 @@ from rtcal.command import gap
 from rtcal.discrepancy import find
 from rtcal.report import figures, gap_report, page, result_folder, study_report
 from tests.test_discrepancy import controls_of, opened
-from tests.test_fault_commands import WRITERS, attempt
+from tests.test_fault_commands import WRITERS, attempt, fit_once
 
 
 def once(patch: pytest.MonkeyPatch, module: Any, name: str) -> None:
@@ -30,9 +30,10 @@ def once(patch: pytest.MonkeyPatch, module: Any, name: str) -> None:
 @pytest.fixture
 def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """What takes long and writes nothing is done once; figures are drawn once for all."""
+    fit_once(monkeypatch)
     finding = find(opened(), controls=controls_of(opened()))
     monkeypatch.setattr(gap, "_find", lambda *_: finding)
-    for name in ("verify", "figures", "page"):
+    for name in ("verify", "figures", "finding_page"):
         once(monkeypatch, gap_report, name)
     once(monkeypatch, page, "page_of")
     for module in (figures, gap_report, result_folder.figures, study_report):

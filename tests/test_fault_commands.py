@@ -114,8 +114,7 @@ def case(folder: Path) -> None:
 FIT = "fit @room.toml @pairs.csv --positions @positions.toml --match t20 --match c80 --paths 100"
 
 
-@pytest.fixture(autouse=True)
-def fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def fit_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """`rtcal fit` calibrates once, but keeps its control runs each time; its figures are drawn once.
 
     Two calibrations may differ in the last digit, by where their arrays lie in memory.
@@ -138,6 +137,11 @@ def fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(positions, "calibrate_positions", once)
     monkeypatch.setattr(figures, "rendered", drawn)
+
+
+@pytest.fixture(autouse=True)
+def fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit_once(monkeypatch)
 
 
 STUDY = "study --room shoebox --sigma-r 0.05 --out @made"
