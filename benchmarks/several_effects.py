@@ -16,7 +16,7 @@ import json
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -177,7 +177,9 @@ def controls(folder: str, population: int, more: int) -> None:
         pass
 
 
-def run(folder: str, population: int, more: int, label: str, step: int) -> None:
+def run(
+    folder: str, population: int, more: int, label: str, step: int, data: Sequence[str]
+) -> None:
     """Search the rooms for several effects, those with two first, and keep what was said.
 
     Of the rooms with one effect or none every ``step``-th is searched.
@@ -189,7 +191,8 @@ def run(folder: str, population: int, more: int, label: str, step: int) -> None:
         path = place(folder, 1, population, label, index, "json")
         if path.exists():
             continue
-        row = {data: said_of(*part, truth) for data, part in cut(case, made).items()}
+        parts = cut(case, made)
+        row = {name: said_of(*parts[name], truth) for name in data}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps({"truth": truth["effects"], **row}), encoding="utf-8")
         print(f"\r{index}   ", end="", flush=True)
@@ -287,9 +290,11 @@ def table(folder: str, population: int, label: str) -> None:
         every = [
             Searched([NAMES[e["kind"]] for e in row["truth"]], row[data])
             for row in rows
-            if all(e["kind"] in NAMES for e in row["truth"])
+            if data in row and all(e["kind"] in NAMES for e in row["truth"])
         ]
         two = [r for r in every if len(r.truth) == 2]
+        if not every:
+            continue
         single, none = ([r for r in every if len(r.truth) == n] for n in (1, 0))
         print(f"\n== population {population}: {words} ==")
         print("two hidden: both families claimed       ", rate(r.both_claimed for r in two))
@@ -339,13 +344,14 @@ def main() -> None:
     parser.add_argument("--more", type=int, default=0, help="rooms that are built beside them")
     parser.add_argument("--label", default="several", help="folder of this run's rows")
     parser.add_argument("--step", type=int, default=1, help="every so many rooms with one or none")
+    parser.add_argument("--data", nargs="+", choices=tuple(DATA), default=tuple(DATA))
     given = parser.parse_args()
     if given.what == "controls":
         controls(given.folder, given.population, given.more)
     elif given.what == "bound":
         bound(given.folder, given.population, given.more)
     elif given.what == "run":
-        run(given.folder, given.population, given.more, given.label, given.step)
+        run(given.folder, given.population, given.more, given.label, given.step, given.data)
     elif given.what == "table":
         table(given.folder, given.population, given.label)
     else:

@@ -23,12 +23,13 @@ from rtcal.discrepancy import (
     find_several,
     hypotheses,
     library,
+    likelihood,
 )
 from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.likelihood import COARSENING, DEGREES, alpha_covariance, covariance_of
+from rtcal.discrepancy.likelihood import DEGREES, alpha_covariance, covariance_of
 from rtcal.discrepancy.model import FEATURES
 from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import UNKNOWN, prior_of
@@ -120,13 +121,13 @@ def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model() -> N
         covariance += covariance_of(c.observed, c.predicted, c.discrepancy, i)[1] - fixed
     mean = together.features[0].ravel()[mask] + c.discrepancy.bias[mask]
     shape = covariance * (DEGREES - 2) / DEGREES
-    power = COARSENING / (COARSENING + len(mean))
-    expected = power * multivariate_t.logpdf(c.observed.values, mean, shape, DEGREES)
+    expected = multivariate_t.logpdf(c.observed.values, mean, shape, DEGREES)
     assert evaluate_sets(c, [rows], off=False).stated[0] == pytest.approx(expected, abs=1e-6)
     assert np.isneginf(evaluate_sets(c, [rows], off=False).off[0])
 
 
-def test_a_set_of_one_is_the_single_hypothesis() -> None:
+def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(likelihood, "COARSENING", np.inf)
     c = compared(*BOTH)
     single = evaluate(c.observed, c.predicted, c.discrepancy, 0.1)
     rows = [row(c, name) for name in ("opening", "air", "coupled room")]
@@ -137,6 +138,7 @@ def test_a_set_of_one_is_the_single_hypothesis() -> None:
 
 def test_the_screen_is_the_density_where_effects_add(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of effects whose error is smooth over bands, with or without one of them as the base."""
+    monkeypatch.setattr(likelihood, "COARSENING", np.inf)
     monkeypatch.setattr(hypotheses, "SHAPE_CHANGE", (("edt", 0.0), ("t30", 0.0)))
     c = compared(*BOTH)
     smooth = c.predicted.spectrum_errors.copy()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -44,6 +45,12 @@ def gap() -> None:
     """
 
 
+ENGINES = ("path tracing", "network")
+seed_option = click.option(
+    "--seed", default=0, show_default=True, help="Seed of the control rooms and the bootstrap."
+)
+
+
 @dataclass(frozen=True)
 class Search:
     """What the search takes beside the case, as `rtcal.discrepancy.find` does."""
@@ -68,8 +75,8 @@ class Search:
         return out
 
 
-def _odds(texts: Sequence[str]) -> dict[str, float]:
-    """Read EFFECT=ODDS; DataError for anything else."""
+def _numbers(option: str, rule: str, texts: Sequence[str]) -> dict[str, float]:
+    """Read NAME=NUMBER; DataError for anything else."""
     out = {}
     for text in texts:
         name, _, number = text.rpartition("=")
@@ -78,7 +85,7 @@ def _odds(texts: Sequence[str]) -> dict[str, float]:
         except ValueError:
             name = ""
         if not name.strip():
-            raise DataError(f'--prior "{text}" is not EFFECT=ODDS, such as opening=2')
+            raise DataError(f'{option} "{text}" is not {rule}')
     return out
 
 
@@ -92,19 +99,14 @@ def _common(command: Any) -> Any:
         prior: tuple[str, ...],
         **others: Any,
     ) -> Any:
-        chosen = engines or ("path tracing", "network")
-        search = Search(chosen, seed, without, only, _odds(prior), bool(engines))
+        odds = _numbers("--prior", "EFFECT=ODDS, such as opening=2", prior)
+        search = Search(engines or ENGINES, seed, without, only, odds, bool(engines))
         return command(search=search, **others)
 
     for option in (
         quiet_option,
         json_option,
-        click.option(
-            "--seed",
-            default=0,
-            show_default=True,
-            help="Seed of the control rooms and the bootstrap.",
-        ),
+        seed_option,
         click.option(
             "--prior",
             multiple=True,
@@ -145,7 +147,7 @@ def _several(command: Any) -> Any:
     return with_number
 
 
-@gap.command(short_help="Which effects the data could distinguish.")
+@gap.command(short_help="Which effects the data could distinguish, and what to measure next.")
 @click.argument("case", type=click.Path())
 @click.option(
     "--change",
@@ -153,18 +155,52 @@ def _several(command: Any) -> Any:
     show_default=True,
     help="Relative change of T by each effect, in the band that changes most.",
 )
+@click.option(
+    "--next", "after", is_flag=True, help="Go on from what has been measured: search first."
+)
+@click.option(
+    "--cost",
+    "costs",
+    multiple=True,
+    metavar="MEASUREMENT=HOURS",
+    help="Hours of a further measurement, such as G=0.5.",
+)
+@seed_option
 @json_option
 @quiet_option
-def plan(case: str, change: float, as_json: bool, quiet: bool) -> None:
-    """Print which effects CASE's data could distinguish, before measuring.
+def plan(
+    case: str,
+    change: float,
+    after: bool,
+    costs: tuple[str, ...],
+    seed: int,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Print which effects CASE's data could distinguish, and what to measure next.
 
-    A configuration may state parameters = ["t20", "edt"] in place of measured.
+    A configuration may state parameters = ["t20", "edt"] in place of measured. If others are measured,
+    it is among what could be measured next. Each proposal has the information to expect about which
+    effects are there, and its hours. With --next the proposals go on from what has been measured.
 
     Example: rtcal gap plan case.toml
     """
     from rtcal.discrepancy import plan as planned_with
+    from rtcal.discrepancy.set_posterior import EXPECTED
 
-    result = planned_with(_case(case), change=change)
+    read = _case(case)
+    planned = [c for c in read.configurations if c.planned]
+    if len(planned) < len(read.configurations):
+        measured = [c for c in read.configurations if not c.planned]
+        read = replace(read, configurations=measured)
+    else:
+        planned = []
+    finding = None
+    if after:
+        search = Search(ENGINES, seed, (), (), {})
+        finding = _find_several(case, read, search, quiet, EXPECTED)
+    hours = _numbers("--cost", "MEASUREMENT=HOURS, such as G=0.5", costs)
+    result = planned_with(read, change=change, finding=finding, costs=hours, planned=planned)
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
@@ -180,13 +216,15 @@ def find(case: str, search: Search, expected: float | None, as_json: bool, quiet
     Example: rtcal gap find case.toml
     """
     if has_geometry(case):
-        if expected is not None:
-            raise DataError(
-                "--several: a case with a geometry is searched for one effect at a time"
-            )
+        _refuse_several(expected)
         gap_where.tell_finding(case, search, quiet=quiet, as_json=as_json)
         return
-    finding = _find(case, _case(case), search, quiet, expected)
+    read = _case(case)
+    finding: Finding | SeveralFinding
+    if expected is None:
+        finding = _find(case, read, search, quiet)
+    else:
+        finding = _find_several(case, read, search, quiet, expected)
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
@@ -227,6 +265,7 @@ def apply(
         --out corrected.json --room corrected.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     if has_geometry(case):
+        _refuse_several(expected)
         if room is not None:
             raise DataError("--room: with a geometry the room is written into the folder of --out")
         if not gap_where.apply(case, search, out, quiet=quiet, as_json=as_json):
@@ -236,7 +275,12 @@ def apply(
     from rtcal.support.files import write_all
 
     targets = [out] if room is None else [out, room]
-    finding = _find(case, _case(case, targets), search, quiet, expected)
+    read = _case(case, targets)
+    finding: Finding | SeveralFinding
+    if expected is None:
+        finding = _find(case, read, search, quiet)
+    else:
+        finding = _find_several(case, read, search, quiet, expected)
     correction = correct(finding, out, room)
     write_all(correction.files)
     tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
@@ -306,6 +350,12 @@ def report(
     tell(text, {"written": names, **finding.to_dict()}, quiet=quiet, as_json=as_json)
 
 
+def _refuse_several(expected: float | None) -> None:
+    """Raise DataError if several effects are sought in a case with a geometry."""
+    if expected is not None:
+        raise DataError("--several: a case with a geometry is searched for one effect at a time")
+
+
 def has_geometry(path: str) -> bool:
     """Return whether the case's file states a geometry."""
     from rtcal.where import case_files
@@ -324,24 +374,27 @@ def _case(path: str, targets: Sequence[str] = ()) -> Case:
     return case
 
 
-@overload
-def _find(path: str, case: Case, search: Search, quiet: bool) -> Finding: ...
-
-
-@overload
-def _find(
-    path: str, case: Case, search: Search, quiet: bool, expected: float | None
-) -> Finding | SeveralFinding: ...
-
-
-def _find(
-    path: str, case: Case, search: Search, quiet: bool, expected: float | None = None
-) -> Finding | SeveralFinding:
-    """Find what the case's model misses; control rooms are kept beside its file.
-
-    With an ``expected`` number of effects, several are sought at once.
-    """
+def _find(path: str, case: Case, search: Search, quiet: bool) -> Finding:
+    """Find what the case's model misses; control rooms are kept beside its file."""
     from rtcal import discrepancy
+
+    with _arguments(path, search, quiet) as arguments:
+        return discrepancy.find(case, **arguments)
+
+
+def _find_several(
+    path: str, case: Case, search: Search, quiet: bool, expected: float
+) -> SeveralFinding:
+    """Find several effects at once, ``expected`` in number."""
+    from rtcal import discrepancy
+
+    with _arguments(path, search, quiet) as arguments:
+        return discrepancy.find_several(case, expected=expected, **arguments)
+
+
+@contextmanager
+def _arguments(path: str, search: Search, quiet: bool) -> Iterator[dict[str, Any]]:
+    """Return the arguments of a search, whose progress is shown."""
     from rtcal.discrepancy.cache import FOLDER
 
     begun: list[str] = []
@@ -354,7 +407,7 @@ def _find(
                 shown.set_description(f"{engine}, {len(begun)} of {len(search.engines)}")
             shown.update(1)
 
-        arguments: dict[str, Any] = {
+        yield {
             "seed": search.seed,
             "without": search.without,
             "only": search.only,
@@ -363,6 +416,3 @@ def _find(
             "cache": Path(path).parent / FOLDER,
             "report": report,
         }
-        if expected is None:
-            return discrepancy.find(case, **arguments)
-        return discrepancy.find_several(case, expected=expected, **arguments)

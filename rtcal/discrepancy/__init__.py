@@ -7,13 +7,13 @@
 docs/discrepancy.md has the method and what it can and cannot do.
 """
 
-from rtcal.discrepancy.advice import Plan, plan
 from rtcal.discrepancy.bootstrap import Threshold, control_rooms
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.configuration import Change, Configuration
 from rtcal.discrepancy.corrected import corrected_room, simulator
 from rtcal.discrepancy.effects import Absorber, Effect, library
 from rtcal.discrepancy.finding import Finding
+from rtcal.discrepancy.planning import Plan, Proposal, plan
 from rtcal.discrepancy.recalibration import Recalibrated, recalibrate
 from rtcal.discrepancy.search import find
 from rtcal.discrepancy.several import SeveralFinding, find_several
@@ -28,6 +28,7 @@ __all__ = [
     "Effect",
     "Finding",
     "Plan",
+    "Proposal",
     "Recalibrated",
     "SeveralFinding",
     "Threshold",

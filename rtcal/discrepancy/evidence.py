@@ -114,8 +114,13 @@ def evaluate(
     return Evidence(stated, off, unknown, predicted.names, predicted.weights, prior_off)
 
 
-def unknown_evidence(residual: Array, covariance: Array, used: Array) -> Array:
-    """Return the log evidence of an unknown effect: a change that is partly smooth over bands."""
+def unknown_evidence(
+    residual: Array, covariance: Array, used: Array, *, coarsened: bool = True
+) -> Array:
+    """Return the log evidence of an unknown effect: a change that is partly smooth over bands.
+
+    ``coarsened`` as for `likelihood.student`.
+    """
     count, kinds, bands = used.shape
     scale = np.array(UNKNOWN_FEATURES)
     lag = np.abs(np.subtract.outer(np.arange(bands), np.arange(bands)))
@@ -130,5 +135,5 @@ def unknown_evidence(residual: Array, covariance: Array, used: Array) -> Array:
         covariance + np.square(UNKNOWN_SIZES)[:, None, None] * extra
     )
     rows = np.repeat(residual[None], len(UNKNOWN_SIZES), axis=0)
-    parts = log_densities(factorization, rows, len(residual))[0]
+    parts = log_densities(factorization, rows, len(residual), coarsened=coarsened)[0]
     return np.asarray(np.logaddexp.reduce(parts) - np.log(len(parts)))

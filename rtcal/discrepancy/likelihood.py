@@ -231,18 +231,18 @@ def alpha_covariance(predicted: Hypotheses, i: int) -> Array:
 
 
 def log_densities(
-    factorization: Factorization, rows: Array, draws: int
+    factorization: Factorization, rows: Array, draws: int, *, coarsened: bool = True
 ) -> tuple[Array, Array | None]:
     """Return log densities (n, draws) of residuals under C: as stated, and off together.
 
     ``rows`` (n, draws + r, m) are the residuals, then F'; without F' the second is None. It is the mean
     density over `SCALES` under C + (s² - 1) F F'. With M = F' C⁻¹ F, a scale costs the factors of
-    I + (s² - 1) M (Woodbury).
+    I + (s² - 1) M (Woodbury). ``coarsened`` as for `student`.
     """
     m = rows.shape[2]
     square, across, others = factorization.inner(rows, draws)
     halves = factorization.half_log_determinant
-    stated = student(square, halves[:, None], m)
+    stated = student(square, halves[:, None], m, coarsened=coarsened)
     if rows.shape[1] == draws:
         return stated, None
     parts = []
@@ -251,16 +251,17 @@ def log_densities(
         grown = Factorization.whole(np.eye(others.shape[1]) + more * others)
         less = grown.inner(across.copy(), draws)[0]
         spread = halves + grown.half_log_determinant
-        parts.append(np.log(probability) + student(square - more * less, spread[:, None], m))
+        log = student(square - more * less, spread[:, None], m, coarsened=coarsened)
+        parts.append(np.log(probability) + log)
     return stated, np.asarray(np.logaddexp.reduce(parts))
 
 
-def student(square: Array, half_log_determinant: Array, m: int) -> Array:
+def student(square: Array, half_log_determinant: Array, m: int, *, coarsened: bool = True) -> Array:
     """Return the log density from r' C^-1 r and ln sqrt|C|, to the power that `COARSENING` gives.
 
-    It is Student's t with C as its covariance.
+    It is Student's t with C as its covariance. Not ``coarsened``, its power is 1.
     """
-    power = 1.0 if np.isinf(COARSENING) else COARSENING / (COARSENING + m)
+    power = COARSENING / (COARSENING + m) if coarsened and np.isfinite(COARSENING) else 1.0
     if np.isinf(DEGREES):
         log = -0.5 * square - half_log_determinant - 0.5 * m * np.log(2 * np.pi)
         return np.asarray(power * log)

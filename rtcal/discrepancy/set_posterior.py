@@ -16,10 +16,9 @@ from scipy.special import logsumexp
 
 from rtcal.discrepancy.case import AppliedEffect
 from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.evidence import Evidence
 from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.likelihood import goodness_of_fit
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
+from rtcal.discrepancy.prior import COEFFICIENTS, UNKNOWN, Prior
 from rtcal.discrepancy.probabilities import family_of
 from rtcal.discrepancy.sets import (
     Comparison,
@@ -42,6 +41,7 @@ UNEXPLAINED = 0.05
 """Probability of the residuals under the best pair below which three effects are tried."""
 _BESIDE = 60  # single hypotheses that are evaluated with an unknown effect beside them
 _PAIRS_OF_THREE = 3  # pairs that a third effect is added to
+_LIKELY = 100  # hypotheses with their parameters that a plan goes on from
 _KEPT_THIRD = 8  # parameters of the third effect that are evaluated
 DISTINCT = 0.1
 """Odds against the best set from which two effects no longer stand for one another."""
@@ -54,13 +54,15 @@ class SetPosterior:
 
     ``sets`` maps each set, as names in the order in which they act, to its probability, the most
     probable first; () is "none". ``rows`` maps it to its most probable parameters. ``off`` maps it to
-    the probability of coefficients that are off together beside it.
+    the probability of coefficients that are off together beside it. ``likely`` are the most probable
+    rows with their probabilities, unknown effects left out; they sum to 1.
     """
 
     sets: Mapping[Names, float]
     off: Mapping[Names, float]
     rows: Mapping[Names, Rows]
     order: Names
+    likely: Sequence[tuple[Rows, float]]
 
     @property
     def best(self) -> Names:
@@ -113,7 +115,6 @@ class SetPosterior:
 
 def set_posterior(
     compared: Comparison,
-    evidence: Evidence,
     prior: Prior,
     *,
     expected: float = EXPECTED,
@@ -121,10 +122,9 @@ def set_posterior(
 ) -> SetPosterior:
     """Return the probabilities of sets of up to ``most`` effects.
 
-    ``evidence`` is that of the single hypotheses. Three effects are tried where the best two do not
-    explain the measurement (`UNEXPLAINED`).
+    Three effects are tried where the best two do not explain the measurement (`UNEXPLAINED`).
     """
-    tables = _Tables(compared, evidence, prior)
+    tables = _Tables(compared, prior)
     if most > 1:
         tables.add_pairs()
     if most > 2 and not tables.explained():
@@ -134,13 +134,14 @@ def set_posterior(
     norm = float(logsumexp(list(total.values())))
     probability = {s: float(np.exp(v - norm)) for s, v in total.items()}
     probability = dict(sorted(probability.items(), key=lambda kv: -kv[1]))
-    return SetPosterior(probability, tables.off, tables.best, tuple(tables.order))
+    likely = tables.likely(weight)
+    return SetPosterior(probability, tables.off, tables.best, tuple(tables.order), likely)
 
 
 class _Tables:
     """Log evidence of each set, its probability of coefficients off together, and its best rows."""
 
-    def __init__(self, compared: Comparison, evidence: Evidence, prior: Prior) -> None:
+    def __init__(self, compared: Comparison, prior: Prior) -> None:
         self._compared = compared
         predicted = compared.predicted
         self.order = acting_order(compared.case, predicted)
@@ -149,19 +150,26 @@ class _Tables:
         with np.errstate(divide="ignore"):
             self._weights = np.log(predicted.weights)
             self._prior_off = np.log([1 - prior.off, prior.off])
-        self._alone = evidence.by_hypothesis()
         self._apart = shapes(compared.case, predicted)
         self._unknown = bool(np.isfinite(prior.log_probability[UNKNOWN]))
-        self.log: dict[Names, float] = {(): float(self._alone[0])}
-        self.off: dict[Names, float] = {(): float(evidence.off_given(NONE))}
-        self.best: dict[Names, Rows] = {(): ()}
-        for n, rows in self._rows.items():
-            self.log[n,] = float(logsumexp(self._alone[rows] + self._weights[rows]))
-            self.off[n,] = float(evidence.off_given(n))
-            self.best[n,] = (int(rows[np.argmax(self._alone[rows])]),)
+        self.log: dict[Names, float] = {}
+        self.off: dict[Names, float] = {}
+        self.best: dict[Names, Rows] = {}
+        self._by_rows: dict[Rows, float] = {}
+        alone: dict[Names, list[Rows]] = {(): [()]}
+        alone |= {(n,): [(int(i),) for i in rows] for n, rows in self._rows.items()}
+        self._evaluate(alone, dict.fromkeys(alone, 0.0))
         if self._unknown:
-            self.log[UNKNOWN,], self.off[UNKNOWN,] = float(evidence.unknown), self.off[()]
-            self.best[UNKNOWN,] = ()
+            self.log[UNKNOWN,] = float(unknown_beside(compared, np.array([0]))[0])
+            self.off[UNKNOWN,], self.best[UNKNOWN,] = self.off[()], ()
+
+    def likely(self, weight: Callable[[Names], float]) -> list[tuple[Rows, float]]:
+        """Return the most probable rows with their probabilities."""
+        names = self._compared.predicted.names
+        log = {rows: v + weight(tuple(names[i] for i in rows)) for rows, v in self._by_rows.items()}
+        most = sorted(log, key=lambda rows: -log[rows])[:_LIKELY]
+        norm = float(logsumexp([log[rows] for rows in most]))
+        return [(rows, float(np.exp(log[rows] - norm))) for rows in most]
 
     def add_pairs(self) -> None:
         """Add every two effects, and every effect with an unknown one beside it."""
@@ -183,13 +191,14 @@ class _Tables:
             self._add_unknown()
 
     def _add_unknown(self) -> None:
-        beside = np.argsort(-(self._alone + self._weights)[1:])[:_BESIDE] + 1
+        log = np.array([self._by_rows.get((i,), -np.inf) for i in range(len(self._weights))])
+        beside = np.argsort(-log)[:_BESIDE]
         values = unknown_beside(self._compared, beside)
         for n in self.order:
             at = np.flatnonzero(np.isin(beside, self._rows[n]))
             if len(at):
                 i = beside[at]
-                others = self.log[n,] - float(logsumexp(self._alone[i] + self._weights[i]))
+                others = self.log[n,] - float(logsumexp(log[i]))
                 self.log[n, UNKNOWN] = float(logsumexp(values[at] + self._weights[i])) + others
                 self.off[n, UNKNOWN], self.best[n, UNKNOWN] = self.off[n,], self.best[n,]
 
@@ -250,6 +259,10 @@ class _Tables:
         for names, sets in chosen.items():
             part = slice(start, start + len(sets))
             start = part.stop
+            self._by_rows |= {
+                rows: float(v) + share[names]
+                for rows, v in zip(sets, np.logaddexp(*weighted[part].T), strict=True)
+            }
             evidence = float(logsumexp(weighted[part])) + share[names]
             if np.isfinite(evidence) and evidence > self.log.get(names, -np.inf):
                 self.log[names] = evidence

@@ -5,6 +5,11 @@ pairs, so all are screened in closed form, and the best of each two effects are 
 does. The screen adds the changes that the effects cause alone. With C = L L' the covariance under
 "none", M = U U' the misfit of an effect's change and W = L⁻¹ U, a pair costs one system of a few rows
 (Woodbury) in place of a factorisation.
+
+The likelihood has its full power, where the search for one effect coarsens it
+(`likelihood.COARSENING`): that guards against what else the model lacks, which a set has in it. On 57
+development rooms with one or two effects, 42 of 45 families that reached 0.9 were right at full power,
+and 25 of 26 at the coarsened one; both of two effects were claimed in 5 of 36, and 1 of 36.
 """
 
 from __future__ import annotations
@@ -147,7 +152,8 @@ class Screen:
         small = np.linalg.cholesky(gram)
         half = np.log(np.diagonal(small, axis1=2, axis2=3)).sum(-1)
         y = np.linalg.solve(gram, along[..., None])[..., 0]
-        return student(square - (y * along).sum(-1), self._half + half, self._m)
+        square -= (y * along).sum(-1)
+        return student(square, self._half + half, self._m, coarsened=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,51 +164,70 @@ class SetEvidence:
     off: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Mean (n, m) and covariance (n, m, m) of the features in use under each of n sets.
+
+    ``common`` (n, r, m) are the changes by what the coefficients usually err by in common. A set that
+    is not ``possible`` has no finite features; its moments are 0 and the unit matrix.
+    """
+
+    mean: Array
+    covariance: Array
+    common: Array
+    possible: NDArray[np.bool_]
+
+
 def evaluate_sets(compared: Comparison, sets: Sequence[Rows], *, off: bool) -> SetEvidence:
     """Return the log likelihoods of sets, each with all of its effects in the state."""
-    case, observed, predicted = compared.case, compared.observed, compared.predicted
-    discrepancy = compared.discrepancy
-    fixed = without_alpha(observed, predicted, discrepancy)
-    mask = observed.used.ravel()
-    c, f, b = np.nonzero(observed.used)
-    bands = observed.used.shape[2]
-    t20 = c * bands + b
-    change = (predicted.features - predicted.features[0])[:, c, f, b]
-    amount = (predicted.features - predicted.features[0])[:, c, 0, b]
-    base = [state(case, configuration) for configuration in case.configurations]
     stated, together = (np.full(len(sets), -np.inf) for _ in range(2))
     for begin in range(0, len(sets), _AT_ONCE):
-        part = sets[begin : begin + _AT_ONCE]
-        states = [_states(case, predicted, s, i, part) for i, s in enumerate(base)]
+        part = slice(begin, begin + _AT_ONCE)
+        of = moments(compared, sets[part])
+        rows = (compared.observed.values - of.mean)[:, None, :]
+        if off:
+            rows = np.concatenate([rows, of.common], axis=1)
+        one, scaled = log_densities(Factorization.whole(of.covariance), rows, 1, coarsened=False)
+        stated[part] = np.where(of.possible, one[:, 0], -np.inf)
+        if scaled is not None:
+            together[part] = np.where(of.possible, scaled[:, 0], -np.inf)
+    return SetEvidence(stated, together)
+
+
+def moments(compared: Comparison, sets: Sequence[Rows]) -> Moments:
+    """Return mean and covariance of the features in use, with all effects of a set in the state."""
+    case, observed, predicted = compared.case, compared.observed, compared.predicted
+    c, f, b = np.nonzero(observed.used)
+    t20 = c * observed.used.shape[2] + b
+    change = (predicted.features - predicted.features[0])[:, c, f, b]
+    amount = (predicted.features - predicted.features[0])[:, c, 0, b]
+    states = [
+        _states(case, predicted, state(case, where), i, sets)
+        for i, where in enumerate(case.configurations)
+    ]
+    with np.errstate(all="ignore"):
         made = [
             predict(column, distances(case, where))
             for column, where in zip(states, case.configurations, strict=True)
         ]
-        features = np.stack([p.features for p in made], axis=1)[:, c, f, b]
-        slopes = np.stack([p.slopes for p in made], axis=1)[:, c, f, b]
-        alpha = AlphaCovariance(case, len(part))
-        alpha.fill(slice(0, len(part)), states, made)
-        whole = slice(0, len(part))
-        covariance = alpha.of(whole).take(t20, 2) * slopes[:, None, :]
-        covariance = covariance.take(t20, 1) * slopes[:, :, None] + fixed
-        for member in range(max(map(len, part))):
-            at = np.array([rows[member] if member < len(rows) else 0 for rows in part])
-            errors = predicted.spectrum_errors[at].take(b, 1)
-            alone = predicted.formula_errors[at]
-            covariance += misfit(change[at], amount[at], f, errors, alone).covariance
-        residual = observed.values - features - discrepancy.bias[mask]
-        possible = np.isfinite(residual).all(1) & np.isfinite(covariance).all((1, 2))
-        residual[~possible], covariance[~possible] = 0.0, np.eye(len(f))
-        rows = residual[:, None, :]
-        if off:
-            common = alpha.off_together(whole).take(t20, 1) * slopes[:, :, None]
-            common[~possible] = 0.0
-            rows = np.concatenate([rows, common.swapaxes(1, 2)], axis=1)
-        one, scaled = log_densities(Factorization.whole(covariance), rows, 1)
-        stated[begin : begin + len(part)] = np.where(possible, one[:, 0], -np.inf)
-        if scaled is not None:
-            together[begin : begin + len(part)] = np.where(possible, scaled[:, 0], -np.inf)
-    return SetEvidence(stated, together)
+    features = np.stack([p.features for p in made], axis=1)[:, c, f, b]
+    slopes = np.stack([p.slopes for p in made], axis=1)[:, c, f, b]
+    whole = slice(0, len(sets))
+    alpha = AlphaCovariance(case, len(sets))
+    alpha.fill(whole, states, made)
+    covariance = alpha.of(whole).take(t20, 2) * slopes[:, None, :]
+    covariance = covariance.take(t20, 1) * slopes[:, :, None]
+    covariance += without_alpha(observed, predicted, compared.discrepancy)
+    for member in range(max(map(len, sets))):
+        at = np.array([rows[member] if member < len(rows) else 0 for rows in sets])
+        errors = predicted.spectrum_errors[at].take(b, 1)
+        alone = predicted.formula_errors[at]
+        covariance += misfit(change[at], amount[at], f, errors, alone).covariance
+    common = alpha.off_together(whole).take(t20, 1) * slopes[:, :, None]
+    mean = features + compared.discrepancy.bias[observed.used.ravel()]
+    possible = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
+    mean[~possible], covariance[~possible], common[~possible] = 0.0, np.eye(len(f)), 0.0
+    return Moments(mean, covariance, common.swapaxes(1, 2), possible)
 
 
 def _states(
@@ -235,5 +260,6 @@ def unknown_beside(compared: Comparison, rows: Indices) -> Array:
     for i in rows:
         alpha, other = covariance_of(observed, predicted, compared.discrepancy, int(i))
         residual = observed.values - predicted.features[i].ravel()[mask] - bias[mask]
-        out.append(unknown_evidence(residual[None], alpha + other, observed.used)[0])
+        value = unknown_evidence(residual[None], alpha + other, observed.used, coarsened=False)
+        out.append(value[0])
     return np.array(out)

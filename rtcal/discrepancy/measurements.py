@@ -1,0 +1,191 @@
+"""The measurements that a user can make next, and what they would show.
+
+A further measurement is further parameters of the configurations that there are, or a further
+configuration: the room again at other positions, in another climate, with a surface covered, or
+without what can be taken out of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rtcal.acoustics.air import Air
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.configuration import Change, Configuration
+from rtcal.discrepancy.effects.porous import Porous
+from rtcal.discrepancy.features import Observed
+from rtcal.discrepancy.information import Mask
+from rtcal.discrepancy.model import FEATURES
+from rtcal.discrepancy.model_error import ModelDiscrepancy
+from rtcal.errors import DataError
+from rtcal.support import checks
+
+COSTS: Mapping[str, float] = {
+    "EDT and T30": 0.2,
+    "C80": 0.2,
+    "G": 2.0,
+    "more positions": 1.0,
+    "another climate": 8.0,
+    "covered": 4.0,
+    "removed": 3.0,
+    "planned": 4.0,
+}
+"""Hours that a measurement takes: a judgement, settable. EDT, T30 and C80 are evaluated from responses
+that there are. G needs a calibrated source. "planned" are configurations that a user states."""
+MORE_POSITIONS = 4
+USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
+"""Standard uncertainty of a mean over four positions that is not measured yet, by feature."""
+SAME_ERROR = 0.85
+"""Correlation of the model's error between two configurations of a room. Of control rooms of twelve
+development rooms it is 0.72 to 0.99 by feature, T30/T20 apart."""
+_ABSORBER = {"thickness": 0.05, "flow_resistivity": 12e3}
+_PARAMETERS = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
+
+
+@dataclass(frozen=True, eq=False)
+class Further:
+    """A measurement that could be made next.
+
+    ``parameters`` are measured in the configurations that there are, or ``configuration`` is measured.
+    ``same_error`` is the correlation of the model's error between it and the first one, ``share`` its
+    measurement variance over the first one's.
+    """
+
+    kind: str
+    words: str
+    parameters: tuple[str, ...] = ()
+    configuration: Configuration | None = None
+    same_error: float = SAME_ERROR
+    share: float = 1.0
+
+
+def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[Further]:
+    """Return the measurements that a user can make in a case's room."""
+    first = case.configurations[0]
+    out = []
+    for kind, parameters in _PARAMETERS.items():
+        lacking = [c for c in case.configurations if not set(parameters) <= set(c.measured.values)]
+        if lacking:
+            words = "G, with a calibrated source" if kind == "G" else kind
+            out.append(Further(kind, words, parameters))
+    again = replace(first, name="further", planned=True)
+    pairs = max(len(next(iter(first.measured.values.values()))), 1)
+    out.append(
+        Further(
+            "more positions",
+            f"{MORE_POSITIONS} more positions",
+            configuration=again,
+            same_error=1.0,
+            share=pairs / MORE_POSITIONS,
+        )
+    )
+    if (air := first.air or case.room.air) is not None:
+        humidity = 30.0 if air.humidity > 45 else 65.0
+        other = Air(air.temperature, humidity)
+        words = f"another climate: {humidity:.0f} % of humidity at {air.temperature:.0f} °C"
+        out.append(Further("another climate", words, configuration=replace(again, air=other)))
+    out.append(_covered(case, again))
+    bare = replace(again, suspect_removed=True)
+    if not any(c.suspect_removed for c in case.configurations):
+        words = "without all that can be taken out or closed: objects, people, openings"
+        out.append(Further("removed", words, configuration=bare))
+    out += [
+        Further("planned", f'configuration "{c.name}"', configuration=replace(c, planned=True))
+        for c in planned
+    ]
+    return out
+
+
+def _covered(case: Case, again: Configuration) -> Further:
+    """Return the largest surface covered with mineral wool of known coefficients."""
+    row = int(np.argmax(case.room.areas))
+    material = case.room.materials[row]
+    alpha = np.clip(Porous().spectrum(case.room.centre_frequencies, _ABSORBER), 0.02, 0.98)
+    change = Change(alpha, 0.01 + 0.07 * alpha)
+    words = f'"{material}" covered with 50 mm of mineral wool of known coefficients'
+    return Further("covered", words, configuration=replace(again, changes={material: change}))
+
+
+def checked_costs(costs: object) -> dict[str, float]:
+    """Return `COSTS` with a user's in place; DataError for another name, or a cost not above 0."""
+    stated = {} if costs is None else checks.mapped("costs", costs)
+    for name in stated:
+        if name not in COSTS:
+            raise DataError(f'costs has "{name}", which is not one of {", ".join(COSTS)}')
+    return {**COSTS, **{k: checks.positive(f'costs["{k}"]', v) for k, v in stated.items()}}
+
+
+@dataclass(frozen=True, eq=False)
+class Extended:
+    """A case with all further configurations, and which features each measurement would add.
+
+    ``measured`` (m,) are the features in use that are measured already; ``masks`` those of each further
+    measurement.
+    """
+
+    case: Case
+    observed: Observed
+    discrepancy: ModelDiscrepancy
+    measured: Mask
+    masks: Mapping[str, Mask]
+
+
+def extended(
+    case: Case, observed: Observed, discrepancy: ModelDiscrepancy, further: Sequence[Further]
+) -> Extended:
+    """Return the case with every further configuration in it."""
+    new = [(f, f.configuration) for f in further if f.configuration is not None]
+    added = [replace(c, name=f"further {i}") for i, (_, c) in enumerate(new)]
+    configurations = [*case.configurations, *added]
+    n, count = len(configurations), len(case.configurations)
+    bands = case.room.n_bands
+    used = np.zeros((n, len(FEATURES), bands), dtype=bool)
+    used[:count] = observed.used
+    variance = np.broadcast_to(USUAL[:, None] ** 2, used.shape).copy()
+    variance[:count][observed.used] = np.diag(observed.covariance)
+    masks: dict[str, Mask] = {}
+    place = {f.words: count + i for i, (f, _) in enumerate(new)}
+    for f in further:
+        mask: Mask = np.zeros(used.shape, dtype=bool)
+        if f.configuration is None:
+            rows = [FEATURES.index(p) for p in f.parameters]
+            without = np.logical_not(observed.used[:, rows])
+            mask[:count, rows] = np.logical_and(observed.used[:, :1], without)
+        else:
+            at = place[f.words]
+            mask[at] = observed.used[0]
+            variance[at] = np.where(observed.used[0], f.share * variance[0], variance[0])
+        masks[f.words] = mask
+    every = used | np.any(list(masks.values()), axis=0)
+    flat = every.ravel()
+    full = np.diag(variance.ravel())
+    old = np.zeros_like(every)
+    old[:count] = observed.used
+    places = np.flatnonzero(old.ravel())
+    full[np.ix_(places, places)] = observed.covariance
+    return Extended(
+        replace(case, configurations=configurations),
+        Observed(np.zeros(every.shape), every, full[np.ix_(flat, flat)]),
+        _model_error(discrepancy, count, [f.same_error for f, _ in new]),
+        used.ravel()[flat],
+        {words: mask.ravel()[flat] for words, mask in masks.items()},
+    )
+
+
+def _model_error(
+    discrepancy: ModelDiscrepancy, count: int, same: Sequence[float]
+) -> ModelDiscrepancy:
+    """Return the model's error with further configurations, whose error is like the first one's."""
+    size = len(discrepancy.bias) // count
+    n = count + len(same)
+    source = np.array([*range(count), *[0] * len(same)])
+    share = np.array([*[1.0] * count, *same])
+    blocks = discrepancy.covariance.reshape(count, size, count, size)
+    covariance = blocks[source][:, :, source] * np.outer(share, share)[:, None, :, None]
+    for i in range(count, n):
+        covariance[i, :, i] = blocks[0, :, 0]
+    bias = discrepancy.bias.reshape(count, size)[source].ravel()
+    return ModelDiscrepancy(bias, covariance.reshape(n * size, n * size), discrepancy.engines)

@@ -1,0 +1,422 @@
+"""Plan measurements: which effects the data could distinguish, and what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rtcal.discrepancy.advice import DISTINCT_NATS, covariance_with, separation, variances_of
+from rtcal.discrepancy.case import AppliedEffect, Case
+from rtcal.discrepancy.configuration import Configuration
+from rtcal.discrepancy.effects import Effect, library
+from rtcal.discrepancy.effects.checks import checked_effects
+from rtcal.discrepancy.features import Observed, observe
+from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.discrepancy.information import Information, Mask
+from rtcal.discrepancy.measurements import Extended, Further, checked_costs, extended, possible
+from rtcal.discrepancy.model import FEATURES
+from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
+from rtcal.discrepancy.prior import NONE, prior_of
+from rtcal.discrepancy.sets import Comparison, moments
+from rtcal.discrepancy.several import SeveralFinding
+from rtcal.errors import DataError
+from rtcal.support import checks, text
+from rtcal.support.arguments import checked
+from rtcal.support.threads import single_threaded_blas
+
+STEPS = 3
+"""Measurements that are proposed one after the other."""
+_OF_EACH = 5
+"""Parameter sets of each effect that stand for it where nothing was measured."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A measurement that could be made next.
+
+    Attributes
+    ----------
+    measurement : str
+        In words.
+    kind : str
+        Its name among the costs.
+    information : float
+        Expected information about which effects are there, in nats. In a sequence: what it adds to the
+        measurements before it.
+    cost : float
+        Hours.
+    """
+
+    measurement: str
+    kind: str
+    information: float
+    cost: float
+
+    @property
+    def per_cost(self) -> float:
+        """Nats per hour."""
+        return self.information / self.cost
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "measurement": self.measurement,
+            "kind": self.kind,
+            "information_nats": self.information,
+            "cost": self.cost,
+            "nats_per_cost": self.per_cost,
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """The effects that a case's data could distinguish.
+
+    ``separations`` maps (effect, effect) to nats: the expected evidence for the first effect
+    against the most similar size of the second. The first has the size whose relative change of T
+    is nearest to ``change``. ``reached`` maps each effect to the change of T at this size.
+    ``proposals`` are the measurements that could be made next, the most information per hour first;
+    ``sequence`` are the three that a greedy choice takes one after the other. ``uncertainty`` is the
+    entropy of what is known of the effects now, in nats: no measurement gives more.
+    """
+
+    parameters: tuple[str, ...]
+    change: float
+    reached: Mapping[str, float]
+    separations: Mapping[tuple[str, str], float]
+    more: Mapping[str, Mapping[tuple[str, str], float]]
+    proposals: tuple[Proposal, ...] = ()
+    sequence: tuple[Proposal, ...] = ()
+    uncertainty: float = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+
+        def rows(table: Mapping[tuple[str, str], float]) -> list[dict[str, Any]]:
+            return [{"effect": a, "against": b, "nats": v} for (a, b), v in table.items()]
+
+        return {
+            "parameters": list(self.parameters),
+            "change": self.change,
+            "reached": dict(self.reached),
+            "separations": rows(self.separations),
+            "with_more": {label: rows(table) for label, table in self.more.items()},
+            "proposals": [p.to_dict() for p in self.proposals],
+            "sequence": [p.to_dict() for p in self.sequence],
+            "uncertainty_nats": self.uncertainty,
+        }
+
+    def __repr__(self) -> str:
+        """Return one line: the parameters, and how many pairs of effects they can distinguish."""
+        names = list(self.reached)
+        pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+        both, one_sided = _blind(self.separations, pairs)
+        distinct = len(pairs) - len(both) - len(one_sided)
+        return (
+            f"<Plan with {', '.join(self.parameters)}: {distinct} of {len(pairs)} pairs of effects "
+            "can be distinguished>"
+        )
+
+    def __str__(self) -> str:
+        """Return the table of expected evidence, and the pairs that cannot be distinguished."""
+        names = list(dict.fromkeys(a for a, _ in self.separations))
+        lines = text.wrapped(
+            f"Evidence to expect (nats) from {', '.join(p.upper() for p in self.parameters)}, if the "
+            "effect of the row is in the room, against the effect of the column. Each effect has the "
+            f"size whose change of T is nearest to {100 * self.change:g} % (second column). Above "
+            f"{DISTINCT_NATS} nats, odds of ten to one, effects can be told apart. Above "
+            f"{_MOST:.0f} nats no number is printed.",
+            hanging="",
+        )
+        words = [["change", "of T"], *(n.replace("-", "- ").split() for n in (NONE, *names))]
+        height = max(map(len, words))
+        padded = [[""] * (height - len(column)) + column for column in words]
+        header = [("", [column[row] for column in padded]) for row in range(height)]
+        rows = []
+        for a in names:
+            cells = [f"{100 * self.reached[a]:.1f} %"]
+            cells += ["." if a == b else _cell(self.separations[a, b]) for b in (NONE, *names)]
+            rows.append((a, cells))
+        lines += text.table(rows, header=header)
+        pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+        both, one_sided = _blind(self.separations, pairs)
+        unseen = [a for a in names if self.separations[a, NONE] < DISTINCT_NATS]
+        if unseen:
+            lines += text.wrapped(
+                f"Cannot be told from a model that lacks nothing: {', '.join(unseen)}."
+            )
+        lines += _grouped("Cannot be told apart", both)
+        lines += _grouped("Can pass for another, but not the other for it", one_sided)
+        for label, table in self.more.items():
+            still, half = _blind(table, pairs)
+            gained = [p for p in both if p not in still and p not in half and p[::-1] not in half]
+            gained += [p for p in one_sided if p not in half]
+            lines += _grouped(f"Could also be told apart with {label}", gained)
+        return "\n".join([*lines, *self.proposed])
+
+    @property
+    def proposed(self) -> list[str]:
+        """The further measurements as lines: information, hours, and the greedy sequence."""
+        if not self.proposals:
+            return []
+        lines = text.wrapped(
+            "What to measure next: expected information about which effects are there, of "
+            f"{self.uncertainty:.2f} nats that are open.",
+            hanging="",
+        )
+        rows = [
+            (f"  {p.measurement}", [f"{p.information:.2f}", f"{p.cost:g}", f"{p.per_cost:.2f}"])
+            for p in self.proposals
+        ]
+        lines += text.table(rows, header=("", ["nats", "hours", "nats/hour"]))
+        steps = "; then ".join(f"{p.measurement} ({p.information:+.2f})" for p in self.sequence)
+        return [*lines, *text.wrapped(f"One after the other: {steps}.")]
+
+
+_MOST = 99.0
+"""Evidence in nats above which the table shows no number: the distinction is certain."""
+Pairs = list[tuple[str, str]]
+
+
+def _cell(nats: float) -> str:
+    return f"{nats:.1f}" if nats <= _MOST else f">{_MOST:.0f}"
+
+
+def _grouped(title: str, pairs: Pairs) -> list[str]:
+    """Return a title, and a line per first effect of some pairs with all its second ones."""
+    others: dict[str, list[str]] = {}
+    for a, b in pairs:
+        others.setdefault(a, []).append(b)
+    if not others:
+        return [f"{title}: none."]
+    rows = [f"{a}: {', '.join(b)}" for a, b in others.items()]
+    return [f"{title}:", *(line for row in rows for line in text.wrapped(row, indent="  "))]
+
+
+def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[Pairs, Pairs]:
+    """Pairs indistinguishable both ways, and pairs where only the first can pass for the second."""
+    both, one_sided = [], []
+    for a, b in pairs:
+        weak = (separations[a, b] < DISTINCT_NATS, separations[b, a] < DISTINCT_NATS)
+        if all(weak):
+            both.append((a, b))
+        elif any(weak):
+            one_sided.append((a, b) if weak[0] else (b, a))
+    return both, one_sided
+
+
+GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
+"""Standard deviation of the model's error before any engine has run, by feature."""
+
+
+@single_threaded_blas()
+@checked
+def plan(
+    case: Case,
+    effects: Sequence[Effect] | None = None,
+    change: float = 0.2,
+    discrepancy: ModelDiscrepancy | None = None,
+    *,
+    finding: SeveralFinding | None = None,
+    costs: Mapping[str, float] | None = None,
+    planned: Sequence[Configuration] = (),
+) -> Plan:
+    """Return the effects that the case's data could distinguish, and what to measure next.
+
+    Without a finding the proposals are made before anything is measured: each effect of the library has
+    its prior probability. With one they go on from the probabilities that the data have left.
+
+    Parameters
+    ----------
+    case : Case
+        Of its measurements, only the parameters and their uncertainties are used.
+    effects : sequence of Effect, optional
+        By default the whole library.
+    change : float
+        Relative change of T20 in the band that the effect changes most, above 0 and at most 1. Each
+        effect has the size that comes nearest to it.
+    discrepancy : ModelDiscrepancy, optional
+        From the case's control rooms; by default the finding's, or `GENERIC_UNCERTAINTY`.
+    finding : SeveralFinding, optional
+        Of this case, as `find_several` returns it.
+    costs : mapping of str to float, optional
+        Hours that a measurement takes, in place of `rtcal.discrepancy.measurements.COSTS`:
+        ``{"G": 0.5, "another climate": 40}``.
+    planned : sequence of Configuration, optional
+        Further configurations that could be measured.
+
+    Raises
+    ------
+    DataError
+        If ``change`` is no such number, an effect breaks a rule, ``costs`` has another name or a number
+        that is not above 0, or the finding is of another case.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> case, truth = rt.datasets.hidden_room()
+    >>> plan = rt.discrepancy.plan(case.only("t20"), costs={"G": 0.5})
+    >>> len(plan.sequence)
+    3
+    """
+    change = checks.number("change", change)
+    if not 0 < change <= 1:
+        raise DataError(f"change = {change:g} is not above 0 and at most 1 (a share of T)")
+    hours = checked_costs(costs)
+    if finding is not None and finding.case is not case:
+        raise DataError("finding is of another case: state the case that it was found in")
+    observed, _ = observe(case)
+    tried = library() if effects is None else checked_effects(effects)
+    predicted = predict_hypotheses(case, tried)
+    if discrepancy is None and finding is not None:
+        discrepancy = finding.discrepancy
+    if discrepancy is None:
+        shape = observed.used.shape
+        spread = np.broadcast_to(np.array(GENERIC_UNCERTAINTY)[None, :, None] ** 2, shape).ravel()
+        discrepancy = ModelDiscrepancy(np.zeros(spread.size), np.diag(spread))
+    else:
+        checked_discrepancy(case, discrepancy)
+    variances = variances_of(observed)
+    base = predicted.features[0]
+    names = [n for n in dict.fromkeys(predicted.names) if n != NONE]
+    used = observed.used
+    masks = {"": used}
+    for label, features in (
+        ("EDT and T30", ("edt", "t30")),
+        ("C80 and G", ("c80", "g")),
+    ):
+        more = used.copy()
+        more[:, [FEATURES.index(f) for f in features]] = True
+        if more.sum() > used.sum():
+            lacking = [i for i in range(len(case.configurations)) if (more[i] & ~used[i]).any()]
+            where = [f'"{case.configurations[i].name}"' for i in lacking]
+            there = len(where) < len(case.configurations)
+            masks[label + (f" of {' and '.join(where)}" if there else "")] = more
+    tables: dict[str, dict[tuple[str, str], float]] = {m: {} for m in masks}
+    reached: dict[str, float] = {}
+    for a in names:
+        rows = [i for i, n in enumerate(predicted.names) if n == a]
+        # The size whose largest change of T, over configurations (it may be taken away in some) and
+        # bands, is nearest to the one asked for.
+        moved = np.abs(np.expm1(predicted.features[rows][:, :, 0] - base[:, 0])).max((1, 2))
+        nearest = int(np.argmin(np.abs(moved - change)))
+        first, reached[a] = rows[nearest], float(moved[nearest])
+        covariance = covariance_with(predicted, discrepancy, variances, first)
+        for label, mask in masks.items():
+            for b in (NONE, *names):
+                if a != b:
+                    tables[label][a, b] = separation(predicted, covariance, mask.ravel(), first, b)
+    measured = tuple(
+        p
+        for p in ("t20", "edt", "t30", "c80", "g")
+        if any(p in c.measured.values for c in case.configurations)
+    )
+    with_more = {label: t for label, t in tables.items() if label}
+    further = possible(case, planned)
+    whole = extended(case, observed, discrepancy, further)
+    if finding is None:
+        every = _before(case, predicted)
+    else:
+        every = [(effects_of, p) for effects_of, p in finding.likely if p > _NEGLIGIBLE]
+    about = _information(whole, every, None if finding is None else observed)
+    proposals = _ranked(about, whole, further, hours)
+    return Plan(
+        measured,
+        change,
+        reached,
+        tables[""],
+        with_more,
+        tuple(proposals),
+        tuple(_greedy(about, whole, further, hours)),
+        about.entropy(),
+    )
+
+
+_NEGLIGIBLE = 1e-4
+"""Probability of a hypothesis that a plan leaves out."""
+Weighted = Sequence[tuple[tuple[AppliedEffect, ...], float]]
+
+
+def _before(case: Case, predicted: Hypotheses) -> Weighted:
+    """Return a few parameter sets of each effect with their prior probabilities, and "none"."""
+    prior = prior_of(case.room, list(predicted.effects.values()), {}).log_probability
+    out: list[tuple[tuple[AppliedEffect, ...], float]] = [((), float(np.exp(prior[NONE])))]
+    for name, effect in predicted.effects.items():
+        rows = [i for i, n in enumerate(predicted.names) if n == name]
+        cumulated = np.cumsum(predicted.weights[rows])
+        places = (np.arange(_OF_EACH) + 0.5) / _OF_EACH
+        for i in np.minimum(np.searchsorted(cumulated, places), len(rows) - 1):
+            added = AppliedEffect.of(effect, predicted.parameters[rows[i]])
+            out.append(((added,), float(np.exp(prior[name])) / _OF_EACH))
+    total = sum(p for _, p in out)
+    return [(applied, p / total) for applied, p in out]
+
+
+def _information(whole: Extended, every: Weighted, observed: Observed | None) -> Information:
+    """Return the information about the hypotheses, given what was ``observed``."""
+    grids: dict[str, list[Mapping[str, float]]] = {}
+    effects: dict[str, Effect] = {}
+    for applied, _ in every:
+        for a in applied:
+            effects[a.name] = a.effect
+            grid = grids.setdefault(a.name, [])
+            if a.parameters not in grid:
+                grid.append(a.parameters)
+    predicted = predict_hypotheses(whole.case, list(effects.values()), list(grids.values()))
+    first = {name: predicted.names.index(name) for name in grids}
+    rows = [
+        tuple(first[a.name] + grids[a.name].index(a.parameters) for a in applied)
+        for applied, _ in every
+    ]
+    names = [tuple(a.name for a in applied) for applied, _ in every]
+    groups = {n: k for k, n in enumerate(dict.fromkeys(names))}
+    of = moments(Comparison(whole.case, whole.observed, predicted, whole.discrepancy), rows)
+    weights = np.array([p for _, p in every]) * of.possible
+    return Information(
+        of,
+        weights / weights.sum(),
+        np.array([groups[n] for n in names]),
+        whole.measured,
+        None if observed is None else observed.values,
+    )
+
+
+def _ranked(
+    about: Information,
+    whole: Extended,
+    further: Sequence[Further],
+    hours: Mapping[str, float],
+    before: Mask | None = None,
+) -> list[Proposal]:
+    """Return every measurement that adds something, the most nats per hour first.
+
+    ``before`` are features that earlier measurements of a sequence give.
+    """
+    done: Mask = np.zeros(len(whole.measured), dtype=bool) if before is None else before
+    start = about.of(done) if done.any() else 0.0
+    out = [
+        Proposal(
+            f.words, f.kind, max(about.of(done | whole.masks[f.words]) - start, 0.0), hours[f.kind]
+        )
+        for f in further
+        if (whole.masks[f.words] & ~done).any()
+    ]
+    return sorted(out, key=lambda p: -p.per_cost)
+
+
+def _greedy(
+    about: Information, whole: Extended, further: Sequence[Further], hours: Mapping[str, float]
+) -> list[Proposal]:
+    """Return `STEPS` measurements, each the best after those before it."""
+    out: list[Proposal] = []
+    done: Mask = np.zeros(len(whole.measured), dtype=bool)
+    for _ in range(min(STEPS, len(further))):
+        best = _ranked(about, whole, further, hours, done)
+        if not best:
+            break
+        out.append(best[0])
+        done = done | whole.masks[best[0].measurement]
+    return out

@@ -1,0 +1,170 @@
+"""What to measure next: the information of a measurement, and what `plan` makes of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from rtcal.command.main import cli
+from rtcal.discrepancy import Case, find_several, likelihood, plan
+from rtcal.discrepancy.information import Information
+from rtcal.discrepancy.measurements import COSTS, extended, possible
+from rtcal.discrepancy.sets import Moments
+from rtcal.errors import DataError
+from tests.test_several_effects import BOTH, FEW, case_with, compared, controls_of
+
+
+def two(apart: float, correlation: float = 0.0) -> Moments:
+    """Two hypotheses whose second feature differs by so many standard deviations."""
+    covariance = np.array([[1.0, correlation], [correlation, 1.0]])
+    return Moments(
+        np.array([[0.0, 0.0], [0.0, apart]]),
+        np.stack([covariance, covariance]),
+        np.zeros((2, 0, 2)),
+        np.ones(2, dtype=bool),
+    )
+
+
+@pytest.fixture
+def normal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Normal densities, for which the information is an integral."""
+    monkeypatch.setattr(likelihood, "DEGREES", np.inf)
+
+
+SECOND = np.array([False, True])
+FIRST = np.array([True, False])
+
+
+@pytest.mark.usefixtures("normal")
+@pytest.mark.parametrize("apart", [0.0, 1.0, 2.0, 8.0])
+def test_information_is_the_mutual_information(apart: float) -> None:
+    half = np.full(2, 0.5)
+    about = Information(two(apart), half, np.arange(2), np.zeros(2, dtype=bool))
+
+    def entropy(y: float) -> float:
+        p = norm.pdf(y), norm.pdf(y, apart)
+        q = p[0] / sum(p)
+        return sum(p) / 2 * -sum(x * np.log(x) for x in (q, 1 - q) if x > 0)
+
+    left = quad(entropy, -8, 8 + apart, limit=200)[0]
+    assert about.entropy() == pytest.approx(np.log(2))
+    assert about.of(SECOND) == pytest.approx(np.log(2) - left, abs=0.06)
+
+
+@pytest.mark.usefixtures("normal")
+def test_what_is_measured_already_says_the_noise_of_what_is_to_come() -> None:
+    """A feature without news of its own cancels the error that the next has in common with it."""
+    half, values = np.full(2, 0.5), np.zeros(1)
+    of = [
+        Information(two(1.0, r), half, np.arange(2), FIRST, values).of(SECOND) for r in (0.0, 0.95)
+    ]
+    assert of[1] > 2 * of[0]
+    nothing = Information(two(1.0), half, np.arange(2), FIRST, values)
+    assert nothing.of(FIRST) == 0.0
+
+
+def test_hypotheses_of_one_set_are_not_told_apart() -> None:
+    about = Information(two(8.0), np.full(2, 0.5), np.zeros(2, dtype=int), FIRST)
+    assert about.entropy() == pytest.approx(0)
+    assert about.of(SECOND) == pytest.approx(0)
+
+
+def test_the_model_s_error_of_a_further_configuration_is_that_of_the_first() -> None:
+    c = compared(*BOTH)
+    further = possible(c.case)
+    whole = extended(c.case, c.observed, c.discrepancy, further)
+    n, size = len(whole.case.configurations), len(c.discrepancy.bias)
+    blocks = whole.discrepancy.covariance.reshape(n, size, n, size)
+    np.testing.assert_allclose(blocks[1, :, 1], c.discrepancy.covariance)
+    same = [f.same_error for f in further if f.configuration is not None]
+    np.testing.assert_allclose(blocks[1, :, 0], same[0] * c.discrepancy.covariance)
+    assert np.linalg.eigvalsh(whole.discrepancy.covariance).min() > -1e-12
+    # Nothing of the measured configuration is in a further one.
+    for f in further:
+        assert not (whole.masks[f.words] & whole.measured).any()
+
+
+def test_a_plan_proposes_what_tells_most_per_hour_and_then_goes_on() -> None:
+    case = case_with(*BOTH).only("t20")
+    before = plan(case)
+    assert [p.per_cost for p in before.proposals] == sorted(
+        (p.per_cost for p in before.proposals), reverse=True
+    )
+    assert before.sequence[0] == before.proposals[0]
+    assert len({p.measurement for p in before.sequence}) == 3
+    assert sum(p.information for p in before.sequence) <= before.uncertainty + 0.05
+    assert {p.kind for p in before.proposals} >= {"EDT and T30", "C80", "G", "removed"}
+    dear = plan(case, costs=dict.fromkeys(COSTS, 1.0) | {before.proposals[0].kind: 1e6})
+    assert dear.proposals[-1].kind == before.proposals[0].kind
+    assert "nats/hour" in str(before)
+    assert json.loads(json.dumps(before.to_dict(), allow_nan=False))["sequence"]
+
+
+def test_a_plan_goes_on_from_a_finding() -> None:
+    case = case_with(*BOTH).only("t20")
+    found = find_several(case, only=FEW, controls=controls_of(case))
+    after = plan(case, finding=found)
+    assert sum(p for _, p in found.likely) == pytest.approx(1)
+    # A noise floor shows in the decay's shape, which T20 alone has not told.
+    best = max(after.proposals, key=lambda p: p.information)
+    assert best.kind in ("EDT and T30", "more positions", "G", "removed", "covered")
+    assert after.uncertainty < plan(case).uncertainty
+
+
+def test_a_planned_configuration_is_among_what_can_be_measured() -> None:
+    case = case_with(*BOTH)
+    bare = replace(case.configurations[0], name="bare", suspect_removed=True)
+    kinds = {p.measurement: p for p in plan(case, planned=[bare]).proposals}
+    same = next(p for p in kinds.values() if p.kind == "removed")
+    assert kinds['configuration "bare"'].information == pytest.approx(same.information, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"costs": {"a rest": 1.0}}, 'costs has "a rest"'),
+        ({"costs": {"G": 0.0}}, r'costs\["G"\] = 0'),
+    ],
+)
+def test_bad_costs_are_refused(arguments: dict[str, object], words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        plan(case_with(), **arguments)  # type: ignore[arg-type]
+
+
+def test_a_finding_of_another_case_is_refused() -> None:
+    case = case_with(*BOTH)
+    found = find_several(case, only=FEW, controls=controls_of(case))
+    with pytest.raises(DataError, match="finding is of another case"):
+        plan(case_with(), finding=found)
+
+
+def test_the_command_proposes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case: Case = case_with(*BOTH).only("t20", "edt")
+    monkeypatch.setattr(
+        "rtcal.discrepancy.search.cached_control_rooms", lambda *_a, **_k: controls_of(case)
+    )
+    path = tmp_path / "case.json"
+    case.save(str(path))
+
+    def run(*arguments: str) -> tuple[int, str]:
+        done = CliRunner().invoke(cli, ["gap", "plan", str(path), *arguments])
+        return done.exit_code, done.output or str(done.exception)
+
+    code, said = run("--json", "--cost", "G=0.01")
+    assert code == 0, said
+    table = json.loads(said)
+    assert next(p for p in table["proposals"] if p["kind"] == "G")["cost"] == 0.01
+    code, said = run("--json", "--next")
+    assert code == 0, said
+    assert json.loads(said)["uncertainty_nats"] < table["uncertainty_nats"]
+    assert "One after the other" in run()[1]
+    code, said = run("--cost", "G")
+    assert code != 0
+    assert '--cost "G" is not MEASUREMENT=HOURS' in said
