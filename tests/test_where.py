@@ -355,7 +355,7 @@ def test_the_scales_are_linear_in_absorption() -> None:
 
 
 def test_coefficients_that_are_all_off_are_no_surface(cache: Path) -> None:
-    """Half as much again of all coefficients: linear in ln T, that would look like an absorber."""
+    """Half as much again of all coefficients, with the prior of a handbook, names no surface."""
     truth = tracing(stated(), n_paths=19200, scattering=0.5)
     room = stated().replace(sigma=0.3 * stated().alpha)
     data = heard(truth, 1.5 * stated().alpha)
