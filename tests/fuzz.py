@@ -21,6 +21,7 @@ from rtcal.discrepancy import Case
 from rtcal.errors import DataError
 from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, sigma_table, tables
 from rtcal.io.material_list import MaterialList
+from rtcal.io.text import number
 from rtcal.loop import Loop
 from rtcal.report import saved
 from tests import fuzz_native as native
@@ -96,8 +97,8 @@ def material_list_holds(result: MaterialList) -> None:
     for material in result.materials:
         assert all(0 <= a <= 1 for a in material.alpha)
         for a, (begin, end) in zip(material.alpha, material.spans, strict=True):
-            number = float(result.text.characters[begin:end])
-            assert abs(number * material.unit - a) <= 1e-12
+            written = number(result.text.characters[begin:end], result.path)
+            assert abs(written * material.unit - a) <= 1e-12
     if set.intersection(*(set(m.centre_frequencies) for m in result.materials)):
         room = result.room(name="", volume=1, areas=dict.fromkeys(result.names, 1.0))
         assert result.with_alpha(room)[0] == Path(result.path).read_bytes()
