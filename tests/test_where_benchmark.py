@@ -1,0 +1,101 @@
+"""The figures of benchmarks/where.py, on rows whose figures are known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba", reason="the geometric world is compiled (extra fast)")
+
+import rtcal as rt
+from benchmarks import where
+from rtcal.acoustics.quality import gap_jnd
+from tests.geometric_world import rooms
+from tests.geometric_world.load import stored, truth
+
+KINDS = rooms.order(0)
+
+
+def row(index: int, **changed: Any) -> dict[str, Any]:
+    """A room about which nothing is said."""
+    values = {
+        "index": index,
+        "data": "without",
+        "verdict": "none",
+        "effect": None,
+        "family": None,
+        "surface": None,
+        "true_surface": "face 1",
+        "n_surfaces": 6,
+        "surfaces": {"face 1": 0.7, "face 2": 0.3},
+        "likely": ["face 1", "face 2"],
+        "best": None,
+        "families": {"none": 0.9, "scale": 0.1},
+        "processor": 2.0,
+    }
+    return {**values, **changed}
+
+
+def first_of(kind: str, n: int = 1) -> list[int]:
+    return [i for i, k in enumerate(KINDS) if k == kind and i in stored(0, "truth")][:n]
+
+
+def best(effect: str, size: float) -> dict[str, Any]:
+    return {"effect": effect, "surface": "face 1", "size": [size, 0.9 * size, 1.1 * size]}
+
+
+def test_every_line_counts_the_rooms_that_it_is_about() -> None:
+    (opening,), (curtain,) = first_of("opening"), first_of("curtain")
+    nothing = first_of(rooms.NOTHING, 4)
+    flat = {"none": 0.05, "added absorption, flat": 0.9, "added absorption": 0.92}
+    size = truth(0, opening)["size"]
+    found = [
+        row(opening, verdict="named", effect="opening", surface="face 1", families=flat,
+            best=best("opening", size)),
+        row(curtain, verdict="ambiguous", surfaces={"face 2": 0.6, "face 1": 0.4}, families=flat,
+            best=best("opening", 3 * truth(0, curtain)["size"])),
+        row(nothing[0], verdict="unknown", true_surface=None),
+        *(row(i, true_surface=None) for i in nothing[1:]),
+    ]  # fmt: skip
+    means = [row(i, verdict="none") for i in (opening, curtain, nothing[0])]
+    lines = where.summary(found, means, 0, "without")
+    shares = {
+        "flagged with nothing hidden": (0.25, 4),
+        "detected": (1.0, 2),
+        "right family, of the detected": (0.5, 2),
+        "right surface, of absorbers detected": (0.5, 2),
+        "right surface among the candidates": (1.0, 2),
+        "candidates, mean": (2.0, 2),
+        "a single surface claimed: right": (1.0, 1),
+        "size in its 90 % interval": (0.5, 2),
+        "means: detected": (0.0, 2),
+        "means: flagged with nothing hidden": (0.0, 1),
+        "detected more than by means": (1.0, 2),
+    }
+    for name, (value, n) in shares.items():
+        assert (lines[name][0], lines[name][3]) == (pytest.approx(value), n), name
+    assert set(where.asked("level")) <= set(lines)
+    assert where.summary(found, means, 0, "level")["detected"][3] == 0
+
+
+def test_a_gap_to_what_was_measured_becomes_that_to_what_is_heard() -> None:
+    rng = np.random.default_rng(1)
+    pairs, bands = [("S", "A"), ("S", "B")], np.array([500.0, 1000.0])
+    names = ("t20", "edt", "c80", "ts", "g")
+    model, measured, heard = ({p: rng.uniform(0.5, 2.0, (2, 2)) for p in names} for _ in range(3))
+
+    def as_measurement(values: dict[str, Any]) -> rt.Measurement:
+        return rt.Measurement(centre_frequencies=bands, values=values, pairs=pairs)
+
+    finding = SimpleNamespace(
+        parameters=("t20", "edt", "c80", "ts", "level"),
+        pairs=pairs[::-1],
+        case=SimpleNamespace(measured=as_measurement(measured)),
+    )
+    gap = np.array([gap_jnd(model[p], measured[p], p)[::-1] for p in names])
+    expected = np.array([gap_jnd(model[p], heard[p], p)[::-1] for p in names])
+    found = where.to_heard(gap, where.noise(finding, as_measurement(heard)))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
