@@ -4,6 +4,7 @@
     python -m benchmarks.where run --folder out --number 40      # can be resumed
     python -m benchmarks.where means --folder out --number 40    # means over positions, the same rooms
     python -m benchmarks.where table                             # of the stored run, or --folder out
+    python -m benchmarks.where store --folder out                # the run that the study shows
     python -m benchmarks.where speed --folder out                # first and second run of one room
 
 tests/geometric_world describes the rooms. Each is judged on T20, EDT, C80 and Ts ("without level") and
@@ -18,6 +19,7 @@ was added; the gap to what is heard, without the measurement's noise, stands bes
 from __future__ import annotations
 
 import argparse
+import gzip
 import json
 import time
 import warnings
@@ -47,7 +49,7 @@ MODELS = ("before", "plain", "corrected")
 MATCH = ("t20", "edt", "c80", "ts", "level")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
-STORED = HERE / "population_1_results.jsonl"
+STORED = HERE / "population_1_results.jsonl.gz"
 OF_KIND = {
     "receiver": ("measurement",),
     "coupled room": ("field",),
@@ -231,7 +233,28 @@ def run(
 
 
 def read(file: Path) -> list[dict[str, Any]]:
-    return [json.loads(r) for r in file.read_text("utf-8").splitlines()] if file.exists() else []
+    if not file.exists():
+        return []
+    content = file.read_bytes()
+    lines = gzip.decompress(content) if file.suffix == ".gz" else content
+    return [json.loads(line) for line in lines.splitlines()]
+
+
+def kept() -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the rows of the stored run: in the geometry, and of means."""
+    rows = read(STORED)
+    found = [r for r in rows if r["finder"] == "where"]
+    return found, [r for r in rows if r["finder"] == "means"]
+
+
+def store(folder: Path, label: str) -> None:
+    """Put the rows of a judging run into the repository."""
+    lines = [
+        json.dumps({"finder": finder, **row}, separators=(",", ":"))
+        for finder, name in (("where", label), ("means", "means"))
+        for row in read(place(folder, 1, name))
+    ]
+    STORED.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
 
 
 class Rows:
@@ -450,7 +473,7 @@ def speed(folder: Path, population: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=("list", "run", "means", "table", "speed"))
+    parser.add_argument("command", choices=("list", "run", "means", "table", "store", "speed"))
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument("--number", type=int, default=250, help="the first rooms, in a fair order")
@@ -463,17 +486,14 @@ def main() -> None:
     if given.command == "list":
         listed()
     elif given.command == "table" and given.folder is None:
-        kept = read(STORED)
-        table(
-            [r for r in kept if r["finder"] == "where"],
-            [r for r in kept if r["finder"] == "means"],
-            given.population,
-        )
+        table(*kept(), given.population)
     elif given.folder is None:
         parser.error("--folder is needed")
     elif given.command == "table":
         both = (read(place(given.folder, given.population, x)) for x in (given.label, "means"))
         table(*both, given.population)
+    elif given.command == "store":
+        store(given.folder, given.label)
     elif given.command == "speed":
         speed(given.folder, given.population)
     elif given.command == "run":

@@ -28,7 +28,7 @@ import numpy as np
 import rtcal as rt
 from benchmarks.judging import FLAGS, families_of, rate
 from benchmarks.real_data import DATA, OCTAVES, PTB_AIR, handbook_sigma, lines
-from benchmarks.where import MODELS, first, plain, said
+from benchmarks.where import MODELS, PATHS, first, plain, said
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.types import Array
 
@@ -146,7 +146,7 @@ def simulator(workers: int | None = None) -> PathTracing:
         room=room,
         sources={k: v for k, v in place.items() if k[0] == "S"},
         receivers={k: v for k, v in place.items() if k[0] == "R"},
-        n_paths=8000,
+        n_paths=PATHS,
         workers=workers,
     )
 
