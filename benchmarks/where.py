@@ -2,14 +2,16 @@
 
     python -m benchmarks.where list
     python -m benchmarks.where run --folder out --number 40      # can be resumed
+    python -m benchmarks.where gaps --folder out --number 40     # at held-out pairs, the same rooms
     python -m benchmarks.where means --folder out --number 40    # means over positions, the same rooms
     python -m benchmarks.where table                             # of the stored run, or --folder out
     python -m benchmarks.where store --folder out                # the run that the study shows
     python -m benchmarks.where speed --folder out                # first and second run of one room
 
 tests/geometric_world describes the rooms. Each is judged on T20, EDT, C80 and Ts ("without level") and
-with G beside them ("level"). Control runs are kept in the folder, so that a second run of a room with
---label takes seconds. `means` is `rtcal.discrepancy.find` on the same measurement, without a geometry.
+with G beside them ("level"). Control runs and weighings are kept in the folder's `controls`, so that
+another run of a room takes seconds. `means` is `rtcal.discrepancy.find` on the same measurement, without
+a geometry.
 
 The gap is at held-out pairs, in JND: `rtcal.where.verify` fits on half of the pairs and predicts the
 other half, and the other way round. It is judged where the effect changes T by over 10 % and something
@@ -63,24 +65,22 @@ def right_families(kind: str) -> frozenset[str]:
     return frozenset(OF_KIND.get(kind, ())) or families_of([kind])
 
 
-def case_of(room: GeometricRoom, data: str, workers: int | None) -> rt.where.Case:
+def case_of(room: GeometricRoom, data: str) -> rt.where.Case:
     level = data == "level"
     return rt.where.Case(
-        simulator=room.simulator(n_paths=PATHS, workers=workers),
+        simulator=room.simulator(n_paths=PATHS),
         measured=room.measured if level else room.without_level(),
         match=MATCH if level else MATCH[:-1],
     )
 
 
-def judged(
-    population: int, index: int, data: str, folder: Path, workers: int | None
-) -> dict[str, Any]:
-    """Return what `rtcal.where.find` and `verify` say of a room."""
+def judged(population: int, index: int, data: str, folder: Path) -> dict[str, Any]:
+    """Return what `rtcal.where.find` says of a room."""
     room = load(population, index)
-    case = case_of(room, data, workers)
+    case = case_of(room, data)
     clock, processor = time.perf_counter(), time.process_time()
     finding = rt.where.find(case, cache=folder / "controls")
-    row = {
+    return {
         "index": index,
         "data": data,
         "seconds": time.perf_counter() - clock,
@@ -89,33 +89,29 @@ def judged(
         "n_bands": room.room.n_bands,
         **said(finding, case, truth(population, index)["surface"]),
     }
-    true = truth(population, index)
-    if true["effect_on_t"] > LARGE:
-        row |= verified(finding, without_noise(population, index), folder)
-    return dict(plain(row))
 
 
-def verified(finding: Any, heard: rt.Measurement, folder: Path) -> dict[str, Any]:
+def verified(population: int, index: int, data: str, folder: Path) -> dict[str, Any]:
     """Return the mean gaps at held-out pairs in JND, to what was measured and to what is heard.
 
-    What is heard has no noise. Where no surface has anything to add, the ratio is 1 by definition.
+    What is heard has no noise. Rooms whose T changes little, and findings that add nothing to a
+    surface, have none.
     """
+    out: dict[str, Any] = {"index": index, "data": data, "gaps": {}, "gaps_heard": {}}
+    if truth(population, index)["effect_on_t"] <= LARGE:
+        return out
+    finding = rt.where.find(case_of(load(population, index), data), cache=folder / "controls")
     if not finding.can_be_added:
-        return {"ratio": 1.0, "ratio_heard": 1.0, "gaps": {}, "gaps_heard": {}}
+        return out
     result = rt.where.verify(finding, cache=folder / "controls")
     gaps = {model: getattr(result, model).mean(axis=0) for model in MODELS}
-    off = noise(finding, heard)
-    without = {model: to_heard(gap, off) for model, gap in gaps.items()}
-    means, of_heard = (
-        {model: float(np.nanmean(np.abs(gap))) for model, gap in both.items()}
-        for both in (gaps, without)
-    )
-    return {
-        "gaps": means,
-        "gaps_heard": of_heard,
-        "ratio": means["corrected"] / means["plain"],
-        "ratio_heard": of_heard["corrected"] / of_heard["plain"],
-    }
+    off = noise(finding, without_noise(population, index))
+    for key, table in (
+        ("gaps", gaps),
+        ("gaps_heard", {m: to_heard(g, off) for m, g in gaps.items()}),
+    ):
+        out[key] = {model: float(np.nanmean(np.abs(gap))) for model, gap in table.items()}
+    return out
 
 
 def noise(finding: Any, heard: rt.Measurement) -> tuple[np.ndarray, np.ndarray]:
@@ -204,7 +200,7 @@ def means_only(population: int, index: int, data: str, folder: Path) -> dict[str
     path = folder / "means_controls" / f"{population}_{index}_{data}.npz"
     controls: list[ControlRooms] = kept_controls(case, path)
     row = row_of(find(case, controls=controls))
-    return plain({"index": index, "data": data, **row})
+    return {"index": index, "data": data, **row}
 
 
 def faces_of(room: GeometricRoom) -> tuple[Any, Any, Any]:
@@ -226,10 +222,12 @@ def run(
         for which in data:
             if (index, which) in done:
                 continue
-            row = make(index, which)
+            row = plain(make(index, which))
             with file.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(row, separators=(",", ":")) + "\n")
-            print(index, which, truth(population, index)["kind"], row["verdict"], flush=True)
+            print(
+                index, which, truth(population, index)["kind"], row.get("verdict", ""), flush=True
+            )
 
 
 def read(file: Path) -> list[dict[str, Any]]:
@@ -240,19 +238,27 @@ def read(file: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines.splitlines()]
 
 
+def results(folder: Path, population: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the rows of a run: in the geometry, with their gaps, and of means."""
+    every = {step: read(folder / f"{step}_{population}.jsonl") for step in STEPS}
+    gaps = {(r["index"], r["data"]): r for r in every["gaps"]}
+    found = [{**r, **gaps.get((r["index"], r["data"]), {})} for r in every["run"]]
+    return found, every["means"]
+
+
 def kept() -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the rows of the stored run: in the geometry, and of means."""
+    """Return the rows of the stored run, as `results` does."""
     rows = read(STORED)
     found = [r for r in rows if r["finder"] == "where"]
     return found, [r for r in rows if r["finder"] == "means"]
 
 
-def store(folder: Path, label: str) -> None:
+def store(folder: Path) -> None:
     """Put the rows of a judging run into the repository."""
     lines = [
         json.dumps({"finder": finder, **row}, separators=(",", ":"))
-        for finder, name in (("where", label), ("means", "means"))
-        for row in read(place(folder, 1, name))
+        for finder, rows in zip(("where", "means"), results(folder, 1), strict=True)
+        for row in rows
     ]
     STORED.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
 
@@ -349,16 +355,13 @@ def gaps(rows: Rows) -> dict[str, Line]:
     """Return how the gap at held-out pairs shrinks where the effect changes T by over 10 %."""
     large = [(t, r) for t, r in rows.only(HIDDEN) if t["effect_on_t"] > LARGE]
     out: dict[str, Line] = {}
-    chosen = [r for _, r in large if "ratio" in r]
-    tried = [r for r in chosen if r["gaps"]]
-    out["gap corrected / plain, median"] = over(np.median, (r["ratio"] for r in tried))
-    out["rooms in which it shrinks"] = portion(r["ratio"] < 1 for r in tried)
-    for key, words in (("gaps", "to what was measured"), ("gaps_heard", "to what is heard")):
+    tried = [r for _, r in large if r.get("gaps")]
+    for key, words in (("gaps", ""), ("gaps_heard", ", to what is heard")):
+        ratios = [r[key]["corrected"] / r[key]["plain"] for r in tried]
+        out[f"gap corrected / plain, median{words}"] = over(np.median, ratios)
+        out[f"rooms in which it shrinks{words}"] = portion(x < 1 for x in ratios)
         for which in MODELS:
-            out[f"gap {which} {words}, JND"] = over(np.mean, (r[key][which] for r in tried))
-    out["the same to what is heard, median"] = over(np.median, (r["ratio_heard"] for r in tried))
-    out["rooms in which that shrinks"] = portion(r["ratio_heard"] < 1 for r in tried)
-    out["something was added"] = portion(bool(r["gaps"]) for r in chosen)
+            out[f"gap {which}, JND{words}"] = over(np.mean, (r[key][which] for r in tried))
     return out
 
 
@@ -457,12 +460,12 @@ def speed(folder: Path, population: int) -> None:
     every = {i: load(population, i) for i in stored(population, "truth")}
     most = max(
         (i for i, r in every.items() if r.room.n_bands == 8),
-        key=lambda i: len(case_of(every[i], "level", 1).faces),
+        key=lambda i: len(case_of(every[i], "level").faces),
     )
     warm = min(every, key=lambda i: every[i].room.n_materials)
-    rt.where.find(case_of(every[warm], "level", None))  # compiles
+    rt.where.find(case_of(every[warm], "level"))  # compiles
     for which in ("first", "second"):
-        case = case_of(every[most], "level", None)
+        case = case_of(every[most], "level")
         clock, processor = time.perf_counter(), time.process_time()
         rt.where.find(case, cache=folder / "speed")
         print(
@@ -471,18 +474,19 @@ def speed(folder: Path, population: int) -> None:
         )
 
 
+STEPS = {"run": judged, "gaps": verified, "means": means_only}
+"""What is made of a room, by the name of its command and of its file of rows."""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=("list", "run", "means", "table", "store", "speed"))
+    parser.add_argument("command", choices=("list", *STEPS, "table", "store", "speed"))
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument("--number", type=int, default=250, help="the first rooms, in a fair order")
     parser.add_argument("--data", default=",".join(DATA))
-    parser.add_argument("--label", default="where", help="file of this run's rows")
-    parser.add_argument("--workers", type=int, default=None)
     given = parser.parse_args()
     warnings.simplefilter("ignore")
-    data = given.data.split(",")
     if given.command == "list":
         listed()
     elif given.command == "table" and given.folder is None:
@@ -490,32 +494,20 @@ def main() -> None:
     elif given.folder is None:
         parser.error("--folder is needed")
     elif given.command == "table":
-        both = (read(place(given.folder, given.population, x)) for x in (given.label, "means"))
-        table(*both, given.population)
+        table(*results(given.folder, given.population), given.population)
     elif given.command == "store":
-        store(given.folder, given.label)
+        store(given.folder)
     elif given.command == "speed":
         speed(given.folder, given.population)
-    elif given.command == "run":
-        run(
-            place(given.folder, given.population, given.label),
-            given.population,
-            given.number,
-            data,
-            lambda i, d: judged(given.population, i, d, given.folder, given.workers),
-        )
     else:
+        step = STEPS[given.command]
         run(
-            place(given.folder, given.population, "means"),
+            given.folder / f"{given.command}_{given.population}.jsonl",
             given.population,
             given.number,
-            data,
-            lambda i, d: means_only(given.population, i, d, given.folder),
+            given.data.split(","),
+            lambda i, d: step(given.population, i, d, given.folder),
         )
-
-
-def place(folder: Path, population: int, label: str) -> Path:
-    return folder / f"{label}_{population}.jsonl"
 
 
 if __name__ == "__main__":
