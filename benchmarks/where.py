@@ -10,7 +10,7 @@
 
 tests/geometric_world describes the rooms. Each is judged on T20, EDT, C80 and Ts ("without level") and
 with G beside them ("level"). Control runs and weighings are kept in the folder's `controls`, so that
-another run of a room takes seconds. `means` is `rtcal.discrepancy.find` on the same measurement, without
+another run of a room takes seconds. `means` is `rtcal.discrepancy.find` on the same values, without
 a geometry.
 
 The gap is at held-out pairs, in JND: `rtcal.where.verify` fits on half of the pairs and predicts the
