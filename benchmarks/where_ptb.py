@@ -116,7 +116,10 @@ def geometry() -> Polyhedron:
 
 
 def simulator(workers: int | None = None) -> PathTracing:
-    """Return the studio's path tracer with the round robin's coefficients."""
+    """Return the studio's path tracer with the round robin's coefficients.
+
+    Scattering is the mean over the bands, so that all of them share their paths.
+    """
     solid = geometry()
     table = {r["material"]: r for r in lines("ptb_studio", "materials.csv")}
 
@@ -134,7 +137,7 @@ def simulator(workers: int | None = None) -> PathTracing:
         alpha=alpha,
         sigma=handbook_sigma(alpha),
         air=PTB_AIR,
-        scattering=of("scattering"),
+        scattering=np.repeat(of("scattering").mean(1)[:, np.newaxis], len(OCTAVES), axis=1),
         centre_frequencies=OCTAVES,
     )
     place = {
