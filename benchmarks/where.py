@@ -95,11 +95,14 @@ def verified(population: int, index: int, data: str, folder: Path) -> dict[str, 
     """Return the mean gaps at held-out pairs in JND, to what was measured and to what is heard.
 
     What is heard has no noise. Rooms whose T changes little, and findings that add nothing to a
-    surface, have none.
+    surface, have none; those of `run` that flagged nothing are not made again.
     """
     out: dict[str, Any] = {"index": index, "data": data, "gaps": {}, "gaps_heard": {}}
     if truth(population, index)["effect_on_t"] <= LARGE:
         return out
+    for row in read(folder / f"run_{population}.jsonl"):
+        if (row["index"], row["data"]) == (index, data) and row["verdict"] not in FLAGS:
+            return out
     finding = rt.where.find(case_of(load(population, index), data), cache=folder / "controls")
     if not finding.can_be_added:
         return out
