@@ -265,7 +265,7 @@ def table(rows: list[dict[str, Any]]) -> None:
         closed = [r for r in chosen if r["state"] == "closed"]
         opened = [r for r in chosen if r["state"] == "open"]
         caught = [r for r in closed if r["verdict"] in FLAGS]
-        sizes = [r["best"]["size"][0] for r in closed if r["best"] and r["best"]["size"][0]]
+        sizes = [r["best"]["size"][0] for r in caught if r["best"] and r["best"]["surface"]]
         print(f"\n{words}: {len(closed)}")
         print("  detected                     ", rate(r["verdict"] in FLAGS for r in closed))
         print("  a curtain, or its family     ", rate(curtain(r) for r in caught))

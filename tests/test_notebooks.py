@@ -20,7 +20,10 @@ ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = sorted((ROOT / "notebooks" / "tutorials").glob("*.ipynb"))
 STUDIES = sorted((ROOT / "notebooks" / "studies").glob("*.ipynb"))
 NOTEBOOKS = [*TUTORIALS, *STUDIES]
-NOT_MET = {"positions", "where"}  # a part of their rule is not met; they say so, and so do their pages
+NOT_MET = {
+    "positions",
+    "where",
+}  # a part of their rule is not met; they say so, and so do their pages
 MOST_BYTES = 300_000
 
 pytestmark = pytest.mark.skipif(not NOTEBOOKS, reason="needs the source tree")
