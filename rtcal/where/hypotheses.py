@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
-from rtcal.discrepancy import coefficients
-from rtcal.discrepancy.case import CLIMATE_UNCERTAINTY
 from rtcal.discrepancy.effects.air import OmittedAir
 from rtcal.discrepancy.effects.audience import SEATED_ALPHA, Audience
 from rtcal.discrepancy.effects.base import Absorber, Effect, Parameters, interpolate_octaves
@@ -27,7 +25,7 @@ from rtcal.discrepancy.effects.porous import Porous
 from rtcal.discrepancy.effects.resonator import Resonator
 from rtcal.discrepancy.effects.stated import WrongVolume
 from rtcal.discrepancy.hypotheses import spectrum_errors
-from rtcal.discrepancy.prior import COEFFICIENTS, HANDBOOK_SIGMA, grid_weights
+from rtcal.discrepancy.prior import COEFFICIENTS, grid_weights
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array
 from rtcal.where.case import Case
@@ -441,42 +439,3 @@ def family_of(effect: str, every: Sequence[Shift]) -> str:
     if effect in (POSITION, NOISE):
         return MEASUREMENT
     return next((s.family for s in every if s.effect == effect), effect)
-
-
-def usual_errors(case: Case) -> Array:
-    """Return the changes of alpha that catalogues err by in common, (n, n_materials, n_bands).
-
-    As `rtcal.discrepancy.coefficients` describes them: a factor and a tilt of all coefficients, and of
-    each material's.
-    """
-    room = case.room
-    octaves = np.log2(room.centre_frequencies / 1000)
-    stated = room.sigma / np.maximum(room.alpha, 1e-6) / HANDBOOK_SIGMA
-    level = room.alpha * np.minimum(1.0, stated**2)
-    own = np.eye(room.n_materials)[:, :, np.newaxis] * level
-    parts = [
-        [coefficients.COMMON * level],
-        [coefficients.TILT * level * octaves],
-        coefficients.OWN * own,
-        coefficients.OWN_TILT * own * octaves,
-    ]
-    return np.concatenate([np.asarray(part) for part in parts])
-
-
-def climate_error(case: Case) -> Array:
-    """Return the standard deviations of the air's attenuation by an uncertain climate, (2, n_bands).
-
-    Over that at 20 °C and 50 %, as `AIR`; none where the room has no air.
-    """
-    room = case.room
-    if room.air is None:
-        return np.zeros((0, room.n_bands))
-    f = room.centre_frequencies
-    reference = Air(20, 50).attenuation(f)
-    t, h = room.air.temperature, room.air.humidity
-    kelvin, percent = CLIMATE_UNCERTAINTY
-    ends = [
-        (Air(t + kelvin, h), Air(t - kelvin, h)),
-        (Air(t, min(h + percent, 100.0)), Air(t, max(h - percent, 1.0))),
-    ]
-    return np.array([(a.attenuation(f) - b.attenuation(f)) / 2 / reference for a, b in ends])

@@ -18,7 +18,8 @@ from rtcal.support.types import Array
 from rtcal.where import scales
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood, band_first, flat, reordered
-from rtcal.where.hypotheses import climate_error, interpolation, usual_errors
+from rtcal.where.hypotheses import interpolation
+from rtcal.where.prior import climate_error, usual_errors
 from rtcal.where.responses import AIR, Responses
 
 TAILS = 4.0
