@@ -143,6 +143,7 @@ NEEDS_NO_EXAMPLE = {
     "Place": "part of a rt.where.Finding",
     "Corrected": "what rt.where.verify compares",
     "SeveralFinding": "a Finding of more than one effect",
+    "Proposal": "part of a discrepancy.Plan",
     "Rule": "a type: one of three names",
     "Rows": "what a constraint of one's own returns: rows of numbers",
     "match_matrix": "for a term of one's own that matches T; ExactMatch shows it",
