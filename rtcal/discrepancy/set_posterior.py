@@ -36,7 +36,7 @@ EXPECTED = 0.7
 MOST = 3
 KEPT = 24
 """Pairs of parameters of each two effects that are evaluated; the screen estimates the others' share.
-On development rooms 40 in place of 24 change no probability by more than 0.02."""
+A judgement of time, without a study."""
 UNEXPLAINED = 0.05
 """Probability of the residuals under the best pair below which three effects are tried."""
 _BESIDE = 60  # single hypotheses that are evaluated with an unknown effect beside them
