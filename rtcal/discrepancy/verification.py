@@ -171,13 +171,15 @@ class Verification:
             rows.append(("  what alpha cannot absorb", cells))
         lines = text.wrapped(self.sentence)
         lines += text.table(rows, header=("mean gap in JND", ["plain", "corrected"]))
-        for sentence in (
-            "Once T20 is fitted, the corrected model predicts what alpha cannot absorb "
-            f"{_better(self.predictive)} than the plain one.",
+        if np.isfinite(self.before):
+            lines += text.wrapped(
+                "Once T20 is fitted, the corrected model predicts what alpha cannot absorb "
+                f"{_better(self.predictive)} than the plain one."
+            )
+        lines += text.wrapped(
             "Plain calibration meets the fitted T20 exactly. The corrected one meets it as closely as "
-            "the uncertainty of T allows.",
-        ):
-            lines += text.wrapped(sentence)
+            "the uncertainty of T allows."
+        )
         room = self.finding.case.room
         lines += table(room, {"plain": self.plain, "corrected": self.corrected})
         return "\n".join(lines)
