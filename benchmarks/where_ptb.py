@@ -249,6 +249,16 @@ def curtain(row: dict[str, Any]) -> bool:
     return bool(row["best"]) and row["best"]["effect"] == "curtain"
 
 
+def stated_beside_measured() -> None:
+    """Print T of the stated coefficients by Eyring's equation beside T30 of both states, in s."""
+    rows = {"stated, Eyring": rt.Eyring().reverberation_time(simulator(1).room)}
+    for state in ("open", "closed"):
+        rows[f"measured, {state}"] = measured(state).values["t30"].mean(axis=0)
+    print(f"{'T / s':18}" + "".join(f"{f:8.0f}" for f in OCTAVES))
+    for name, t in rows.items():
+        print(f"{name:18}" + "".join(f"{value:8.2f}" for value in t))
+
+
 def table(rows: list[dict[str, Any]]) -> None:
     """Print each case, and how often the curtain is found when the model is somebody else's."""
     for row in rows:
@@ -288,6 +298,7 @@ def main() -> None:
     if given.command == "run":
         run(given.folder, given.only, given.workers)
     else:
+        stated_beside_measured()
         table(read(given.folder))
 
 
