@@ -147,7 +147,7 @@ def _several(command: Any) -> Any:
     return with_number
 
 
-@gap.command(short_help="Which effects the data could distinguish, and what to measure next.")
+@gap.command(short_help="Which effects the data could tell apart; what to measure next.")
 @click.argument("case", type=click.Path())
 @click.option(
     "--change",

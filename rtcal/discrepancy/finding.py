@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.discrepancy import track_record
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.coefficients import OffTogether
 from rtcal.discrepancy.effects import Effect
@@ -277,13 +278,13 @@ class Finding:
             f"{self.headline}; threshold {self.threshold:.1f} nats",
             ["effect", "probability", "evidence / nats", ""],
             rows,
-            [*self.in_words, f"Next: {self.advice}", *self.notes],
+            [*self.in_words, self.track_record, f"Next: {self.advice}", *self.notes],
         )
 
     def __str__(self) -> str:
         """Return verdict, sizes, probabilities, residuals, advice and notes."""
         lines = text.wrapped(self.headline)
-        for sentence in [*self.in_words, self.evidence_in_words]:
+        for sentence in [*self.in_words, self.evidence_in_words, self.track_record]:
             lines += text.wrapped(sentence, indent="  ")
         header = ("", [bands.label(f) for f in self.case.room.centre_frequencies])
         for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
@@ -311,6 +312,11 @@ class Finding:
             f"({NATS}). Threshold: {self.threshold:.1f} nats, from control rooms of "
             f"{' and '.join(self.engines) or 'no engine'} that lack nothing."
         )
+
+    @property
+    def track_record(self) -> str:
+        """How often such a verdict was right in rooms that were not used to make the finder."""
+        return track_record.sentence(self.verdict)
 
     @property
     def headline(self) -> str:

@@ -68,7 +68,7 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
     sentences += [_sentence(reason) for reason in finding.reasons]
     if verification is not None:
         sentences.append(_proof(verification))
-    return [*sentences, f"Probabilities: {', '.join(said)}."]
+    return [*sentences, f"Probabilities: {', '.join(said)}.", finding.track_record]
 
 
 def to_do(finding: Finding, verification: Verification | None) -> list[str]:

@@ -80,10 +80,10 @@ def shell(command: str, indent: str = "") -> list[str]:
 
     Examples
     --------
-    >>> command = "rtcal gap report case.toml --engine 'path tracing' --engine network --seed 10"
+    >>> command = "rtcal gap report case.toml --engine 'path tracing' --engine network --seed 123456"
     >>> print("\n".join(shell(command)))
     rtcal gap report case.toml --engine 'path tracing' --engine network \
-        --seed 10
+        --seed 123456
     """
     parts = re.findall(r"(?:--\S+ )?(?:'[^']*'|\"[^\"]*\"|[^\s'\"])+", command)
     lines = [indent + parts[0]]

@@ -1,0 +1,59 @@
+"""What a finding says of its own reliability is what the study's page says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import rtcal as rt
+from rtcal.discrepancy import track_record
+
+PAGE = (Path(__file__).parents[1] / "docs" / "discrepancy_study.md").read_text(encoding="utf-8")
+
+
+def cells(label: str) -> list[str]:
+    """Return the cells for T20, EDT and T30 of both worlds' tables."""
+    rows = re.findall(rf"^\| {re.escape(label)} \| ([^|]+) \| [^|]+ \|$", PAGE, re.MULTILINE)
+    assert len(rows) == 2, label
+    return rows
+
+
+def numbers(label: str) -> list[list[int]]:
+    """Return the whole numbers of each cell."""
+    return [[int(n) for n in re.findall(r"(?<![\d.])\d+(?![\d.])", c)] for c in cells(label)]
+
+
+@pytest.mark.parametrize(
+    ("label", "stated"),
+    [
+        ("a single name claimed; right", track_record.NAMED),
+        ("a family claimed; right", track_record.FAMILY),
+    ],
+)
+def test_claims_and_right_ones_are_those_of_the_tables(label: str, stated: tuple[int, int]) -> None:
+    rows = numbers(label)
+    assert stated == (sum(row[2] for row in rows), sum(row[0] for row in rows))
+
+
+def test_missed_and_flagged_are_those_of_the_tables() -> None:
+    flagged = numbers("nothing hidden, flagged")
+    assert (sum(r[0] for r in flagged), sum(r[1] for r in flagged)) == track_record.FLAGGED
+    of = sum(row[-1] for row in numbers("detected"))
+    detected = sum(row[1] for row in numbers("a single name claimed; right"))
+    assert (of - detected, of) == track_record.MISSED
+    claimed = track_record.NAMED[1] + track_record.FAMILY[1]
+    assert track_record.AMBIGUOUS[1] == detected - claimed
+    measured = re.search(r"measured rooms: wrong claims \|[^|]+\|[^|]+\| (\d+) of (\d+)", PAGE)
+    assert measured is not None
+    assert tuple(int(n) for n in measured.groups()) == track_record.MEASURED
+
+
+def test_every_verdict_says_how_often_it_was_right() -> None:
+    case, _ = rt.datasets.hidden_room()
+    finding = rt.discrepancy.find(case)
+    assert finding.track_record == track_record.sentence(finding.verdict)
+    assert finding.track_record in " ".join(str(finding).split())
+    for verdict in ("none", "hint", "named", "family", "ambiguous", "unknown"):
+        assert "not used to make the finder" in track_record.sentence(verdict)
