@@ -199,7 +199,7 @@ def test_the_verdict_stands_beside_what_is_supported(finding: Finding) -> None:
     assert page["plain"].endswith(f"not to be used, the model lacks {name} or opening")
     assert "opening would explain the data about as well" in page["unknowable"]
     assert (
-        f"{numbers} with {name} in the model, which supports the finding." in page["rests_on"][-2]
+        f"{numbers} with {name} in the model, which supports the finding." in page["rests_on"][-3]
     )
     corrected = page["corrected"]["materials"][0]["cells"][0]
     assert corrected["low"] < corrected["after"] == torn.corrected.alpha[0, 0] < corrected["high"]
