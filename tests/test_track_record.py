@@ -9,8 +9,11 @@ import pytest
 
 import rtcal as rt
 from rtcal.discrepancy import track_record
+from rtcal.where import track_record as where_record
 
-PAGE = (Path(__file__).parents[1] / "docs" / "discrepancy_study.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = (DOCS / "discrepancy_study.md").read_text(encoding="utf-8")
+WHERE = (DOCS / "where_study.md").read_text(encoding="utf-8")
 
 
 def cells(label: str) -> list[str]:
@@ -57,3 +60,16 @@ def test_every_verdict_says_how_often_it_was_right() -> None:
     assert finding.track_record in " ".join(str(finding).split())
     for verdict in ("none", "hint", "named", "family", "ambiguous", "unknown"):
         assert "not used to make the finder" in track_record.sentence(verdict)
+
+
+@pytest.mark.parametrize("data", ["without level", "with level"])
+def test_what_a_finding_with_a_geometry_says_is_the_study_s(data: str) -> None:
+    column = {"without level": 3, "with level": 4}[data]
+    for label, (some, of) in (
+        ("flagged with nothing hidden", where_record.FLAGGED[data]),
+        ("detected", where_record.DETECTED[data]),
+    ):
+        row = next(line for line in WHERE.splitlines() if line.startswith(f"| {label} |"))
+        cell = row.split("|")[column].strip()
+        assert cell.startswith(f"{some / of:.2f} [")
+        assert cell.endswith(f"of {of}")

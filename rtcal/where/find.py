@@ -15,6 +15,7 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
+from rtcal.where import track_record
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
@@ -298,7 +299,7 @@ def _finding(
         parameters=observations.parameters,
         pairs=observations.pairs,
         reasons=reasons,
-        notes=numbers.data.notes,
+        notes=(track_record.sentence(case.match), *numbers.data.notes),
         controls=numbers.controls,
     )
 
