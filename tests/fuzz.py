@@ -99,7 +99,8 @@ def material_list_holds(result: MaterialList) -> None:
         for a, (begin, end) in zip(material.alpha, material.spans, strict=True):
             written = number(result.text.characters[begin:end], result.path)
             assert abs(written * material.unit - a) <= 1e-12
-    if set.intersection(*(set(m.centre_frequencies) for m in result.materials)):
+    # Materials of different bands may be refused: octaves of a few thirds cannot be had.
+    if len({m.centre_frequencies for m in result.materials}) == 1:
         room = result.room(name="", volume=1, areas=dict.fromkeys(result.names, 1.0))
         assert result.with_alpha(room)[0] == Path(result.path).read_bytes()
 
