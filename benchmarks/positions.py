@@ -4,13 +4,12 @@
     python -m benchmarks.positions table                            # of the stored run, or --folder out
     python -m benchmarks.positions bound --number 10                # what a perfect simulator reaches
     python -m benchmarks.positions speed --folder out               # traces and seconds
-    python -m benchmarks.positions cr2 --data DIRECTORY             # a real room, where its data are
 
 tests/position_rooms describes the rooms. `run` fits all pairs for alpha, and those of three receivers
 for the gaps at the other three. A method is "t20" (the loop of `rtcal.calibrate_simulator`) or
 "positions" (the same with ``match``). The gaps of the stated and of the true alpha stand beside them.
 
-The other program is in benchmarks/positions_peer.py.
+The other program is in benchmarks/positions_peer.py, a real room in benchmarks/positions_cr2.py.
 """
 
 from __future__ import annotations
@@ -387,14 +386,13 @@ def bound(population: int, indices: Sequence[int], rows: Sequence[dict[str, Any]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=["run", "table", "bound", "speed", "cr2"])
+    parser.add_argument("command", choices=["run", "table", "bound", "speed"])
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument(
         "--number", type=int, default=60, help="the first rooms, as they were built"
     )
     parser.add_argument("--methods", default="stated,truth,perfect,t20,positions")
-    parser.add_argument("--data", type=Path, help="directory of CR2's measured.json and scene9.ac")
     arguments = parser.parse_args()
     results = arguments.folder / "results.jsonl" if arguments.folder else STORED
     if arguments.command == "run":
@@ -405,12 +403,8 @@ def main() -> None:
         table(read(results))
     elif arguments.command == "bound":
         bound(arguments.population, order(arguments.population)[: arguments.number], read(results))
-    elif arguments.command == "speed":
-        speed(arguments.population)
     else:
-        from benchmarks.positions_cr2 import main as cr2
-
-        cr2(arguments.data)
+        speed(arguments.population)
 
 
 if __name__ == "__main__":

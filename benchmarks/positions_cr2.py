@@ -1,6 +1,6 @@
 """A real room: CR2 of BRAS with its mesh and ten measured pairs, fitted on five, predicted on five.
 
-    python -m benchmarks.positions cr2 --data DIRECTORY
+    python -m benchmarks.positions_cr2 --data DIRECTORY
 
 DIRECTORY holds ``measured.json`` (T20, EDT, C80 and Ts of ten pairs, from the public repository
 emmettl/RoomCAD, Validation/bras-cr2; CC BY-SA 4.0) and ``scene9.ac`` (the mesh of BRAS, from
@@ -11,6 +11,7 @@ level was measured. Nobody knows the true alpha: only the gaps at the other sour
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 import warnings
@@ -101,7 +102,10 @@ def print_spread(path: Path, frequencies: np.ndarray) -> None:
         print(f"{name:26}", *(f"{x:6.2f}" for x in row))
 
 
-def main(folder: Path | None) -> None:
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, help="directory of measured.json and scene9.ac")
+    folder = parser.parse_args().data
     if folder is None or not all((folder / n).exists() for n in ("measured.json", "scene9.ac")):
         print(
             "skipped: --data has no measured.json and scene9.ac; see the module for where they are"
@@ -156,4 +160,4 @@ def main(folder: Path | None) -> None:
 
 
 if __name__ == "__main__":
-    main(None)
+    main()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ pytest.importorskip("numba", reason="the geometric world is compiled (extra fast
 
 from rtcal.simulators import PathTracing
 from tests.geometric_world import generate, hidden, load, rooms
+from tests.imports import imported_by
 from tests.position_rooms import parameters, shapes
 from tests.position_rooms.tracer import Scene, trace
 
@@ -43,15 +43,11 @@ def expected(mean: float, volume: float = SIDE**3, surface: float = 6 * SIDE**2)
 
 
 def test_the_truth_imports_nothing_of_the_package() -> None:
-    for path in FOLDER.glob("*.py"):
-        if path.name == "load.py":
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or "."] if isinstance(node, ast.ImportFrom) else []
-            assert not [n for n in names if n.split(".")[0] in ("rtcal", ".", "benchmarks")]
-            allowed = ("tests.position_rooms", "tests.geometric_world")
-            assert all(n.startswith(allowed) for n in names if n[:5] == "tests")
+    names = list(imported_by(FOLDER, besides=["load.py"]))
+    assert names
+    assert not [n for n in names if n.split(".")[0] in ("rtcal", ".", "benchmarks")]
+    allowed = ("tests.position_rooms", "tests.geometric_world")
+    assert all(n.startswith(allowed) for n in names if n[:5] == "tests")
 
 
 def test_a_patch_absorbs_by_its_area() -> None:

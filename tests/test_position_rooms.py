@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -14,6 +13,7 @@ pytest.importorskip("numba", reason="the position rooms are compiled (extra fast
 
 from rtcal.acoustics import decay
 from rtcal.simulators import PathTracing
+from tests.imports import imported_by
 from tests.position_rooms import generate, load, parameters, rooms, shapes
 from tests.position_rooms.tracer import Scene, sees, trace
 
@@ -38,14 +38,10 @@ def box(size: tuple[float, float, float], alpha: list[float], scattering: float)
 
 
 def test_the_truth_imports_nothing_of_the_package() -> None:
-    for path in FOLDER.glob("*.py"):
-        if path.name == "load.py":
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or "."] if isinstance(node, ast.ImportFrom) else []
-            assert not [n for n in names if n.split(".")[0] in ("rtcal", ".", "benchmarks")]
-            assert all(n.startswith("tests.position_rooms") for n in names if n[:5] == "tests")
+    names = list(imported_by(FOLDER, besides=["load.py"]))
+    assert names
+    assert not [n for n in names if n.split(".")[0] in ("rtcal", ".", "benchmarks")]
+    assert all(n.startswith("tests.position_rooms") for n in names if n[:5] == "tests")
 
 
 @pytest.mark.parametrize("vectors", [False, True])

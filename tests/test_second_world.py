@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 pytest.importorskip("numba", reason="the second world is compiled (extra fast)")
 
 import rtcal as rt
+from tests.imports import imported_by
 from tests.second_world import rooms
 from tests.second_world.rays import Scene, Walls, trace
 
@@ -49,12 +49,10 @@ def expected(mean: float) -> float:
 
 
 def test_the_world_imports_nothing_of_the_package_and_nothing_of_the_first() -> None:
-    for path in (Path(__file__).parent / "second_world").glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or "."] if isinstance(node, ast.ImportFrom) else []
-            assert not [n for n in names if n.split(".")[0] in ("rtcal", ".", "benchmarks")]
-            assert all(n.startswith("tests.second_world") for n in names if n[:5] == "tests")
+    names = list(imported_by(Path(__file__).parent / "second_world"))
+    assert names
+    assert not [n for n in names if n.split(".")[0] in ("rtcal", ".", "benchmarks")]
+    assert all(n.startswith("tests.second_world") for n in names if n[:5] == "tests")
 
 
 def test_a_lambert_cube_decays_after_kuttruff() -> None:

@@ -9,15 +9,14 @@ from typing import Any
 
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.coefficients import OffTogether
-from rtcal.discrepancy.effects import Effect, library
-from rtcal.discrepancy.effects.checks import checked_effects
+from rtcal.discrepancy.effects import Effect
 from rtcal.discrepancy.engines import ControlRooms, Report, no_report
 from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE, chosen_effects
+from rtcal.discrepancy.prior import COEFFICIENTS, NONE
 from rtcal.discrepancy.probabilities import family_of, narrowest_family
 from rtcal.discrepancy.search import find
 from rtcal.discrepancy.set_posterior import EXPECTED, MOST, Names, SetPosterior, set_posterior
@@ -352,9 +351,7 @@ def find_several(
         report=report,
     )
     observed, _ = observe(case)
-    tried = library() if effects is None else checked_effects(effects)
-    tried, _ = chosen_effects(tried, without, only)
-    predicted = predict_hypotheses(case, tried)
+    predicted = predict_hypotheses(case, list(single.effects.values()))
     compared = Comparison(case, observed, predicted, single.discrepancy)
     posterior = set_posterior(compared, single.prior, expected=expected, most=most)
     probabilities = posterior.effects()

@@ -10,30 +10,14 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.acoustics.measurement import Measurement
-from rtcal.simulators import PathTracing, Polyhedron
+from rtcal.simulators import Polyhedron
 from tests.geometric_world.generate import read
-from tests.position_rooms.load import RECEIVERS, SCATTERING, SOURCES, as_measurement
+from tests.position_rooms.load import RECEIVERS, SCATTERING, SOURCES, PositionRoom, as_measurement
 
 
 @dataclass(frozen=True)
-class GeometricRoom:
-    """What a user knows and measured. The pairs run over receivers first."""
-
-    room: rt.Room
-    geometry: Polyhedron
-    sources: dict[str, np.ndarray]
-    receivers: dict[str, np.ndarray]
-    measured: Measurement
-
-    def simulator(self, **options: Any) -> PathTracing:
-        """Return a path tracer of the stated room. Its scattering is assumed, since none is stated."""
-        return PathTracing(
-            geometry=self.geometry,
-            room=self.room,
-            sources=self.sources,
-            receivers=self.receivers,
-            **options,
-        )
+class GeometricRoom(PositionRoom):
+    """What a user knows and measured. Its scattering is assumed, since none is stated."""
 
     def without_level(self) -> Measurement:
         """Return the measurement without G."""
