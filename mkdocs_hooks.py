@@ -58,10 +58,14 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def on_page_content(content: str, **_: Any) -> str:
-    """Turn the formulas that pymdownx.arithmatex has marked into MathML."""
-    return re.sub(
+    """Turn the formulas that pymdownx.arithmatex has marked into MathML, and mark numbers in tables.
+
+    A number in a cell is then not broken after the sign of its exponent.
+    """
+    content = re.sub(
         r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', _formula, content, flags=re.S
     )
+    return re.sub(r"<td>([-+\d.e]+)</td>", r'<td class="number">\1</td>', content)
 
 
 def _formula(found: re.Match[str]) -> str:

@@ -16,7 +16,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import rtcal
-from tests.browser import chromium
+from tests.browser import chromium, printed
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -175,3 +175,24 @@ def test_formulas_are_drawn_without_a_script(site: Path) -> None:
     assert glossary.count("<math") > 10
     for path in site.rglob("*.html"):
         assert "arithmatex" not in path.read_text(encoding="utf-8"), path.name
+
+
+def test_a_printed_guide_is_the_guide_alone(site: Path, tmp_path: Path) -> None:
+    """No navigation, numbered sheets, whole tables, no heading alone at the end of a sheet."""
+    sheets = printed(tmp_path, site / "closed_loop.html")
+    text = "\n".join(sheets)
+    assert "Beside other documentation" not in text  # the last entry of the navigation
+    assert "Table of contents" not in text
+    for number, sheet in enumerate(sheets, start=1):
+        assert f"Page {number} of {len(sheets)}" in sheet
+    for rows in (
+        ("ScatteringDelayNetwork", "EquationSimulator"),
+        ("secant", "regression"),
+        ("converged  ", "not confirmed"),
+    ):
+        on = [[k for k, s in enumerate(sheets) if re.search(rf"^ *{r}", s, re.M)] for r in rows]
+        assert on[0] == on[1], rows
+        assert len(on[0]) == 1, rows
+    for sheet in sheets:
+        last = [line for line in sheet.splitlines() if line.strip()][-2]
+        assert last.strip() not in ("Simulators", "A program run by hand", "Rules", "Known limits")

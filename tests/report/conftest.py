@@ -1,0 +1,50 @@
+"""Results and their pages, made once per file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.loop import Loop, LoopResult
+from rtcal.report import (
+    page,
+)
+from rtcal.simulators.equation import EquationSimulator
+from tests.report.pages import evil_room
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed (rtcal[report])")
+pytest.importorskip("jinja2", reason="jinja2 is not installed (rtcal[report])")
+
+
+@pytest.fixture(scope="module")
+def result() -> rt.calibration.result.CalibrationResult:
+    return rt.calibrate(*rt.datasets.bras_cr2())
+
+
+@pytest.fixture(scope="module")
+def html(result) -> str:
+    return page.page(result)
+
+
+@pytest.fixture(scope="module")
+def evil():
+    """A calibration whose names are markup; one band unmeasured, one out of reach."""
+    return rt.calibrate(evil_room(), [100.0, np.nan, 0.4], unreachable="nearest")
+
+
+@pytest.fixture(scope="module")
+def evil_html(evil) -> str:
+    return page.page(evil)
+
+
+@pytest.fixture(scope="module")
+def loop_result() -> LoopResult:
+    room, measured = rt.datasets.bras_cr2()
+    simulator = EquationSimulator(rt.Kuttruff(path_variance=0.9), room)
+    return rt.calibrate_simulator(simulator, room, measured, rule="secant", tolerance=0.05)
+
+
+@pytest.fixture(scope="module")
+def loop(loop_result) -> Loop:
+    return loop_result.loop

@@ -1,0 +1,54 @@
+"""What the tests of the pages share: a room of evil names, a finding, the command."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.command.main import main
+
+EVIL = "<script>alert(1)</script> & \"double\" 'single' $x_1$ --> ]]>"
+
+
+FINDING = {
+    "headline": "The model lacks <i>this</i>.",
+    "level": "contradicts",
+    "sizes": ["Size of opening: 12 m²."],
+    "rests_on": ["The odds are high."],
+    "to_do": ["Measure once without it."],
+    "notes": ["A note."],
+    "effects": [("opening", 93.0, 12.3), ("none", 7.0, 0.0)],
+    "plain_heading": "The plain calibration: the model lacks something",
+    "plain": "plain calibration: not to be used",
+    "corrected": None,
+    "unknowable": "",
+    "reproduce": None,
+}
+
+
+def evil_room() -> rt.Room:
+    return rt.Room(
+        name=f"Hall <b>bold</b> {EVIL}",
+        volume=100,
+        materials=[EVIL, "<img src=x onerror=alert(2)>"],
+        areas=[80.0, 60.0],
+        alpha=[[0.1, 0.2, 0.2], [0.3, 0.4, 0.5]],
+        sigma=np.full((2, 3), 0.05),
+        centre_frequencies=[500, 1000, 2000],
+        air=rt.Air(),
+        sources={EVIL: EVIL},
+    )
+
+
+def no_figures(*_: object) -> dict[str, dict[str, str]]:
+    """In place of the page's figures, where their drawing is not what is tested."""
+    names = ("gap", "reverberation_time", "coefficients", "shares", "plane")
+    return {name: {"source": "data:,", "alt": "", "caption": ""} for name in names}
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(a) for a in arguments])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code

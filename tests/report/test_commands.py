@@ -1,0 +1,161 @@
+"""What all commands have in common, and the command that writes the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import pytest
+
+import rtcal as rt
+from rtcal.command import console
+from rtcal.command.gap import NOTHING_TO_ADD
+from rtcal.command.main import EXIT_CODES, cli
+from rtcal.errors import MissingDependencyError
+from rtcal.report import (
+    document,
+    page,
+    result_folder,
+)
+from tests.report.pages import no_figures, run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(page, "_figures", no_figures)
+    folder = tmp_path / "calibrated"
+    folder.mkdir()
+    (folder / "result.json").write_text(evil.to_json(), encoding="utf-8")
+    assert run("report", folder) == 0
+    assert capsys.readouterr().out.split() == ["Written:", str(folder / "report.html")]
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert run("report", folder / "result.json", "--out", folder / "b.html", "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said == {"written": str(folder / "b.html"), "bytes": len(text.encode())}
+    assert (folder / "b.html").read_text(encoding="utf-8") == text
+    kept = sorted(p.name for p in folder.iterdir())
+    for out, said in (
+        (folder / "no" / "p.html", "No such file"),
+        (folder, "is a directory"),
+        (folder / "result.json", "would be written over"),
+        ("", "--out is empty"),
+    ):
+        assert run("report", folder / "result.json", "--out", out) == 2
+        assert said in capsys.readouterr().err
+    for (
+        name
+    ) in result_folder.FILES:  # what calibrate keeps there stays as it is, however it is named
+        (folder / name).touch()
+        before = (folder / name).read_bytes()
+        for source in (folder, folder / "result.json"):
+            assert run("report", source, "--out", folder / ".." / folder.name / name) == 2
+            assert f"would be written over {folder / name}" in capsys.readouterr().err
+        assert (folder / name).read_bytes() == before
+    kept = sorted(p.name for p in folder.iterdir())
+    (folder / "result.json").write_text("{}")
+    assert run("report", folder) == 2
+    assert (folder / "report.html").read_text(encoding="utf-8") == text
+    assert sorted(p.name for p in folder.iterdir()) == kept
+    monkeypatch.setitem(__import__("sys").modules, "jinja2", None)
+    document._environment.cache_clear()
+    with pytest.raises(MissingDependencyError, match=r"rtcal\[report\]"):
+        document.render("layout.html", {}, document.Heading("x"))
+
+
+def commands():
+    for name, command in cli.commands.items():
+        if hasattr(command, "commands"):
+            yield from ((f"{name} {n}", c) for n, c in command.commands.items())
+        else:
+            yield name, command
+
+
+@pytest.mark.parametrize(("name", "command"), list(commands()), ids=lambda v: str(v))
+def test_every_command_has_the_same_manners(name, command, capsys) -> None:
+    options = {o for p in command.params for o in p.opts}
+    assert {"--json", "--quiet", "-q"} <= options
+    unsaid = [p.name for p in command.params if isinstance(p, click.Option) and not p.help]
+    assert not unsaid, f"{name}: options without help"
+    assert run(*name.split(), "--help") == 0
+    text = capsys.readouterr().out
+    assert f"Example: rtcal {name} " in " ".join(text.split())
+    assert len(command.short_help or "") <= 65
+    assert run(*name.split(), "--nonsense") == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_help_names_the_exit_codes(capsys) -> None:
+    assert run("--help") == 0
+    assert NOTHING_TO_ADD in EXIT_CODES
+    text = capsys.readouterr().out
+    assert "..." not in text.split("Commands:")[1]
+    for code, meaning in EXIT_CODES.items():
+        assert f"{code:3d}  {meaning}" in text
+    page_text = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
+    for code, meaning in EXIT_CODES.items():
+        assert f"| {code} | {meaning} |" in page_text
+    for name, _ in commands():
+        assert f"`rtcal {name}`" in page_text
+
+
+def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
+    """Quiet prints nothing; JSON is JSON and nothing else, and both write the same files."""
+    monkeypatch.chdir(tmp_path)
+    room, measured = rt.datasets.bras_cr2()
+    room.save("room.toml")
+    measured.save("t.csv")
+    Path("hall.geo").write_bytes(b"ABS wood = <10 10 10 10 10 10>\r\n")
+    Path("table.csv").write_text("f,T20\n500,1.5\n1000,1.4\n")
+    rt.Measurement.from_values(room.centre_frequencies, t20=[1.0] * 6).save("s.csv")
+    state = ["--state", "loop.json", "--out", "next.toml"]
+    calls = [
+        (
+            ["import", "catt", "hall.geo", "--volume", 9, "--area", "wood=30", "--out", "w.toml"],
+            "areas",
+        ),
+        (["export", "catt", "w.toml", "hall.geo"], "change_jnd"),
+        (["table", "table.csv", "--out", "u.csv"], "values"),
+        (["loop", "start", "room.toml", "t.csv", *state], "simulate"),
+        (["loop", "next", "room.toml", "s.csv", *state, "--again"], "finished"),
+        (["loop", "back", "room.toml", *state], "simulations"),
+        (["study", "--trials", 0, "--realisations", 20, "--sigma-r", 0.1], "studies"),
+        (["calibrate", "room.toml", "t.csv"], "materials"),
+    ]
+    for arguments, key in calls:
+        assert run(*arguments, "--quiet") == 0
+        said = capsys.readouterr()
+        assert said.out == said.err == ""
+        assert run(*arguments, "--json") == 0
+        said = capsys.readouterr()
+        assert key in json.loads(said.out)
+        assert said.err == ""
+    assert Path("w.toml").exists()
+    assert Path("u.csv").exists()
+    assert run("study", "--trials", 0, "--realisations", 20, "--sigma-r", 0.1, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["studies"][0]["scores"]
+    assert run("study", "--trials", 0, "--realisations", 20, "--sigma-r", -1) == 2
+    assert "rtcal: --sigma-r = -1 is not above 0" in capsys.readouterr().err
+    assert {r["method"] for r in rows} == {"none", "scaling", "lse", "mle"}
+    assert rows[3]["score"] > rows[1]["score"] > 0
+
+
+def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, evil) -> None:
+    pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
+    assert not console.bar_wanted(quiet=False)  # standard error is caught here, no terminal
+    (tmp_path / "result.json").write_text(evil.to_json(), encoding="utf-8")
+    monkeypatch.setattr(page, "source", lambda _, step: step() or "data:,")
+    monkeypatch.setattr("rtcal.command.report.bar_wanted", lambda quiet: not quiet)
+    assert run("report", tmp_path) == 0
+    assert capsys.readouterr().err == ""  # done within two seconds
+    monkeypatch.setattr("rtcal.support.progress.DELAY", 0.0)
+    assert run("report", tmp_path) == 0
+    assert "5/5" in capsys.readouterr().err
+    assert run("report", tmp_path, "--quiet") == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert console.bar_wanted(quiet=False)
+    assert not console.bar_wanted(quiet=True)
+    monkeypatch.setitem(__import__("sys").modules, "tqdm", None)
+    assert not console.bar_wanted(quiet=False)

@@ -1,0 +1,128 @@
+"""Figures: what is drawn is what was calibrated."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.report import (
+    figures,
+    loop_figures,
+    material_figures,
+)
+from rtcal.report import saved as saving
+
+
+def line(axes, label):
+    return next(x for x in axes.get_lines() if x.get_label() == label)
+
+
+def test_axes_have_units(result, loop) -> None:
+    every = [
+        figures.reverberation_time(result),
+        figures.gap(result),
+        material_figures.coefficients(result),
+        material_figures.shares(result),
+        material_figures.plane_of(result),
+        loop_figures.path(loop),
+    ]
+    for figure in every:
+        for axes in (a for a in figure.axes if a.get_visible()):
+            assert re.search(r"/ Hz|Simulation number|^α of .* m²$", axes.get_xlabel())
+            assert re.search(r"/ (s|JND|%)$|^α", axes.get_ylabel())
+
+
+def test_gap_and_reverberation_time(result) -> None:
+    bars = figures.gap(result).axes[0].containers[0]
+    assert [b.get_height() for b in bars] == pytest.approx(result.gap_before.tolist())
+    axes = figures.reverberation_time(result).axes[0]
+    assert line(axes, "before calibration").get_ydata() == pytest.approx(
+        result.reverberation_time_before
+    )
+    assert line(axes, "after calibration").get_ydata() == pytest.approx(result.measured)
+
+
+def test_coefficients_and_their_intervals(result) -> None:
+    axes = material_figures.coefficients(result).axes
+    assert len([a for a in axes if a.get_visible()]) == 5
+    for i, panel in enumerate(axes[:5]):
+        prior, after = (c.lines[0].get_ydata() for c in panel.containers)
+        assert prior == pytest.approx(result.prior.alpha[i])
+        assert after == pytest.approx(result.alpha[i])
+        bars = np.array(panel.containers[1].lines[2][0].get_segments())
+        low, high = bars[:, 0, 1], bars[:, 1, 1]
+        assert low == pytest.approx(result.interval[0][i])
+        assert high == pytest.approx(result.interval[1][i])
+        assert (low < result.alpha[i]).all()
+
+
+def test_intervals_without_an_exact_posterior_are_the_linear_estimates() -> None:
+    found = rt.calibrate(*rt.datasets.bras_cr2(), method="lse")
+    assert found.interval is None
+    low, high = material_figures.intervals(saving.saved(found))
+    np.testing.assert_allclose((high - low)[0] / 2, 1.6449 * found.posterior_sigma[0], rtol=1e-9)
+
+
+def test_shares_add_up_and_are_the_areas(result) -> None:
+    names, parts = material_figures.absorption_shares(saving.saved(result), 7)
+    np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
+    assert names[-1] == "air"
+    np.testing.assert_allclose(parts[-1], 100 * result.air_share, rtol=1e-12)
+    own = parts[names.index("windows")] / parts[names.index("floor")]
+    area = result.prior.areas[:, np.newaxis] * result.alpha
+    np.testing.assert_allclose(own, area[2] / area[3], rtol=1e-12)
+    names, parts = material_figures.absorption_shares(saving.saved(result), 3)
+    assert names[2:] == ["3 other materials", "air"]
+    np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
+
+
+def test_plane_of_two_materials(result) -> None:
+    axes = material_figures.plane_of(result, ("floor", "windows"), 500).axes[0]
+    x, y = line(axes, "gives the measured T").get_data()
+    k, rows = 2, [3, 2]
+    rest = np.delete(np.arange(5), rows)
+    left = result.target[k] - result.prior.areas[rest] @ result.alpha[rest, k]
+    np.testing.assert_allclose(result.prior.areas[rows] @ np.array([x, y]), left, rtol=1e-9)
+    point = [v[0] for v in line(axes, "calibrated").get_data()]
+    assert point == pytest.approx(result.alpha[rows, k].tolist())
+    ellipse = np.array(line(axes, "prior, 2 σ").get_data()) - result.prior.alpha[rows, k][:, None]
+    distance = np.linalg.norm(ellipse / result.prior.sigma[rows, k][:, None], axis=0)
+    np.testing.assert_allclose(distance, 2, rtol=1e-12)
+    for pair, frequency, said in (
+        (("floor", "roof"), None, "roof"),
+        (("floor",) * 2, None, "twice"),
+        (None, 501, "501 Hz is no band"),
+    ):
+        with pytest.raises(DataError, match=said):
+            material_figures.plane_of(result, pair, frequency)
+
+
+def test_the_papers_plane() -> None:
+    """Fig. 3b: mu (0.6, 0.5), sigma (0.05, 0.1) gives (0.54, 0.26); the truth is (0.6, 0.2)."""
+    mu, sigma, areas = np.array([0.6, 0.5]), np.array([0.05, 0.1]), np.array([47.0, 47.0])
+    alpha = rt.closed_form.maximum_likelihood(mu[:, None], sigma[:, None], areas, [47 * 0.8])[:, 0]
+    assert alpha == pytest.approx([0.54, 0.26], abs=1e-9)
+    axes = material_figures.plane(mu, sigma, areas, 47 * 0.8, alpha, truth=[0.6, 0.2]).axes[0]
+    assert [v[0] for v in line(axes, "true").get_data()] == [0.6, 0.2]
+
+
+def test_the_loops_path(loop) -> None:
+    left, right = loop_figures.path(loop).axes
+    assert line(left, "first simulation").get_ydata() == pytest.approx(loop.steps[0].simulated)
+    assert len(loop.steps) >= 2
+    drawn = line(right, "125 Hz").get_ydata()
+    assert drawn[loop.best[0]] == pytest.approx(loop.gap[0])
+    assert abs(drawn[0]) > abs(drawn[loop.best[0]])
+    begun = rt.loop.start(*rt.datasets.bras_cr2())
+    with pytest.raises(DataError, match="no simulation yet"):
+        loop_figures.path(begun)
+
+
+def test_the_same_figure_has_the_same_bytes(result) -> None:
+    first, second = (figures.rendered(figures.gap(result), "svg") for _ in range(2))
+    assert first == second
+    assert len(first) > 5000

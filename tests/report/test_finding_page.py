@@ -1,0 +1,37 @@
+"""The page of a finding leads with the finding."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtcal.report import (
+    figures,
+    page,
+)
+from tests.report.pages import FINDING, no_figures
+
+
+def test_a_findings_page_opens_with_the_finding(result) -> None:
+    """Not with the sentence that the plain calibration meets the measured T, which proves nothing."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "_figures", no_figures)
+        pictures = {
+            "residuals": (figures.gap(result), "Map"),
+            "evidence": (figures.gap(result), "E"),
+        }
+        text = page.finding_page(result, FINDING, pictures)
+        usual = page.page(result)
+    met = "now the model has the measured T in all 6 bands"
+    order = [
+        "The model lacks &lt;i&gt;this&lt;/i&gt;.",
+        "Size of opening",
+        "The odds are high.",
+        "Measure once without it.",
+        "opening</td><td>93</td><td>+12.3",
+        "From here on, text, tables and pictures are of the plain calibration: not to be used",
+        met,
+    ]
+    assert [text.index(sentence) for sentence in order] == sorted(map(text.index, order))
+    assert text.count("data:image/svg+xml") == 2
+    assert met in usual
+    assert "What to do" not in usual.split('id="doubts"')[0]

@@ -1,0 +1,85 @@
+"""The page of a closed loop says what the terminal says."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.loop import Loop
+from rtcal.report import (
+    page,
+)
+from tests.report.pages import run
+
+
+def test_a_loops_page(loop, tmp_path) -> None:
+    path = tmp_path / "loop.json"
+    loop.save(str(path))
+    text = page.page_of(path)
+    assert f"A simulator was run {len(loop.steps)} times" in text
+    assert "to no other" in text
+    assert text.count("<td>converged</td>") == 6
+    assert f"{loop.steps[0].simulated[0]:.3f}" in text
+    assert "Before and after" not in text
+
+
+def test_a_loop_results_page(loop_result, tmp_path) -> None:
+    path = tmp_path / "loop.json"
+    loop_result.save(str(path))
+    text = page.page_of(path)
+    assert text == page.loop_page(loop_result)
+    assert "Simulated by Kuttruff&#39;s equation for BRAS CR2" in text
+    after = loop_result.after.mean("t20")
+    row = text.split("T20, with the coefficients returned / s")[1].split("</tr>")[0]
+    assert [float(v) for v in re.findall(r"<td>([\d.]+)</td>", row)] == np.round(after, 3).tolist()
+    assert "With all the coefficients returned, T20 is off by 0.0 JND at most" in text
+    assert "no finding" not in text
+    assert len(Loop.load(str(path)).steps) == loop_result.simulations
+    steps = [
+        replace(s, alpha=np.where(s.alpha > 0.1, 1.0, s.alpha)) for s in loop_result.loop.steps
+    ]
+    text = page.loop_page(replace(loop_result.loop, steps=tuple(steps)))
+    assert "windows: α = 1 at 125 and 2000 Hz" in text
+    good = json.loads(path.read_text())
+    for broken, said in (
+        ({}, "result lacks"),
+        (good["result"] | {"before": {"t20": [1.0]}}, r"result\.before\.t20 has 1 values"),
+        (good["result"] | {"before": {"t20": [1e300] * 6}}, r"t20\[0\] = 1e\+300 is not from"),
+        (good["result"] | {"simulator": 3}, r"result\.simulator = 3 is not a text"),
+        (good["result"] | {"status": ["fine"]}, r"result\.status = \['fine'\] is not a status"),
+        (good["result"] | {"afetr": {}}, 'has the key "afetr"'),
+    ):
+        path.write_text(json.dumps(good | {"result": broken}))
+        with pytest.raises(DataError, match=f"no result of a loop: .*{said}"):
+            page.page_of(path)
+
+
+def test_a_loops_page_says_what_the_terminal_says(
+    loop_result, tmp_path, capsys, monkeypatch
+) -> None:
+    """It lacked z, the reservations, and called a band of an unfinished loop "not converging"."""
+    text = page.loop_page(loop_result)
+    for mark in loop_result.trust_marks:
+        assert mark.advice in text
+    row = text.split('<th scope="row">z</th>')[1].split("</tr>")[0]
+    shown = [float(v.replace("−", "-")) for v in re.findall(r"<td>([-−+\d.]+)</td>", row)]
+    assert shown == loop_result.loop.outcome.plausibility.z.round(1).tolist()
+    monkeypatch.chdir(tmp_path)
+    room, measured = rt.datasets.bras_cr2()
+    room.save("room.toml")
+    measured.save("t.csv")
+    rt.Measurement.from_values(room.centre_frequencies, t20=[1.0] * 6).save("simulated.csv")
+    files = ["--state", "loop.json", "--out", "next.toml"]
+    assert run("loop", "start", "room.toml", "t.csv", *files, "--quiet") == 0
+    assert run("loop", "next", "room.toml", "simulated.csv", *files) == 0
+    said = capsys.readouterr().out
+    unfinished = page.page_of("loop.json")
+    assert said.count("not yet") == 6
+    assert unfinished.count("<td>not yet</td>") == 6
+    assert "not converging" not in unfinished
