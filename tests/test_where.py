@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,7 @@ def measured(hidden: bool, level: str = "g") -> rt.Measurement:
     tracer = tracing(room)
     geometry, alpha = tracer.geometry, room.alpha
     if hidden:
-        made = patched(geometry, 1, HIDDEN, "hole", "hole")
+        made = patched(geometry, [1], HIDDEN, "hole", "hole")
         assert made is not None
         areas = np.append(room.areas, HIDDEN)
         areas[1] -= HIDDEN
@@ -157,47 +158,18 @@ def test_another_programs_values_are_compared(cache: Path) -> None:
     assert np.nanmax(np.abs(finding.map)) == 0
 
 
-def test_the_patch_divides_its_face_and_nothing_else() -> None:
-    box = Polyhedron.shoebox(SIZE, "plaster")
-    made = patched(box, 1, 4.0, "hole", "hole")
-    assert made is not None
-    assert made.volume == pytest.approx(box.volume)
-    assert made.areas == pytest.approx({"plaster": box.areas["plaster"] - 4.0, "hole": 4.0})
-    hole = made.vertices[list(made.faces[made.names.index("hole")])]
-    assert hole.mean(axis=0) == pytest.approx([7.0, 2.5, 1.5])
-    assert patched(box, 1, 14.0, "hole", "hole") is None  # no rim is left
-
-
-def test_an_angled_face_that_has_no_middle_becomes_a_material(finding: rt.where.Finding) -> None:
-    """A face in the shape of a U: no point sees all its corners."""
-    u = [(0, 0), (6, 0), (6, 5), (5, 5), (5, 1), (1, 1), (1, 5), (0, 5)]
-    floor = [(x, y, 0.0) for x, y in u]
-    top = [(x, y, 3.0) for x, y in u]
-    walls = [
-        (f"wall {i}", "plaster", [floor[i], floor[i - 1], top[i - 1], top[i]])
-        for i in range(len(u))
-    ]
-    room = Polyhedron.from_polygons([("floor", "wood", floor), ("ceiling", "plaster", top), *walls])
-    assert patched(room, 0, 1.0, "carpet", "carpet") is None
-    assert patched(room, 2, 1.0, "carpet", "carpet") is not None
-
-
-def test_the_corrected_room_absorbs_what_was_found(finding: rt.where.Finding) -> None:
-    best = finding.best
-    assert best is not None
-    patch, material = finding.apply(), finding.apply("material")
-    assert (patch.form, material.form) == ("patch", "material")
-    for made in (patch, material):
-        room = made.room
-        assert room.total_area == pytest.approx(finding.case.room.total_area)
-        added = room.absorption_area - finding.case.room.absorption_area
-        area = made.geometry.areas[made.material] if made is patch else best.size
-        expected = best.size * best.spectrum - area * ALPHA["east"]
-        assert added == pytest.approx(expected, rel=1e-6)
-        assert made.simulator.observe(room.alpha, MATCH, seed=1).values.shape == (5, 6, 3)
-    assert rt.simulators.ImageSource(
-        room=material.room, sources=SOURCES, receivers=RECEIVERS, duration=1.0
-    ).simulate(material.room.alpha)
+def test_the_user_says_where_on_which_surface(finding: rt.where.Finding) -> None:
+    """The most probable candidate on the surface at that place."""
+    made = finding.apply(at=(7.0, 1.8, 1.4))
+    assert made.added.surface == "east"
+    hole = made.geometry.names.index(made.material)
+    middle = made.geometry.vertices[list(made.geometry.faces[hole])].mean(axis=0)
+    assert middle == pytest.approx([7.0, 1.8, 1.4])
+    others = tuple(c for c in finding.candidates if c.surface != "west")
+    with pytest.raises(DataError, match='at lies on "west", on which nothing was found'):
+        replace(finding, candidates=others).apply(at=(0, 2, 1))
+    with pytest.raises(DataError, match=r"at = \(3, 2, 1\) m is on no surface; the nearest is"):
+        finding.apply(at=(3, 2, 1))
 
 
 def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
@@ -214,7 +186,7 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
 
 def test_surfaces_join_the_faces_of_a_plane() -> None:
     box = Polyhedron.shoebox(SIZE, "plaster")
-    made = patched(box, 1, 4.0, "plaster", "hole")
+    made = patched(box, [1], 4.0, "plaster", "hole")
     assert made is not None
     room = rt.Room(
         name="box",
@@ -228,7 +200,7 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
     simulator = tracing(room, made)
     case = rt.where.Case(simulator=simulator, measured=measured(False))
     assert len(case.faces) == 6
-    assert max(len(faces) for faces in case.faces.values()) == 3
+    assert max(len(faces) for faces in case.faces.values()) == 5
     two = rt.where.Case(
         simulator=simulator,
         measured=measured(False),
@@ -292,7 +264,7 @@ def run(*arguments: str, code: int = 0) -> str:
 def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     case = str(folder / "case.toml")
     found = json.loads(run("find", case, "--json"))
-    assert found["likely_surfaces"][0].endswith("2")  # the east wall is the mesh's second face
+    assert found["likely_surfaces"][0] == "east"
     run("apply", case, "--out", str(tmp_path / "corrected"), "--quiet")
     mesh = rt.io.obj.read(tmp_path / "corrected" / "room.obj")
     room = rt.Room.from_file(str(tmp_path / "corrected" / "room.toml"))
@@ -300,6 +272,15 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     assert mesh.areas[room.materials[-1]] == pytest.approx(room.areas[-1])
     assert (tmp_path / "corrected" / "catt.txt").exists()
     assert (tmp_path / "corrected" / "odeon.txt").exists()
+    said = run("apply", case, "--out", str(tmp_path / "there"), "--at", "7,1.8,1.4")
+    assert "as patch: material" in said
+    there = rt.io.obj.read(tmp_path / "there" / "room.obj")
+    hole = there.vertices[list(there.faces[there.materials.index(room.materials[-1])])]
+    assert hole.mean(axis=0) == pytest.approx([7.0, 1.8, 1.4])
+    run("apply", case, "--out", str(tmp_path / "wall"), "--form", "material", "--quiet")
+    assert len(rt.io.obj.read(tmp_path / "wall" / "room.obj").faces) == 6
+    with pytest.raises(DataError, match='--at "7,1" is not X,Y,Z in m'):
+        run("apply", case, "--out", str(tmp_path / "no"), "--at", "7,1")
     assert "not fitted" in run("report", case, "--out", str(tmp_path / "page"))
     names = {"report.html", "finding.json", "map.png", "surfaces.png", "gap.png"}
     assert {p.name for p in (tmp_path / "page").iterdir()} == names

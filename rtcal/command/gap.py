@@ -241,6 +241,14 @@ def find(case: str, search: Search, expected: float | None, as_json: bool, quiet
     type=click.Path(dir_okay=False),
     help="The room with the effect (TOML), for rtcal calibrate. Absorbers are materials of it.",
 )
+@click.option(
+    "--form",
+    type=click.Choice(("patch", "material")),
+    help="With a geometry: a patch on the surface (default), or the whole surface.",
+)
+@click.option(
+    "--at", metavar="X,Y,Z", help="With a geometry: middle of the patch in m, on its surface."
+)
 @_several
 def apply(
     case: str,
@@ -250,6 +258,8 @@ def apply(
     quiet: bool,
     out: str,
     room: str | None,
+    form: str | None,
+    at: str | None,
 ) -> None:
     """Add the named effect to CASE's model, and print the calibration with it.
 
@@ -257,8 +267,10 @@ def apply(
     nothing to add, nothing is written and the exit code is 6. With --several, the most probable set is
     added.
 
-    The written case can be used like any other. Neither it nor the room is calibrated. With a geometry,
-    a folder gets room, mesh, positions, and lists of materials for CATT and ODEON.
+    The written case can be used like any other. Neither it nor the room is calibrated.
+
+    With a geometry, a folder gets room, mesh, positions, and lists of materials for CATT and ODEON. The
+    patch stands in the middle of its surface unless --at says where.
 
     \b
     Example: rtcal gap apply case.toml \\
@@ -268,9 +280,13 @@ def apply(
         _refuse_several(expected)
         if room is not None:
             raise DataError("--room: with a geometry the room is written into the folder of --out")
-        if not gap_where.apply(case, search, out, quiet=quiet, as_json=as_json):
+        patch = gap_where.Patch(form or "patch", _place(at))
+        if not gap_where.apply(case, search, out, patch, quiet=quiet, as_json=as_json):
             raise click.exceptions.Exit(NOTHING_TO_ADD)
         return
+    for option, value in (("--form", form), ("--at", at)):
+        if value is not None:
+            raise DataError(f"{option}: a case without a geometry has no surface")
     from rtcal.report.correction import correct
     from rtcal.support.files import write_all
 
@@ -348,6 +364,19 @@ def report(
     names = [str(p) for p in paths]
     text = f"{finding}\n{written(names)}"
     tell(text, {"written": names, **finding.to_dict()}, quiet=quiet, as_json=as_json)
+
+
+def _place(text: str | None) -> tuple[float, ...] | None:
+    """Read X,Y,Z; DataError for anything else."""
+    if text is None:
+        return None
+    try:
+        place = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        place = ()
+    if len(place) != 3:
+        raise DataError(f'--at "{text}" is not X,Y,Z in m, such as 0,4.2,1.5')
+    return place
 
 
 def _refuse_several(expected: float | None) -> None:

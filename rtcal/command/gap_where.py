@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,14 @@ if TYPE_CHECKING:
 
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap is said."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """How what was found is added: see `rtcal.where.Finding.apply`."""
+
+    form: str
+    at: tuple[float, ...] | None
 
 
 def find(path: str, search: Any, quiet: bool, outputs: Sequence[Path] = ()) -> Finding:
@@ -64,7 +72,7 @@ def tell_finding(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
-def apply(path: str, search: Any, out: str, *, quiet: bool, as_json: bool) -> bool:
+def apply(path: str, search: Any, out: str, patch: Patch, *, quiet: bool, as_json: bool) -> bool:
     """Write the corrected room into a folder; return whether there was something to add."""
     from rtcal.where.corrected import CATT, FILES, ODEON
 
@@ -74,7 +82,7 @@ def apply(path: str, search: Any, out: str, *, quiet: bool, as_json: bool) -> bo
         text = f"{finding.headline}\nNothing is written."
         tell(text, {**finding.to_dict(), "written": []}, quiet=quiet, as_json=as_json)
         return False
-    corrected = finding.apply()
+    corrected = finding.apply(patch.form, at=patch.at)
     paths = [*corrected.save(folder), *corrected.export(folder)]
     added = corrected.added
     text = "\n".join(
@@ -82,10 +90,17 @@ def apply(path: str, search: Any, out: str, *, quiet: bool, as_json: bool) -> bo
             finding.headline,
             f"Added {added.title}, {added.in_words}, as {corrected.form}: "
             f'material "{corrected.material}".',
+            *([corrected.note] if corrected.note else []),
             written(paths),
         ]
     )
-    record = {**finding.to_dict(), "added": added.to_dict(), "written": [str(p) for p in paths]}
+    record = {
+        **finding.to_dict(),
+        "added": added.to_dict(),
+        "form": corrected.form,
+        "note": corrected.note,
+        "written": [str(p) for p in paths],
+    }
     tell(text, record, quiet=quiet, as_json=as_json)
     return True
 

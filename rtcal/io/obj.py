@@ -5,7 +5,7 @@ The keywords that are read:
 - ``v``: a corner x y z, in ``unit``;
 - ``f``: a face by the numbers of its corners; negative numbers count back;
 - ``usemtl``: the material of the faces that follow;
-- ``o`` and ``g``: the name of the faces that follow.
+- ``o`` and ``g``: the name of the faces that follow; "wall", "wall 2" and so on.
 
 Comments and lines continued by a backslash are allowed. Texture, normals, curves, material libraries
 and smoothing are ignored. The result is a polyhedron for the tracers: closed, with plane faces.
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 
 from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError
@@ -86,6 +87,7 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
     faces: list[list[int]] = []
     materials: list[str] = []
     names: list[str] = []
+    members: Counter[str] = Counter()
     material, group = "", ""
     line, continued = 1, ""
     for line, _, raw in lines(decode(content, path).characters):
@@ -112,7 +114,8 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
             if not 3 <= len(faces[-1]) <= 100:
                 raise DataError(f"{place}: a face of {len(faces[-1])} corners; 3 to 100 are read")
             materials.append(material)
-            names.append(f"{group or 'face'} {len(faces)}")
+            members[group] += 1
+            names.append(_face_name(group, members[group], len(faces)))
         elif keyword == "usemtl":
             material = text_name(f"{place}: usemtl", arguments)
             if not material:
@@ -155,8 +158,12 @@ def text(polyhedron: Polyhedron) -> str:
             raise DataError(f"material {material!r}: a name in an OBJ file is one line of text")
     rows = ["# m; written by rtcal"]
     rows += ["v " + " ".join(repr(float(x)) for x in vertex) for vertex in polyhedron.vertices]
+    names = polyhedron.names
+    named = any(name != _face_name("", 0, i) for i, name in enumerate(names, 1))
     last = None
-    for face, material in zip(polyhedron.faces, polyhedron.materials, strict=True):
+    for name, face, material in zip(names, polyhedron.faces, polyhedron.materials, strict=True):
+        if named:
+            rows.append(f"g {text_name('face', name)}")
         if material != last:
             rows.append(f"usemtl {material}")
             last = material
@@ -168,6 +175,13 @@ def text(polyhedron: Polyhedron) -> str:
 def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
     """Write a room as OBJ in m, whole or not at all."""
     write_text(path, text(polyhedron))
+
+
+def _face_name(group: str, member: int, number: int) -> str:
+    """Return the name of a group's face; ``number`` counts all faces."""
+    if not group:
+        return f"face {number}"
+    return group if member == 1 else f"{group} {member}"
 
 
 def _corner(token: str, n_vertices: int, place: str) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from rtcal.support.files import make_folder, write_all
 from rtcal.support.types import Array
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
-from rtcal.where.patch import patched
+from rtcal.where.patch import NEAR, face_at, patched
 
 SPECTRUM_ERROR = 0.15
 """Relative standard deviation of the alpha of what was found: by so much catalogues differ."""
@@ -49,12 +49,16 @@ class Corrected:
         As it was stated.
     added : Candidate
     room : Room
-        With a further material. Its sigma is what the size's interval and the spectrum leave open.
+        With a further material. Its sigma is what the size's interval and the spectrum leave open. It
+        states the simulator's scattering. With a patch a box states no dimensions, since simulators of
+        boxes know one material per wall.
     geometry : Polyhedron
     material : str
         Name of the further material.
     form : {"patch", "material"}
-        Whether it is a face of its own, or a surface that absorbs as much.
+        Whether it has faces of its own, or the whole surface absorbs as much.
+    note : str
+        Why the form is another than the one that was asked for; "" if it is not.
     """
 
     case: Case
@@ -63,16 +67,17 @@ class Corrected:
     geometry: Polyhedron
     material: str
     form: str
+    note: str = ""
 
     @property
     def simulator(self) -> PathTracing:
         """The case's simulator in the corrected room. The new material scatters as its surface does."""
-        stated = self.case.simulator
-        below = _material_below(self.case, self.added)
-        before = [below if m == self.material else m for m in self.room.materials]
-        rows = [self.case.room.material_index(m) for m in before]
-        scattering = stated.scattering[rows]
-        return replace(stated, room=self.room, geometry=self.geometry, scattering=scattering)
+        return replace(
+            self.case.simulator,
+            room=self.room,
+            geometry=self.geometry,
+            scattering=self.room.scattering,
+        )
 
     @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
@@ -114,23 +119,50 @@ class Corrected:
         return f'<Corrected room: {self.added.title} as {self.form} "{self.material}">'
 
 
-def corrected(case: Case, added: Candidate, form: str = "patch") -> Corrected:
+def corrected(
+    case: Case, added: Candidate, form: str = "patch", at: Sequence[float] | None = None
+) -> Corrected:
     """Return room and geometry with a candidate on its surface; see `Finding.apply`."""
     if form not in ("patch", "material"):
         raise DataError(f'form = "{form}" is not "patch" or "material"')
     if added.surface is None:
         raise DataError(f"{added.title} stands on no surface: there is nothing to add to one")
-    faces = case.faces[added.surface]
-    face = int(faces[np.argmax(case.geometry.face_areas[faces])])
     material = _new_name(case.room, f"{added.effect} on {added.surface}")
-    peak = float(added.spectrum.max())
-    area = added.size * max(1.0, peak / HEADROOM)
-    if form == "patch":
-        geometry = patched(case.geometry, face, area, material, material)
-        if geometry is not None:
-            alpha = added.spectrum * added.size / area
-            return _made(case, added, geometry, material, alpha, "patch")
-    return _as_material(case, added, material)
+    if form == "material":
+        if at is not None:
+            raise DataError('at is the middle of a patch; form = "material" is the whole surface')
+        return _as_material(case, added, material)
+    faces = case.faces[added.surface]
+    area = added.size * max(1.0, float(added.spectrum.max()) / HEADROOM)
+    place = None if at is None else point(at)
+    geometry = patched(case.geometry, faces, area, material, material, place)
+    if geometry is None:
+        return replace(
+            _as_material(case, added, material),
+            note=f'A patch of {area:.3g} m² does not fit on "{added.surface}" of '
+            f"{case.areas[added.surface]:.3g} m²: the whole surface is the new material.",
+        )
+    return _made(case, added, geometry, material, added.spectrum * added.size / area, "patch")
+
+
+def surface_at(case: Case, at: Sequence[float]) -> str:
+    """Return the name of the surface at a place; DataError if it is far from every surface."""
+    place = point(at)
+    face, distance = face_at(case.geometry, place)
+    name = next((n for n, faces in case.faces.items() if face in faces), None)
+    if name is None or distance > NEAR:
+        where = ", ".join(f"{x:g}" for x in place)
+        nearest = "" if name is None else f'; the nearest is "{name}", {distance:.2g} m away'
+        raise DataError(f"at = ({where}) m is on no surface{nearest}")
+    return name
+
+
+def point(at: Sequence[float]) -> Array:
+    """Return a place as an array (3,) in m; DataError for anything else."""
+    place = checks.array("at", at)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise DataError(f"at = {at!r} is not three finite numbers in m")
+    return place
 
 
 def _as_material(case: Case, added: Candidate, material: str) -> Corrected:
@@ -167,8 +199,10 @@ def _made(
         return np.vstack([np.asarray(values)[kept], new])
 
     optional: dict[str, Any] = {}
-    if room.scattering is not None:
-        optional["scattering"] = extended(room.scattering, room.scattering[below])
+    scattering = case.simulator.scattering
+    optional["scattering"] = extended(scattering, scattering[below])
+    if form == "patch":  # simulators of boxes know one material per wall
+        optional["dimensions"] = None
     if room.alpha_min is not None:
         optional["alpha_min"] = extended(room.alpha_min, np.zeros(room.n_bands))
     correlation: Mapping[tuple[str, str], float] = {

@@ -25,6 +25,8 @@ KIND = "where 1"
 """Value of the key ``rtcal`` in a saved finding."""
 _SAID = 0.03
 """Probability below which a candidate is not printed."""
+_LEAST = 1e-3
+"""Probability below which nothing is added to a surface, even where the user names it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -116,27 +118,41 @@ class Finding:
         return self.detected and best is not None and best.surface is not None
 
     @checked
-    def apply(self, form: str = "patch") -> Corrected:
+    def apply(self, form: str = "patch", *, at: Sequence[float] | None = None) -> Corrected:
         """Return room and geometry with the most probable candidate in them.
 
         Parameters
         ----------
         form : {"patch", "material"}
-            A patch of the candidate's size in the middle of its surface, as a new material; or the
-            whole surface as a new material that absorbs as much. A patch that does not fit becomes a
-            material.
+            A patch of the candidate's size on its surface, as a new material; or the whole surface as a
+            new material that absorbs as much. A patch that does not fit becomes a material: see
+            `Corrected.note`.
+        at : (x, y, z), optional
+            Middle of the patch in m, by default the middle of the surface. The surface is the one at
+            this place, and the candidate is the most probable one on it.
 
         Raises
         ------
         DataError
-            If nothing is other than stated, or not on a surface.
+            If nothing is other than stated, or not on a surface; or if ``at`` is on no surface, or on
+            one on which nothing was found.
         """
         from rtcal.where.corrected import corrected
 
-        best = self.best
-        if not self.can_be_added or best is None:
+        if not self.can_be_added:
             raise DataError(f'the verdict is "{self.verdict}"; no surface lacks anything to add')
-        return corrected(self.case, best, form)
+        best = self.candidates[0] if at is None else self._candidate_at(at)
+        return corrected(self.case, best, form, at)
+
+    def _candidate_at(self, at: Sequence[float]) -> Candidate:
+        """Return the most probable candidate on the surface at a place."""
+        from rtcal.where.corrected import surface_at
+
+        surface = surface_at(self.case, at)
+        best = next((c for c in self.candidates if c.surface == surface), None)
+        if best is None or best.probability < _LEAST:
+            raise DataError(f'at lies on "{surface}", on which nothing was found')
+        return best
 
     def __repr__(self) -> str:
         best = self.best

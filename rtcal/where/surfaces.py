@@ -6,6 +6,7 @@ says otherwise.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -54,11 +55,17 @@ def of_geometry(
     out: dict[str, Faces] = {}
     for group in groups:
         largest = max(group, key=lambda i: float(geometry.face_areas[i]))
-        name = geometry.names[largest]
+        name = _unnumbered(geometry.names[largest], [geometry.names[i] for i in group])
         if name in out:  # a mesh may name all faces alike
             name = f"{name} ({largest + 1})"
         out[name] = np.array(group, dtype=np.int64)
     return out
+
+
+def _unnumbered(name: str, others: Sequence[str]) -> str:
+    """Return "wall" for "wall 2" if the surface has a face of that name, too."""
+    stem = re.sub(r" \d+$", "", name)
+    return stem if stem in others else name
 
 
 def _joined(geometry: Polyhedron, first: int, other: int) -> bool:

@@ -1,0 +1,264 @@
+"""The corrected geometry: the patch on its surface, what simulators hear in it, what programs read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.io import catt, obj, odeon, position_files
+from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
+from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.where.candidate import Candidate
+from rtcal.where.case import Case
+from rtcal.where.corrected import corrected
+from rtcal.where.patch import patched
+from rtcal.where.surfaces import of_geometry
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+BANDS = (500.0, 1000.0)
+SIZE = (7.0, 5.0, 3.0)
+SOURCES = {"S": (1.2, 1.0, 1.5)}
+RECEIVERS = {"R1": (5.5, 1.2, 1.2), "R2": (3.4, 3.6, 1.3)}
+L_PLAN = [(0.0, 0.0), (9.0, 0.0), (9.0, 4.0), (5.0, 4.0), (5.0, 8.0), (0.0, 8.0)]
+U_PLAN = [(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (5.0, 5.0), (5.0, 1.0), (1.0, 1.0), (1.0, 5.0)]
+U_PLAN += [(0.0, 5.0)]
+
+
+def prism(plan: list[tuple[float, float]], height: float = 3.0) -> Polyhedron:
+    """Return the room on a plan: a floor, a ceiling and walls, each of its own material."""
+    faces = [
+        (name, name, [(x, y, z) for x, y in plan])
+        for name, z in (("floor", 0.0), ("ceiling", height))
+    ]
+    for i, (a, b) in enumerate(zip(plan, [*plan[1:], plan[0]], strict=True)):
+        corners = [(*a, 0.0), (*b, 0.0), (*b, height), (*a, height)]
+        faces.append((f"wall {i}", f"wall {i}", corners))
+    return Polyhedron.from_polygons(faces)
+
+
+def triangulated(geometry: Polyhedron) -> Polyhedron:
+    """Return the geometry with every face divided into triangles, as a mesh file has it."""
+    polygons = []
+    for i, name in enumerate(geometry.names):
+        for k, corners in enumerate(geometry.triangles[geometry.triangle_faces == i]):
+            own = name if k == 0 else f"{name} {k + 1}"
+            polygons.append((own, geometry.materials[i], corners))
+    return Polyhedron.from_polygons(polygons)
+
+
+@pytest.mark.parametrize("geometry", [prism(L_PLAN), triangulated(prism(L_PLAN)), prism(U_PLAN)])
+@pytest.mark.parametrize("surface", ["floor", "ceiling", "wall 1"])
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.94])
+def test_a_patch_has_its_area_on_any_surface(
+    geometry: Polyhedron, surface: str, share: float
+) -> None:
+    """A U-shaped floor and a triangulated wall had no patch, or one of another triangle's size."""
+    faces = [i for i, m in enumerate(geometry.materials) if m == surface]
+    area = share * geometry.areas[surface]
+    corners = geometry.triangles[np.isin(geometry.triangle_faces, faces)]
+    rng = np.random.default_rng(5)
+    places = [None, *(rng.dirichlet(np.ones(3)) @ triangle for triangle in corners)]
+    for at in places:
+        made = patched(geometry, faces, area, "patch", "patch", at)
+        assert made is not None
+        assert made.areas["patch"] == pytest.approx(area, rel=1e-6)
+        assert made.areas[surface] == pytest.approx(geometry.areas[surface] - area, rel=1e-6)
+        assert made.volume == pytest.approx(geometry.volume)
+        assert len(set(made.names)) == len(made.names)
+
+
+def test_the_patch_stands_where_it_is_wanted() -> None:
+    box = Polyhedron.shoebox(SIZE, "plaster")
+
+    def middle(at: object) -> np.ndarray:
+        made = patched(box, [1], 4.0, "hole", "hole", None if at is None else np.array(at))
+        assert made is not None
+        hole = [i for i, m in enumerate(made.materials) if m == "hole"]
+        return made.vertices[[v for i in hole for v in made.faces[i]]].mean(axis=0)
+
+    assert middle(None) == pytest.approx([7.0, 2.5, 1.5])
+    assert middle((7.0, 2.0, 1.4)) == pytest.approx([7.0, 2.0, 1.4])
+    # A place is measured to some centimetres.
+    assert middle((6.95, 2.0, 1.4)) == pytest.approx([7.0, 2.0, 1.4])
+    assert middle((7.0, 5.0, 3.0))[1:] == pytest.approx([3.71, 2.225], abs=0.01)  # into the corner
+    assert patched(box, [1], 14.5, "hole", "hole") is None  # no rim is left
+    with pytest.raises(DataError, match=re.escape("at = (6, 2, 1.4) m is 1 m from the surface")):
+        patched(box, [1], 4.0, "hole", "hole", np.array([6.0, 2.0, 1.4]))
+
+
+def room_of(geometry: Polyhedron, alpha: float = 0.12, **options: object) -> rt.Room:
+    stated = np.full((len(geometry.areas), len(BANDS)), alpha)
+    return rt.Room(
+        name="room",
+        volume=geometry.volume,
+        materials=list(geometry.areas),
+        areas=list(geometry.areas.values()),
+        alpha=stated,
+        sigma=0.1 * stated,
+        centre_frequencies=BANDS,
+        air=rt.Air(20, 50),
+        **options,
+    )
+
+
+def case_in(geometry: Polyhedron, **options: object) -> Case:
+    tracer = PathTracing(
+        geometry=geometry,
+        room=room_of(geometry, **options),
+        sources=SOURCES,
+        receivers=RECEIVERS,
+        scattering=0.5,
+        n_paths=6400,
+    )
+    return Case(
+        simulator=tracer,
+        measured=rt.Measurement(
+            centre_frequencies=BANDS, pairs=tracer.pairs, values={"t20": np.ones((2, 2))}
+        ),
+    )
+
+
+def candidate(surface: str, size: float, alpha: float = 0.8) -> Candidate:
+    return Candidate(
+        effect="porous",
+        family="added absorption",
+        surface=surface,
+        place=surface,
+        probability=0.9,
+        size=size,
+        low=0.8 * size,
+        high=1.2 * size,
+        unit="m²",
+        parameters={},
+        spectrum=np.full(len(BANDS), alpha),
+    )
+
+
+@pytest.fixture(scope="module")
+def box() -> Case:
+    geometry = Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
+    return case_in(geometry, dimensions=SIZE, surfaces=geometry.surfaces)
+
+
+@pytest.mark.parametrize("form", ["patch", "material"])
+def test_the_corrected_room_absorbs_what_was_found(box: Case, form: str) -> None:
+    made = corrected(box, candidate("east", 6.0), form)
+    assert made.form == form
+    assert made.room.total_area == pytest.approx(box.room.total_area)
+    added = made.room.absorption_area - box.room.absorption_area
+    assert added == pytest.approx(6.0 * np.full(2, 0.8 - 0.12))
+    assert np.array_equal(made.simulator.scattering, made.room.scattering)
+
+
+def test_a_patch_of_alpha_1_is_drawn_larger(box: Case) -> None:
+    """So that a calibration can make it absorb more as well as less."""
+    made = corrected(box, candidate("east", 6.0, 1.0))
+    assert made.geometry.areas[made.material] == pytest.approx(6.0 / 0.9)
+    assert made.room.alpha[-1] == pytest.approx([0.9, 0.9])
+
+
+def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box: Case) -> None:
+    made = corrected(box, candidate("east", 16.0))
+    assert made.form == "material"
+    assert made.note == (
+        'A patch of 16 m² does not fit on "east" of 15 m²: the whole surface is the new material.'
+    )
+    assert made.room.alpha[-1] == pytest.approx([0.8, 0.8])
+    assert not corrected(box, candidate("east", 6.0), "material").note
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"form": "patches"}, 'form = "patches"'),
+        ({"at": (7, 2)}, "at = (7, 2) is not three finite numbers in m"),
+        ({"at": (7, 2, float("nan"))}, "is not three finite numbers in m"),
+        ({"at": "here"}, "at is not an array of real numbers"),
+        ({"at": (3, 2, 1)}, "m from the surface"),
+        ({"at": (7, 2, 1), "form": "material"}, "at is the middle of a patch"),
+    ],
+)
+def test_a_wrong_place_is_refused(box: Case, options: dict[str, object], message: str) -> None:
+    with pytest.raises(DataError, match=re.escape(message)):
+        corrected(box, candidate("east", 6.0), **options)  # type: ignore[arg-type]
+
+
+def mean_t(simulator: object, alpha: np.ndarray) -> np.ndarray:
+    return np.asarray(simulator.simulate(alpha, seed=2).mean("t20"))  # type: ignore[attr-defined]
+
+
+def test_every_engine_hears_the_correction(box: Case) -> None:
+    """T falls as in Eyring's formula, within what placing the absorber on one wall changes."""
+    patch = corrected(box, candidate("east", 8.0))
+    wall = corrected(box, candidate("east", 8.0), "material")
+    wanted = rt.Eyring().reverberation_time(wall.room) / rt.Eyring().reverberation_time(box.room)
+    assert (wanted < 0.85).all()
+
+    def falls(before: object, after: object, room: rt.Room) -> None:
+        ratio = mean_t(after, room.alpha) / mean_t(before, box.room.alpha)
+        assert ratio == pytest.approx(wanted, rel=0.12), type(after).__name__
+
+    for made in (patch, wall):
+        falls(box.simulator, made.simulator, made.room)
+    places = {"sources": SOURCES, "receivers": RECEIVERS}
+    image = ImageSource(room=box.room, **places, duration=1.5)
+    falls(image, ImageSource(room=wall.room, **places, duration=1.5), wall.room)
+    with pytest.raises(DataError, match="states no dimensions"):
+        ImageSource(room=patch.room, **places, duration=1.5)
+
+
+def test_pyroomacoustics_hears_the_correction(box: Case) -> None:
+    """The other ray tracer, which shares no code with rtcal's: the same fall of T, patch or wall."""
+    pytest.importorskip("pyroomacoustics")
+
+    def rays(geometry: Polyhedron, room: rt.Room) -> np.ndarray:
+        tracer = RayTracing(
+            geometry=geometry,
+            room=room,
+            sources=SOURCES,
+            receivers=RECEIVERS,
+            scattering=0.5,
+            n_rays=4000,
+        )
+        return mean_t(tracer, room.alpha)
+
+    before = rays(box.geometry, box.room)
+    for form in ("patch", "material"):
+        made = corrected(box, candidate("east", 8.0), form)
+        other = mean_t(made.simulator, made.room.alpha) / mean_t(box.simulator, box.room.alpha)
+        ratio = rays(made.geometry, made.room) / before
+        assert ratio == pytest.approx(other, rel=0.06), form
+        assert (ratio < 0.87).all()
+
+
+@pytest.mark.parametrize("geometry", [prism(L_PLAN), triangulated(prism(L_PLAN))])
+def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> None:
+    """Areas, names and materials by rtcal's own readers; the lists have the room's coefficients."""
+    case = case_in(geometry, alpha=0.2)
+    made = corrected(case, candidate("floor", 10.0), at=(6.0, 2.0, 0.0))
+    made.save(tmp_path)
+    made.export(tmp_path)
+    room = rt.Room.from_file(str(tmp_path / "room.toml"))
+    mesh = obj.read(tmp_path / "room.obj")
+    assert mesh.areas == pytest.approx(made.geometry.areas)
+    assert dict(zip(room.materials, room.areas, strict=True)) == pytest.approx(mesh.areas)
+    assert mesh.names == made.geometry.names
+    assert list(of_geometry(mesh)) == list(of_geometry(made.geometry))
+    sources, receivers = position_files.read(tmp_path / "positions.toml")
+    assert (sources, receivers) == (SOURCES, RECEIVERS)
+    heard = PathTracing(
+        geometry=mesh, room=room, sources=sources, receivers=receivers, n_paths=6400
+    )
+    assert mean_t(heard, room.alpha) == pytest.approx(mean_t(made.simulator, room.alpha), rel=1e-9)
+    for program, name in ((catt, "catt.txt"), (odeon, "odeon.txt")):
+        listed = program.read(tmp_path / name)
+        assert len(listed.materials) == room.n_materials
+        for material, alpha in zip(listed.materials, room.alpha, strict=True):
+            columns = [list(material.centre_frequencies).index(f) for f in BANDS]
+            assert np.asarray(material.alpha)[columns] == pytest.approx(alpha, abs=0.005)
