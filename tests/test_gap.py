@@ -184,7 +184,7 @@ def test_the_verdict_stands_beside_what_is_supported(finding: Finding) -> None:
     assert seen.sentence.startswith(
         f"{seen.verdict.capitalize()}: with {finding.best} in the model"
     )
-    sure = replace(seen, verdict="proven")
+    sure = replace(seen, verdict="supported")
     numbers = f"from {sure.before:.2f} to {sure.after:.2f} JND"
     assert numbers in sure.sentence
     assert "Proven" not in str(sure)

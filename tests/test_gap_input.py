@@ -107,7 +107,7 @@ def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path: Path) 
     finding = find(case, effects=effects, controls=controls_of(case, 0.01))
     assert finding.effect == "organ"
     seen = verify(finding)
-    assert seen.verdict == "proven"
+    assert seen.verdict == "supported"
     assert seen.after < 0.5 * seen.before
     assert seen.corrected.sizes["organ"] == pytest.approx(40.0, rel=0.4)
     assert seen.corrected.effects[0]["unit"] == "m²"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 pytest.importorskip("numba", reason="the hidden world is compiled (extra fast)")
 
+from tests.hidden_world import shipped
 from tests.hidden_world.tracer import World, trace
 from tests.imports import imported_by
 
@@ -102,3 +104,8 @@ def test_a_dead_room_behind_an_aperture_is_an_opening() -> None:
     np.testing.assert_allclose(t20(joined), t20(opening), rtol=0.03)
     live = trace(replace(CUBE, **hole, second_size=size, second_alpha=CUBE.alpha / 3), 20000, 4)
     assert (t20(live) > 1.1 * t20(opening)).all()
+
+
+def test_the_shipped_room_with_its_opening_closed_is_the_worlds() -> None:
+    stored = json.loads((shipped.FOLDER / "closed.json").read_text(encoding="utf-8"))
+    assert shipped.closed() == stored

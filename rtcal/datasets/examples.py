@@ -178,8 +178,13 @@ def _optimisation() -> Example:
 
 def _missing_effect() -> Example:
     return Example(
-        {"case.json": path("hidden_room/case.json").read_bytes()},
-        ("rtcal gap find case.json", "rtcal gap report case.json --out gap"),
+        {name: path(f"hidden_room/{name}").read_bytes() for name in ("case.json", "closed.json")},
+        (
+            "rtcal gap find case.json",
+            "rtcal gap find closed.json",
+            "rtcal gap verify closed.json",
+            "rtcal gap report closed.json --out gap",
+        ),
     )
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 
 if TYPE_CHECKING:
     from rtcal.discrepancy.case import Case
@@ -34,14 +35,21 @@ def bras_cr2() -> tuple[Room, Measurement]:
     )
 
 
-def hidden_room() -> tuple[Case, dict[str, Any]]:
+@checked
+def hidden_room(*, closed: bool = False) -> tuple[Case, dict[str, Any]]:
     """Return a case with a hidden effect, and the truth: the effect and ``alpha``.
 
-    It is a simulated room of six materials in two configurations. The tracer is separate from rtcal's
-    (`tests/hidden_world`).
+    It is a simulated room of six materials. The tracer is separate from rtcal's
+    (`tests/hidden_world`). Configuration A is the room as it is. In B one material is covered with
+    another one. In C everything that can be closed or taken out is closed or taken out.
+
+    Parameters
+    ----------
+    closed : bool
+        Return A and C. If False, A and B.
     """
     from rtcal.discrepancy.case import Case
 
     folder = path("hidden_room")
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    return Case.from_file(str(folder / "case.json")), truth
+    return Case.from_file(str(folder / ("closed.json" if closed else "case.json"))), truth

@@ -56,8 +56,8 @@ class Verification:
     predictive : float
         Nats by which the effect predicts what alpha cannot absorb, given the fitted T20, better than
         the model without it.
-    verdict : {"proven", "unproven", "withdrawn"}
-        ``proven``: the model got better where alpha cannot have made it so, whatever the effect's
+    verdict : {"supported", "unproven", "withdrawn"}
+        ``supported``: the model got better where alpha cannot have made it so, whatever the effect's
         right name is; ``unproven``: the data have nothing that alpha could not absorb, or it does
         not change.
     plain, corrected : Recalibrated
@@ -128,7 +128,7 @@ class Verification:
             f"with {name} in the model the gap that alpha cannot close goes from {self.before:.2f} to "
             f"{self.after:.2f} JND"
         )
-        if self.verdict == "proven":
+        if self.verdict == "supported":
             little = self.before - self.after < LITTLE
             apart = f", but not told apart from {listed(f.rivals)}" if f.rivals else ""
             return (
@@ -219,7 +219,7 @@ def verify(finding: Finding, case: Case | None = None) -> Verification:
         verdict = "withdrawn"
     else:
         shrinks = -change > check.uncertainty and predictive > 0
-        verdict = "proven" if shrinks else "unproven"
+        verdict = "supported" if shrinks else "unproven"
     return Verification(
         finding, tuple(gaps), float(mean[0]), float(mean[1]), predictive, verdict, before, after
     )

@@ -127,7 +127,7 @@ def summary(
     ``unknowable`` (a sentence), ``reproduce`` (command, files, seed, engines).
     """
     first = finding.case.configurations[0].name
-    supported = verification is not None and verification.verdict == "proven"
+    supported = verification is not None and verification.verdict == "supported"
     plain = f'plain calibration to T20 of "{first}"'
     if supported:
         plain += (
@@ -164,7 +164,7 @@ def _corrected(verification: Verification) -> dict[str, Any]:
     room, corrected = verification.finding.case.room, verification.corrected
     names = [f'"{c.name}"' for c in verification.finding.case.configurations]
     use = {
-        "proven": "These are the ones to use, if the name is right.",
+        "supported": "These are the ones to use, if the name is right.",
         "unproven": "Nothing but the evidence supports them.",
         "withdrawn": "Not to be used: the finding is withdrawn.",
     }[verification.verdict]

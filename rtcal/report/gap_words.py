@@ -77,7 +77,7 @@ def to_do(finding: Finding, verification: Verification | None) -> list[str]:
     if verification is not None:
         steps.append(
             {
-                "proven": "Use the corrected calibration below, not the plain one.",
+                "supported": "Use the corrected calibration below, not the plain one.",
                 "unproven": "Do this before the corrected calibration is used: no measurement but "
                 "that of T speaks for it.",
                 "withdrawn": "Use neither calibration: with the effect in the model the measurements "
@@ -112,7 +112,7 @@ def _proof(verification: Verification) -> str:
         f"There the mean gap goes from {before:.2f} to {after:.2f} JND with {name} in the model"
     )
     return {
-        "proven": f"{gap}, which supports the finding.",
+        "supported": f"{gap}, which supports the finding.",
         "unproven": f"{gap}, which neither supports nor refutes the finding.",
         "withdrawn": f"{gap}, which speaks against the finding.",
     }[verification.verdict]

@@ -409,13 +409,13 @@ def measure(h: Hidden, world: World, seed: int, rng: np.random.Generator) -> dic
     return out | dict(zip(names, values, strict=True))
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float | np.floating):
         # What cannot be read from a decay that never falls far enough was not measured.
         return None if not np.isfinite(value) else float(f"{value:.5g}")
@@ -464,6 +464,6 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
         second = {"name": "B", "changes": {materials[j]: {"alpha": mu, "sigma": sigma}}}
         truth["alpha_b"] = alpha[j]
     else:
-        return _plain({"case": case, "truth": truth})
+        return plain({"case": case, "truth": truth})
     case["configurations"].append(second | measure(h, h.world, int(rng.integers(2**31)), rng))
-    return _plain({"case": case, "truth": truth})
+    return plain({"case": case, "truth": truth})
