@@ -27,7 +27,9 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add a page and the pictures of each notebook under notebooks/, where it stands in the tree."""
+    """Add the changelog, and a page and the pictures of each notebook, where it stands in the tree."""
+    changes = (NOTEBOOKS.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+    files.append(File.generated(config, "changes.md", content=changes))
     for path in sorted(NOTEBOOKS.glob("*/*.ipynb")):
         folder = f"notebooks/{path.parent.name}"
         keys = {"unique_key": path.stem, "output_files_dir": f"{path.stem}_files"}
@@ -53,7 +55,8 @@ def _with_words(body: str, notebook: nbformat.NotebookNode) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Lead links to notebooks in the source tree to their pages."""
+    """Lead links to notebooks and the changelog in the source tree to their pages."""
+    markdown = markdown.replace("](../CHANGELOG.md)", "](changes.md)")
     return _linked(markdown).replace("](../notebooks/", "](notebooks/")
 
 

@@ -323,7 +323,7 @@ def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
     # 40 m² of a alone, but T allows 30: 10 m² are 0.1 of all 100 m², 0.2 of a's 50 m².
     assert str(error.value) == (
         "the constraints contradict each other. The smallest relaxation that removes it: exact "
-        "match of T at 1000 Hz: 30 higher by 10"
+        "match of T at 1000 Hz (m² of absorption): 30 has to be 10 higher"
     )
     both = rt.Room(
         name="two bands",
@@ -337,10 +337,12 @@ def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
     with pytest.raises(rt.errors.InfeasibleError) as error:
         rt.Calibration(PRIOR, constraints).build(both).solve([t[0], t[0]])
     assert str(error.value).endswith(
-        "it: exact match of T at 500 Hz: 30 higher by 10; "
-        "exact match of T at 1000 Hz: 30 higher by 10"
+        "it: exact match of T at 500 Hz (m² of absorption): 30 has to be 10 higher; "
+        "exact match of T at 1000 Hz (m² of absorption): 30 has to be 10 higher"
     )
-    with pytest.raises(rt.errors.InfeasibleError, match=r"upper bound 0\.1 higher by 0\.02$"):
+    with pytest.raises(
+        rt.errors.InfeasibleError, match=r"upper bound 0\.1 has to be 0\.02 higher$"
+    ):
         rt.Calibration(
             PRIOR + terms.SoftMatch(0.05),
             [

@@ -76,10 +76,10 @@ def _named(model: NumpyModel, relaxed: Array, norm: Array) -> list[str]:
         for row in np.flatnonzero(relaxed[start : start + n_rows] > _NOTHING):
             limit = (model.row_lower, model.row_upper)[side][row]
             by = relaxed[start + row] * norm[row]
-            out.append(f"{labels[row]}: {limit:.4g} {word} by {by:.4g}")
+            out.append(f"{labels[row]}: {limit:.4g} has to be {by:.4g} {word}")
     for start, limits, word in (
-        (2 * n_rows, model.lower, "lower bound {:.4g} lower by {:.4g}"),
-        (2 * n_rows + size, model.upper, "upper bound {:.4g} higher by {:.4g}"),
+        (2 * n_rows, model.lower, "lower bound {:.4g} has to be {:.4g} lower"),
+        (2 * n_rows + size, model.upper, "upper bound {:.4g} has to be {:.4g} higher"),
     ):
         for u in np.flatnonzero(relaxed[start : start + size] > _NOTHING):
             out.append(f"{layout.place(int(u))}: " + word.format(limits[u], relaxed[start + u]))

@@ -347,7 +347,7 @@ class GroupAbsorption:
         """Return the group and the band."""
         places = self._pattern(layout)[1].reshape(-1, self._pattern(layout)[2])[0]
         band = layout.place(int(places[row])).rsplit(", ", 1)[1].rstrip("]")
-        return f"absorption of {', '.join(self.materials)} at {band}"
+        return f"absorption of {', '.join(self.materials)} at {band} (m²)"
 
     def _areas(self, data: ProblemData) -> Array:
         """The group's own areas by row of alpha."""

@@ -58,7 +58,7 @@ class ExactMatch:
 
     def label(self, row: int, layout: Layout) -> str:
         """Return the band that a row matches."""
-        return f"exact match of T at {layout.band_label(row)}"
+        return f"exact match of T at {layout.band_label(row)} (m² of absorption)"
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class MatchWithin:
 
     def label(self, row: int, layout: Layout) -> str:
         """Return the band that a row matches."""
-        return f"match of T within {self.jnd:g} JND at {layout.band_label(row)}"
+        return f"match of T within {self.jnd:g} JND at {layout.band_label(row)} (m² of absorption)"
 
 
 @dataclass(frozen=True)
