@@ -15,7 +15,7 @@ from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
     from rtcal.report.document import Heading
-    from rtcal.where import Finding
+    from rtcal.where import Finding, Place, Verification
 
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap is said."""
@@ -107,16 +107,48 @@ def apply(path: str, search: Any, out: str, patch: Patch, *, quiet: bool, as_jso
 
 def verify(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
     """Print the gaps at pairs that were not fitted."""
-    from rtcal import where
-    from rtcal.discrepancy.cache import FOLDER
-
     finding = find(path, search, quiet)
     if not finding.can_be_added:
         text = f"{finding.headline}\nThere is nothing to add to a surface."
-        tell(text, finding.to_dict(), quiet=quiet, as_json=as_json)
+        record = {"verdict": None, "sentence": text, "finding": finding.to_dict()}
+        tell(text, record, quiet=quiet, as_json=as_json)
         return
-    result = where.verify(finding, seeds=SEEDS, cache=Path(path).parent / FOLDER)
+    result = _verified(path, finding, search, quiet)
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
+
+
+def _verified(path: str, finding: Finding, search: Any, quiet: bool) -> Verification:
+    """Return the gaps at pairs that were not fitted, over `SEEDS`; a bar says how long it will take."""
+    from rtcal import where
+    from rtcal.discrepancy.cache import FOLDER
+
+    with bar(0, "model", bar_wanted(quiet)) as shown:
+
+        def report(what: str, done: int, of: int) -> None:
+            if done == 1 and hasattr(shown, "reset"):
+                shown.reset(total=of)
+            shown.update(1)
+
+        return where.verify(
+            finding,
+            seeds=SEEDS,
+            cache=Path(path).parent / FOLDER,
+            only=search.only,
+            without=search.without,
+            report=report,
+        )
+
+
+def _next(finding: Finding) -> Place | None:
+    """Return the place for a further receiver that tells most; None where nothing is in question."""
+    from rtcal import where
+
+    if not finding.can_be_added or finding.surface is not None:
+        return None
+    try:
+        return where.next_position(finding)[0]
+    except DataError:  # at most one surface is in question, or the room is too small for a grid
+        return None
 
 
 def report(
@@ -124,18 +156,18 @@ def report(
 ) -> None:
     """Write page, finding and figures into a folder."""
     from rtcal import where
-    from rtcal.discrepancy.cache import FOLDER
     from rtcal.report import where_folder
 
     folder = Path(out)
     finding = find(path, search, quiet, [folder / name for name in where_folder.FILES])
     verification = None
-    if finding.can_be_added:
-        verification = where.verify(finding, seeds=SEEDS, cache=Path(path).parent / FOLDER)
+    if finding.can_be_added and len(finding.pairs) >= where.LEAST_PAIRS:
+        verification = _verified(path, finding, search, quiet)
     command = shlex.join(
         ["rtcal", "gap", "report", path, *replace(search, engines=()).arguments(), "--out", out]
     )
-    paths = where_folder.write(finding, verification, folder, heading, command)
+    place = _next(finding)
+    paths = where_folder.write(finding, verification, folder, heading, command, place)
     first = [] if verification is None else [verification.sentence]
     text = "\n".join([*first, str(finding), written(paths)])
     record = {**finding.to_dict(), "written": [str(p) for p in paths]}

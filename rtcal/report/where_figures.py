@@ -1,165 +1,306 @@
-"""The figures of where: the map of disagreement, the surfaces in an axonometric view, three bars."""
+"""The figures of where: the room with its surfaces, the plan, the map of disagreement, three bars."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, shown
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
+from rtcal.where.advice import Place
 from rtcal.where.finding import Finding
 from rtcal.where.surfaces import Faces, kind
 from rtcal.where.verification import MODELS, Verification
 
 _SHOWN = 0.02
 """Smallest probability of a surface that is written beside it."""
-_TURN, _TILT = np.radians(35), np.radians(30)
-"""Directions from which the axonometric view looks: round z, and down."""
+_TILT = np.radians(30)
+"""Direction from which the axonometric view looks, above the horizontal."""
+_TURNS = np.radians([35, 125, 215, 305])
+"""Directions round z, of which the one that shows the most probable surface from inside is taken."""
+_MOST_ROWS = 24
+"""Most pairs that have a row of their own in the map."""
+_SIZE = 9
+"""Size in points of all text: 7 px on a phone."""
+_HATCHES = ("//", "\\\\", "..", "xx", "++")
+_BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
+
+
+@checked
+def room(finding: Finding, place: Place | None = None) -> Any:
+    """Return the room in an axonometric view, each surface as orange as it is probable.
+
+    Surfaces that the positions do not tell apart have a common letter and hatch. ``place`` is a further
+    receiver, as `rtcal.where.next_position` proposes it.
+    """
+    figure, axes = new_figure(6.5, 5.2)
+    draw_room(axes, finding, place)
+    return figure
+
+
+@checked
+def draw_room(axes: Any, finding: Finding, place: Place | None = None) -> None:
+    """Draw the room in an axonometric view into axes; see `room`.
+
+    Surfaces towards the reader are outlines, so that the room can be looked into.
+    """
+    case, geometry = finding.case, finding.case.geometry
+    probability, letters = _probabilities(finding), _letters(finding)
+    turn = _turn(geometry, case.faces, probability)
+    flat, into = _projected(geometry.vertices, turn), _into(turn)
+    depth = geometry.vertices @ into
+    of_face = {int(i): name for name, faces in case.faces.items() for i in faces}
+    seen = geometry.normals @ into > 0
+    every = range(len(geometry.faces))
+    for i in sorted(every, key=lambda i: (not seen[i], -_mean(depth[[*geometry.faces[i]]]))):
+        corners = flat[list(geometry.faces[i])]
+        name = of_face.get(i, "")
+        chance = probability.get(name, 0.0)
+        if seen[i]:
+            axes.fill(*corners.T, facecolor="0.97", edgecolor="none")
+        axes.fill(
+            *corners.T, facecolor=ORANGE, alpha=(0.9 if seen[i] else 0.3) * chance, linewidth=0
+        )
+        if seen[i] and chance >= _SHOWN and name in letters:
+            hatch = _HATCHES[ascii_uppercase.index(letters[name]) % len(_HATCHES)]
+            axes.fill(*corners.T, facecolor="none", edgecolor="0.45", hatch=hatch, linewidth=0)
+    _outlines(axes, geometry, of_face, flat, seen)
+    _stands(axes, finding, place, turn)
+    above = _group_lines(letters)
+    for name, faces in case.faces.items():
+        if (chance := probability[name]) < _SHOWN:
+            continue
+        if kind(geometry, faces) != "wall":  # its middle is where the positions are
+            above.append(f"{_lettered(name, letters)}: {100 * chance:.0f} %")
+            continue
+        middle = _projected(_middle(geometry, faces)[np.newaxis], turn)[0]
+        label = f"{_lettered(name, letters)}\n{100 * chance:.0f} %"
+        style = {"ha": "center", "va": "center", "bbox": _BOX, "zorder": 9}
+        axes.annotate(label, middle, fontsize=_SIZE, **style)
+    axes.set_aspect("equal")
+    axes.axis("off")
+    axes.set_title("\n".join(above), fontsize=_SIZE, loc="left")
+
+
+def _probabilities(finding: Finding) -> dict[str, float]:
+    """Return the probability of each surface, 0 where nothing is other than stated."""
+    none = finding.verdict == "none"
+    return {n: 0.0 if none else finding.surfaces.get(n, 0.0) for n in finding.case.faces}
+
+
+def _letters(finding: Finding) -> dict[str, str]:
+    """Return a letter for the surfaces of each group that is in question."""
+    chance = _probabilities(finding)
+    groups = [g for g in finding.groups if max(chance[name] for name in g) >= _SHOWN]
+    return {name: letter for letter, g in zip(ascii_uppercase, groups, strict=False) for name in g}
+
+
+def _lettered(name: str, letters: Mapping[str, str]) -> str:
+    return shown(name, 24) + (f" ({letters[name]})" if name in letters else "")
+
+
+def _group_lines(letters: Mapping[str, str]) -> list[str]:
+    """Return what the letters say."""
+    return [
+        f"({letter}) not told apart by these positions" for letter in sorted(set(letters.values()))
+    ]
+
+
+def _outlines(
+    axes: Any,
+    geometry: Polyhedron,
+    of_face: Mapping[int, str],
+    flat: Array,
+    seen: NDArray[np.bool_],
+) -> None:
+    """Draw the edges between surfaces; those of surfaces towards the reader alone are thin."""
+    owners: dict[tuple[int, int], list[int]] = {}
+    for i, face in enumerate(geometry.faces):
+        for a, b in zip(face, [*face[1:], face[0]], strict=True):
+            owners.setdefault((min(a, b), max(a, b)), []).append(i)
+    for (a, b), faces in owners.items():
+        names = {of_face.get(i, f"face {i}") for i in faces}
+        if len(faces) > 1 and len(names) == 1:
+            continue  # within one surface
+        far = any(seen[i] for i in faces)
+        axes.plot(
+            *flat[[a, b]].T,
+            color="0.35" if far else "0.5",
+            linewidth=1.0 if far else 0.9,
+            linestyle="-" if far else "--",
+        )
+
+
+def _stands(axes: Any, finding: Finding, place: Place | None, turn: float) -> None:
+    """Draw sources, receivers and a proposed place, each on a line from the floor."""
+    simulator = finding.case.simulator
+    low = float(finding.case.geometry.vertices[:, 2].min())
+    for name, point, marker, colour in _points(simulator.sources, simulator.receivers, place):
+        foot = (point[0], point[1], low)
+        x, y = _projected(np.array([point, foot]), turn).T
+        axes.plot(x, y, color="0.6", linewidth=0.8, zorder=6)
+        axes.plot(x[0], y[0], marker=marker, color=colour, markersize=8, zorder=7)
+        axes.annotate(
+            name,
+            (x[0], y[0]),
+            xytext=(5, 4),
+            textcoords="offset points",
+            fontsize=_SIZE,
+            zorder=8,
+        )
+
+
+def _points(
+    sources: Mapping[str, Any], receivers: Mapping[str, Any], place: Place | None
+) -> list[tuple[str, Any, str, str]]:
+    """Return name, place, marker and colour of all that stands in the room."""
+    out = [(shown(n, 12), p, "^", BLACK) for n, p in sources.items()]
+    out += [(shown(n, 12), p, "o", BLUE) for n, p in receivers.items()]
+    if place is not None:
+        out.append(("measure here", place.point, "*", GREEN))
+    return out
+
+
+def _turn(geometry: Polyhedron, faces: Mapping[str, Faces], chance: Mapping[str, float]) -> float:
+    """Return the direction of view in which probable surfaces are seen from inside."""
+
+    def seen(turn: float) -> float:
+        into = _into(turn)
+        return sum(
+            chance[name]
+            * float(np.average(geometry.normals[of] @ into > 0, weights=geometry.face_areas[of]))
+            for name, of in faces.items()
+        )
+
+    return float(max(_TURNS, key=seen))
+
+
+def _projected(points: Array, turn: float) -> Array:
+    """Return points (n, 3) in the axonometric view, (n, 2)."""
+    right = np.array([np.cos(turn), np.sin(turn), 0.0])
+    up = np.array([-np.sin(turn) * np.sin(_TILT), np.cos(turn) * np.sin(_TILT), np.cos(_TILT)])
+    return np.stack([points @ right, points @ up], axis=1)
+
+
+def _into(turn: float) -> Array:
+    """Return the direction into the picture."""
+    return np.array([-np.sin(turn) * np.cos(_TILT), np.cos(turn) * np.cos(_TILT), -np.sin(_TILT)])
+
+
+def _mean(values: Array) -> float:
+    return float(np.mean(values))
+
+
+def _middle(geometry: Polyhedron, faces: Faces) -> Array:
+    """Return the middle of a surface's triangles, by area."""
+    triangles = geometry.triangles[np.isin(geometry.triangle_faces, faces)]
+    edges = triangles[:, 1:] - triangles[:, :1]
+    areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return np.asarray(np.average(triangles.mean(axis=1), axis=0, weights=areas))
+
+
+@checked
+def plan(finding: Finding, place: Place | None = None) -> Any:
+    """Return the map on the plan: which pairs disagree, and which walls could mend it.
+
+    A line joins source and receiver. It is as dark as the root mean square of the pair's residuals in
+    standard deviations. Walls are as orange as they are probable. ``place`` is a further receiver.
+    """
+    case, geometry = finding.case, finding.case.geometry
+    size = np.ptp(geometry.vertices[:, :2], axis=0)
+    probability, letters = _probabilities(finding), _letters(finding)
+    above = _group_lines(letters)
+    figure, axes = new_figure(6.5, float(np.clip(6.0 * size[1] / size[0], 3.0, 6.5)) + 1.8)
+    for name, faces in case.faces.items():
+        chance = probability[name]
+        wall = kind(geometry, faces) == "wall"
+        for i in faces:
+            x, y, _ = geometry.vertices[[*geometry.faces[i], geometry.faces[i][0]]].T
+            axes.plot(x, y, color="0.6", linewidth=1 if wall else 0, zorder=1)
+            if wall and chance >= _SHOWN:
+                style = {"color": ORANGE, "alpha": min(1.0, 0.15 + chance), "linewidth": 7}
+                axes.plot(x, y, zorder=2, solid_capstyle="butt", **style)
+        if chance >= _SHOWN:
+            label = f"{_lettered(name, letters)}: {100 * chance:.0f} %"
+            if wall:
+                middle = _middle(geometry, faces)[:2]
+                style = {"ha": "center", "va": "center", "bbox": _BOX, "zorder": 9}
+                axes.annotate(label, middle, fontsize=_SIZE, **style)
+            else:
+                above.append(label)
+    z = _rms(finding.map, (0, 2))
+    most = max(2.0, float(np.nanmax(z)))
+    sources, receivers = case.simulator.sources, case.simulator.receivers
+    for (source, receiver), value in zip(finding.pairs, z, strict=True):
+        x, y, _ = np.array([sources[source], receivers[receiver]], dtype=float).T
+        grey = str(0.88 * (1 - min(value / most, 1.0)))
+        axes.plot(x, y, color=grey, linewidth=0.8 + 2.2 * min(value / most, 1.0), zorder=3)
+    for name, point, marker, colour in _points(sources, receivers, place):
+        axes.plot(*point[:2], marker=marker, color=colour, markersize=9, zorder=4)
+        style = {"xytext": (6, 5), "textcoords": "offset points", "zorder": 5}
+        axes.annotate(name, point[:2], fontsize=_SIZE, **style)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x / m", fontsize=_SIZE)
+    axes.set_ylabel("y / m", fontsize=_SIZE)
+    axes.tick_params(labelsize=_SIZE)
+    above.append(f"darkest pair: {float(np.nanmax(z)):.1f} standard deviations")
+    axes.set_title("\n".join(above), fontsize=_SIZE, loc="left")
+    return figure
 
 
 @checked
 def disagreement(finding: Finding) -> Any:
-    """Return the map: which pairs, bands and parameters disagree, on the plan and as a table.
+    """Return the map as tables, in standard deviations: pairs by parameters, parameters by bands."""
+    names = [p.upper() for p in finding.parameters]
+    frequencies = [f"{f:g}" for f in finding.case.room.centre_frequencies]
+    of_pairs = _rms(finding.map, (2,)).T
+    of_bands = _rms(finding.map, (1,))
+    most = max(2.0, float(np.nanmax(of_pairs)), float(np.nanmax(of_bands)))
+    rows = len(of_pairs) if len(of_pairs) <= _MOST_ROWS else 0
+    figure, panels = new_figure(6.0, 2.2 + 0.3 * len(names) + 0.3 * rows, 2 if rows else 1)
+    below = panels[1] if rows else panels
+    image = _table(below, of_bands, names, frequencies, most)
+    below.set_xlabel("Band centre frequency / Hz", fontsize=_SIZE)
+    if rows:
+        pairs = [shown(" to ".join(pair), 20) for pair in finding.pairs]
+        _table(panels[0], of_pairs, pairs, names, most)
+        panels[0].xaxis.tick_top()
+    bar = figure.colorbar(image, ax=panels, location="bottom", aspect=40)
+    bar.set_label("Disagreement / standard deviations", fontsize=_SIZE)
+    bar.ax.tick_params(labelsize=_SIZE)
+    return figure
 
-    A line joins source and receiver. It is as dark as the root mean square of the pair's residuals in
-    standard deviations. Walls are as orange as they are probable.
-    """
-    figure, axes = new_figure(11.0, 5.0, 1, 2)
-    _plan(axes[0], finding)
-    z = np.sqrt(np.nanmean(finding.map**2, axis=1))
-    most = max(2.0, float(np.nanmax(z)))
-    image = axes[1].imshow(z, cmap="cividis_r", vmin=0, vmax=most, aspect="auto")
-    axes[1].set_yticks(range(len(z)), [p.upper() for p in finding.parameters])
-    frequencies = finding.case.room.centre_frequencies
-    axes[1].set_xticks(range(len(frequencies)), [f"{f:g}" for f in frequencies])
-    axes[1].set_xlabel("Band centre frequency / Hz")
-    for (p, k), value in np.ndenumerate(z):
+
+def _rms(residuals: Array, axes: tuple[int, ...]) -> Array:
+    """Return the root mean square over some axes; NaN where nothing was measured."""
+    number = np.isfinite(residuals).sum(axis=axes)
+    total = np.nansum(residuals**2, axis=axes)
+    return np.asarray(np.where(number > 0, np.sqrt(total / np.maximum(number, 1)), np.nan))
+
+
+def _table(axes: Any, z: Array, rows: Sequence[str], columns: Sequence[str], most: float) -> Any:
+    """Draw a table of numbers, each on a ground that is as dark as it is large."""
+    image = axes.imshow(z, cmap="cividis_r", vmin=0, vmax=most, aspect="auto")
+    axes.set_yticks(range(len(rows)), rows, fontsize=_SIZE)
+    axes.set_xticks(range(len(columns)), columns, fontsize=_SIZE)
+    for (i, k), value in np.ndenumerate(z):
         if np.isfinite(value):
-            dark = value > 0.6 * most
-            axes[1].text(
-                k, p, f"{value:.1f}", ha="center", va="center", color="white" if dark else BLACK
-            )
-    figure.colorbar(image, ax=axes[1], label="Disagreement / standard deviations")
-    return figure
-
-
-def _plan(axes: Any, finding: Finding) -> None:
-    case, level = finding.case, list[str]()
-    for name, faces in case.faces.items():
-        probability = finding.surfaces.get(name, 0.0) if finding.verdict != "none" else 0.0
-        wall = kind(case.geometry, faces) == "wall"
-        for i in faces:
-            corners = case.geometry.vertices[[*case.geometry.faces[i], case.geometry.faces[i][0]]]
-            axes.plot(corners[:, 0], corners[:, 1], color="0.6", linewidth=1, zorder=1)
-            if wall and probability >= _SHOWN:
-                axes.plot(
-                    corners[:, 0],
-                    corners[:, 1],
-                    color=ORANGE,
-                    alpha=min(1.0, 0.15 + probability),
-                    linewidth=6,
-                    zorder=2,
-                    solid_capstyle="butt",
-                )
-        if probability >= _SHOWN:
-            label = f"{shown(name, 20)}: {100 * probability:.0f} %"
-            if wall:
-                middle = _middle(case.geometry, faces)
-                axes.annotate(label, middle[:2], fontsize=8, ha="center", zorder=5)
-            else:
-                level.append(label)
-    z = np.sqrt(np.nanmean(finding.map**2, axis=(0, 2)))
-    most = max(2.0, float(np.nanmax(z)))
-    sources, receivers = case.simulator.sources, case.simulator.receivers
-    for (source, receiver), value in zip(finding.pairs, z, strict=True):
-        ends = np.array([sources[source][:2], receivers[receiver][:2]])
-        axes.plot(
-            ends[:, 0], ends[:, 1], color=str(0.85 * (1 - min(value / most, 1.0))), linewidth=1.5
-        )
-    for points, marker, colour in ((sources, "^", ORANGE), (receivers, "o", BLUE)):
-        for name, point in points.items():
-            axes.plot(*point[:2], marker=marker, color=colour, markersize=8, zorder=4)
-            axes.annotate(
-                shown(name, 12), point[:2], xytext=(5, 5), textcoords="offset points", fontsize=8
-            )
-    axes.set_aspect("equal")
-    axes.set_xlabel("\n".join(["x / m", *level]))
-    axes.set_ylabel("y / m")
-    axes.set_title(f"Residuals by pair: darkest {float(np.nanmax(z)):.1f} standard deviations")
-
-
-@checked
-def surfaces(finding: Finding) -> Any:
-    """Return the room in an axonometric view, each surface as orange as it is probable."""
-    figure, axes = new_figure(7.0, 5.5)
-    draw_room(axes, finding)
-    return figure
-
-
-@checked
-def draw_room(axes: Any, finding: Finding) -> None:
-    """Draw the room in an axonometric view into axes; see `surfaces`."""
-    case, geometry = finding.case, finding.case.geometry
-    flat = project(geometry.vertices)
-    depth = geometry.vertices @ _depth()
-    order = sorted(
-        range(len(geometry.faces)), key=lambda i: -float(depth[list(geometry.faces[i])].mean())
-    )
-    of_face = {int(i): name for name, faces in case.faces.items() for i in faces}
-    for i in order:
-        name = of_face.get(i)
-        probability = 0.0
-        if name is not None and finding.verdict != "none":
-            probability = finding.surfaces.get(name, 0.0)
-        corners = flat[list(geometry.faces[i])]
-        axes.fill(
-            corners[:, 0],
-            corners[:, 1],
-            facecolor=ORANGE,
-            alpha=0.85 * probability,
-            edgecolor="none",
-        )
-        axes.fill(corners[:, 0], corners[:, 1], facecolor="none", edgecolor="0.5", linewidth=0.8)
-    for name, faces in case.faces.items():
-        probability = finding.surfaces.get(name, 0.0) if finding.verdict != "none" else 0.0
-        if probability >= _SHOWN:
-            middle = project(_middle(geometry, faces)[np.newaxis])[0]
-            label = f"{shown(name, 24)}\n{100 * probability:.0f} %"
-            axes.annotate(label, middle, ha="center", va="center", fontsize=9)
-    for points, marker, colour in (
-        (case.simulator.sources, "^", ORANGE),
-        (case.simulator.receivers, "o", BLUE),
-    ):
-        places = project(np.array(list(points.values()), dtype=float))
-        axes.plot(places[:, 0], places[:, 1], linestyle="none", marker=marker, color=colour)
-    axes.set_aspect("equal")
-    axes.axis("off")
-
-
-def project(points: Array) -> Array:
-    """Return points (n, 3) in the axonometric view, (n, 2)."""
-    right = np.array([np.cos(_TURN), np.sin(_TURN), 0.0])
-    up = np.array([-np.sin(_TURN) * np.sin(_TILT), np.cos(_TURN) * np.sin(_TILT), np.cos(_TILT)])
-    return np.stack([points @ right, points @ up], axis=1)
-
-
-def _depth() -> Array:
-    """Return the direction into the picture."""
-    return np.array([-np.sin(_TURN) * np.cos(_TILT), np.cos(_TURN) * np.cos(_TILT), -np.sin(_TILT)])
-
-
-def _middle(geometry: Polyhedron, faces: Faces) -> Array:
-    corners = np.concatenate([geometry.vertices[list(geometry.faces[int(i)])] for i in faces])
-    return np.asarray(corners.mean(axis=0))
+            colour = "white" if value > 0.6 * most else BLACK
+            style = {"ha": "center", "va": "center", "color": colour, "fontsize": _SIZE}
+            axes.text(k, i, f"{value:.1f}", **style)
+    return image
 
 
 @checked
 def bars(verification: Verification) -> Any:
     """Return the three bars: the mean gap at held-out pairs as stated, calibrated, corrected."""
-    figure, axes = new_figure(5.5, 3.6)
+    figure, axes = new_figure(6.0, 3.8)
     draw_bars(axes, verification)
     return figure
 
@@ -185,7 +326,11 @@ def draw_bars(axes: Any, verification: Verification) -> None:
             capsize=4,
         )
         axes.annotate(
-            f"{mean:.1f}", (x, mean), xytext=(0, 6), textcoords="offset points", ha="center"
+            f"{mean:.2f}",
+            (x, float(gaps.max())),
+            xytext=(0, 6),
+            textcoords="offset points",
+            ha="center",
         )
     axes.axhline(1.0, color=BLACK, linestyle=":", linewidth=1)
     axes.set_xticks(range(len(labels)), labels)

@@ -11,17 +11,19 @@ from rtcal.report.figures import rendered
 from rtcal.support.arguments import checked
 from rtcal.support.encode import json_text
 from rtcal.support.files import make_folder, write_all
-from rtcal.where.finding import Finding
-from rtcal.where.verification import Verification
+from rtcal.where.advice import Place
+from rtcal.where.finding import Finding, strongest
+from rtcal.where.verification import MODELS, TITLES, Verification
 
-PAGE, NUMBERS, MAP, SURFACES, GAP = (
+PAGE, NUMBERS, MAP, PLAN, ROOM, GAP = (
     "report.html",
     "finding.json",
     "map.png",
-    "surfaces.png",
+    "plan.png",
+    "room.png",
     "gap.png",
 )
-FILES = (PAGE, NUMBERS, MAP, SURFACES, GAP)
+FILES = (PAGE, NUMBERS, MAP, PLAN, ROOM, GAP)
 _SAID = 0.03
 """Probability below which a candidate is not printed."""
 
@@ -33,8 +35,11 @@ def write(
     folder: Path,
     heading: Heading | None = None,
     command: str = "",
+    place: Place | None = None,
 ) -> list[Path]:
     """Write page, numbers and figures, all or none, and return their paths.
+
+    ``place`` is a further receiver that would tell the surfaces apart.
 
     Raises
     ------
@@ -44,62 +49,106 @@ def write(
         If the folder cannot be made, or a file cannot be written.
     """
     record = finding.to_dict()
-    drawn = {
-        MAP: where_figures.disagreement(finding),
-        SURFACES: where_figures.surfaces(finding),
-    }
+    record["next_position"] = None if place is None else vars(place)
+    figures = drawn(finding, verification, place)
     if verification is not None:
         record["verification"] = verification.to_dict()
-        drawn[GAP] = where_figures.bars(verification)
-    contents = {
-        folder / PAGE: page(finding, verification, drawn, heading or Heading(), command).encode(),
-        folder / NUMBERS: (json_text(record) + "\n").encode(),
-    }
-    contents |= {folder / name: rendered(figure, "png") for name, figure in drawn.items()}
+    text = page(finding, verification, figures, heading or Heading(), command, place)
+    contents = {folder / PAGE: text.encode(), folder / NUMBERS: (json_text(record) + "\n").encode()}
+    contents |= {folder / name: rendered(figure, "png") for name, figure in figures.items()}
     make_folder(folder)
     write_all(contents)
     return list(contents)
 
 
+@checked
+def drawn(
+    finding: Finding, verification: Verification | None, place: Place | None = None
+) -> dict[str, Any]:
+    """Return the figures of the page by the names of their files."""
+    out = {
+        ROOM: where_figures.room(finding, place),
+        PLAN: where_figures.plan(finding, place),
+        MAP: where_figures.disagreement(finding),
+    }
+    if verification is not None:
+        out[GAP] = where_figures.bars(verification)
+    return out
+
+
 _CAPTIONS = {
-    MAP: "Residuals in standard deviations of what prior, simulator and measurement leave open: by "
-    "pair on the plan, and by parameter and band.",
-    SURFACES: "Each surface is as orange as it is probable, given that something stands on a surface.",
+    MAP: "Residuals in standard deviations of what prior, simulator and measurement leave open: root "
+    "mean squares by pair and parameter, and by parameter and band. About 1 is what is expected.",
+    PLAN: "The plan. A line joins source (triangle) and receiver (circle); it is as dark as the pair "
+    "disagrees. Walls are as orange as they are probable.",
+    ROOM: "Each surface is as orange as it is probable, given that something stands on a surface. "
+    "Those towards the reader are dashed outlines.",
     GAP: "Mean gap at pairs that were not fitted; whiskers are the range over the simulator's seeds. "
     "The dotted line is 1 JND.",
 }
+_LEVELS = {"supported": "agrees", "worse": "contradicts", "unproven": "open"}
+"""Class of the box that a verdict stands in."""
 
 
 @checked
 def page(
     finding: Finding,
     verification: Verification | None,
-    drawn: dict[str, Any],
+    figures: dict[str, Any],
     heading: Heading,
     command: str = "",
+    place: Place | None = None,
 ) -> str:
     """Return the page; the three gaps stand in front.
 
-    ``drawn`` are the figures by the names of their files.
+    ``figures`` are those of `drawn`.
     """
     pictures = {
         name: {
-            "alt": _CAPTIONS[name],
+            "alt": _said(name, finding, verification),
             "caption": _CAPTIONS[name],
             "source": document.source(figure, lambda: None),
         }
-        for name, figure in drawn.items()
+        for name, figure in figures.items()
     }
     said = [c for c in finding.candidates if c.probability >= _SAID][:8]
     values = {
         "finding": finding,
         "verification": verification,
+        "level": "" if verification is None else _LEVELS[verification.verdict],
+        "models": TITLES,
         "parameters": [p.upper() for p in finding.parameters],
+        "pairs": [" to ".join(pair) for pair in finding.pairs],
         "candidates": said if finding.verdict != "none" else [],
         "bars": pictures.get(GAP),
-        "surfaces": pictures[SURFACES],
+        "room": pictures[ROOM],
+        "plan": pictures[PLAN],
         "map": pictures[MAP],
+        "place": place,
         "notes": [*finding.reasons, *finding.notes],
         "command": command,
     }
     return document.render("where.html", values, heading.or_title(finding.case.room.name))
+
+
+def _said(name: str, finding: Finding, verification: Verification | None) -> str:
+    """Return what a figure shows, in words, with its numbers."""
+    if name == GAP and verification is not None:
+        before, plain, after = (f"{verification.gap(m).mean():.2f}" for m in MODELS)
+        return (
+            f"Three bars of the mean gap at pairs that were not fitted: {before} JND as stated, "
+            f"{plain} calibrated, {after} corrected and calibrated."
+        )
+    if name == MAP:
+        p, i, k = strongest(finding.map)
+        pair = " to ".join(finding.pairs[i])
+        frequency = finding.case.room.centre_frequencies[k]
+        return (
+            "Two tables of the disagreement in standard deviations. The largest single one is "
+            f"{abs(finding.map[p, i, k]):.1f}: {finding.parameters[p].upper()} from {pair} at "
+            f"{frequency:g} Hz."
+        )
+    likely = "; ".join(f"{n} {100 * finding.surfaces[n]:.0f} %" for n in finding.likely_surfaces)
+    what = "no surface is coloured" if finding.verdict == "none" else f"coloured are {likely}"
+    view = "The plan of the room" if name == PLAN else "The room in an axonometric view"
+    return f"{view} with sources and receivers; {what}."

@@ -13,10 +13,11 @@ from rtcal.where.case import Case
 from rtcal.where.corrected import Corrected
 from rtcal.where.find import EFFECTS, find
 from rtcal.where.finding import Finding
-from rtcal.where.verification import Verification, verify
+from rtcal.where.verification import LEAST_PAIRS, Verification, verify
 
 __all__ = [
     "EFFECTS",
+    "LEAST_PAIRS",
     "Candidate",
     "Case",
     "Corrected",

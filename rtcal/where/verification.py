@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import stats
 
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
@@ -24,10 +25,23 @@ from rtcal.where.case import Case
 from rtcal.where.corrected import corrected
 from rtcal.where.find import find
 from rtcal.where.finding import Finding
+from rtcal.where.responses import BASE
 
 MODELS = ("before", "plain", "corrected")
 LEAST_PAIRS = 4
 """Fewest pairs: half of them have to say where."""
+TITLES = {
+    "before": "as stated",
+    "plain": "calibrated",
+    "corrected": "corrected and calibrated",
+}
+"""How each model is called."""
+_SHORT = ("stated", "calibrated", "corrected")
+CONFIDENCE = 0.95
+"""Of a gap that is said to shrink or to grow: one-sided, by Student's t over the pairs."""
+
+Report = Callable[[str, int, int], None]
+"""Called with what is computed, the number of steps done, and their total."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -69,9 +83,39 @@ class Verification:
         return float(self.gap("corrected").mean() / self.gap("plain").mean())
 
     @property
+    def gain(self) -> float:
+        """By how much the mean absolute gap is smaller, plain less corrected, in JND."""
+        return float(np.mean(self._gains()))
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard error of the gain over pairs and, of two seeds and more, over seeds, in JND."""
+        gains = self._gains()
+        n_seeds, n_pairs = gains.shape
+        of_pairs = gains.mean(axis=0).std(ddof=1) / np.sqrt(n_pairs)
+        of_seeds = gains.mean(axis=1).std(ddof=1) / np.sqrt(n_seeds) if n_seeds > 1 else 0.0
+        return float(np.hypot(of_pairs, of_seeds))
+
+    def _gains(self) -> Array:
+        """Return plain less corrected, the mean absolute gap of each seed and pair."""
+        gaps = [np.nanmean(np.abs(getattr(self, m)), axis=(1, 3)) for m in ("plain", "corrected")]
+        return np.asarray(gaps[0] - gaps[1])
+
+    @property
+    def verdict(self) -> str:
+        """``supported``: the gap shrinks beyond its uncertainty; ``worse``: it grows; ``unproven``.
+
+        The uncertainty is that of `CONFIDENCE`.
+        """
+        limit = self.uncertainty * float(stats.t.ppf(CONFIDENCE, len(self.finding.pairs) - 1))
+        if abs(self.gain) <= limit:
+            return "unproven"
+        return "supported" if self.gain > 0 else "worse"
+
+    @property
     def shrinks(self) -> bool:
-        """Whether the corrected model's gap is smaller than the plain one's, for every seed."""
-        return bool((self.gap("corrected") < self.gap("plain")).all())
+        """Whether the gap shrinks by more than its uncertainty."""
+        return self.verdict == "supported"
 
     @property
     def by_parameter(self) -> dict[str, dict[str, float]]:
@@ -85,23 +129,49 @@ class Verification:
         }
 
     @property
+    def spread(self) -> dict[str, dict[str, float]]:
+        """Standard deviation over the seeds of `by_parameter`; NaN for a single seed."""
+        out: dict[str, dict[str, float]] = {}
+        for model in MODELS:
+            gaps = np.nanmean(np.abs(getattr(self, model)), axis=(2, 3))
+            off = gaps.std(axis=0, ddof=1) if len(gaps) > 1 else np.full(gaps.shape[1], np.nan)
+            out[model] = dict(zip(self.finding.parameters, off.tolist(), strict=True))
+        return out
+
+    @property
     def by_pair(self) -> dict[str, Array]:
         """Mean absolute gap by model, (n_pairs,), in JND, over all seeds."""
         return {m: np.nanmean(np.abs(getattr(self, m)), axis=(0, 1, 3)) for m in MODELS}
 
     @property
+    def verdict_in_words(self) -> str:
+        """What the verdict rests on, in a sentence."""
+        size = f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND"
+        if self.verdict == "supported":
+            return (
+                f"Supported: with what was found the gap is {size} smaller than calibrated alone."
+            )
+        if self.verdict == "worse":
+            return f"Worse: with what was found the gap is {size} larger than calibrated alone."
+        return f"Unproven: the gap changes by {size} with what was found, no more than by chance."
+
+    @property
     def sentence(self) -> str:
-        """What became of the gap, in words."""
+        """What became of the gap, in words; the verdict first."""
         before, plain, after = (self.gap(m).mean() for m in MODELS)
-        words = (
-            f"At positions that were not fitted the gap is {before:.1f} JND as stated, {plain:.1f} "
-            f"calibrated, {after:.1f} corrected and calibrated"
+        return (
+            f"{self.verdict_in_words} At positions that were not fitted it is {before:.2f} JND as "
+            f"stated, {plain:.2f} calibrated, {after:.2f} corrected and calibrated."
         )
-        if len(self.seeds) > 1:
-            spread = self.gap("corrected").std(ddof=1)
-            words += f" (± {spread:.2f} over {len(self.seeds)} seeds of the simulator)"
-        shrunk = "" if self.shrinks else " It does not shrink: the correction does not hold."
-        return f"{words}.{shrunk}"
+
+    @property
+    def support(self) -> str:
+        """How the uncertainty came about, in words."""
+        seeds = "1 seed" if len(self.seeds) == 1 else f"{len(self.seeds)} seeds"
+        return (
+            f"± is the standard error over {len(self.finding.pairs)} pairs and {seeds} of the "
+            "simulator."
+        )
 
     def __repr__(self) -> str:
         before, plain, after = (self.gap(m).mean() for m in MODELS)
@@ -110,22 +180,41 @@ class Verification:
     def __str__(self) -> str:
         names = [p.upper() for p in self.finding.parameters]
         rows = [
-            (model, [f"{v:.2f}" for v in [*values.values(), self.gap(model).mean()]])
+            (TITLES[model], [f"{v:.2f}" for v in [*values.values(), self.gap(model).mean()]])
             for model, values in self.by_parameter.items()
         ]
         header = ("mean gap / JND", [*names, "all"])
-        lines = [*text.wrapped(self.sentence), "", *text.table(rows, header=header)]
-        for half, added in zip(self.halves, self.added, strict=True):
-            names = [" to ".join(pair) for pair in half]
-            what = "nothing" if added is None else f"{added.title}, {added.in_words}"
-            lines += text.wrapped(f"Fitted on {', '.join(names)}: added {what}.", hanging="    ")
+        lines = [*text.wrapped(self.sentence), *text.wrapped(self.support), ""]
+        lines += text.table(rows, header=header)
+        lines += ["", *text.table(self._pair_rows(), header=("mean gap / JND", [*_SHORT])), ""]
+        for sentence in self.halves_in_words:
+            lines += text.wrapped(sentence, hanging="    ")
         return "\n".join(lines)
+
+    def _pair_rows(self) -> list[tuple[str, list[str]]]:
+        by_model = [self.by_pair[m] for m in MODELS]
+        return [
+            (" to ".join(pair), [f"{gaps[i]:.2f}" for gaps in by_model])
+            for i, pair in enumerate(self.finding.pairs)
+        ]
+
+    @property
+    def halves_in_words(self) -> tuple[str, ...]:
+        """What each half of the pairs added, a sentence each."""
+        out = []
+        for half, added in zip(self.halves, self.added, strict=True):
+            names = ", ".join(" to ".join(pair) for pair in half)
+            what = "nothing" if added is None else f"{added.title}, {added.in_words}"
+            out.append(f"Fitted on {names}: added {what}.")
+        return tuple(out)
 
     def to_dict(self) -> dict[str, object]:
         """Return plain values for JSON."""
         return {
             "sentence": self.sentence,
-            "shrinks": self.shrinks,
+            "verdict": self.verdict,
+            "gain_jnd": self.gain,
+            "uncertainty_jnd": self.uncertainty,
             "gaps_jnd": {m: json_numbers(self.gap(m)) for m in MODELS},
             "by_parameter_jnd": self.by_parameter,
             "by_pair_jnd": {m: json_numbers(v) for m, v in self.by_pair.items()},
@@ -146,6 +235,9 @@ def verify(
     *,
     seeds: Sequence[int] = (0,),
     cache: str | os.PathLike[str] | None = None,
+    only: Sequence[str] = (),
+    without: Sequence[str] = (),
+    report: Report | None = None,
 ) -> Verification:
     """Return the gaps at positions that were not fitted, with and without what was found.
 
@@ -156,6 +248,10 @@ def verify(
         Of the simulator. The spread over them is the noise of the tracing.
     cache : path, optional
         As for `find`.
+    only, without : sequence of str
+        As for `find`: those of the finding's own search.
+    report : callable, optional
+        Called with what is computed, the number of steps done, and their total.
 
     Raises
     ------
@@ -165,6 +261,8 @@ def verify(
     chosen = tuple(checks.whole("seeds", s, 0) for s in checks.listed("seeds", seeds))
     if not chosen:
         raise DataError("seeds is empty; it has at least one")
+    if len(set(chosen)) < len(chosen):
+        raise DataError(f"seeds has one twice: {', '.join(map(str, chosen))}")
     if not finding.can_be_added:
         raise DataError(f'the verdict is "{finding.verdict}"; no surface lacks anything to add')
     case = finding.case
@@ -174,19 +272,45 @@ def verify(
             f"{LEAST_PAIRS}"
         )
     halves = _halves(finding.pairs)
-    shape = (len(chosen), *finding.map.shape)
-    gaps = {model: np.full(shape, np.nan) for model in MODELS}
+    gaps = {model: np.full((len(chosen), *finding.map.shape), np.nan) for model in MODELS}
     added: list[Candidate | None] = []
+    done, steps = 0, len(halves) * (1 + len(MODELS) * len(chosen))
+
+    def tell(what: str) -> None:
+        nonlocal done
+        done += 1
+        if report is not None:
+            report(what, done, steps)
+
     for half in halves:
         fitted = case.only(half)
-        again = find(fitted, controls=finding.controls, cache=cache, seed=chosen[0])
+        again = find(
+            fitted,
+            controls=finding.controls,
+            cache=cache,
+            seed=chosen[0],
+            only=only,
+            without=without,
+        )
+        tell("search in half of the pairs")
         best = next((c for c in again.candidates if c.surface is not None), None)
         added.append(best)
         left = [p for p in finding.pairs if p not in half]
         columns = [finding.pairs.index(p) for p in left]
+        stated = _precise(fitted.simulator)
+        models = {
+            "before": stated,
+            "plain": stated,
+            "corrected": stated if best is None else _precise(corrected(fitted, best).simulator),
+        }
         for n, seed in enumerate(chosen):
-            for model, heard in _predicted(fitted, finding, best, seed).items():
+            for model, simulator in models.items():
+                if model == "before":
+                    heard = observe(simulator, simulator.room.alpha, finding.parameters, seed=seed)
+                else:
+                    heard = _calibrated(fitted, simulator, finding, seed)
                 gaps[model][n][:, columns] = _gap(case, finding, heard, left)
+                tell(TITLES[model])
     return Verification(
         finding=finding,
         before=gaps["before"],
@@ -210,32 +334,24 @@ def _halves(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
     return even, tuple(p for p in pairs if p not in even)
 
 
-def _predicted(
-    fitted: Case, finding: Finding, best: Candidate | None, seed: int
-) -> dict[str, Observations]:
-    """Return what all positions hear in each model, calibrated on the fitted pairs."""
-    match = finding.parameters
+def _precise(tracer: PathTracing) -> PathTracing:
+    """Return the tracing with the paths of what a search compares: a gap is not that of its noise."""
+    return replace(tracer, n_paths=BASE * tracer.n_paths)
 
-    def calibrated(simulator: PathTracing) -> Observations:
-        result = calibrate_positions(
-            simulator,
-            simulator.room,
-            fitted.measured,
-            match,
-            exclude=fitted.exclude,
-            controls=finding.controls,
-            seed=seed,
-        )
-        return observe(simulator, result.alpha, match, seed=seed)
 
-    out = {
-        "before": observe(fitted.simulator, fitted.room.alpha, match, seed=seed),
-        "plain": calibrated(fitted.simulator),
-    }
-    out["corrected"] = out["plain"]
-    if best is not None:
-        out["corrected"] = calibrated(corrected(fitted, best).simulator)
-    return out
+def _calibrated(fitted: Case, simulator: PathTracing, finding: Finding, seed: int) -> Observations:
+    """Return what all positions hear in a model that is calibrated on the fitted pairs."""
+    result = calibrate_positions(
+        simulator,
+        simulator.room,
+        fitted.measured,
+        finding.parameters,
+        exclude=fitted.exclude,
+        controls=finding.controls,
+        seed=seed,
+    )
+    # Its tracer scatters as fitted, with which alpha was calibrated.
+    return observe(result.tracer, result.alpha, finding.parameters, seed=seed)
 
 
 def _gap(case: Case, finding: Finding, heard: Observations, pairs: Sequence[Pair]) -> Array:

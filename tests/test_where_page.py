@@ -1,0 +1,185 @@
+"""The page of a finding in a geometry and its figures, and what a verification may say."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtcal.errors import DataError
+from rtcal.loop.control_runs import ControlRuns
+from rtcal.report import where_figures, where_folder
+from rtcal.where import Finding, Place, Verification, verification
+from tests.test_figures import LEAST, PHONE, texts
+from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
+
+pytest.importorskip("matplotlib", reason="needs the extra report")
+pytest.importorskip("jinja2", reason="needs the extra report")
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+PLACE = Place(point=(6.5, 3.0, 1.2), source="S", nats=2.5)
+
+
+def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()) -> Finding:
+    """Return a finding in an L-shaped room; its candidates are a porous layer on each surface."""
+    case = case_in(triangulated(prism(L_PLAN)))
+    candidates = tuple(
+        replace(candidate(name, 6.0), probability=0.9 * p) for name, p in shares.items()
+    )
+    shape = (2, len(case.simulator.pairs), 2)
+    return Finding(
+        case=case,
+        verdict="named",
+        effect="porous",
+        family="added absorption",
+        surface=None,
+        surfaces=shares | {n: 0.0 for n in case.faces if n not in shares},
+        groups=groups,
+        candidates=candidates,
+        probabilities={"porous": 0.9, "none": 0.1},
+        families={"added absorption": 0.9, "none": 0.1},
+        score=6.0,
+        threshold=4.0,
+        map=np.arange(8.0).reshape(shape) - 3,
+        parameters=("t20", "edt"),
+        pairs=case.simulator.pairs,
+        reasons=(),
+        notes=("A note.",),
+        controls=ControlRuns(
+            parameters=("t20", "edt"), pairs=case.simulator.pairs, errors=np.zeros((2, *shape))
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def finding() -> Finding:
+    shares = {"wall 5": 0.6, "wall 0": 0.25, "ceiling": 0.15}
+    return finding_of(shares, (("wall 5", "wall 0"), ("wall 1", "wall 2")))
+
+
+def verification_of(finding: Any, gaps: dict[str, float], noise: float = 0.1) -> Verification:
+    """Return gaps that are as stated in the mean, with noise over seeds and pairs."""
+    rng = np.random.default_rng(4)
+    shape = (3, len(finding.parameters), len(finding.pairs), 2)
+    return Verification(
+        finding=finding,
+        added=(None, None),
+        halves=(finding.pairs[:1], finding.pairs[1:]),
+        seeds=(0, 1, 2),
+        **{m: g + noise * rng.standard_normal(shape) for m, g in gaps.items()},
+    )
+
+
+PAIRS = SimpleNamespace(pairs=[("S", f"R{i}") for i in range(6)], parameters=("t20", "edt"))
+
+
+@pytest.mark.parametrize(
+    ("plain", "corrected", "verdict"),
+    [(2.0, 1.0, "supported"), (2.0, 1.98, "unproven"), (1.0, 2.0, "worse")],
+)
+def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
+    plain: float, corrected: float, verdict: str
+) -> None:
+    result = verification_of(PAIRS, {"before": 3.0, "plain": plain, "corrected": corrected})
+    assert result.verdict == verdict
+    assert result.shrinks is (verdict == "supported")
+    assert result.sentence.lower().startswith(verdict)
+    assert result.gain == pytest.approx(plain - corrected, abs=0.06)
+    assert 0.005 < result.uncertainty < 0.05
+    assert np.isfinite(list(result.spread["plain"].values())).all()
+
+
+def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
+    """It had been enough that every seed's mean was smaller."""
+    result = verification_of(PAIRS, {"before": 3.0, "plain": 2.0, "corrected": 2.0}, 0.001)
+    result.corrected[:, :, 0] = 0.5
+    assert (result.gap("corrected") < result.gap("plain")).all()
+    assert result.verdict == "unproven"
+
+
+def test_what_is_predicted_scatters_as_it_was_calibrated(
+    finding: Finding, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scattering was fitted with alpha, and then forgotten: another simulator was predicted."""
+    tracer = finding.case.simulator
+    fitted = replace(tracer, scattering=0.9)
+    result = SimpleNamespace(tracer=fitted, alpha=tracer.room.alpha)
+    monkeypatch.setattr(verification, "calibrate_positions", lambda *_, **__: result)
+    heard = verification._calibrated(finding.case, tracer, finding, 0)
+    alpha = tracer.room.alpha
+    assert np.array_equal(heard.values, fitted.observe(alpha, finding.parameters, seed=0).values)
+    assert not np.array_equal(
+        heard.values, tracer.observe(alpha, finding.parameters, seed=0).values
+    )
+
+
+def test_a_seed_stands_once(finding: Finding) -> None:
+    with pytest.raises(DataError, match="seeds has one twice: 0, 0"):
+        verification.verify(finding, seeds=(0, 0))
+
+
+def test_the_figures_are_legible_and_show_the_groups(finding: Finding) -> None:
+    drawn = where_folder.drawn(
+        finding, verification_of(finding, {"before": 3, "plain": 2, "corrected": 1}), PLACE
+    )
+    assert set(drawn) == {"room.png", "plan.png", "map.png", "gap.png"}
+    for name, figure in drawn.items():
+        size = min(t.get_fontsize() for t in texts(figure)) / 72 * PHONE / figure.get_figwidth()
+        assert size >= LEAST, name
+    for name in ("room.png", "plan.png"):
+        said = "\n".join(t.get_text() for t in texts(drawn[name]))
+        assert "(A) not told apart by these positions" in said
+        assert "(B)" not in said  # of no surface in question
+        assert re.search(r"wall 5 \(A\):?\s60 %", said)
+        assert re.search(r"wall 0 \(A\):?\s25 %", said)
+        assert "ceiling: 15 %" in said
+        assert "measure here" in said
+    assert "measure here" not in "".join(t.get_text() for t in texts(where_figures.plan(finding)))
+
+
+@pytest.mark.parametrize("surface", [f"wall {i}" for i in range(6)])
+def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None:
+    """From behind, it would be an outline."""
+    finding = finding_of({surface: 1.0})
+    geometry = finding.case.geometry
+    shares = {n: float(n == surface) for n in finding.case.faces}
+    turn = where_figures._turn(geometry, finding.case.faces, shares)
+    faces = finding.case.faces[surface]
+    assert (geometry.normals[faces] @ where_figures._into(turn) > 0).all()
+
+
+def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: Finding) -> None:
+    gaps = finding.map.copy()
+    gaps[0, 1] = np.nan
+    figure = where_figures.disagreement(replace(finding, map=gaps))
+    assert sum(t.get_text() == "nan" for t in texts(figure)) == 0
+
+
+def test_the_page_begins_with_the_three_bars(finding: Finding, tmp_path: Path) -> None:
+    result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
+    where_folder.write(finding, result, tmp_path, command="rtcal gap report", place=PLACE)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    body = page[page.index("<main>") :]
+    assert body.index("<img") < body.index("Unproven") < body.index("What was found")
+    assert body.count("<img") == 4
+    for alt in re.findall(r'<img alt="([^"]+)"', body):
+        assert len(alt) > 60, alt
+    assert "measure at (6.5, 3.0, 1.2) m with source S" in " ".join(body.split())
+    record = json.loads((tmp_path / "finding.json").read_text())
+    assert record["next_position"] == {"point": [6.5, 3.0, 1.2], "source": "S", "nats": 2.5}
+    assert record["verification"]["verdict"] == "unproven"
+
+
+def test_the_page_of_nothing_found_has_no_bars(finding: Finding, tmp_path: Path) -> None:
+    nothing = replace(finding, verdict="none", effect=None, family=None)
+    where_folder.write(nothing, None, tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("<img") == 3
+    assert "no surface is coloured" in page
+    assert "There is nothing to add" in page
