@@ -257,7 +257,7 @@ class PositionsResult:
         )
 
     def __str__(self) -> str:
-        lines = [f"Coefficients for {self.simulator} only"]
+        lines = [f"Coefficients only for {self.simulator}"]
         for header, rows in (self._gap_table(), self._material_table()):
             lines += [
                 "",
@@ -327,7 +327,7 @@ class PositionsResult:
                 "leave it out (exclude)."
             )
         if not self.settled:
-            notes.append("Not settled: the last step still moved alpha.")
+            notes.append("Not settled: the last step still moved alpha. Calibrate again with more paths.")
         return notes
 
     def to_dict(self) -> dict[str, Any]:

@@ -117,7 +117,7 @@ class LoopResult:
 
     def __str__(self) -> str:
         header, rows = self._table()
-        lines = [f"Coefficients for {self.simulator} only; {self.simulations} simulations"]
+        lines = [f"Coefficients only for {self.simulator}; {self.simulations} simulations"]
         lines += text.table([(row[0], row[1:]) for row in rows], header=(header[0], header[1:]))
         for note in self._notes():
             lines += text.wrapped(note, hanging="       " if note.startswith(" ") else "    ")
