@@ -169,6 +169,14 @@ def test_q_too_small_is_said() -> None:
     assert "the measurement agrees with what was stated" in unwrapped(rt.calibrate(stated, usual))
 
 
+def test_agreement_in_spite_of_a_large_gap_is_said_to_confirm_nothing() -> None:
+    vague = room().replace(sigma=0.3 * room().alpha)
+    usual, long = (f * rt.Eyring().reverberation_time(vague) for f in (1.08, 1.25))
+    reservation = "allows even the gap of 4.0 JND before, so this does not confirm the model."
+    assert reservation in unwrapped(rt.calibrate(vague, long))
+    assert "does not confirm the model" not in unwrapped(rt.calibrate(vague, usual))
+
+
 def test_an_upper_bound_is_not_told_to_state_a_floor() -> None:
     stated = room()
     t = rt.Eyring().time(stated, np.array([30.0, 215.0]))

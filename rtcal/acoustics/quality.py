@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.parameters import DECAY_TIMES
@@ -106,6 +106,29 @@ def agreement(p_value: float | None) -> Agreement | None:
     if p_value < P_CONTRADICTION:
         return "contradicts"
     return "too good" if p_value > P_TOO_GOOD else "agrees"
+
+
+LARGE_GAP = 3.0
+"""A gap before calibration, in JND, that anyone hears. Where the prior allows it, agreement says little."""
+
+
+@checked
+def weak_agreement(gap_before: ArrayLike) -> str:
+    """Return the reservation of an agreement in spite of large gaps (n_bands,); "" without one.
+
+    Examples
+    --------
+    >>> print(weak_agreement([0.5, -6.6]))
+    The stated uncertainty allows even the gap of 6.6 JND before, so this does not confirm the model.
+    """
+    gap = np.abs(np.asarray(gap_before, dtype=float))
+    largest = float(np.max(gap, where=np.isfinite(gap), initial=0.0))
+    if largest < LARGE_GAP:
+        return ""
+    return (
+        f"The stated uncertainty allows even the gap of {largest:.1f} JND before, so this does not "
+        "confirm the model."
+    )
 
 
 @checked

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import TrustMark, agreement, explained, letters
+from rtcal.acoustics.quality import TrustMark, agreement, explained, letters, weak_agreement
 from rtcal.support import html, text
 from rtcal.support.types import Array
 
@@ -171,7 +171,7 @@ def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
 def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The sentences below the tables with their indents."""
     measured = record["measured"]
-    notes = [(_plausibility(record["plausibility"]), "")]
+    notes = [(_plausibility(record["plausibility"], record["gap_before_jnd"]), "")]
     if not record["matches_measured_time"]:
         notes.append(
             (
@@ -226,7 +226,7 @@ def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _plausibility(plausibility: Mapping[str, Any]) -> str:
+def _plausibility(plausibility: Mapping[str, Any], gap_before: Sequence[float | None]) -> str:
     p_value = plausibility["p_value"]
     start = (
         f"Plausibility: Q = {plausibility['q']:.1f} with {plausibility['degrees_of_freedom']} "
@@ -245,4 +245,7 @@ def _plausibility(plausibility: Mapping[str, Any]) -> str:
             f"{start}, p = {p_value:.2g}: the measurement contradicts what was stated of the "
             "materials. The calibrated T agrees with it all the same, which proves nothing."
         )
-    return f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated."
+    weak = weak_agreement(_numbers(gap_before))
+    return (
+        f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated. {weak}".rstrip()
+    )

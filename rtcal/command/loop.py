@@ -61,7 +61,9 @@ def loop() -> None:
     help="How the loop chooses the next target; see docs/closed_loop.md.",
 )
 @click.option(
-    "--decimals", type=click.IntRange(1), help="Decimals of alpha that the program reads."
+    "--decimals",
+    type=click.IntRange(1),
+    help="Decimals of alpha that the program reads; 3 for CATT (0.1 %).",
 )
 @json_option
 @quiet_option
@@ -84,7 +86,7 @@ def start(
 
     \b
     Example: rtcal loop start room.toml t.csv \\
-        --state loop.json --out next.toml --decimals 2
+        --state loop.json --out next.toml --decimals 3
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room

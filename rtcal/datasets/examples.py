@@ -108,7 +108,8 @@ def _program() -> Example:
             "--temperature 21 --humidity 40 --out room.toml",
             _CALIBRATE,
             _REPORT,
-            "rtcal export catt calibrated/room.toml hall.geo",
+            "rtcal loop start room.toml t.csv --state loop.json --out next.toml --decimals 3",
+            "rtcal export catt next.toml hall.geo",
         ),
     )
 

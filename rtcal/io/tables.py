@@ -356,7 +356,7 @@ class _Reader:
         pairs = {key[:2] for key in values}
         if pairs == {("S1", "R1")} and not self.has_positions:
             report.append(
-                "no positions: taken as one source and one receiver; if the values are means, state "
+                "no positions: taken as source S1 and receiver R1; if the values are means, state "
                 "n_sources and n_receivers"
             )
         return tuple(report)

@@ -327,7 +327,9 @@ class PositionsResult:
                 "leave it out (exclude)."
             )
         if not self.settled:
-            notes.append("Not settled: the last step still moved alpha. Calibrate again with more paths.")
+            notes.append(
+                "Not settled: the last step still moved alpha. Calibrate again with more paths."
+            )
         return notes
 
     def to_dict(self) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import EQUATIONS
-from rtcal.acoustics.quality import TrustMark, agreement
+from rtcal.acoustics.quality import TrustMark, agreement, weak_agreement
 from rtcal.calibration.presets import METHODS
 from rtcal.report.saved import Saved
 
@@ -182,8 +182,8 @@ def verdict(calibration: Saved) -> tuple[str, str, str]:
         + (", with exceptions" if far else ""),
         (
             "Over all bands the coefficients moved no further than their stated uncertainty explains "
-            f"({numbers}, p = {p:.2g}); {asks}."
-        ),
+            f"({numbers}, p = {p:.2g}); {asks}. {weak_agreement(calibration.gap_before)}"
+        ).rstrip(),
     )
 
 
