@@ -52,7 +52,7 @@ def test_a_simulator_is_calibrated(cr2, rule):
     assert np.abs(gap_jnd(result.before.mean("t20"), wanted)).max() > 1  # it had something to do
     assert result.confirmation is None
     assert "bent" in result.room.calibration.equation
-    assert "Coefficients for bent only" in str(result)
+    assert "Coefficients only for bent" in str(result)
     with pytest.raises(DataError, match="count them twice"):
         calibrate_simulator(bent(room, 0.85, 1.1), result.room, measured, rule)
     again = bent(room, 0.85, 1.1).simulate(result.alpha)

@@ -109,7 +109,7 @@ def agreement(p_value: float | None) -> Agreement | None:
 
 
 LARGE_GAP = 3.0
-"""A gap before calibration, in JND, that anyone hears. Where the prior allows it, agreement says little."""
+"""A gap before calibration, in JND, that anyone hears. Agreement says little where it is allowed."""
 
 
 @checked
