@@ -262,3 +262,21 @@ def test_the_command_finds_and_adds_the_set(
     assert "candidates" in json.loads(run("find", path, *only, "--json"))
     assert "the most probable set" in run("apply", path, *only, "--several", "--out", out)
     assert {a.name for a in Case.from_file(out).applied} == {"volume", "noise floor"}
+    pytest.importorskip("jinja2", reason="needs the extra report")
+    pytest.importorskip("matplotlib", reason="needs the extra report")
+    run("report", path, *only, "--several", "--out", str(tmp_path / "page"))
+    text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
+    # The set and its probabilities come first, then what to do, then the calibration with the set.
+    order = [
+        "The model lacks",
+        "there with",
+        "Number of effects",
+        "gap plan --next",
+        "in the model: stated",
+        "Sets of effects, the most probable first",
+        "noise floor + volume" if "noise floor + volume" in text else "volume + noise floor",
+        "From here on, text, tables and pictures are of the plain calibration",
+    ]
+    assert [text.index(words) for words in order] == sorted(map(text.index, order))
+    assert "--several --expected 0.7" in text
+    assert (tmp_path / "page" / "probabilities.png").is_file()

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import wraps
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,14 @@ from rtcal.command.console import (
     quiet_option,
     tell,
     written,
+)
+from rtcal.command.gap_options import (
+    ENGINES,
+    Search,
+    numbers,
+    search_options,
+    seed_option,
+    several_options,
 )
 from rtcal.errors import DataError
 from rtcal.support.files import spare
@@ -43,108 +50,6 @@ def gap() -> None:
     a case simulates control rooms, which takes a minute or more. They are kept beside CASE, in
     .rtcal_cache.
     """
-
-
-ENGINES = ("path tracing", "network")
-seed_option = click.option(
-    "--seed", default=0, show_default=True, help="Seed of the control rooms and the bootstrap."
-)
-
-
-@dataclass(frozen=True)
-class Search:
-    """What the search takes beside the case, as `rtcal.discrepancy.find` does."""
-
-    engines: tuple[str, ...]
-    seed: int
-    without: tuple[str, ...]
-    only: tuple[str, ...]
-    prior: Mapping[str, float]
-    engines_stated: bool = False
-
-    def arguments(self) -> list[str]:
-        """Return the options of a command that repeats the search."""
-        out = ["--seed", str(self.seed)]
-        for option, values in (
-            ("--engine", self.engines),
-            ("--without", self.without),
-            ("--only", self.only),
-            ("--prior", [f"{k}={v:g}" for k, v in self.prior.items()]),
-        ):
-            out += [x for value in values for x in (option, value)]
-        return out
-
-
-def _numbers(option: str, rule: str, texts: Sequence[str]) -> dict[str, float]:
-    """Read NAME=NUMBER; DataError for anything else."""
-    out = {}
-    for text in texts:
-        name, _, number = text.rpartition("=")
-        try:
-            out[name.strip()] = float(number)
-        except ValueError:
-            name = ""
-        if not name.strip():
-            raise DataError(f'{option} "{text}" is not {rule}')
-    return out
-
-
-def _common(command: Any) -> Any:
-    @wraps(command)
-    def with_search(
-        engines: tuple[str, ...],
-        seed: int,
-        without: tuple[str, ...],
-        only: tuple[str, ...],
-        prior: tuple[str, ...],
-        **others: Any,
-    ) -> Any:
-        odds = _numbers("--prior", "EFFECT=ODDS, such as opening=2", prior)
-        search = Search(engines or ENGINES, seed, without, only, odds, bool(engines))
-        return command(search=search, **others)
-
-    for option in (
-        quiet_option,
-        json_option,
-        seed_option,
-        click.option(
-            "--prior",
-            multiple=True,
-            metavar="EFFECT=ODDS",
-            help="Prior odds of an effect, of none or of coefficients: opening=2.",
-        ),
-        click.option("--only", multiple=True, metavar="EFFECT", help="Try this effect alone."),
-        click.option("--without", multiple=True, metavar="EFFECT", help="Do not try this effect."),
-        click.option(
-            "--engine",
-            "engines",
-            multiple=True,
-            help="Simulator of the control rooms, at least two; by default path tracing and network.",
-        ),
-        click.argument("case", type=click.Path()),
-    ):
-        with_search = option(with_search)
-    return with_search
-
-
-def _several(command: Any) -> Any:
-    """Add the options of a search for several effects; the command takes their expected number."""
-
-    @wraps(command)
-    def with_number(several: bool, expected: float, **others: Any) -> Any:
-        return command(expected=expected if several else None, **others)
-
-    for option in (
-        click.option(
-            "--expected",
-            default=0.7,
-            show_default=True,
-            help="Expected number of missing effects, with --several.",
-        ),
-        click.option("--several", is_flag=True, help="Several effects may be missing at once."),
-    ):
-        with_number = option(with_number)
-    return with_number
 
 
 @gap.command(short_help="Which effects the data could tell apart; what to measure next.")
@@ -199,14 +104,14 @@ def plan(
     if after:
         search = Search(ENGINES, seed, (), (), {})
         finding = _find_several(case, read, search, quiet, EXPECTED)
-    hours = _numbers("--cost", "MEASUREMENT=HOURS, such as G=0.5", costs)
+    hours = numbers("--cost", "MEASUREMENT=HOURS, such as G=0.5", costs)
     result = planned_with(read, change=change, finding=finding, costs=hours, planned=planned)
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
 @gap.command(short_help="Whether the model misses something, and what.")
-@_common
-@_several
+@search_options
+@several_options
 def find(case: str, search: Search, expected: float | None, as_json: bool, quiet: bool) -> None:
     """Print whether CASE's model misses something, where it shows, and what it is.
 
@@ -229,7 +134,7 @@ def find(case: str, search: Search, expected: float | None, as_json: bool, quiet
 
 
 @gap.command(short_help="Add the named effect, or the best candidate, to the model.")
-@_common
+@search_options
 @click.option(
     "--out",
     type=click.Path(),
@@ -249,7 +154,7 @@ def find(case: str, search: Search, expected: float | None, as_json: bool, quiet
 @click.option(
     "--at", metavar="X,Y,Z", help="With a geometry: middle of the patch in m, on its surface."
 )
-@_several
+@several_options
 def apply(
     case: str,
     search: Search,
@@ -305,7 +210,7 @@ def apply(
 
 
 @gap.command(short_help="Compare the gaps with and without the effect.")
-@_common
+@search_options
 def verify(case: str, search: Search, as_json: bool, quiet: bool) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
@@ -330,21 +235,29 @@ def verify(case: str, search: Search, as_json: bool, quiet: bool) -> None:
 
 
 @gap.command(short_help="Write finding, verification and figures.")
-@_common
+@search_options
 @click.option(
     "--out",
     type=click.Path(file_okay=False),
     required=True,
     help="Folder for the page (report.html), figures (PNG) and numbers (finding.json).",
 )
+@several_options
 @heading_options
 def report(
-    case: str, search: Search, heading: Heading, as_json: bool, quiet: bool, out: str
+    case: str,
+    search: Search,
+    expected: float | None,
+    heading: Heading,
+    as_json: bool,
+    quiet: bool,
+    out: str,
 ) -> None:
     """Write finding, verification and their figures into a folder.
 
     The page leads with the finding: what is missing, what that rests on and what to do. Then follow the
-    calibration with the effect in the model, and last the plain one.
+    calibration with the effect in the model, and last the plain one. With --several it leads with the
+    most probable set of effects, each with the probability that it is there.
 
     Example: rtcal gap report case.toml --out gap
     """
@@ -354,11 +267,19 @@ def report(
     if not out:
         raise DataError("--out is empty; it is a folder")
     if has_geometry(case):
+        _refuse_several(expected)
         gap_where.report(case, search, out, heading, quiet=quiet, as_json=as_json)
         return
     read = _case(case, [str(Path(out) / name) for name in WRITTEN])
-    finding = _find(case, read, search, quiet)
-    command = shlex.join(["rtcal", "gap", "report", case, *search.arguments(), "--out", out])
+    finding: Finding | SeveralFinding
+    several: list[str] = []
+    if expected is None:
+        finding = _find(case, read, search, quiet)
+    else:
+        finding = _find_several(case, read, search, quiet, expected)
+        several = ["--several", "--expected", f"{expected:g}"]
+    options = [*search.arguments(), *several, "--out", out]
+    command = shlex.join(["rtcal", "gap", "report", case, *options])
     files = [os.fspath(p) for p in files_of(case)]
     paths = write(finding, Path(out), Reproduction(command, tuple(files), search.seed), heading)
     names = [str(p) for p in paths]

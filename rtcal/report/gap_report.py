@@ -11,10 +11,11 @@ from typing import Any
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.discrepancy.finding import Finding
+from rtcal.discrepancy.several import SeveralFinding
 from rtcal.discrepancy.verification import Verification, verify
 from rtcal.discrepancy.wording import listed
 from rtcal.errors import MissingAirWarning
-from rtcal.report import gap_figures, gap_words
+from rtcal.report import gap_figures, gap_words, several_report
 from rtcal.report.document import Heading
 from rtcal.report.figures import rendered
 from rtcal.report.page import FINDING_FIGURES, finding_page
@@ -77,7 +78,7 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
 
 @checked
 def write(
-    finding: Finding,
+    finding: Finding | SeveralFinding,
     folder: Path,
     reproduction: Reproduction | None = None,
     heading: Heading | None = None,
@@ -89,11 +90,15 @@ def write(
 
     Raises DataError if the folder cannot be made, MissingDependencyError without matplotlib or jinja2.
     """
-    verified = verify(finding) if finding.can_be_added else None
-    drawn = figures(finding, verified)
     record = finding.to_dict()
-    if verified is not None:
-        record["verification"] = verified.to_dict()
+    if isinstance(finding, SeveralFinding):
+        drawn, entries = several_report.figures(finding), several_report.summary(finding)
+    else:
+        verified = verify(finding) if finding.can_be_added else None
+        drawn, entries = figures(finding, verified), summary(finding, verified)
+        if verified is not None:
+            record["verification"] = verified.to_dict()
+    entries["reproduce"] = _reproduce(finding, reproduction)
     first = finding.case.configurations[0]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MissingAirWarning)  # among the finding's notes
@@ -103,7 +108,6 @@ def write(
             unreachable="nearest",
             equation=mean_equation(finding.case.equation).linear(),
         )
-    entries = summary(finding, verified, reproduction)
     text = finding_page(usual, entries, drawn, heading=heading)
     contents = {
         folder / "finding.json": (json_text(record) + "\n").encode(),
@@ -116,15 +120,13 @@ def write(
 
 
 @checked
-def summary(
-    finding: Finding, verification: Verification | None, reproduction: Reproduction | None = None
-) -> dict[str, Any]:
+def summary(finding: Finding, verification: Verification | None) -> dict[str, Any]:
     """Return the finding as plain values for the page.
 
     ``headline`` and ``level``, ``sizes``, ``rests_on``, ``to_do`` and ``notes`` (sentences),
-    ``effects`` (name, probability in %, evidence), ``plain_heading`` and ``plain`` (title of the
-    calibration without the effect), ``corrected`` (title, use, effects, materials with their cells),
-    ``unknowable`` (a sentence), ``reproduce`` (command, files, seed, engines).
+    ``effects`` (name, probability in %, evidence), ``sets`` (of several effects: names, probability in
+    %; none here), ``plain_heading`` and ``plain`` (title of the calibration without the effect),
+    ``corrected`` (title, use, effects, materials with their cells), ``unknowable`` (a sentence).
     """
     first = finding.case.configurations[0].name
     supported = verification is not None and verification.verdict == "supported"
@@ -144,18 +146,26 @@ def summary(
             (name, 100 * probability, finding.evidence.get(name, 0.0))
             for name, probability in finding.probabilities.items()
         ],
+        "sets": [],
         "plain_heading": gap_words.plain_heading(finding),
         "plain": plain,
         "corrected": None if verification is None else _corrected(verification),
         "unknowable": "" if verification is None else _unknowable(finding, supported),
-        "reproduce": None
-        if reproduction is None
-        else {
-            "command": reproduction.command,
-            "files": list(reproduction.files),
-            "seed": reproduction.seed,
-            "engines": list(finding.engines),
-        },
+    }
+
+
+def _reproduce(
+    finding: Finding | SeveralFinding, reproduction: Reproduction | None
+) -> dict[str, Any] | None:
+    """Return command, files, seed and engines; None if they are not known."""
+    if reproduction is None:
+        return None
+    single = finding.single if isinstance(finding, SeveralFinding) else finding
+    return {
+        "command": reproduction.command,
+        "files": list(reproduction.files),
+        "seed": reproduction.seed,
+        "engines": list(single.engines),
     }
 
 

@@ -26,7 +26,7 @@ _SAID = 0.03  # probability below which an effect is not listed
 def headline(finding: Finding) -> str:
     """Return the verdict as one sentence for a reader who is no acoustician."""
     several = f"The measurements do not tell which of these it is: {_candidates(finding)}."
-    lacks = _FAMILIES.get(str(finding.family), f"an effect of the family “{finding.family}”")
+    lacks = family(str(finding.family))
     return {
         "none": "Nothing shows that the model lacks anything.",
         "hint": "The model may lack something, but the measurements do not establish it.",
@@ -35,6 +35,11 @@ def headline(finding: Finding) -> str:
         "ambiguous": f"The model lacks something. {several}",
         "unknown": "The model lacks something, and no known effect explains it.",
     }[finding.verdict]
+
+
+def family(name: str) -> str:
+    """Return a family of effects as a sentence names it."""
+    return _FAMILIES.get(name, f"an effect of the family “{name}”")
 
 
 def level(finding: Finding) -> str:
@@ -59,7 +64,7 @@ def plain_heading(finding: Finding) -> str:
 def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
     """Return what the verdict rests on, a sentence each."""
     said = [f"{k} {finding.percent(k)}" for k, p in finding.probabilities.items() if p >= _SAID]
-    sentences = [_evidence(finding)]
+    sentences = [evidence(finding)]
     if finding.engines:
         sentences.append(
             "These rooms, and how large a model's errors are, come from simulations with "
@@ -93,7 +98,7 @@ def to_do(finding: Finding, verification: Verification | None) -> list[str]:
     return steps
 
 
-def _evidence(finding: Finding) -> str:
+def evidence(finding: Finding) -> str:
     """Return the evidence and its threshold in words."""
     often = f"{100 * (1 - QUANTILE):.0f} %"
     return (

@@ -36,7 +36,14 @@ if TYPE_CHECKING:
 
 MOST_MATERIALS = 100
 """Largest number of materials in the page's table, which lists those that absorb most."""
-FINDING_FIGURES = ("evidence", "residuals", "reverberation_time", "decay", "shifts")
+FINDING_FIGURES = (
+    "evidence",
+    "probabilities",
+    "residuals",
+    "reverberation_time",
+    "decay",
+    "shifts",
+)
 """Names of a finding's figures; those that a finding lacks are left out of its page."""
 
 

@@ -18,6 +18,7 @@ FINDING = {
     "rests_on": ["The odds are high."],
     "to_do": ["Measure once without it."],
     "notes": ["A note."],
+    "sets": [],
     "effects": [("opening", 93.0, 12.3), ("none", 7.0, 0.0)],
     "plain_heading": "The plain calibration: the model lacks something",
     "plain": "plain calibration: not to be used",

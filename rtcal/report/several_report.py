@@ -1,0 +1,158 @@
+"""The page of a finding of several effects: the set first, each effect with its probability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rtcal.discrepancy.probabilities import family_of
+from rtcal.discrepancy.recalibration import recalibrate
+from rtcal.discrepancy.several import RIGHT, SeveralFinding
+from rtcal.discrepancy.wording import listed
+from rtcal.report import gap_figures, gap_words
+from rtcal.report.figures import BLACK, ORANGE, new_figure, shown
+from rtcal.report.rows import material_rows
+from rtcal.support.arguments import checked
+
+CLAIMED = 0.9
+"""Probability from which an effect is claimed."""
+_SAID = 0.03
+"""Probability below which an effect or a set is not shown."""
+
+
+@checked
+def probabilities(finding: SeveralFinding) -> Any:
+    """Return the figure of the probability of each effect that it is there at all."""
+    names = [n for n, p in finding.probabilities.items() if p >= _SAID]
+    figure, axes = new_figure(6.0, 1.2 + 0.32 * max(len(names), 1))
+    at = np.arange(len(names))[::-1]
+    member = [n in finding.members for n in names]
+    values = np.array([finding.probabilities[n] for n in names])
+    axes.barh(
+        at,
+        100 * values,
+        color=["#9DC6E0" if m else "0.85" for m in member],
+        edgecolor=BLACK,
+        hatch=["//" if m else "" for m in member],
+    )
+    for y, name, value in zip(at, names, values, strict=True):
+        axes.text(100 * value, y, f" {finding.percent(name)}", va="center", fontsize=9)
+    axes.axvline(100 * CLAIMED, color=ORANGE, linestyle="--", label="claimed from here on")
+    axes.set_xlim(0, 115)
+    axes.set_yticks(at, [shown(n) for n in names])
+    axes.set_xlabel("Probability that it is there / %; hatched: the most probable set")
+    axes.legend(loc="lower right")
+    return figure
+
+
+@checked
+def figures(finding: SeveralFinding) -> dict[str, tuple[Any, str]]:
+    """Return the figures by name, each with its caption."""
+    return {
+        "probabilities": (
+            probabilities(finding),
+            "Probability of each effect that it is there at all, alone or with others. "
+            "They do not sum to 100 %.",
+        ),
+        "residuals": (
+            gap_figures.residuals(finding.single),
+            "Where measurement and model as stated differ, in standard deviations.",
+        ),
+    }
+
+
+@checked
+def summary(finding: SeveralFinding) -> dict[str, Any]:
+    """Return the finding as plain values for the page, as `rtcal.report.gap_report.summary` does."""
+    first = finding.case.configurations[0].name
+    added = finding.can_be_added
+    plain = f'plain calibration to T20 of "{first}"'
+    if finding.verdict == "named":
+        plain += ": not to be used, the model lacks something"
+    return {
+        "headline": _headline(finding),
+        "level": gap_words.level(finding.single),
+        "sizes": [_sentence(s) for name in finding.members for s in finding.in_words(name)],
+        "rests_on": _rests_on(finding),
+        "to_do": _to_do(finding),
+        "notes": list(finding.notes),
+        "effects": [
+            (name, 100 * p, finding.single.evidence.get(name, 0.0))
+            for name, p in finding.probabilities.items()
+        ],
+        "sets": [(" + ".join(s) or "none", 100 * p) for s, p in finding.sets.items() if p >= _SAID],
+        "plain_heading": gap_words.plain_heading(finding.single),
+        "plain": plain,
+        "corrected": _corrected(finding) if added else None,
+        "unknowable": "What cannot be known: whether these are the right names. Other effects of the "
+        "same family explain the measurement about as well."
+        if added
+        else "",
+    }
+
+
+def _headline(finding: SeveralFinding) -> str:
+    """Return the verdict as one sentence for a reader who is no acoustician."""
+    if finding.verdict == "named":
+        named = {family_of(n, finding.single.effects) for n in finding.named}
+        families = [f for f in finding.named_families if f not in named]
+        claimed = [f"{n} ({finding.percent(n)})" for n in finding.named]
+        claimed += [f"{gap_words.family(f)} ({100 * finding.families[f]:.0f} %)" for f in families]
+        return f"The model lacks {listed(claimed)}."
+    if finding.verdict == "ambiguous":
+        likely = listed([f"{n} ({finding.percent(n)})" for n in finding.members])
+        return (
+            "The model lacks something, and the measurements do not tell what. The most probable set "
+            f"is {likely}."
+        )
+    return gap_words.headline(finding.single)
+
+
+def _rests_on(finding: SeveralFinding) -> list[str]:
+    """Return what the verdict rests on, a sentence each."""
+    sentences = [
+        gap_words.evidence(finding.single),
+        _sentence(finding.numbers_in_words),
+        f"An effect or a family is claimed if the probability that it is there is at least "
+        f"{100 * CLAIMED:.0f} %, and if it passes the checks of a single finding.",
+    ]
+    if finding.coefficients is not None:
+        words = finding.coefficients.words(finding.case.room.centre_frequencies)
+        sentences.append(_sentence(f"the coefficients are off together: {words}"))
+    if finding.verdict == "named":
+        right, of = RIGHT
+        sentences.append(f"Families claimed like this were right in {right} of {of} test cases.")
+    return sentences
+
+
+def _to_do(finding: SeveralFinding) -> list[str]:
+    """Return what to do, a sentence each."""
+    steps = [] if finding.verdict == "none" else [_sentence(finding.single.advice)]
+    if finding.can_be_added:
+        return [
+            *steps,
+            "Ask what to measure next with rtcal gap plan --next: it goes on from these sets.",
+            "Do this before the corrected calibration is used. Nothing has verified the set.",
+        ]
+    return [*steps, "The calibration below can be used, with the reservations that it states."]
+
+
+def _corrected(finding: SeveralFinding) -> Mapping[str, Any]:
+    """The coefficients with the most probable set in the model, and the sizes of its effects."""
+    case = finding.apply()
+    calibrated = recalibrate(case, finding.discrepancy)
+    room = finding.case.room
+    return {
+        "title": f"with {listed(list(finding.members))} in the model",
+        "use": "They are right if these are the right names.",
+        "effects": calibrated.effects_in_words,
+        "materials": material_rows(
+            room.materials, room.areas, room.alpha, calibrated.alpha, calibrated.interval
+        ),
+    }
+
+
+def _sentence(words: str) -> str:
+    return words[:1].upper() + words[1:].rstrip(".") + "."
