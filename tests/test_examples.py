@@ -13,6 +13,7 @@ from rtcal.command.example import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
 from rtcal.errors import DataError
+from rtcal.where import case_files
 
 
 def run(*arguments: str) -> int:
@@ -29,7 +30,7 @@ def run_line(line: str) -> None:
         assert run(*words[1:]) == 0, line
 
 
-@pytest.mark.parametrize("name", [n for n in _PURPOSES if n != "missing-effect"])
+@pytest.mark.parametrize("name", [n for n in _PURPOSES if n not in ("missing-effect", "where")])
 def test_the_printed_commands_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -56,6 +57,18 @@ def test_the_case_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.chdir(tmp_path)
     assert run("example", "missing-effect", "-q") == 0
     assert run("gap", "plan", "missing-effect/case.json") == 0
+
+
+def test_the_case_with_a_geometry_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("example", "where", "-q") == 0
+    case = case_files.read("where/case.toml")
+    assert len(case.pairs) == 12
+    assert set(case.faces) == {"floor", "ceiling", *examples._WALLS}
+    low, high = examples._CURTAIN_SIDES
+    hidden = examples._l_shape(True)
+    assert hidden.areas["curtain"] == pytest.approx((high - low) * examples._HEIGHT)
+    assert hidden.volume == pytest.approx(case.geometry.volume)
 
 
 def test_nothing_is_written_over(

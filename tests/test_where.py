@@ -149,15 +149,6 @@ def test_a_receiver_that_stands_elsewhere_is_named(cache: Path) -> None:
     assert finding.surface is None
 
 
-def test_another_programs_values_are_compared(cache: Path) -> None:
-    """A program that hears just what was measured leaves nothing to be found."""
-    data = measured(True)
-    case = rt.where.Case(simulator=tracing(stated()), measured=data, simulated=data)
-    finding = rt.where.find(case, cache=cache)
-    assert finding.verdict == "none"
-    assert np.nanmax(np.abs(finding.map)) == 0
-
-
 def test_the_user_says_where_on_which_surface(finding: rt.where.Finding) -> None:
     """The most probable candidate on the surface at that place."""
     made = finding.apply(at=(7.0, 1.8, 1.4))

@@ -9,11 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.io import wavfile
 
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
 from rtcal.datasets import halls
 from rtcal.datasets.shipped import path
 from rtcal.errors import DataError
-from rtcal.io import obj
+from rtcal.io import obj, position_files
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.observations import MATCH
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
 
@@ -189,6 +193,115 @@ def _missing_effect() -> Example:
     )
 
 
+_PLAN = ((0.0, 0.0), (9.0, 0.0), (9.0, 4.0), (5.0, 4.0), (5.0, 8.0), (0.0, 8.0))
+_HEIGHT = 3.2
+_WALLS = ("south", "east", "step", "inner", "north", "west")
+_BANDS = np.array([250.0, 500.0, 1000.0, 2000.0])
+_STATED = {
+    "parquet": (0.05, 0.06, 0.08, 0.08),
+    "ceiling": (0.20, 0.25, 0.30, 0.30),
+    "plaster": (0.08, 0.06, 0.05, 0.05),
+    "glass": (0.15, 0.10, 0.06, 0.05),
+}
+_CURTAIN = (0.35, 0.60, 0.85, 0.90)
+_CURTAIN_SIDES = (1.8, 6.2)
+"""Along the west wall in m, over the whole height: 14.1 m²."""
+_SOURCES = {"S1": (1.5, 1.3, 1.5), "S2": (7.8, 2.9, 1.5)}
+_RECEIVERS = {
+    "R1": (3.2, 2.2, 1.2),
+    "R2": (6.2, 1.1, 1.2),
+    "R3": (2.2, 4.4, 1.2),
+    "R4": (3.9, 6.6, 1.2),
+    "R5": (1.1, 6.9, 1.2),
+    "R6": (8.0, 1.0, 1.2),
+}
+_SCATTERING = (0.4, 0.3)
+"""Scattering coefficient of all materials: as the case states it, and in the room."""
+_CASE = f"""room = "room.toml"
+geometry = "room.obj"
+positions = "positions.toml"
+measured = "pairs.csv"
+scattering = {_SCATTERING[0]}
+"""
+
+
+def _l_shape(curtain: bool) -> Polyhedron:
+    """Return the L-shaped room; with a curtain on its west wall, or as its model states it."""
+    faces = [("floor", "parquet", _level(0.0)), ("ceiling", "ceiling", _level(_HEIGHT))]
+    for name, start, end in zip(_WALLS, _PLAN, (*_PLAN[1:], _PLAN[0]), strict=True):
+        material = "glass" if name == "east" else "plaster"
+        if curtain and name == "west":
+            low, high = _CURTAIN_SIDES
+            ends = (start, (0.0, high), (0.0, low), end)
+            for a, b, made_of in zip(ends, ends[1:], (material, "curtain", material), strict=False):
+                faces.append((f"{name} {a[1]:g}", made_of, _wall(a, b)))
+        else:
+            faces.append((name, material, _wall(start, end)))
+    return Polyhedron.from_polygons(faces)
+
+
+def _level(height: float) -> list[tuple[float, ...]]:
+    return [(*corner, height) for corner in _PLAN]
+
+
+def _wall(start: tuple[float, float], end: tuple[float, float]) -> list[tuple[float, ...]]:
+    return [(*start, 0.0), (*end, 0.0), (*end, _HEIGHT), (*start, _HEIGHT)]
+
+
+def _tracing(curtain: bool, scattering: float, paths: int) -> PathTracing:
+    geometry = _l_shape(curtain)
+    materials = _STATED | ({"curtain": _CURTAIN} if curtain else {})
+    alpha = np.array([materials[name] for name in geometry.areas])
+    room = Room(
+        name="rehearsal room",
+        volume=geometry.volume,
+        materials=list(geometry.areas),
+        areas=np.array(list(geometry.areas.values())),
+        alpha=alpha,
+        sigma=np.maximum(0.2 * alpha, 0.01),
+        centre_frequencies=_BANDS,
+        air=Air(21, 45),
+    )
+    return PathTracing(
+        geometry=geometry,
+        room=room,
+        sources=_SOURCES,
+        receivers=_RECEIVERS,
+        scattering=scattering,
+        n_paths=paths,
+    )
+
+
+def _where() -> Example:
+    """A room with a curtain, measured by a tracing of more paths and other scattering."""
+    stated, real = (
+        _tracing(curtain, scattering, paths)
+        for curtain, scattering, paths in zip(
+            (False, True), _SCATTERING, (8000, 32000), strict=True
+        )
+    )
+    heard = real.observe(real.room.alpha, MATCH, seed=3)
+    measured = Measurement(
+        centre_frequencies=_BANDS,
+        pairs=heard.pairs,
+        values={"g" if name == "level" else name: heard.natural(name) for name in MATCH},
+    )
+    return Example(
+        {
+            "room.toml": stated.room.to_text().encode(),
+            "room.obj": obj.text(stated.geometry).encode(),
+            "positions.toml": position_files.text(_SOURCES, _RECEIVERS).encode(),
+            "pairs.csv": measured.to_text().encode(),
+            "case.toml": _CASE.encode(),
+        },
+        (
+            "rtcal gap find case.toml",
+            "rtcal gap report case.toml --out page",
+            "rtcal gap apply case.toml --out corrected",
+        ),
+    )
+
+
 _EXAMPLES: Mapping[str, Callable[[], Example]] = {
     "room": _room,
     "responses": _responses,
@@ -196,6 +309,7 @@ _EXAMPLES: Mapping[str, Callable[[], Example]] = {
     "simulator": _simulator,
     "optimisation": _optimisation,
     "missing-effect": _missing_effect,
+    "where": _where,
 }
 NAMES = tuple(_EXAMPLES)
 

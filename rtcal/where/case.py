@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -38,8 +38,9 @@ class Case:
         Parameters that are compared. The level is G of a calibrated source where ``g`` was measured.
         A measured ``level`` has any reference that all receivers of a source share.
     simulated : Measurement, optional
-        What another program gave for the model at the same pairs. The disagreement is then that
-        program's. How it depends on the surfaces is still what the simulator says.
+        What another program gave for the model as stated, in the room's bands, for every value that
+        was measured. The disagreement is then that program's. How it depends on the surfaces is still
+        what the simulator says.
     exclude : sequence of (source, receiver)
         Measured pairs that are left out.
     surfaces : mapping of str to sequence of str, optional
@@ -96,14 +97,43 @@ class Case:
         object.__setattr__(self, "faces", of_room.of_geometry(self.geometry, self.surfaces))
 
     def _check_simulated(self, simulated: Measurement) -> None:
+        """Raise DataError unless there is a value for everything that was measured and is used."""
         checks.instance("simulated", simulated, Measurement)
         if not np.array_equal(simulated.centre_frequencies, self.room.centre_frequencies):
             raise DataError(
-                f"simulated has the bands {bands.span(simulated.centre_frequencies)}; the room has "
+                f"simulated has {bands.span(simulated.centre_frequencies)}; the room has "
                 f"{bands.span(self.room.centre_frequencies)}"
             )
-        if not set(simulated.pairs) & set(self.simulator.pairs):
-            raise DataError("simulated has none of the simulator's pairs")
+        if lacking := [pair for pair in self.pairs if pair not in simulated.pairs]:
+            raise DataError(
+                f"simulated lacks {' to '.join(lacking[0])}, which was measured; exclude the pair or "
+                "add its rows"
+            )
+        for name in self.match:
+            key = "g" if name == "level" and "level" not in self.measured.values else name
+            if key not in self.measured.values:
+                continue
+            if key not in simulated.values and not (name == "level" and "g" in simulated.values):
+                raise DataError(
+                    f"simulated has no {key.upper()}, which was measured; leave {name} out of match"
+                )
+            self._check_values(simulated, key)
+
+    def _check_values(self, simulated: Measurement, key: str) -> None:
+        """Raise DataError for the first measured value that the program did not give."""
+        measured = band_conversion.measurement_in_room_bands(
+            self.measured, self.room.centre_frequencies
+        ).values[key]
+        given = simulated.values.get(key, simulated.values.get("g"))
+        for pair in self.pairs:
+            there = np.isfinite(measured[self.measured.pairs.index(pair)])
+            off = there & ~np.isfinite(np.asarray(given)[simulated.pairs.index(pair)])
+            if off.any():
+                band = bands.label(self.room.centre_frequencies[int(np.argmax(off))])
+                raise DataError(
+                    f"simulated lacks {key.upper()} from {' to '.join(pair)} at {band}, which was "
+                    "measured"
+                )
 
     @property
     def room(self) -> Room:

@@ -130,7 +130,8 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
 
     stated = at_pairs(made.base)
     if case.simulated is not None:
-        stated = Observations.of_measurement(case.simulated, wanted.parameters, wanted.pairs).values
+        given = Observations.of_measurement(case.simulated, wanted.parameters, wanted.pairs).values
+        stated = np.where(np.isfinite(given), given, stated)  # the case has all that was measured
     used = flat(np.isfinite(wanted.values - stated)).astype(bool)
     if not used.any():
         raise DataError("no value was both measured and simulated")

@@ -1,0 +1,137 @@
+"""A case with another program's values in place of rtcal's own: its file, and what is compared."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.io import position_files
+from rtcal.simulators import RayTracing
+from rtcal.where import case_files
+from rtcal.where.corrected import corrected
+from tests.test_where import BANDS, RECEIVERS, SOURCES, measured, stated, tracing
+from tests.test_where_corrected import candidate
+
+pytest.importorskip("pyroomacoustics", reason="the other program")
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+MATCH = ("t20", "edt", "c80", "ts")
+CASE = """room = "room.toml"
+geometry = "box"
+positions = "positions.toml"
+measured = "measured.csv"
+simulated = "simulated.csv"
+scattering = 0.4
+paths = 4800
+match = ["t20", "edt", "c80", "ts"]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A user's files: what pyroomacoustics says of the model, and of the room with 10 m² more."""
+    where = tmp_path_factory.mktemp("program")
+    room = stated()
+    case = rt.where.Case(simulator=tracing(room), measured=measured(False))
+    made = corrected(case, replace(candidate("east", 10.0), spectrum=np.ones(len(BANDS))))
+
+    def program(geometry: object, of: rt.Room, seed: int) -> rt.Measurement:
+        tracer = RayTracing(
+            geometry=geometry,  # type: ignore[arg-type]
+            room=of,
+            sources=SOURCES,
+            receivers=RECEIVERS,
+            scattering=0.4,
+            n_rays=16_000,
+        )
+        return tracer.simulate(of.alpha, seed=seed)
+
+    room.save(str(where / "room.toml"))
+    (where / "positions.toml").write_text(position_files.text(SOURCES, RECEIVERS))
+    program(case.geometry, room, 1).save(str(where / "simulated.csv"))
+    program(case.geometry, room, 2).save(str(where / "same.csv"))
+    program(made.geometry, made.room, 3).save(str(where / "measured.csv"))
+    (where / "case.toml").write_text(CASE)
+    (where / "same.toml").write_text(CASE.replace("measured.csv", "same.csv"))
+    return where
+
+
+def test_the_disagreement_is_the_programs(folder: Path) -> None:
+    """Its own error cancels: what it says of the same room twice differs by its noise alone."""
+    same = rt.where.find(case_files.read(folder / "same.toml"), cache=folder / "kept")
+    other = rt.where.find(case_files.read(folder / "case.toml"), cache=folder / "kept")
+    assert np.sqrt(np.nanmean(same.map**2)) < 1.0
+    assert same.verdict == "none"
+    assert np.nanmean(other.map[0]) < -1.0  # T20 is measured shorter
+    assert other.score > same.score + 3
+    best = other.best
+    assert best is not None
+    assert best.family.startswith("added absorption") or best.surface is None
+
+
+def test_what_neither_has_is_left_out(folder: Path) -> None:
+    """A program's blank cell made every probability NaN."""
+    case = case_files.read(folder / "case.toml")
+    assert case.simulated is not None
+
+    def blank(data: rt.Measurement) -> rt.Measurement:
+        values = {name: data.values[name].copy() for name in MATCH}
+        values["ts"][2, 0] = np.nan
+        return rt.Measurement(centre_frequencies=BANDS, pairs=data.pairs, values=values)
+
+    less = replace(case, measured=blank(case.measured), simulated=blank(case.simulated))
+    finding = rt.where.find(less, cache=folder / "kept")
+    assert np.isfinite(finding.score)
+    assert np.isnan(finding.map).sum() == 1
+
+
+def rows(folder: Path) -> list[str]:
+    return (folder / "simulated.csv").read_text().splitlines()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (lambda r: not r.startswith("S2,R3,"), "simulated lacks S2 to R3, which was measured"),
+        (lambda r: ",C80," not in r, "simulated has no C80, which was measured; leave c80 out"),
+        (lambda r: ",2000.0," not in r, "simulated has 2 bands, 500 to 1000 Hz; the room has 3"),
+        (
+            lambda r: not r.startswith("S1,R2,EDT,1000.0,"),
+            "simulated lacks EDT from S1 to R2 at 1000 Hz, which was measured",
+        ),
+    ],
+)
+def test_a_file_that_lacks_something_is_refused(
+    folder: Path, tmp_path: Path, changed: object, message: str
+) -> None:
+    """Pairs and values that lacked had been left out without a word."""
+    for name in ("room.toml", "positions.toml", "measured.csv", "case.toml"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    kept = [row for row in rows(folder) if changed(row)]  # type: ignore[operator]
+    assert len(kept) < len(rows(folder))
+    (tmp_path / "simulated.csv").write_text("\n".join(kept) + "\n")
+    with pytest.raises(DataError, match=re.escape(message)):
+        case_files.read(tmp_path / "case.toml")
+
+
+def test_a_level_without_its_reference_is_no_g(folder: Path) -> None:
+    """G is absolute; a program's level that is not must not be compared with it."""
+    read = case_files.read(folder / "case.toml")
+    given = read.simulated
+    assert given is not None
+    level = np.zeros((len(given.pairs), len(BANDS)))
+    values = {name: given.values[name] for name in MATCH} | {"level": level}
+    with pytest.raises(DataError, match="simulated has no G, which was measured"):
+        rt.where.Case(
+            simulator=read.simulator,
+            measured=measured(False),
+            simulated=rt.Measurement(
+                centre_frequencies=given.centre_frequencies, pairs=given.pairs, values=values
+            ),
+        )
