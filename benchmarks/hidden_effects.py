@@ -5,7 +5,6 @@
     python -m benchmarks.hidden_effects engines --rooms 40    # leave one engine out
     python -m benchmarks.hidden_effects numbers --folder out --step 4   # other numbers that decide
     python -m benchmarks.hidden_effects speed --rooms 20      # processor time of each step
-    python -m benchmarks.hidden_effects bound --folder out    # what any test could detect at best
     python -m benchmarks.hidden_effects alpha --folder out --rooms 30   # do alpha's intervals hold it?
     python -m benchmarks.hidden_effects bras ../shared/data/bras
 
@@ -28,12 +27,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 import rtcal as rt
 from benchmarks.judging import FLAGS, NOTHING, first_of, kept_controls, one, rate, row_of
 from rtcal.discrepancy import (
-    AppliedEffect,
     Case,
     Configuration,
     Effect,
@@ -49,18 +46,15 @@ from rtcal.discrepancy import (
 )
 from rtcal.discrepancy.bootstrap import MINIMUM_NATS, bootstrap_threshold, draw_null_features, score
 from rtcal.discrepancy.case import NORMAL_90
+from rtcal.discrepancy.effects.people import AT_1_KHZ
 from rtcal.discrepancy.engines import ControlRooms, recentred
 from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.likelihood import alpha_covariance
-from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.model_error import estimate_discrepancy
-from rtcal.discrepancy.prior import NONE, prior_of
+from rtcal.discrepancy.prior import prior_of
 from rtcal.discrepancy.probabilities import credible_set, posterior
 from rtcal.discrepancy.recalibration import plain
-from rtcal.discrepancy.states import distances, state
-from rtcal.discrepancy.verdict import CLAIMED
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 
@@ -80,6 +74,8 @@ NAMES = {
     12: "noise floor",
     13: "unknown",
 }
+PERSONS = "persons"
+"""What a hidden audience states that stands: it is `People` to the finder."""
 SHAPES = ("coupled room", "non-diffuse field", "noise floor")
 SIZES = {
     2: "size",
@@ -93,6 +89,11 @@ SIZES = {
     11: "scattering",
     12: "level",
 }
+
+
+def name_of(hidden: dict[str, Any]) -> str:
+    """The finder's name of a hidden effect."""
+    return "people" if PERSONS in hidden else NAMES[hidden["kind"]]
 
 
 def rmse(alpha: Any, truth: dict[str, Any]) -> float:
@@ -412,7 +413,7 @@ def engines(first: int, rooms: int) -> None:
             limit = bootstrap_threshold(case, observed, predicted, others, prior)
             rng = np.random.default_rng([index, 5])
             judged = recentred([*others, left])[-1]
-            values = draw_null_features(case, observed, [judged.errors], rng, 20)
+            values = draw_null_features(case, observed, predicted.applied, [judged.errors], rng, 20)
             error = estimate_discrepancy(case, others)
             scores = score(evaluate(observed, predicted, error, prior.off, values), prior)
             alarms.setdefault(left.engine, []).extend((scores > limit.value).tolist())
@@ -528,72 +529,6 @@ def speed(first: int, rooms: int) -> None:
         print(f"  {label:30} median {np.median(taken):6.2f} s, most {max(taken):6.2f} s")
 
 
-def bound(folder: str, kept: bool) -> None:
-    """Print what could be had at best on these rooms.
-
-    First of a test that is told which effect, and its size: Phi(delta - 1.645) at 5 % false alarms,
-    delta² = d' C⁻¹ d, d what the true effect changes and C what prior, measurement and model error
-    leave open (Neyman and Pearson 1933). Then of the finder in a world that is exactly as its own model
-    says: each room with its true effect, 20 times with another alpha, model error and noise.
-    """
-    load(1)
-    power: dict[str, list[float]] = {"one": [], "all": []}
-    own: dict[str, list[tuple[bool, bool, bool]]] = {"one": [], "all": []}
-    effects = {e.name: e for e in library()}
-    for index, truth in enumerate(TRUTHS[1]):
-        if not 1 <= truth["seed"][1] <= 12:
-            continue
-        case, path = Case.from_dict(ROOMS[1][index]), Path(folder) / "controls" / f"{index}.npz"
-        if kept and not path.exists():
-            continue
-        controls = kept_controls(case, path)
-        name, parameters = NAMES[truth["seed"][1]], parameters_of(truth["effects"][0])
-        for data, part, rooms in (("one", one(case), first_of(controls)), ("all", case, controls)):
-            observed, _ = observe(part)
-            error, predicted = (
-                estimate_discrepancy(part, rooms),
-                predict_hypotheses(part, library()),
-            )
-            base = [state(part, c) for c in part.configurations]
-            changed = [effects[name].change(s, parameters) for s in base]
-            d = np.array(
-                [
-                    np.diff(predict([a, b], distances(part, c)).features, axis=0)[0]
-                    for a, b, c in zip(base, changed, part.configurations, strict=True)
-                ]
-            )[observed.used]
-            mask = observed.used.ravel()
-            open_ = alpha_covariance(predicted, 0) + error.covariance
-            covariance = open_[np.ix_(mask, mask)] + observed.covariance
-            delta = float(np.sqrt(d @ np.linalg.solve(covariance, d)))
-            power[data].append(float(norm.cdf(delta - norm.ppf(0.95))))
-            hidden = replace(part, applied=(AppliedEffect(name, parameters),))
-            errors = [c.errors for c in recentred(rooms)]
-            values = draw_null_features(
-                hidden, observed, errors, np.random.default_rng([index, 6]), 20
-            )
-            prior = prior_of(part.room, library(), {})
-            evidence = evaluate(observed, predicted, error, prior.off, values)
-            table = evidence.by_effect()
-            for draw, something in enumerate(score(evidence, prior)):
-                nats = {k: float(v[draw]) for k, v in table.items()}
-                probable = posterior(nats, prior)
-                best = next(k for k in probable if k != NONE)
-                own[data].append(
-                    (bool(something > MINIMUM_NATS), best == name, probable[best] >= CLAIMED)
-                )
-    for data, powers in power.items():
-        print(
-            f"{data}: told effect and size, the best test detects {np.mean(powers):.3f} of "
-            f"{len(powers)}"
-        )
-        found_, right, single = np.array(own[data]).T
-        print(
-            f"  in a world as the model says: detected {found_.mean():.3f}; of these the right name "
-            f"{right[found_].mean():.3f}, a single one {single[found_].mean():.3f}"
-        )
-
-
 def alpha(folder: str, rooms: int) -> None:
     """How often alpha's 90 % intervals hold the truth, in detected rooms of the stored run."""
     warnings.simplefilter("ignore")
@@ -647,7 +582,7 @@ def parameters_of(effect: dict[str, Any]) -> dict[str, float]:
     if kind == 3:
         seated = "size" in effect
         area = 0.86 * effect["size"] if seated else 0.51 * effect["persons"]
-        return {"standing": 0.0 if seated else 1.0, "absorption_area": area}
+        return {"absorption_area": area} if seated else {"persons": area / AT_1_KHZ}
     if kind == 10:
         return {"aperture": effect["size"], "volume": effect["volume"], "alpha": effect["alpha"]}
     return {
@@ -728,7 +663,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "what",
-        choices=("run", "table", "store", "engines", "numbers", "speed", "bound", "alpha", "bras"),
+        choices=("run", "table", "store", "engines", "numbers", "speed", "alpha", "bras"),
     )
     parser.add_argument("data", nargs="?", help="the folder of BRAS' tables")
     parser.add_argument("--folder")
@@ -745,8 +680,6 @@ def main() -> None:
         store(given.folder)
     elif given.what == "table":
         table(given.folder)
-    elif given.what == "bound":
-        bound(given.folder, given.kept)
     elif given.what == "alpha":
         alpha(given.folder, given.rooms)
     elif given.what == "engines":

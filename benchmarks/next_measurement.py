@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects import NAMES
+from benchmarks.hidden_effects import name_of
 from benchmarks.judging import first_of, interval, one
 from benchmarks.second_world import place
 from benchmarks.several_effects import Room, judged_alone, rooms, wide
@@ -117,7 +117,7 @@ def further(case: Case, made: list[ControlRooms], seed: list[int]) -> dict[str, 
 def examined(room: Room) -> dict[str, Any]:
     """What is proposed in one room, and what each measurement shows."""
     _, case, truth, made = room
-    names = [NAMES[e["kind"]] for e in truth["effects"]]
+    names = [name_of(e) for e in truth["effects"]]
     base, controls = one(case), first_of(made)
     found = find_several(base, controls=controls)
     planned = case.configurations[1].measured

@@ -3,6 +3,7 @@
     python -m benchmarks.real_rooms list --more folder
     python -m benchmarks.real_rooms run --more folder --out rows [--part judging]
     python -m benchmarks.real_rooms table --out rows
+    python -m benchmarks.real_rooms bound --more folder --out rows   # what any finder could name
 
 Which rooms are for development and which for judging, and which names are right, was written here
 before the finder was run on any of them. Never used, because they judge from outside: BRAS CR4, the
@@ -30,8 +31,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import real_data as data
+from benchmarks import told_test
 from benchmarks.judging import FLAGS, NOTHING, Judged, families_of, kept_controls, rate, row_of
-from rtcal.discrepancy import Case, Change, find
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy import AppliedEffect, Case, Change, find
 
 STORED = Path(__file__).parent / "real_rooms.json"
 """The rows of the run that the study shows: what the finder said, no measured value."""
@@ -45,7 +48,8 @@ class RealCase:
     """A measured room with something left out of its model.
 
     ``names`` are the effects that are right as a single name; ``also`` are effects whose family is
-    right as well. Where nothing is hidden, ``names`` has "none".
+    right as well. Where nothing is hidden, ``names`` has "none". ``true_rooms`` makes the room as it
+    was in each configuration, nothing left out; empty where it is not known.
     """
 
     name: str
@@ -54,6 +58,7 @@ class RealCase:
     names: frozenset[str]
     make: Callable[[Path], Case]
     also: frozenset[str] = frozenset()
+    true_rooms: Callable[[], list[Room]] = list
 
     @property
     def control(self) -> bool:
@@ -118,7 +123,13 @@ def ptb_pair(parameters: tuple[str, ...], stated: bool) -> Callable[[Path], Case
 
 def ptb_cases() -> Iterator[RealCase]:
     def judged(name: str, hidden: str, names: frozenset[str], make: Any) -> RealCase:
-        return RealCase(f"PTB {name}", "judging", hidden, names, make)
+        def rooms() -> list[Room]:
+            closed, opened = data.ptb_room((OPEN,)), data.ptb_room((CLOSED,))
+            if name.startswith("open and closed"):
+                return [opened, closed]
+            return [closed if name.startswith("closed") else opened]
+
+        return RealCase(f"PTB {name}", "judging", hidden, names, make, true_rooms=rooms)
 
     for state, out in (("open", CLOSED), ("closed", OPEN)):
         nothing = (f"{state}, as stated", "nothing", HANDBOOK)
@@ -197,6 +208,10 @@ def dechorate(stated: str, measured: str) -> Callable[[Path], Case]:
     return make
 
 
+def dechorate_rooms(*states: str) -> Callable[[], list[Room]]:
+    return lambda: [data.dechorate_room(state) for state in states]
+
+
 def dechorate_cases() -> Iterator[RealCase]:
     for number, (few, more) in enumerate(STEPS):
         part = "judging" if number % 2 == 0 else "development"
@@ -206,6 +221,7 @@ def dechorate_cases() -> Iterator[RealCase]:
             "a panel reflects",
             set_of("area", "covered surface", COEFFICIENTS),
             dechorate(few, more),
+            true_rooms=dechorate_rooms(few, more),
         )
         yield RealCase(
             f"dEchorate {more} to {few}",
@@ -214,6 +230,7 @@ def dechorate_cases() -> Iterator[RealCase]:
             set_of("area", "porous", COEFFICIENTS),
             dechorate(more, few),
             frozenset(ADDED),
+            dechorate_rooms(more, few),
         )
     for number, (first, second) in enumerate(MIRRORED):
         part = "judging" if number % 2 == 0 else "development"
@@ -263,6 +280,7 @@ def bras_cases() -> Iterator[RealCase]:
                     bras(name, coefficients, key),
                     # A third of a material left out is absorption that the model lacks.
                     frozenset(ADDED) if effect == "area" else frozenset(),
+                    lambda name=name, c=coefficients: [data.bras_room(name, c)],
                 )
 
 
@@ -404,9 +422,34 @@ def table(rows: dict[str, dict[str, Any]], part: str) -> dict[str, int]:
     }
 
 
+def truth_of(each: RealCase, made: Case, row: dict[str, Any]) -> list[Case]:
+    """The case as its room was, per configuration: with the size that was found where none is known."""
+    rooms = each.true_rooms()
+    if rooms:
+        return [case(room, *made.configurations) for room in rooms]
+    (name,) = each.names
+    return [replace(made, applied=(AppliedEffect(name, row["parameters"]),))]
+
+
+def bound(more: Path, out: Path, part: str) -> None:
+    """Print what a test that is told what was left out could name, and what find named."""
+    rows, told = rows_of(out), []
+    hidden = [c for c in every_case() if c.part == part and not c.control and c.name in rows]
+    for each in hidden:
+        made = each.make(more)
+        controls = kept_controls(made, out / "controls" / f"{each.file}.npz")
+        truth = truth_of(each, made, rows[each.name])
+        told.append(told_test.told(made, truth, controls, each.names | each.also))
+    print(f"\n== {part}: {len(hidden)} cases with something left out ==")
+    said = [outcome(c, rows[c.name]) for c in hidden]
+    told_test.show([c.name for c in hidden], told, said)
+    others = sum(c.part == part and c.control and c.name in rows for c in every_case())
+    told_test.shares(told, said.count("right"), others)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("list", "run", "table", "store"))
+    parser.add_argument("what", choices=("list", "run", "table", "store", "bound"))
     parser.add_argument("--more", type=Path, default=Path("."), help="folder of further data")
     parser.add_argument("--out", type=Path, help="folder of the rows")
     parser.add_argument("--part", choices=("development", "judging"))
@@ -421,7 +464,10 @@ def main() -> None:
         STORED.write_text(json.dumps(rows_of(given.out), indent=0) + "\n", encoding="utf-8")
     else:
         for part in ("development", "judging") if given.part is None else (given.part,):
-            table(rows_of(given.out), part)
+            if given.what == "bound":
+                bound(given.more, given.out, part)
+            else:
+                table(rows_of(given.out), part)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@
     python -m benchmarks.second_world run --folder out --population 1        # with what stands there
     python -m benchmarks.second_world table --folder out --population 1
     python -m benchmarks.second_world run --folder out --world 1 --population 1
+    python -m benchmarks.second_world bound --folder out --population 1      # what any test detects
 
 A case is judged as it is stated ("all": T20, EDT, T30, C80 and G, every second room in two
 configurations) and cut down to T20, EDT and T30 in one configuration ("one"). Rows of the first world
@@ -16,12 +17,14 @@ import argparse
 import json
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects import NAMES
+from benchmarks import told_test
+from benchmarks.hidden_effects import NAMES, PERSONS, name_of, parameters_of
 from benchmarks.judging import (
     NOTHING,
     Judged,
@@ -32,7 +35,7 @@ from benchmarks.judging import (
     print_rates,
     row_of,
 )
-from rtcal.discrepancy import Case, find
+from rtcal.discrepancy import AppliedEffect, Case, find
 from tests.hidden_world import generate as first_world
 from tests.hidden_world.populations import TOGGLED
 from tests.second_world import generate as second_world
@@ -48,13 +51,15 @@ def truth_of(world: int, truth: dict[str, Any]) -> tuple[frozenset[str], str] | 
     Left out of the first world: rooms with two effects, and those made to look like others.
     """
     if world == 2:
-        name = {"nothing": NOTHING}.get(truth["kind"], truth["kind"])
-        return frozenset({name}), truth["statement"]
+        name = NOTHING if truth["kind"] == "nothing" else truth["kind"]
+        return frozenset({"people" if PERSONS in truth else name}), truth["statement"]
     kind = truth["seed"][1]
     kind = TOGGLED.get(kind, kind)
     if kind == 0:
         return frozenset({NOTHING}), ""
-    return (frozenset({NAMES[kind]}), "") if kind in NAMES else None
+    if kind not in NAMES:
+        return None
+    return frozenset({name_of(truth["effects"][0]) if truth["effects"] else NAMES[kind]}), ""
 
 
 def order(n: int, step: int) -> list[int]:
@@ -109,6 +114,7 @@ def judged(folder: str, world: int, population: int, label: str, data: str) -> I
 
 def table(folder: str, world: int, population: int, label: str) -> None:
     names = list(NAMES.values()) if world == 1 else [k for k in KINDS if k != "nothing"]
+    names.insert(names.index("audience") + 1, "people")
     for data, words in DATA.items():
         rooms = list(judged(folder, world, population, label, data))
         print(f"\n== world {world}, population {population}: {words}; {len(rooms)} rooms ==")
@@ -116,9 +122,82 @@ def table(folder: str, world: int, population: int, label: str) -> None:
         print_confusion(rooms, [NOTHING, *names])
 
 
+def true_effect(world: int, truth: dict[str, Any]) -> AppliedEffect:
+    """The hidden effect with its true size, as the library states it."""
+    if world == 1:
+        (hidden,) = truth["effects"]
+        return AppliedEffect(name_of(hidden), parameters_of(hidden))
+    kind, size = "people" if PERSONS in truth else truth["kind"], truth.get("size")
+    parameters = {
+        "air": lambda: {k: truth[k] for k in ("temperature", "humidity")},
+        "opening": lambda: {"area": size},
+        "audience": lambda: {"absorption_area": 0.96 * size},
+        "people": lambda: {"persons": float(truth[PERSONS])},
+        "furniture": lambda: {"absorption_area": size},
+        "porous": lambda: {
+            "area": size,
+            "thickness": truth["depth"],
+            "flow_resistivity": 1e3 * truth["flow"],
+        },
+        "resonator": lambda: {
+            "area": size,
+            "resonance": truth["resonance"],
+            "quality": 0.7 / truth["width"],
+        },
+        "curtain": lambda: {"area": size, "airspace": 0.17, "flow_resistance": 1.0},
+        "membrane": lambda: {
+            "area": size,
+            "mass": 5.0,
+            "airspace": (60 / truth["resonance"]) ** 2 / 5.0,
+        },
+        "area": lambda: {"material": float(truth["material"]), "ratio": truth["ratio"]},
+        "volume": lambda: {"ratio": truth["ratio"]},
+        "formula": lambda: {"equation": 1.0},
+        "coupled room": lambda: {
+            "aperture": size,
+            "volume": truth["volume"],
+            "alpha": truth["alpha"],
+        },
+        "non-diffuse field": lambda: {"scattering": float(np.mean(truth["scattering"]))},
+        "noise floor": lambda: {"level": truth["level"], "record": 2.0},
+    }[kind]()
+    return AppliedEffect(kind, parameters)
+
+
+def bound(folder: str, world: int, population: int, step: int, label: str) -> None:
+    """Print how many effects a test could detect at 5 % false alarms, and how many find did."""
+    warnings.simplefilter("ignore")
+    rooms, truths = (WORLDS[world].read(population, part) for part in ("case", "truth"))
+    told: dict[str, list[told_test.Told]] = {data: [] for data in DATA}
+    said: dict[str, list[bool]] = {data: [] for data in DATA}
+    for index in order(len(rooms), step):
+        kept = place(folder, world, population, "controls", index, "npz")
+        row = place(folder, world, population, label, index, "json")
+        known = truth_of(world, truths[index])
+        if not (kept.exists() and row.exists()) or known is None:
+            continue
+        if known[0] & {NOTHING, "unknown", "coefficients"}:
+            continue
+        whole, made = (
+            Case.from_dict(rooms[index]),
+            kept_controls(Case.from_dict(rooms[index]), kept),
+        )
+        rows, hidden = (
+            json.loads(row.read_text(encoding="utf-8")),
+            true_effect(world, truths[index]),
+        )
+        for data, case, errors in (("one", one(whole), first_of(made)), ("all", whole, made)):
+            truth = [replace(case, applied=(hidden,))] * len(case.configurations)
+            told[data].append(told_test.told(case, truth, errors, known[0]))
+            said[data].append(Judged(known[0], rows[data]).flagged)
+    for data, words in DATA.items():
+        print(f"\n== world {world}, population {population}: {words} ==")
+        told_test.detections(told[data], said[data])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("controls", "run", "table"))
+    parser.add_argument("what", choices=("controls", "run", "table", "bound"))
     parser.add_argument("--folder", required=True)
     parser.add_argument("--world", type=int, choices=tuple(WORLDS), default=2)
     parser.add_argument("--population", type=int, default=0)
@@ -129,6 +208,8 @@ def main() -> None:
         controls(given.folder, given.world, given.population, given.step)
     elif given.what == "run":
         run(given.folder, given.world, given.population, given.step, given.label)
+    elif given.what == "bound":
+        bound(given.folder, given.world, given.population, given.step, given.label)
     else:
         table(given.folder, given.world, given.population, given.label)
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from benchmarks.hidden_effects import NAMES, rmse
+from benchmarks.hidden_effects import NAMES, name_of, rmse
 from benchmarks.judging import (
     families,
     first_of,
@@ -35,6 +35,7 @@ from benchmarks.judging import (
 )
 from benchmarks.second_world import place
 from rtcal.discrepancy import AppliedEffect, Case, find, find_several, recalibrate
+from rtcal.discrepancy.effects.people import AT_1_KHZ
 from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
@@ -83,7 +84,7 @@ def built(folder: str, population: int, index: int) -> dict[str, Any]:
 def true_effects(case: Case, truth: dict[str, Any]) -> list[AppliedEffect]:
     """The hidden effects with their true sizes, as the library states them."""
     hidden = sorted(truth["effects"], key=lambda e: ORDER.index(e["kind"]))
-    return [AppliedEffect(NAMES[e["kind"]], true_parameters(e)) for e in hidden]
+    return [AppliedEffect(name_of(e), true_parameters(e)) for e in hidden]
 
 
 def true_parameters(hidden: dict[str, Any]) -> dict[str, float]:
@@ -94,9 +95,9 @@ def true_parameters(hidden: dict[str, Any]) -> dict[str, float]:
     if kind == 2:
         return {"area": hidden["size"]}
     if kind == 3 and "persons" in hidden:
-        return {"standing": 1.0, "absorption_area": 0.51 * hidden["persons"]}
+        return {"persons": 0.51 / AT_1_KHZ * hidden["persons"]}
     if kind == 3:
-        return {"standing": 0.0, "absorption_area": 0.83 * hidden["size"]}
+        return {"absorption_area": 0.83 * hidden["size"]}
     if kind == 4:
         return {"absorption_area": hidden["size"]}
     if kind == 5:
@@ -288,7 +289,7 @@ def table(folder: str, population: int, label: str) -> None:
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in stored]
     for data, words in DATA.items():
         every = [
-            Searched([NAMES[e["kind"]] for e in row["truth"]], row[data])
+            Searched([name_of(e) for e in row["truth"]], row[data])
             for row in rows
             if data in row and all(e["kind"] in NAMES for e in row["truth"])
         ]

@@ -116,7 +116,7 @@ def test_probabilities_sum_to_one_and_families_hold_their_members() -> None:
     p, families = finding.probabilities, finding.families
     flat, rising, low = (families[f"added absorption, {x}"] for x in ("flat", "rising", "low"))
     assert flat == pytest.approx(p["opening"] + p["furniture"])
-    assert rising == pytest.approx(p["audience"] + p["porous"] + p["curtain"])
+    assert rising == pytest.approx(p["audience"] + p["people"] + p["porous"] + p["curtain"])
     assert low == pytest.approx(p["resonator"] + p["membrane"])
     assert families["added absorption"] == pytest.approx(flat + rising + low)
     total = sum(v for k, v in families.items() if k != "added absorption")

@@ -41,6 +41,9 @@ and 400 at 1 kHz, T = 1 s) have 0.88 for T20 and 1.7 for EDT."""
 ONE_LEVEL = 1.0
 """Standard deviation of C80 and G in dB over the positions of a room, where a single value has none."""
 
+MADE = "not stated; made from scatter over pairs, theory and reproducibility"
+"""Origin of an uncertainty that is not stated."""
+
 
 @dataclass(frozen=True, eq=False)
 class Observed:
@@ -55,12 +58,15 @@ class Observed:
         R, the measurement covariance of the features in use.
     origin : str
         Where the uncertainties come from, in words.
+    unstated : frozenset of str
+        The parameters without a stated uncertainty.
     """
 
     features: Array
     used: Array
     covariance: Array
     origin: str = ""
+    unstated: frozenset[str] = frozenset()
 
     @property
     def values(self) -> Array:
@@ -106,7 +112,8 @@ def observe(case: Case) -> tuple[Observed, list[str]]:
         )
     words = "; ".join(f"{', '.join(ps)}: {origin}" for origin, ps in origins.items())
     covariance = full.reshape(size, size)[np.ix_(flat, flat)]
-    return Observed(table, used, covariance, f"uncertainty of {words}"), notes
+    unstated = frozenset(p.lower() for p in origins.get(MADE, ()))
+    return Observed(table, used, covariance, f"uncertainty of {words}", unstated), notes
 
 
 def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tuple[Array, Array]:
@@ -174,5 +181,5 @@ def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
     return (
         np.nan_to_num(alone),
         np.where(stated, 0.0, shared),
-        "not stated; made from scatter over pairs, theory and reproducibility",
+        MADE,
     )

@@ -210,7 +210,7 @@ def _applied(case: Case) -> LowRank:
             ]
         ).ravel()
 
-    columns = [_distance_errors(case)[:, None]]
+    columns = [_distance_errors(case)]
     diagonal = np.zeros(len(columns[0]))
     base = features(case.applied) if case.applied else diagonal
     for i, a in enumerate(case.applied):
@@ -233,16 +233,19 @@ def _applied(case: Case) -> LowRank:
 
 
 def _distance_errors(case: Case) -> Array:
-    """Return the change of all features, raveled, by the error of distances that are not stated."""
-    shift = np.zeros((len(case.configurations), len(FEATURES), case.room.n_bands))
+    """Return the changes of all features, raveled, by the errors of distances that are not stated.
+
+    (n_features, n_configurations): positions may differ between configurations, so each has its own.
+    """
+    count = len(case.configurations)
+    shift = np.zeros((count, len(FEATURES), case.room.n_bands, count))
     for i, c in enumerate(case.configurations):
         if c.distances is None:
             at = distances(case, c)
             s = [state(case, c)]
-            shift[i] = (
-                predict(s, at * np.exp(DISTANCE_ERROR)).features[0] - predict(s, at).features[0]
-            )
-    return shift.ravel()
+            far = predict(s, at * np.exp(DISTANCE_ERROR)).features[0]
+            shift[i, ..., i] = far - predict(s, at).features[0]
+    return shift.reshape(-1, count)
 
 
 def spectrum_errors(effect: Effect, frequencies: Array) -> Array:

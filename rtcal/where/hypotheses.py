@@ -249,7 +249,7 @@ def _spectra(effect: Effect, frequencies: Array) -> list[tuple[dict[str, float],
         return [(dict(k), effect.spectrum(frequencies, k)) for k in effect.kinds()]
     if isinstance(effect, Audience):
         alpha = SEATED_ALPHA * interpolate_octaves(frequencies, effect.SEATED)
-        return [({"standing": 0.0}, np.minimum(alpha, 1.0))]
+        return [({}, np.minimum(alpha, 1.0))]
     return [({}, np.full(len(frequencies), HARD))]
 
 

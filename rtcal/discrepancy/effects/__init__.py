@@ -12,6 +12,7 @@ from rtcal.discrepancy.effects.membrane import Membrane
 from rtcal.discrepancy.effects.noise_floor import NoiseFloor
 from rtcal.discrepancy.effects.non_diffuse import NonDiffuse
 from rtcal.discrepancy.effects.opening import Opening
+from rtcal.discrepancy.effects.people import People
 from rtcal.discrepancy.effects.porous import Porous
 from rtcal.discrepancy.effects.resonator import Resonator
 from rtcal.discrepancy.effects.stated import WrongArea, WrongFormula, WrongVolume
@@ -25,6 +26,7 @@ def library() -> tuple[Effect, ...]:
         OmittedAir(),
         Opening(),
         Audience(),
+        People(),
         Furniture(),
         Porous(),
         Curtain(),
