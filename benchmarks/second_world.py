@@ -153,10 +153,11 @@ def true_effect(world: int, truth: dict[str, Any]) -> AppliedEffect:
         "area": lambda: {"material": float(truth["material"]), "ratio": truth["ratio"]},
         "volume": lambda: {"ratio": truth["ratio"]},
         "formula": lambda: {"equation": 1.0},
+        # The truth states neither of the second room: the middles of what they are drawn from.
         "coupled room": lambda: {
             "aperture": size,
-            "volume": truth["volume"],
-            "alpha": truth["alpha"],
+            "volume": 0.79 * truth["volume"],
+            "alpha": 0.087,
         },
         "non-diffuse field": lambda: {"scattering": float(np.mean(truth["scattering"]))},
         "noise floor": lambda: {"level": truth["level"], "record": 2.0},

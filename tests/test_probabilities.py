@@ -11,13 +11,17 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.discrepancy import Case, Configuration, find, library, recalibrate
+from rtcal.discrepancy import Case, Configuration, bootstrap, find, library, recalibrate
+from rtcal.discrepancy.bootstrap import draw_null_features
+from rtcal.discrepancy.effects.audience import Audience
 from rtcal.discrepancy.effects.coupled_room import CoupledRoom
 from rtcal.discrepancy.effects.opening import Opening
+from rtcal.discrepancy.effects.people import People
 from rtcal.discrepancy.effects.stated import WrongVolume
 from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.evidence import Evidence
 from rtcal.discrepancy.features import observe
+from rtcal.discrepancy.hypotheses import LowRank, predict_hypotheses
 from rtcal.discrepancy.model import predict
 from rtcal.discrepancy.prior import HANDBOOK_SIGMA, off_together, prior_of
 from rtcal.discrepancy.probabilities import by_family
@@ -254,3 +258,63 @@ def test_a_room_s_coupling_is_claimed_by_its_family() -> None:
     probabilities = {"opening": 0.97, "none": 0.03}
     families = by_family(probabilities, effects)
     assert claim(probabilities, families, effects, 5.0, 1.0)[0] == "named"
+
+
+def with_levels(*, stated: bool) -> Case:
+    """Two configurations with T20 and C80 as predicted at a distance that is not stated."""
+    one = case_of(room(0.02), room(0.02))
+    (row,) = predict([state(one, one.configurations[0])], np.array([5.0])).features
+    values = {"t20": np.exp(row[0])[None], "c80": row[3][None]}
+    spread = {"t20": 0.01 * values["t20"], "c80": np.full((1, 6), 0.3)}
+    heard = rt.Measurement(
+        centre_frequencies=np.array(F), values=values, uncertainty=spread if stated else {}
+    )
+    return replace(one, configurations=[Configuration(name=n, measured=heard) for n in "AB"])
+
+
+def test_distances_that_are_not_stated_err_by_configuration_and_in_the_null_rooms() -> None:
+    case = with_levels(stated=True)
+    observed, _ = observe(case)
+    applied = predict_hypotheses(case, []).applied
+    shape = (*observed.used.shape, *observed.used.shape)
+    by_distance = applied.covariance.reshape(shape)
+    assert (by_distance[0, 3, :, 0, 3] > 0).all()  # C80 of one configuration
+    assert (by_distance[0, :, :, 1] == 0).all()  # another place in the other
+    errors = [np.zeros((20, *observed.used.shape))]
+    c80 = np.nonzero(observed.used)[1] == 3
+    spread = []
+    for covariance in (applied, LowRank(0 * applied.factor, 0 * applied.diagonal)):
+        rng = np.random.default_rng(1)
+        values = draw_null_features(case, observed, covariance, errors, rng, 4000)
+        spread.append(values[:, c80].var(0).mean())
+    distance = np.diag(applied.covariance)[observed.used.ravel()][c80].mean()
+    assert spread[0] - spread[1] == pytest.approx(distance, rel=0.3)
+
+
+@pytest.mark.parametrize(("stated", "least"), [(True, 0.5), (False, 1.1)])
+def test_levels_without_stated_uncertainty_need_more_evidence(
+    stated: bool, least: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bootstrap, "QUANTILE", 0.0)  # so that the smallest threshold decides
+    case = with_levels(stated=stated)
+    observed, _ = observe(case)
+    predicted = predict_hypotheses(case, [Opening()])
+    prior = prior_of(case.room, [Opening()], {})
+    limit = bootstrap.bootstrap_threshold(case, observed, predicted, controls(case), prior)
+    assert limit.value == least
+    assert observed.unstated == (frozenset() if stated else {"t20", "c80"})
+
+
+def test_people_are_objects_and_an_audience_covers_floor() -> None:
+    case = case_of(room(), room())
+    before = state(case, case.configurations[0])
+    people = People().change(before, {"persons": 20.0})
+    # Vorländer (2008): 0.72 and 1 person per m² have alpha 0.65 and 0.80 at 1 kHz.
+    each = (people.objects - before.objects)[3] / 20
+    assert each == pytest.approx(np.mean([0.65 / 0.72, 0.80]), abs=0.01)
+    assert (people.areas == before.areas).all()
+    seated = Audience().change(before, {"absorption_area": 20.0})
+    assert np.array_equal(seated.objects, before.objects)
+    both = {e.name: e for e in library()}
+    assert both["people"].family == both["audience"].family
+    assert both["people"].odds + both["audience"].odds == 1  # as one effect before

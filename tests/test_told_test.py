@@ -1,0 +1,60 @@
+"""The bound of what any finder could name: a test that is told the effect."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+pytest.importorskip("numba", reason="the hidden worlds are compiled (extra fast)")
+
+from benchmarks.real_rooms import every_case
+from benchmarks.second_world import WORLDS, true_effect, truth_of
+from benchmarks.told_test import best_powers, drawn_ratios, log_ratio
+from rtcal.discrepancy import library
+
+
+@pytest.mark.parametrize("far", [0.5, 2.0, 4.0])
+def test_of_one_normal_case_the_power_is_neyman_s_and_pearson_s(far: float) -> None:
+    (power,), limit = best_powers([far], [12], 0.05, np.inf)
+    assert power == pytest.approx(norm.cdf(far - norm.ppf(0.95)), abs=0.03)
+    assert limit == pytest.approx(far * norm.ppf(0.95) - far**2 / 2, abs=0.1 * far)
+
+
+def test_one_limit_for_all_cases_names_more_than_one_for_each() -> None:
+    far, values = [0.5, 1.0, 2.0, 4.0], [8, 12, 24, 24]
+    together, _ = best_powers(far, values, 1 / 30, np.inf)
+    each = [best_powers([f], [v], 1 / 30, np.inf)[0][0] for f, v in zip(far, values, strict=True)]
+    assert together.sum() > sum(each)
+
+
+@pytest.mark.parametrize("degrees", [5.0, np.inf])
+def test_the_mean_likelihood_ratio_in_rooms_without_the_effect_is_1(degrees: float) -> None:
+    ratios = -drawn_ratios(0.8, 6, degrees)
+    assert np.exp(ratios).mean() == pytest.approx(1.0, abs=0.05)
+
+
+def test_heavy_tails_of_many_degrees_are_normal() -> None:
+    with_effect, without = np.array([3.0, 9.0]), np.array([7.0, 4.0])
+    expected = log_ratio(with_effect, without, 12, np.inf)
+    assert log_ratio(with_effect, without, 12, 1e7) == pytest.approx(expected, rel=1e-4)
+
+
+def test_every_hidden_effect_of_both_worlds_has_its_true_parameters() -> None:
+    effects = {e.name: e for e in library()}
+    seen = set()
+    for world, made in WORLDS.items():
+        for truth in made.read(0, "truth"):
+            known = truth_of(world, truth)
+            if known is None or known[0] & {"none", "unknown", "coefficients"}:
+                continue
+            hidden = true_effect(world, truth)
+            assert known[0] == {hidden.name}
+            assert effects[hidden.name].size in hidden.parameters
+            seen.add(hidden.name)
+    assert seen == set(effects) - {"covered surface", "direct sound"}
+
+
+def test_every_real_case_says_which_room_it_truly_was() -> None:
+    unknown = [c.name for c in every_case() if not c.control and c.true_rooms is list]
+    assert unknown == ["pyFDN, coupled"]  # its size is not known
