@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("numba", reason="the geometric world is compiled (extra fast)")
 
 from rtcal.simulators import PathTracing
-from tests.geometric_world import generate, hidden, load, rooms
+from tests.geometric_world import generate, hidden, in_situ, load, rooms
 from tests.imports import imported_by
 from tests.position_rooms import parameters, shapes
 from tests.position_rooms.tracer import Scene, trace
@@ -114,6 +114,20 @@ def test_the_populations_have_the_kinds_that_they_are_said_to_have() -> None:
 @pytest.mark.parametrize(("population", "expected_digest"), sorted(rooms.FROZEN.items()))
 def test_the_definition_is_the_frozen_one(population: int, expected_digest: str) -> None:
     assert generate.digest(population, FIRST) == expected_digest
+
+
+@pytest.mark.parametrize(("population", "expected_digest"), sorted(in_situ.FROZEN.items()))
+def test_what_is_stated_in_situ_is_frozen(population: int, expected_digest: str) -> None:
+    true = [load.truth(population, i)["alpha"] for i in range(FIRST)]
+    assert in_situ.digest(population, true) == expected_digest
+
+
+def test_coefficients_in_situ_err_by_their_sigma() -> None:
+    every = []
+    for index in range(40):
+        room = load.load(1, index, load.IN_SITU).room
+        every.append(((room.alpha - load.truth(1, index)["alpha"]) / room.sigma).ravel())
+    assert np.concatenate(every).std() == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize("population", [0, 1])

@@ -11,6 +11,7 @@ import numpy as np
 import rtcal as rt
 from rtcal.acoustics.measurement import Measurement
 from rtcal.simulators import Polyhedron
+from tests.geometric_world import in_situ
 from tests.geometric_world.generate import read
 from tests.position_rooms.load import RECEIVERS, SCATTERING, SOURCES, PositionRoom, as_measurement
 
@@ -47,8 +48,12 @@ def truth(population: int, index: int) -> dict[str, Any]:
     return values
 
 
-def load(population: int, index: int) -> GeometricRoom:
-    """Return room ``index`` of a population."""
+HANDBOOK, IN_SITU = "handbook", "in situ"
+"""How the coefficients are stated."""
+
+
+def load(population: int, index: int, statement: str = HANDBOOK) -> GeometricRoom:
+    """Return room ``index`` of a population with its coefficients from a handbook or "in situ"."""
     data = stored(population, "rooms")[index]
     stated = data["stated"]
     geometry = Polyhedron(
@@ -57,13 +62,17 @@ def load(population: int, index: int) -> GeometricRoom:
         materials=stated["materials"],
     )
     alpha = np.array(stated["alpha"])
+    sigma = np.maximum(0.3 * alpha, 0.02)
+    if statement == IN_SITU:
+        alpha = in_situ.stated(population, index, truth(population, index)["alpha"])
+        sigma = in_situ.sigma(alpha)
     room = rt.Room(
-        name=f"geometric room {population}.{index}",
+        name=f"geometric room {population}.{index}, {statement}",
         volume=geometry.volume,
         materials=stated["names"],
         areas=[geometry.areas[m] for m in stated["names"]],
         alpha=alpha,
-        sigma=np.maximum(0.3 * alpha, 0.02),
+        sigma=sigma,
         centre_frequencies=stated["bands"],
         air=rt.Air(temperature=stated["air"][0], humidity=stated["air"][1]),
         scattering=np.full(alpha.shape, SCATTERING),
