@@ -61,13 +61,14 @@ def load(population: int, index: int, statement: str = HANDBOOK) -> GeometricRoo
         faces=stated["faces"],
         materials=stated["materials"],
     )
-    alpha = np.array(stated["alpha"])
+    alpha, name = np.array(stated["alpha"]), f"geometric room {population}.{index}"
     sigma = np.maximum(0.3 * alpha, 0.02)
     if statement == IN_SITU:
+        name += ", in situ"
         alpha = in_situ.stated(population, index, truth(population, index)["alpha"])
         sigma = in_situ.sigma(alpha)
     room = rt.Room(
-        name=f"geometric room {population}.{index}, {statement}",
+        name=name,
         volume=geometry.volume,
         materials=stated["names"],
         areas=[geometry.areas[m] for m in stated["names"]],
