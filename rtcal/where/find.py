@@ -32,7 +32,7 @@ from rtcal.where.hypotheses import (
     spreads,
 )
 from rtcal.where.model import Model, model
-from rtcal.where.responses import parameters, responses
+from rtcal.where.responses import parameters, precisely, responses
 from rtcal.where.search import Hypotheses, Weights, evaluate, prior_off, threshold, weights
 
 EFFECTS = (
@@ -97,7 +97,7 @@ def find(
     tell = report or (lambda what, done, of: None)
     if controls is None:
         controls = control_runs(
-            case.simulator,
+            precisely(case.simulator),
             case.room,
             parameters(case),
             seed=seed,
