@@ -32,7 +32,7 @@ from rtcal.where.hypotheses import (
     spreads,
 )
 from rtcal.where.model import Model, model
-from rtcal.where.responses import parameters, precisely, responses
+from rtcal.where.responses import parameters, responses
 from rtcal.where.search import Hypotheses, Weights, evaluate, prior_off, threshold, weights
 
 EFFECTS = (
@@ -97,7 +97,7 @@ def find(
     tell = report or (lambda what, done, of: None)
     if controls is None:
         controls = control_runs(
-            precisely(case.simulator),
+            case.simulator,
             case.room,
             parameters(case),
             seed=seed,
@@ -107,7 +107,7 @@ def find(
         )
     if controls is None:  # a PathTracing has control runs always
         raise DataError(f"{case.simulator.name} has no geometry to trace")
-    steps = ("paths", "surfaces", "scattering", "places")
+    steps = ("paths", "surfaces", "materials", "places")
     made = responses(case, seed, cache, lambda what: tell(what, steps.index(what) + 1, len(steps)))
     numbers = model(case, made, controls)
     p, i, k = numbers.shape

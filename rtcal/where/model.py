@@ -20,7 +20,7 @@ from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood, band_first, flat, reordered
 from rtcal.where.hypotheses import interpolation
 from rtcal.where.prior import climate_error, usual_errors
-from rtcal.where.responses import AIR, Responses
+from rtcal.where.responses import AIR, STEP, Responses
 
 TAILS = 4.0
 """Degrees of freedom of Student's t for what catalogues err by in common, in rooms that are as stated:
@@ -147,10 +147,9 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
     nodes |= {
         "air": shifted(made.air),
         "volume": shifted(made.volume),
-        "scattering": shifted(made.scattering),
     }
-    at_stated = _slopes(wanted.parameters, stated, stated)
-    slopes = at_pairs(made.by_material) * at_stated[..., np.newaxis]
+    step = STEP * (1 - room.alpha.T)  # (n_bands, n_materials)
+    slopes = shifted(made.materials) / step[:, np.newaxis]
     alpha, together = _prior(case, slopes, nodes["air"])
     return Model(
         data=data,
@@ -206,12 +205,10 @@ def _measurement(data: MeasuredPairs) -> Array:
 
 def _prior(case: Case, slopes: Array, air: Array) -> tuple[Array, Array]:
     """Return the factors of what alpha and the climate leave open, and of the common errors."""
-    _, _, n_bands, n_materials = slopes.shape
-    by_band = band_first(slopes)  # (n_bands, n_values, n_materials)
-    n_values = by_band.shape[1]
+    n_bands, n_values, n_materials = slopes.shape
     full = np.zeros((n_bands, n_values, n_materials, n_bands))
     for k in range(n_bands):
-        full[k, :, :, k] = by_band[k]
+        full[k, :, :, k] = slopes[k]
     matrix = full.reshape(n_bands * n_values, -1)
     covariance = prior_covariance(case.room)
     values, vectors = np.linalg.eigh(covariance)

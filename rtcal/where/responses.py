@@ -32,8 +32,6 @@ AIR = (-1.0, -0.5, 0.7, 1.5, 3.0)
 """Nodes of the air: attenuation more than stated, over that at 20 °C and 50 %."""
 VOLUME = (-0.5, -0.25, 0.25, 0.5)
 """Nodes of ln volume over what is stated."""
-SCATTERING = (0.05, 0.95)
-"""Scattering coefficients, of all surfaces, at the nodes -1 and 1."""
 MOVE = 0.5
 """Distance in m by which a source or receiver is displaced, along each axis and both ways."""
 _SOURCE_PATHS = 4000
@@ -43,8 +41,8 @@ BASE = 8
 """Factor of the number of paths that are weighed. The shifts of T20, EDT and C80 differ little between
 the pairs: with 6000 paths per source, noise had five times the spread of what is there, and with 48,000
 less than twice the spread. A weighing of 48,000 paths takes 0.05 s."""
-_RETRACED = 4
-"""The same factor where each node has to be traced."""
+STEP = 0.08
+"""Share of the way to 1 by which a material's alpha moves for the derivatives by alpha."""
 
 Report = Callable[[str], None]
 """Called with what is computed next."""
@@ -61,12 +59,14 @@ class Responses:
         What the simulator hears as stated, with `BASE` times its paths.
     surfaces : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
         At the nodes `SHARES` of each surface.
-    air, volume, scattering : array (n_parameters, n_pairs, n_bands, n_nodes)
-        At the nodes `AIR` and `VOLUME`, and at -1 and 1.
+    air, volume : array (n_parameters, n_pairs, n_bands, n_nodes)
+        At the nodes `AIR` and `VOLUME`.
     moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
         Where a source or receiver is displaced by `MOVE`, by its name.
-    by_material : array (n_parameters, n_pairs, n_bands, n_materials)
-        Derivatives by alpha.
+    materials : array (n_parameters, n_pairs, n_bands, n_materials)
+        Where a material's alpha is larger by `STEP` of the way to 1.
+    noise : array (n_groups, n_parameters, n_pairs, n_bands)
+        Deviations from their mean of what groups of paths hear, each as many as the simulator's.
     """
 
     parameters: tuple[str, ...]
@@ -74,9 +74,9 @@ class Responses:
     surfaces: Array
     air: Array
     volume: Array
-    scattering: Array
     moved: Mapping[str, Array]
-    by_material: Array
+    materials: Array
+    noise: Array
 
 
 def parameters(case: Case) -> tuple[str, ...]:
@@ -105,10 +105,9 @@ def responses(
 def _weighed(case: Case, seed: int, report: Report) -> Responses:
     report("paths")
     match = parameters(case)
-    precise = precisely(case.simulator)
-    weighing = Weighing(precise, match, seed)
+    weighing = Weighing(precisely(case.simulator), match, seed)
     base = weighing.observe(weighing.alpha)
-    by_material = precise.jacobian(case.room.alpha, match, seed=seed)
+    groups = weighing.in_groups(weighing.alpha, BASE)
     report("surfaces")
     surfaces = [
         _of_surface(weighing, faces) - base[..., np.newaxis] for faces in case.faces.values()
@@ -120,13 +119,11 @@ def _weighed(case: Case, seed: int, report: Report) -> Responses:
         for t in AIR
     ]
     volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
-    report("scattering")
-    n_paths = _RETRACED * case.simulator.n_paths
-    other = [
-        observe(
-            _retraced(case.simulator, scattering=s, n_paths=n_paths), room.alpha, match, seed=seed
-        ).values
-        for s in SCATTERING
+    report("materials")
+    made_of = np.array([room.material_index(m) for m in case.geometry.materials])
+    materials = [
+        weighing.observe(changed_alpha(weighing.alpha, np.flatnonzero(made_of == row), STEP))
+        for row in range(room.n_materials)
     ]
     report("places")
     return Responses(
@@ -135,9 +132,9 @@ def _weighed(case: Case, seed: int, report: Report) -> Responses:
         surfaces=np.array(surfaces),
         air=np.stack(air, axis=-1) - base[..., np.newaxis],
         volume=np.stack(volume, axis=-1) - base[..., np.newaxis],
-        scattering=np.stack(other, axis=-1) - base[..., np.newaxis],
         moved=_moved(case, match, base, seed),
-        by_material=by_material,
+        materials=np.stack(materials, axis=-1) - base[..., np.newaxis],
+        noise=groups - groups.mean(axis=0),
     )
 
 
@@ -216,10 +213,10 @@ def _packed(made: Responses) -> Array:
     surfaces = [*made.surfaces]
     parts = [
         made.base[..., np.newaxis],
-        made.by_material,
+        made.materials,
         made.air,
         made.volume,
-        made.scattering,
+        np.moveaxis(made.noise, 0, -1),
         *surfaces,
         *moved,
     ]
@@ -231,18 +228,19 @@ def _read(path: Path, case: Case) -> Responses | None:
     packed = kept_arrays.read(path)
     tracer, n_moves = case.simulator, 6
     names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
-    sizes = [1, case.room.n_materials, len(AIR), len(VOLUME), 2]
+    sizes = [1, case.room.n_materials, len(AIR), len(VOLUME), BASE]
     sizes += [len(SHARES)] * len(case.faces) + [n_moves] * len(names)
     shape = (len(parameters(case)), len(tracer.pairs), case.room.n_bands, sum(sizes))
     if packed is None or packed.shape != shape or not np.isfinite(packed).all():
         return None
     parts = np.split(packed, np.cumsum(sizes)[:-1], axis=-1)
-    base, by_material, air, volume, scattering = parts[:5]
+    base, materials, air, volume, noise = parts[:5]
     surfaces, moved = parts[5 : 5 + len(case.faces)], parts[5 + len(case.faces) :]
     return Responses(
         parameters=parameters(case),
         base=base[..., 0],
-        by_material=by_material,
+        materials=np.stack(materials, axis=-1) - base[..., np.newaxis],
+        noise=groups - groups.mean(axis=0),
         air=air,
         volume=volume,
         scattering=scattering,
@@ -266,6 +264,6 @@ def _key(case: Case, seed: int) -> str:
         {name: list(map(float, p)) for name, p in {**tracer.sources, **tracer.receivers}.items()},
         np.asarray(tracer.scattering).tolist(),
         list(parameters(case)),
-        [BASE, seed, SHARES, AIR, VOLUME, SCATTERING, MOVE, __version__],
+        [BASE, STEP, seed, SHARES, AIR, VOLUME, MOVE, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

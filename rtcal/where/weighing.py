@@ -23,13 +23,11 @@ from rtcal.support.types import Array
 class Weighing:
     """The paths of a tracing, weighed with one alpha per face.
 
-    ``batches`` is the number of the tracing's batches that are weighed, to save time.
     """
 
     tracer: PathTracing
     match: Sequence[str]
     seed: int = 0
-    batches: int | None = None
     seconds: float = 0.0
 
     @property
@@ -51,8 +49,13 @@ class Weighing:
         stretch : float
             Factor of all lengths of the room.
         """
-        energy = self.energy(alpha, attenuation, stretch)
-        return self.parameters(energy)
+        return self.parameters(self.energy(alpha, attenuation, stretch).mean(axis=0))
+
+    def in_groups(self, alpha: Array, number: int) -> Array:
+        """Return what groups of the paths hear, (number, n_parameters, n_pairs, n_bands)."""
+        batches = self.energy(alpha)
+        groups = batches.reshape(number, -1, *batches.shape[1:]).mean(axis=1)
+        return np.array([self.parameters(group) for group in groups])
 
     def parameters(self, energy: Array) -> Array:
         """Return the parameters of decays, (n_pairs, n_bands, n_bins), as `observe` does."""
@@ -63,14 +66,14 @@ class Weighing:
         return heard.values
 
     def energy(self, alpha: Array, attenuation: Array | None = None, stretch: float = 1.0) -> Array:
-        """Return the energy decays, (n_pairs, n_bands, n_bins), long enough to hold T20."""
+        """Return energy decays, (n_batches, n_pairs, n_bands, n_bins), long enough to hold T20."""
         room = self.tracer.room
         air = room.air_attenuation if attenuation is None else attenuation
         if not self.seconds:
             decay_long_enough(self._probe, room, room.alpha, self._longest)
         while True:
             energy = self._energy(alpha, air, stretch)
-            if self.seconds >= LONGEST or not decay.too_short(energy, self._longest).any():
+            if self.seconds >= LONGEST or not decay.too_short(energy.mean(axis=0), self._longest).any():
                 return energy
             self.seconds = min(1.5 * self.seconds, LONGEST)
 
@@ -80,7 +83,7 @@ class Weighing:
 
     def _probe(self, seconds: float) -> Array:
         self.seconds = seconds
-        return self._energy(self.alpha, self.tracer.room.air_attenuation, 1.0)[np.newaxis]
+        return self._energy(self.alpha, self.tracer.room.air_attenuation, 1.0)
 
     def _energy(self, alpha: Array, attenuation: Array, stretch: float) -> Array:
         tracer = self.tracer
@@ -93,10 +96,10 @@ class Weighing:
             for bands in self._bands
         ]
         n_bins = min(d.shape[-1] for d in decays)
-        out = np.empty((len(tracer.pairs), tracer.room.n_bands, n_bins))
+        out = np.empty((len(decays[0]), len(tracer.pairs), tracer.room.n_bands, n_bins))
         for bands, of_bands in zip(self._bands, decays, strict=True):
-            mean = of_bands[..., :n_bins].mean(axis=0)
-            out[:, bands] = mean.reshape(len(tracer.pairs), len(bands), n_bins)
+            cut = of_bands[..., :n_bins]
+            out[:, :, bands] = cut.reshape(len(cut), len(tracer.pairs), len(bands), n_bins)
         return out / stretch**2
 
     @property
@@ -109,12 +112,4 @@ class Weighing:
         """Return the band's paths with each face as a material of its own."""
         traced = self.tracer.traced(band, self.seconds, seed=self.seed)
         n_faces = len(traced.materials)
-        batches = tuple(source[: self.batches] for source in traced.batches)
-        share = len(batches[0]) / len(traced.batches[0])
-        return replace(
-            traced,
-            batches=batches,
-            materials=np.arange(n_faces),
-            n_materials=n_faces,
-            n_paths=round(traced.n_paths * share),
-        )
+        return replace(traced, materials=np.arange(n_faces), n_materials=n_faces)
