@@ -106,8 +106,8 @@ def _weighed(case: Case, seed: int, report: Report) -> Responses:
     report("paths")
     match = parameters(case)
     weighing = Weighing(precisely(case.simulator), match, seed)
-    base = weighing.observe(weighing.alpha)
     groups = weighing.in_groups(weighing.alpha, BASE)
+    base = weighing.observe(weighing.alpha)
     report("surfaces")
     surfaces = [
         _of_surface(weighing, faces) - base[..., np.newaxis] for faces in case.faces.values()

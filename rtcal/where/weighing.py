@@ -49,13 +49,11 @@ class Weighing:
         stretch : float
             Factor of all lengths of the room.
         """
-        return self.parameters(self.energy(alpha, attenuation, stretch).mean(axis=0))
+        return self.parameters(self.energy(alpha, attenuation, stretch)[0])
 
     def in_groups(self, alpha: Array, number: int) -> Array:
         """Return what groups of the paths hear, (number, n_parameters, n_pairs, n_bands)."""
-        batches = self.energy(alpha)
-        groups = batches.reshape(number, -1, *batches.shape[1:]).mean(axis=1)
-        return np.array([self.parameters(group) for group in groups])
+        return np.array([self.parameters(group) for group in self.energy(alpha, number=number)])
 
     def parameters(self, energy: Array) -> Array:
         """Return the parameters of decays, (n_pairs, n_bands, n_bins), as `observe` does."""
@@ -65,15 +63,22 @@ class Weighing:
         )
         return heard.values
 
-    def energy(self, alpha: Array, attenuation: Array | None = None, stretch: float = 1.0) -> Array:
-        """Return energy decays, (n_batches, n_pairs, n_bands, n_bins), long enough to hold T20."""
+    def energy(
+        self,
+        alpha: Array,
+        attenuation: Array | None = None,
+        stretch: float = 1.0,
+        number: int = 1,
+    ) -> Array:
+        """Return the decays of groups of paths, (number, n_pairs, n_bands, n_bins), as T20 needs."""
         room = self.tracer.room
         air = room.air_attenuation if attenuation is None else attenuation
         if not self.seconds:
             decay_long_enough(self._probe, room, room.alpha, self._longest)
         while True:
-            energy = self._energy(alpha, air, stretch)
-            if self.seconds >= LONGEST or not decay.too_short(energy.mean(axis=0), self._longest).any():
+            batches = self._energy(alpha, air, stretch)
+            energy = batches.reshape(number, -1, *batches.shape[1:]).mean(axis=1)
+            if self.seconds >= LONGEST or not decay.too_short(energy, self._longest).any():
                 return energy
             self.seconds = min(1.5 * self.seconds, LONGEST)
 
