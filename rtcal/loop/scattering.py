@@ -85,19 +85,19 @@ def fitted(
     runs = len(controls.errors)
     if controls.levels is None or runs < 4 * _COEFFICIENTS:
         return None
-    basis = _basis(controls.levels, [MODELS.index(m) for m in controls.models])
+    columns = basis(controls.levels, [MODELS.index(m) for m in controls.models])
     errors = controls.errors.reshape(runs, -1)
-    coefficients, _, rank, _ = np.linalg.lstsq(basis, errors, rcond=None)
+    coefficients, _, rank, _ = np.linalg.lstsq(columns, errors, rcond=None)
     if rank < _COEFFICIENTS:
         return None
-    left = (errors - basis @ coefficients) * np.sqrt(runs / (runs - rank))
+    left = (errors - columns @ coefficients) * np.sqrt(runs / (runs - rank))
     covariance = replace(controls, errors=left.reshape(controls.errors.shape)).covariance()
     levels = np.tile(np.linspace(*SCATTERING, _GRID), len(MODELS))
     models = np.repeat(np.arange(len(MODELS)), _GRID)
-    rows = _basis(levels, models)
+    rows = basis(levels, models)
     shifts = rows @ coefficients
     # What a few runs leave uncertain of the coefficients: the leverage of the level.
-    leverage = np.sum(rows @ np.linalg.inv(basis.T @ basis) * rows, axis=1)
+    leverage = np.sum(rows @ np.linalg.inv(columns.T @ columns) * rows, axis=1)
     log_likelihood = np.array(
         [
             _log_likelihood(innovation - shift, expected + (1 + h) * covariance[np.ix_(used, used)])
@@ -111,7 +111,7 @@ def fitted(
     within /= within.sum()
     level = float(within @ levels)
     scattering = Scattering(model=MODELS[model], level=level)
-    shift = _basis([level], [model])[0] @ coefficients
+    shift = basis([level], [model])[0] @ coefficients
     away = shifts - shift
     uncertain = (1 + leverage @ probability) * covariance + (away.T * probability) @ away
     return ScatteringFit(
@@ -134,7 +134,7 @@ def with_scattering(tracer: PathTracing, scattering: Scattering) -> PathTracing:
     return replace(tracer, scattering=level, scattering_model=scattering.model)
 
 
-def _basis(levels: ArrayLike, models: ArrayLike) -> Array:
+def basis(levels: ArrayLike, models: ArrayLike) -> Array:
     """Return the columns that a value depends on, (n, 3)."""
     level, model = np.asarray(levels, dtype=float), np.asarray(models, dtype=float)
     return np.stack([np.ones_like(level), model, level - np.mean(SCATTERING)], axis=1)

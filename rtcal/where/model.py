@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtcal.discrepancy.coefficients import SCALES
 from rtcal.errors import DataError
-from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.control_runs import ControlRuns, level
 from rtcal.loop.measured_pairs import MeasuredPairs, measured_pairs
 from rtcal.loop.positions import prior_covariance
 from rtcal.simulators.observations import Observations
@@ -18,13 +18,17 @@ from rtcal.support.types import Array
 from rtcal.where import scales
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood, band_first, flat, reordered
+from rtcal.where.hypotheses import SCATTERING as SCATTERED
 from rtcal.where.hypotheses import interpolation
 from rtcal.where.prior import climate_error, usual_errors
-from rtcal.where.responses import AIR, STEP, Responses
+from rtcal.where.responses import AIR, BASE, STEP, Responses
+from rtcal.where.simulator_error import SimulatorError, simulator_error
 
 TAILS = 4.0
 """Degrees of freedom of Student's t for what catalogues err by in common, in rooms that are as stated:
 now and then a table is of another product altogether."""
+SCATTERING = np.array([0.05, 0.95])
+"""Scattering coefficients, of all surfaces, at the nodes -1 and 1."""
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""
 
@@ -51,8 +55,7 @@ class Model:
         The part of it that is a common error of the coefficients.
     measurement : array (n, n)
         Covariance of the measurement's errors.
-    errors : array (n_runs, n)
-        The simulator's errors in the control runs.
+    error : SimulatorError
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
     """
 
@@ -64,6 +67,7 @@ class Model:
     alpha: Array
     together: Array
     measurement: Array
+    error: SimulatorError
     nodes: Mapping[str, Array]
 
     @property
@@ -75,21 +79,12 @@ class Model:
     @property
     def errors(self) -> Array:
         """The simulator's errors in the control runs, (n_runs, n)."""
-        return np.array([flat(run) for run in self._controls.errors]) * self.scale
-
-    @property
-    def _controls(self) -> ControlRuns:
-        observations = self.data.observations
-        return self.controls.at(observations.parameters, observations.pairs)
+        return np.array([flat(run) for run in self.error.runs.errors]) * self.scale
 
     def simulator_error(self, without: NDArray[np.int64] | None = None) -> Array:
         """Return the covariance of the simulator's error, from all control runs but some."""
-        runs = self._controls
-        kept = np.ones(len(runs.errors), dtype=bool)
-        if without is not None:
-            kept[without] = False
-        some = ControlRuns(parameters=runs.parameters, pairs=runs.pairs, errors=runs.errors[kept])
-        return reordered(some.covariance(), self.shape) * np.outer(self.scale, self.scale)
+        covariance = reordered(self.error.covariance(without), self.shape)
+        return covariance * np.outer(self.scale, self.scale)
 
     def likelihoods(
         self, without: NDArray[np.int64] | None = None
@@ -144,9 +139,19 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
 
     nodes = {f"surface {j}": shifted(s) for j, s in enumerate(made.surfaces)}
     nodes |= _of_materials(case, nodes)
+    error = simulator_error(
+        controls.at(wanted.parameters, wanted.pairs), made.noise[:, rows][:, :, columns], BASE
+    )
+    ends = SCATTERING - level(tracer.scattering, room.areas)
+    scattered = _linear(
+        wanted.parameters,
+        stated[..., np.newaxis] + error.scattering(ends),
+        stated[..., np.newaxis],
+    )
     nodes |= {
         "air": shifted(made.air),
         "volume": shifted(made.volume),
+        SCATTERED: band_first(scattered),
     }
     step = STEP * (1 - room.alpha.T)  # (n_bands, n_materials)
     slopes = shifted(made.materials) / step[:, np.newaxis]
@@ -160,6 +165,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
         alpha=alpha,
         together=together,
         measurement=_measurement(data) * np.outer(flat(scale), flat(scale)),
+        error=error,
         nodes=nodes,
     )
 

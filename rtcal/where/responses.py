@@ -239,11 +239,10 @@ def _read(path: Path, case: Case) -> Responses | None:
     return Responses(
         parameters=parameters(case),
         base=base[..., 0],
-        materials=np.stack(materials, axis=-1) - base[..., np.newaxis],
-        noise=groups - groups.mean(axis=0),
+        materials=materials,
+        noise=np.moveaxis(noise, -1, 0),
         air=air,
         volume=volume,
-        scattering=scattering,
         surfaces=np.array(surfaces),
         moved={n: np.moveaxis(m, -1, 0) for n, m in zip(names, moved, strict=True)},
     )

@@ -76,18 +76,20 @@ def evaluate(
 ) -> Evidence:
     """Return the evidence of residuals (n, n_draws)."""
     stated, off, unknown = likelihoods
+    as_stated = stated.of(residuals)
+    as_off = [one.of(residuals) for one in off]
     shares = np.log([share for _, share in SCALES])
     together = logsumexp(
-        [share + one.stated(residuals) for share, one in zip(shares, off, strict=True)], axis=0
+        [s + one.stated(r) for s, one, r in zip(shares, off, as_off, strict=True)], axis=0
     )
-    none = stated.stated(residuals)
+    none = stated.stated(as_stated)
 
     def either(shift: Shift) -> Array:
-        first = stated.shifted(shift, residuals)
+        first = stated.shifted(shift, as_stated)
         if hypotheses.off <= 0:
             return first
         others = [
-            share + one.shifted(shift, residuals) for share, one in zip(shares, off, strict=True)
+            s + one.shifted(shift, r) for s, one, r in zip(shares, off, as_off, strict=True)
         ]
         both = [
             np.log1p(-hypotheses.off) + first,
@@ -99,10 +101,10 @@ def evaluate(
         none=none,
         coefficients=np.asarray(together),
         unknown=np.asarray(
-            logsumexp([u.stated(residuals) for u in unknown], axis=0) - np.log(len(unknown))
+            logsumexp([u.stated(u.of(residuals)) for u in unknown], axis=0) - np.log(len(unknown))
         ),
         shifts=[either(shift) for shift in hypotheses.shifts],
-        spreads=[stated.spread(spread, residuals) for spread in hypotheses.spreads],
+        spreads=[stated.spread(spread, as_stated) for spread in hypotheses.spreads],
     )
 
 
@@ -196,9 +198,10 @@ def threshold(model: Model, hypotheses: Hypotheses, seed: int) -> Threshold:
         likelihoods = model.likelihoods(fold)
         residuals = drawn(model, fold, rng, DRAWS)
         evidences.append(evaluate(likelihoods, hypotheses, residuals))
+        observed = likelihoods[0].of(residuals)
         for shift in hypotheses.shifts:
             if shift.surface is not None:
-                squares.append(float(np.mean(likelihoods[0].standardised(shift, residuals) ** 2)))
+                squares.append(float(np.mean(likelihoods[0].standardised(shift, observed) ** 2)))
     temper = max(1.0, float(np.mean(squares)) if squares else 1.0)
     scores = np.concatenate([weights(e, hypotheses, temper).score for e in evidences])
     return Threshold(float(np.quantile(scores, 1 - FALSE_ALARMS)), temper, scores)
