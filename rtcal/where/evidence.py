@@ -117,9 +117,7 @@ class Likelihood:
 
     def forms(self, shift: Shift) -> Array:
         """Return d' K⁻¹ d by pairs of bands, (n_hypotheses, n_bands, n_bands)."""
-        n_bands, n_nodes = shift.weights.shape[1:]
         products = self._node_products(shift.response)
-        # As matrix products, (k m) x (l n) by rows of (h, k): einsum takes ten times as long.
         right = np.einsum("kmln,hln->hkml", products, shift.weights, optimize=True)
         return np.asarray((shift.weights[..., np.newaxis] * right).sum(axis=2))
 

@@ -32,8 +32,16 @@ from rtcal.where.hypotheses import (
     spreads,
 )
 from rtcal.where.model import Model, model
-from rtcal.where.responses import parameters, responses
-from rtcal.where.search import Hypotheses, Weights, evaluate, prior_off, threshold, weights
+from rtcal.where.responses import Responses, parameters, responses
+from rtcal.where.search import (
+    TEMPER,
+    THRESHOLD,
+    Hypotheses,
+    Weights,
+    evaluate,
+    prior_off,
+    weights,
+)
 
 EFFECTS = (
     *(e.name for e in library()),
@@ -81,7 +89,7 @@ def find(
     cache : path, optional
         Folder in which control runs and weighings are kept, by a hash of all that they depend on.
     seed : int
-        Of control runs and threshold.
+        Of control runs and paths.
     only, without : sequence of str
         Effects to try alone, or to leave out; names of `EFFECTS`.
     report : callable, optional
@@ -110,30 +118,33 @@ def find(
     steps = ("paths", "surfaces", "materials", "places")
     made = responses(case, seed, cache, lambda what: tell(what, steps.index(what) + 1, len(steps)))
     numbers = model(case, made, controls)
-    p, i, k = numbers.shape
-    columns = [case.simulator.pairs.index(pair) for pair in numbers.data.observations.pairs]
-    rows = [made.parameters.index(name) for name in numbers.data.observations.parameters]
+    hypotheses = every_hypothesis(case, made, numbers, left_out)
+    likelihoods = numbers.likelihoods()
+    evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
+    posterior = weights(evidence, hypotheses)
+    return _finding(case, numbers, hypotheses, posterior, likelihoods[0])
+
+
+def every_hypothesis(
+    case: Case, made: Responses, numbers: Model, left_out: Sequence[str] = ()
+) -> Hypotheses:
+    """Return the hypotheses of a search, but for some effects."""
+    observations, (p, i, k) = numbers.data.observations, numbers.shape
+    columns = [case.simulator.pairs.index(pair) for pair in observations.pairs]
+    rows = [made.parameters.index(name) for name in observations.parameters]
     scale = np.moveaxis(numbers.scale.reshape(k, p, i), 0, 2)
     moved = {}
     for name, shift in made.moved.items():
         moved[name] = np.zeros(shift[:, rows].shape)
         moved[name][:, :, columns] = shift[:, rows][:, :, columns] * scale
     errors = (numbers.measurement + numbers.simulator_error()).reshape(k, p, i, k, p, i)
-    hypotheses = Hypotheses(
+    places = spreads(observations.pairs, moved, errors, columns)
+    return Hypotheses(
         shifts=shifts(case, left_out),
-        spreads=[
-            s
-            for s in spreads(numbers.data.observations.pairs, moved, errors, columns)
-            if s.effect not in left_out
-        ],
+        spreads=[spread for spread in places if spread.effect not in left_out],
         off=0.0 if COEFFICIENTS in left_out else prior_off(case),
         unknown=UNKNOWN not in left_out,
     )
-    limit = threshold(numbers, hypotheses, seed)
-    likelihoods = numbers.likelihoods()
-    evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
-    posterior = weights(evidence, hypotheses, limit.temper)
-    return _finding(case, numbers, hypotheses, posterior, limit.value, likelihoods[0], limit.temper)
 
 
 def _left_out(only: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
@@ -269,14 +280,12 @@ def _finding(
     numbers: Model,
     hypotheses: Hypotheses,
     posterior: Weights,
-    limit: float,
     likelihood: Likelihood,
-    temper: float,
 ) -> Finding:
     summary = _posterior(case, hypotheses, posterior)
     score = float(posterior.score[0])
-    groups = _groups(case, hypotheses, summary, likelihood, temper)
-    verdict, effect, family = _claimed(summary, score, limit)
+    groups = _groups(case, hypotheses, summary, likelihood)
+    verdict, effect, family = _claimed(summary, score)
     reasons = _reasons(hypotheses, summary, verdict)
     first = next(iter(summary.surfaces))
     sure = summary.surfaces[first] >= LIKELY and summary.on_surfaces >= CLAIMED
@@ -294,7 +303,7 @@ def _finding(
         probabilities=summary.probabilities,
         families=summary.families,
         score=score,
-        threshold=limit,
+        threshold=THRESHOLD,
         map=_map(numbers, likelihood),
         parameters=observations.parameters,
         pairs=observations.pairs,
@@ -304,9 +313,9 @@ def _finding(
     )
 
 
-def _claimed(summary: _Posterior, score: float, limit: float) -> tuple[str, str | None, str | None]:
+def _claimed(summary: _Posterior, score: float) -> tuple[str, str | None, str | None]:
     """Return the verdict, and the effect and the family that are claimed."""
-    if score <= max(limit, 0.0):
+    if score <= THRESHOLD:
         return ("hint" if score > 0 else "none"), None, None
     some = {e: p for e, p in summary.probabilities.items() if e != NONE}
     best = next(iter(some))
@@ -345,7 +354,6 @@ def _groups(
     hypotheses: Hypotheses,
     summary: _Posterior,
     likelihood: Likelihood,
-    temper: float,
 ) -> tuple[tuple[str, ...], ...]:
     """Return the surfaces that the most probable effect, in its size, does not tell apart.
 
@@ -367,7 +375,7 @@ def _groups(
     every = np.array(vectors).T
     gram = every.T @ likelihood.inverse @ every
     size = np.maximum(np.diag(gram), 1e-12)
-    nats = 0.5 * (size[:, np.newaxis] - gram**2 / size) / temper
+    nats = 0.5 * (size[:, np.newaxis] - gram**2 / size) / TEMPER
     return _joined(names, np.minimum(nats, nats.T) < APART)
 
 

@@ -24,9 +24,6 @@ from rtcal.where.prior import climate_error, usual_errors
 from rtcal.where.responses import AIR, BASE, STEP, Responses
 from rtcal.where.simulator_error import SimulatorError, simulator_error
 
-TAILS = 4.0
-"""Degrees of freedom of Student's t for what catalogues err by in common, in rooms that are as stated:
-now and then a table is of another product altogether."""
 SCATTERING = np.array([0.05, 0.95])
 """Scattering coefficients, of all surfaces, at the nodes -1 and 1."""
 UNKNOWN_SCALES = (4.0, 16.0)

@@ -1,4 +1,4 @@
-"""The search: evidence of every hypothesis, the threshold from control runs, and the verdict."""
+"""The search: evidence of every hypothesis, and its weight."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from rtcal.discrepancy.coefficients import SCALES
@@ -15,12 +14,15 @@ from rtcal.support.types import Array
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
 from rtcal.where.hypotheses import ODDS, UNKNOWN, Shift, Spread
-from rtcal.where.model import TAILS, Model
 
 FALSE_ALARMS = 0.05
 """Share of rooms with nothing hidden that may be flagged."""
-FOLDS, DRAWS = 8, 50
-"""Groups of control runs that are left out in turn, and rooms that are drawn from each."""
+THRESHOLD = 3.0
+"""Score in nats that at most `FALSE_ALARMS` of the control rooms exceed
+(`python -m benchmarks.where_threshold`)."""
+TEMPER = 1.25
+"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in those rooms. It
+would be 1 if few control runs told their covariance without error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +90,7 @@ def evaluate(
         first = stated.shifted(shift, as_stated)
         if hypotheses.off <= 0:
             return first
-        others = [
-            s + one.shifted(shift, r) for s, one, r in zip(shares, off, as_off, strict=True)
-        ]
+        others = [s + one.shifted(shift, r) for s, one, r in zip(shares, off, as_off, strict=True)]
         both = [
             np.log1p(-hypotheses.off) + first,
             np.log(hypotheses.off) + logsumexp(others, axis=0),
@@ -134,15 +134,12 @@ class Weights:
         return np.asarray(logsumexp(np.array(every), axis=0))
 
 
-def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float) -> Weights:
-    """Return log posterior weights, the weight of "none" being its prior.
-
-    Log evidences over "none" are divided by ``temper``: control runs say how much too sure they are.
-    """
+def weights(evidence: Evidence, hypotheses: Hypotheses) -> Weights:
+    """Return log posterior weights, the weight of "none" being its prior."""
     off = max(hypotheses.off, 1e-300)
 
     def relative(values: Array) -> Array:
-        return np.asarray((values - evidence.none) / temper)
+        return np.asarray((values - evidence.none) / TEMPER)
 
     return Weights(
         none=np.full_like(evidence.none, np.log(NO_EFFECT * (1 - off))),
@@ -157,51 +154,3 @@ def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float) -> Weight
             for s, e in zip(hypotheses.spreads, evidence.spreads, strict=True)
         ],
     )
-
-
-def drawn(model: Model, fold: NDArray[np.int64], rng: np.random.Generator, n: int) -> Array:
-    """Draw residuals of rooms that are as stated, (n_values, n), with the errors of some runs."""
-    kept = np.flatnonzero(model.used)
-    factor = np.linalg.cholesky(model.measurement[np.ix_(kept, kept)] + 1e-12 * np.eye(len(kept)))
-    unknowns = rng.standard_normal((model.alpha.shape[1], n))
-    # What catalogues err by in common has heavy tails.
-    common = slice(len(unknowns) - model.together.shape[1], None)
-    unknowns[common] = rng.standard_t(TAILS, unknowns[common].shape)
-    out = model.alpha @ unknowns
-    out[kept] += factor @ rng.standard_normal((len(kept), n))
-    chosen = fold[np.arange(n) % len(fold)]
-    return np.asarray(out + model.errors[chosen].T)
-
-
-@dataclass(frozen=True, eq=False)
-class Threshold:
-    """What the search finds in rooms that are as stated.
-
-    ``temper`` is the mean square of a hypothesis' standardised projection, 1 if the covariances are
-    right and at least 1. ``scores`` are those of the rooms, ``value`` their `FALSE_ALARMS` quantile.
-    """
-
-    value: float
-    temper: float
-    scores: Array
-
-
-def threshold(model: Model, hypotheses: Hypotheses, seed: int) -> Threshold:
-    """Return the score that rooms as stated exceed in `FALSE_ALARMS`.
-
-    Their errors are those of control runs that the covariance has not seen.
-    """
-    rng = np.random.default_rng([seed, 22])
-    folds = np.array_split(np.arange(len(model.errors)), FOLDS)
-    evidences, squares = [], []
-    for fold in folds:
-        likelihoods = model.likelihoods(fold)
-        residuals = drawn(model, fold, rng, DRAWS)
-        evidences.append(evaluate(likelihoods, hypotheses, residuals))
-        observed = likelihoods[0].of(residuals)
-        for shift in hypotheses.shifts:
-            if shift.surface is not None:
-                squares.append(float(np.mean(likelihoods[0].standardised(shift, observed) ** 2)))
-    temper = max(1.0, float(np.mean(squares)) if squares else 1.0)
-    scores = np.concatenate([weights(e, hypotheses, temper).score for e in evidences])
-    return Threshold(float(np.quantile(scores, 1 - FALSE_ALARMS)), temper, scores)

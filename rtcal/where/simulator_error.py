@@ -1,8 +1,7 @@
 """The error of what is compared with the measurement, as control runs tell it.
 
-Control runs have fewer paths than what is compared. So they have a noise that the comparison has not,
-and it is taken off. A covariance of few directions for what depends on the scattering did not pay: the
-runs are too few, and control runs that it had not seen lay further outside it.
+Control runs have fewer paths than what is compared. Their noise is taken off. A separate covariance of
+what depends on the scattering did not pay: control runs that it had not seen lay further outside it.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ from rtcal.loop.scattering import basis
 from rtcal.support.types import Array
 
 OWN = 0.5
-"""Share of the variance that is each value's own. Few runs say nothing of most combinations of values;
-without a part of their own, combinations that hardly differ between the runs decide. In six
-development rooms the log likelihood ratio of the true change then was -26 to 37 where 11 to 57 was to be
-expected, and with it 6 to 50."""
+"""Share of the variance that is each value's own. Without it, combinations of values decide that hardly
+differ between so few runs. In four development rooms the log likelihood ratio of the true change then was
+37, 17, 0 and -26 nats, and with it 50, 12, 6 and 8."""
 _LEAST = 0.1
 """Share of a variance that is left at least where noise is taken off."""
 

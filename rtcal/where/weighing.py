@@ -21,9 +21,7 @@ from rtcal.support.types import Array
 
 @dataclass(eq=False)
 class Weighing:
-    """The paths of a tracing, weighed with one alpha per face.
-
-    """
+    """The paths of a tracing, weighed with one alpha per face."""
 
     tracer: PathTracing
     match: Sequence[str]
@@ -79,7 +77,7 @@ class Weighing:
             batches = self._energy(alpha, air, stretch)
             energy = batches.reshape(number, -1, *batches.shape[1:]).mean(axis=1)
             if self.seconds >= LONGEST or not decay.too_short(energy, self._longest).any():
-                return energy
+                return np.asarray(energy)
             self.seconds = min(1.5 * self.seconds, LONGEST)
 
     @property
