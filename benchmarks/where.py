@@ -1,7 +1,7 @@
 """What `rtcal.where` says of rooms in which something is hidden at a place that nobody stated.
 
     python -m benchmarks.where list
-    python -m benchmarks.where run --folder out --number 40      # can be resumed
+    python -m benchmarks.where run --folder out --number 40 --statement "in situ"    # can be resumed
     python -m benchmarks.where gaps --folder out --number 40     # at held-out pairs, the same rooms
     python -m benchmarks.where means --folder out --number 40    # means over positions, the same rooms
     python -m benchmarks.where table                             # of the stored run, or --folder out
@@ -27,6 +27,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +41,18 @@ from rtcal.discrepancy import Case, Configuration, find
 from rtcal.discrepancy.engines import ControlRooms
 from tests.geometric_world import rooms
 from tests.geometric_world.generate import HERE
-from tests.geometric_world.load import GeometricRoom, load, stored, truth, without_noise
+from tests.geometric_world.load import (
+    HANDBOOK,
+    IN_SITU,
+    GeometricRoom,
+    load,
+    stored,
+    truth,
+    without_noise,
+)
 
 PATHS = 6000
+STATEMENTS = IN_SITU, HANDBOOK
 DATA = {"without": "without level", "level": "with level"}
 ABSORBERS = rooms.ON_A_SURFACE
 WHOLE_PLACES = ("audience",)
@@ -74,12 +84,27 @@ def case_of(room: GeometricRoom, data: str) -> rt.where.Case:
     )
 
 
-def judged(population: int, index: int, data: str, folder: Path) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Judging:
+    """Rooms of a population, the statement of their coefficients, and the folder of what is kept."""
+
+    population: int
+    statement: str
+    folder: Path
+
+    def load(self, index: int) -> GeometricRoom:
+        return load(self.population, index, self.statement)
+
+    def file(self, step: str) -> Path:
+        return self.folder / f"{step}_{self.population}_{self.statement.replace(' ', '_')}.jsonl"
+
+
+def judged(judging: Judging, index: int, data: str) -> dict[str, Any]:
     """Return what `rtcal.where.find` says of a room."""
-    room = load(population, index)
+    room = judging.load(index)
     case = case_of(room, data)
     clock, processor = time.perf_counter(), time.process_time()
-    finding = rt.where.find(case, cache=folder / "controls")
+    finding = rt.where.find(case, cache=judging.folder / "controls")
     return {
         "index": index,
         "data": data,
@@ -87,28 +112,29 @@ def judged(population: int, index: int, data: str, folder: Path) -> dict[str, An
         "processor": time.process_time() - processor,
         "n_surfaces": len(case.faces),
         "n_bands": room.room.n_bands,
-        **said(finding, case, truth(population, index)["surface"]),
+        **said(finding, case, truth(judging.population, index)["surface"]),
     }
 
 
-def verified(population: int, index: int, data: str, folder: Path) -> dict[str, Any]:
+def verified(judging: Judging, index: int, data: str) -> dict[str, Any]:
     """Return the mean gaps at held-out pairs in JND, to what was measured and to what is heard.
 
     What is heard has no noise. Rooms whose T changes little, and findings that add nothing to a
     surface, have none; those of `run` that flagged nothing are not made again.
     """
     out: dict[str, Any] = {"index": index, "data": data, "gaps": {}, "gaps_heard": {}}
-    if truth(population, index)["effect_on_t"] <= LARGE:
+    cache = judging.folder / "controls"
+    if truth(judging.population, index)["effect_on_t"] <= LARGE:
         return out
-    for row in read(folder / f"run_{population}.jsonl"):
+    for row in read(judging.file("run")):
         if (row["index"], row["data"]) == (index, data) and row["verdict"] not in FLAGS:
             return out
-    finding = rt.where.find(case_of(load(population, index), data), cache=folder / "controls")
+    finding = rt.where.find(case_of(judging.load(index), data), cache=cache)
     if not finding.can_be_added:
         return out
-    result = rt.where.verify(finding, cache=folder / "controls")
+    result = rt.where.verify(finding, cache=cache)
     gaps = {model: getattr(result, model).mean(axis=0) for model in MODELS}
-    off = noise(finding, without_noise(population, index))
+    off = noise(finding, without_noise(judging.population, index))
     for key, table in (
         ("gaps", gaps),
         ("gaps_heard", {m: to_heard(g, off) for m, g in gaps.items()}),
@@ -178,9 +204,9 @@ def plain(value: Any) -> Any:
     return value
 
 
-def means_only(population: int, index: int, data: str, folder: Path) -> dict[str, Any]:
+def means_only(judging: Judging, index: int, data: str) -> dict[str, Any]:
     """Return what the finder without a geometry says of the same measurement."""
-    room = load(population, index)
+    room = judging.load(index)
     names = ("t20", "edt", "c80", "g") if data == "level" else ("t20", "edt", "c80")
     measured = rt.Measurement(
         centre_frequencies=room.measured.centre_frequencies,
@@ -200,7 +226,8 @@ def means_only(population: int, index: int, data: str, folder: Path) -> dict[str
         ],
         facing=facing / facing.sum(1, keepdims=True),
     )
-    path = folder / "means_controls" / f"{population}_{index}_{data}.npz"
+    name = f"{judging.statement}_{judging.population}_{index}_{data}.npz"
+    path = judging.folder / "means_controls" / name
     controls: list[ControlRooms] = kept_controls(case, path)
     row = row_of(find(case, controls=controls))
     return {"index": index, "data": data, **row}
@@ -211,21 +238,16 @@ def faces_of(room: GeometricRoom) -> tuple[Any, Any, Any]:
     return geometry.face_areas, geometry.normals, geometry.materials
 
 
-def run(
-    file: Path,
-    population: int,
-    number: int,
-    data: Iterable[str],
-    make: Callable[[int, str], dict[str, Any]],
-) -> None:
+def run(judging: Judging, step: str, number: int, data: Iterable[str]) -> None:
     """Judge the first rooms that are built and not in the file yet; each row is written at once."""
+    file, population = judging.file(step), judging.population
     file.parent.mkdir(parents=True, exist_ok=True)
     done = {(r["index"], r["data"]) for r in read(file)}
     for index in sorted(stored(population, "truth"))[:number]:
         for which in data:
             if (index, which) in done:
                 continue
-            row = plain(make(index, which))
+            row = plain(STEPS[step](judging, index, which))
             with file.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(row, separators=(",", ":")) + "\n")
             print(
@@ -241,17 +263,17 @@ def read(file: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines.splitlines()]
 
 
-def results(folder: Path, population: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def results(judging: Judging) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the rows of a run: in the geometry, with their gaps, and of means."""
-    every = {step: read(folder / f"{step}_{population}.jsonl") for step in STEPS}
+    every = {step: read(judging.file(step)) for step in STEPS}
     gaps = {(r["index"], r["data"]): r for r in every["gaps"]}
     found = [{**r, **gaps.get((r["index"], r["data"]), {})} for r in every["run"]]
     return found, every["means"]
 
 
-def kept() -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def kept(statement: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the rows of the stored run, as `results` does."""
-    rows = read(STORED)
+    rows = [r for r in read(STORED) if r["statement"] == statement]
     found = [r for r in rows if r["finder"] == "where"]
     return found, [r for r in rows if r["finder"] == "means"]
 
@@ -259,8 +281,11 @@ def kept() -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 def store(folder: Path) -> None:
     """Put the rows of a judging run into the repository."""
     lines = [
-        json.dumps({"finder": finder, **row}, separators=(",", ":"))
-        for finder, rows in zip(("where", "means"), results(folder, 1), strict=True)
+        json.dumps({"finder": finder, "statement": statement, **row}, separators=(",", ":"))
+        for statement in STATEMENTS
+        for finder, rows in zip(
+            ("where", "means"), results(Judging(1, statement, folder)), strict=True
+        )
         for row in rows
     ]
     STORED.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
@@ -477,7 +502,11 @@ def speed(folder: Path, population: int) -> None:
         )
 
 
-STEPS = {"run": judged, "gaps": verified, "means": means_only}
+STEPS: dict[str, Callable[[Judging, int, str], dict[str, Any]]] = {
+    "run": judged,
+    "gaps": verified,
+    "means": means_only,
+}
 """What is made of a room, by the name of its command and of its file of rows."""
 
 
@@ -486,6 +515,7 @@ def main() -> None:
     parser.add_argument("command", choices=("list", *STEPS, "table", "store", "speed"))
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=1)
+    parser.add_argument("--statement", choices=STATEMENTS, default=HANDBOOK)
     parser.add_argument("--number", type=int, default=250, help="the first rooms, in a fair order")
     parser.add_argument("--data", default=",".join(DATA))
     given = parser.parse_args()
@@ -493,24 +523,18 @@ def main() -> None:
     if given.command == "list":
         listed()
     elif given.command == "table" and given.folder is None:
-        table(*kept(), given.population)
+        table(*kept(given.statement), given.population)
     elif given.folder is None:
         parser.error("--folder is needed")
     elif given.command == "table":
-        table(*results(given.folder, given.population), given.population)
+        table(*results(Judging(given.population, given.statement, given.folder)), given.population)
     elif given.command == "store":
         store(given.folder)
     elif given.command == "speed":
         speed(given.folder, given.population)
     else:
-        step = STEPS[given.command]
-        run(
-            given.folder / f"{given.command}_{given.population}.jsonl",
-            given.population,
-            given.number,
-            given.data.split(","),
-            lambda i, d: step(given.population, i, d, given.folder),
-        )
+        judging = Judging(given.population, given.statement, given.folder)
+        run(judging, given.command, given.number, given.data.split(","))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from rtcal.where.hypotheses import ODDS, UNKNOWN, Shift, Spread
 
 FALSE_ALARMS = 0.05
 """Share of rooms with nothing hidden that may be flagged."""
-THRESHOLD = 3.0
+THRESHOLD = 3.5
 """Score in nats that at most `FALSE_ALARMS` of the control rooms exceed
 (`python -m benchmarks.where_threshold`)."""
 TEMPER = 1.25

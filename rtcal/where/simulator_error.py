@@ -17,8 +17,8 @@ from rtcal.support.types import Array
 
 OWN = 0.5
 """Share of the variance that is each value's own. Without it, combinations of values decide that hardly
-differ between so few runs. In four development rooms the log likelihood ratio of the true change then was
-37, 17, 0 and -26 nats, and with it 50, 12, 6 and 8."""
+differ between so few runs. In four development rooms the log likelihood ratio of the true change then
+was 37, 17, 0 and -26 nats, and with it 50, 12, 6 and 8."""
 _LEAST = 0.1
 """Share of a variance that is left at least where noise is taken off."""
 
