@@ -30,7 +30,7 @@ from rtcal.discrepancy.measurements import COSTS
 from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import prior_of
 from rtcal.discrepancy.set_posterior import set_posterior
-from rtcal.discrepancy.sets import Comparison
+from rtcal.discrepancy.sets import compare
 from tests.hidden_world.populations import Hidden, make, measure
 
 BASE = ("t20", "edt", "t30")
@@ -43,7 +43,7 @@ def said(case: Case, made: list[ControlRooms], truth: list[str]) -> dict[str, An
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, library())
     error, prior = estimate_discrepancy(case, made), prior_of(case.room, library(), {})
-    posterior = set_posterior(Comparison(case, observed, predicted, error), prior)
+    posterior = set_posterior(compare(case, observed, predicted, error), prior)
     right = [s for s in posterior.sets if "unknown" not in s and wide(list(s)) == wide(truth)]
     return {
         "name": sorted(posterior.best) == sorted(truth),

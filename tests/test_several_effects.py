@@ -34,7 +34,7 @@ from rtcal.discrepancy.model import FEATURES
 from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import UNKNOWN, prior_of
 from rtcal.discrepancy.set_posterior import log_prior
-from rtcal.discrepancy.sets import Comparison, Screen, acting_order, evaluate_sets
+from rtcal.discrepancy.sets import Comparison, Screen, acting_order, compare, evaluate_sets
 from rtcal.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)
@@ -97,7 +97,7 @@ def compared(*effects: AppliedEffect) -> Comparison:
     case = case_with(*effects)
     observed, _ = observe(case)
     error = estimate_discrepancy(case, controls_of(case))
-    return Comparison(case, observed, predict_hypotheses(case, library()), error)
+    return compare(case, observed, predict_hypotheses(case, library()), error)
 
 
 def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> SeveralFinding:

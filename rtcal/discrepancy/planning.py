@@ -20,7 +20,7 @@ from rtcal.discrepancy.measurements import Extended, Further, checked_costs, ext
 from rtcal.discrepancy.model import FEATURES
 from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.discrepancy.prior import NONE, prior_of
-from rtcal.discrepancy.sets import Comparison, moments
+from rtcal.discrepancy.sets import compare, moments
 from rtcal.discrepancy.several import SeveralFinding
 from rtcal.errors import DataError
 from rtcal.support import checks, text
@@ -373,7 +373,7 @@ def _information(whole: Extended, every: Weighted, observed: Observed | None) ->
     ]
     names = [tuple(a.name for a in applied) for applied, _ in every]
     groups = {n: k for k, n in enumerate(dict.fromkeys(names))}
-    of = moments(Comparison(whole.case, whole.observed, predicted, whole.discrepancy), rows)
+    of = moments(compare(whole.case, whole.observed, predicted, whole.discrepancy), rows)
     weights = np.array([p for _, p in every]) * of.possible
     return Information(
         of,

@@ -25,6 +25,7 @@ from rtcal.discrepancy.sets import (
     Rows,
     Screen,
     acting_order,
+    compare,
     evaluate_sets,
     shapes,
     unknown_beside,
@@ -34,9 +35,9 @@ from rtcal.support.types import Array
 EXPECTED = 0.7
 """Expected number of effects that a model lacks."""
 MOST = 3
-KEPT = 24
-"""Pairs of parameters of each two effects that are evaluated; the screen estimates the others' share.
-A judgement of time, without a study."""
+KEPT = ((0.0, 16), (1e-3, 96))
+"""Probability of two effects among the pairs, and how many pairs of their parameters are evaluated from
+it on; the screen estimates the others' share."""
 UNEXPLAINED = 0.05
 """Probability of the residuals under the best pair below which three effects are tried."""
 _BESIDE = 60  # single hypotheses that are evaluated with an unknown effect beside them
@@ -151,11 +152,13 @@ class _Tables:
             self._weights = np.log(predicted.weights)
             self._prior_off = np.log([1 - prior.off, prior.off])
         self._apart = shapes(compared.case, predicted)
+        self._log_odds = prior.log_probability
         self._unknown = bool(np.isfinite(prior.log_probability[UNKNOWN]))
         self.log: dict[Names, float] = {}
         self.off: dict[Names, float] = {}
         self.best: dict[Names, Rows] = {}
         self._by_rows: dict[Rows, float] = {}
+        self._evaluated: dict[Rows, Array] = {}
         alone: dict[Names, list[Rows]] = {(): [()]}
         alone |= {(n,): [(int(i),) for i in rows] for n, rows in self._rows.items()}
         self._evaluate(alone, dict.fromkeys(alone, 0.0))
@@ -174,21 +177,38 @@ class _Tables:
     def add_pairs(self) -> None:
         """Add every two effects, and every effect with an unknown one beside it."""
         screen = Screen(self._compared)
-        chosen: dict[Names, list[Rows]] = {}
-        share: dict[Names, float] = {}
+        screened: dict[Names, tuple[Array, list[Rows]]] = {}
         for a, b in combinations(self.order, 2):
             if {a, b} <= self._apart:
                 continue
             first, second = self._rows[a], self._rows[b]
             table = screen.pairs(first, second)
             table = table + self._weights[first][:, None] + self._weights[second]
-            kept = np.argsort(-table, axis=None)[:KEPT]
-            i, j = np.unravel_index(kept, table.shape)
-            chosen[a, b] = list(zip(first[i].tolist(), second[j].tolist(), strict=True))
-            share[a, b] = float(logsumexp(table) - logsumexp(table.ravel()[kept]))
-        self._evaluate(chosen, share)
+            likeliest = np.argsort(-table, axis=None)[: KEPT[-1][1]]
+            i, j = np.unravel_index(likeliest, table.shape)
+            rows = list(zip(first[i].tolist(), second[j].tolist(), strict=True))
+            # Of each row, ln of the evidence of all over that of the rows up to it.
+            share = logsumexp(table) - np.logaddexp.accumulate(table[i, j])
+            screened[a, b] = share, rows
+        for least, kept in KEPT:
+            # Those that are probable enough, among the pairs.
+            likely = self._likely_pairs(least) if least else list(screened)
+            self._evaluate(
+                {s: screened[s][1][:kept] for s in likely},
+                {s: float(screened[s][0][:kept][-1]) for s in likely},
+            )
         if self._unknown:
             self._add_unknown()
+
+    def _likely_pairs(self, least: float) -> list[Names]:
+        """Return the pairs that have at least this probability among the pairs."""
+        log = {
+            s: v + float(self._log_odds[s[0]] + self._log_odds[s[1]])
+            for s, v in self.log.items()
+            if len(s) == 2 and UNKNOWN not in s
+        }
+        norm = float(logsumexp(list(log.values())))
+        return [s for s, v in log.items() if v >= norm + np.log(least)]
 
     def _add_unknown(self) -> None:
         log = np.array([self._by_rows.get((i,), -np.inf) for i in range(len(self._weights))])
@@ -210,9 +230,10 @@ class _Tables:
             AppliedEffect.of(predicted.effects[n], predicted.parameters[i])
             for n, i in zip(names, self.best[names], strict=True)
         ]
-        both = predict_hypotheses(replace(case, applied=(*case.applied, *added)), [])
-        fit = goodness_of_fit(self._compared.observed, both, self._compared.discrepancy, 0)
-        return fit[1] >= UNEXPLAINED
+        with_both = replace(case, applied=(*case.applied, *added))
+        observed, discrepancy = self._compared.observed, self._compared.discrepancy
+        both = compare(with_both, observed, predict_hypotheses(with_both, []), discrepancy)
+        return goodness_of_fit(observed, both.predicted, discrepancy, 0)[1] >= UNEXPLAINED
 
     def _likeliest_pairs(self, n: int) -> list[Names]:
         pairs: list[Names] = [s for s in self.log if len(s) == 2 and UNKNOWN not in s]
@@ -243,8 +264,13 @@ class _Tables:
 
     def _values(self, sets: Sequence[Rows]) -> Array:
         """Return ln likelihood times prior of "off", (n_sets, 2): as stated, and off together."""
-        values = evaluate_sets(self._compared, sets, off=bool(np.isfinite(self._prior_off[1])))
-        return np.stack([values.stated, values.off], axis=1) + self._prior_off
+        new = [rows for rows in dict.fromkeys(sets) if rows not in self._evaluated]
+        if new:
+            off = bool(np.isfinite(self._prior_off[1]))
+            values = evaluate_sets(self._compared, new, off=off)
+            both = np.stack([values.stated, values.off], axis=1) + self._prior_off
+            self._evaluated |= dict(zip(new, both, strict=True))
+        return np.array([self._evaluated[rows] for rows in sets])
 
     def _evaluate(
         self, chosen: Mapping[Names, Sequence[Rows]], share: Mapping[Names, float]
@@ -264,7 +290,8 @@ class _Tables:
                 for rows, v in zip(sets, np.logaddexp(*weighted[part].T), strict=True)
             }
             evidence = float(logsumexp(weighted[part])) + share[names]
-            if np.isfinite(evidence) and evidence > self.log.get(names, -np.inf):
+            # A third effect is tried beside several pairs; the best stays.
+            if np.isfinite(evidence) and (len(names) < 3 or evidence > self.log.get(names, -np.inf)):
                 self.log[names] = evidence
                 self.off[names] = float(
                     np.exp(logsumexp(weighted[part, 1]) - logsumexp(weighted[part]))

@@ -20,7 +20,7 @@ from rtcal.discrepancy.prior import COEFFICIENTS, NONE
 from rtcal.discrepancy.probabilities import family_of, narrowest_family
 from rtcal.discrepancy.search import find
 from rtcal.discrepancy.set_posterior import EXPECTED, MOST, Names, SetPosterior, set_posterior
-from rtcal.discrepancy.sets import Comparison
+from rtcal.discrepancy.sets import compare
 from rtcal.discrepancy.size import Size
 from rtcal.discrepancy.verdict import CLAIMED, Fit, doubts, fit
 from rtcal.discrepancy.wording import amount, listed
@@ -352,7 +352,7 @@ def find_several(
     )
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, list(single.effects.values()))
-    compared = Comparison(case, observed, predicted, single.discrepancy)
+    compared = compare(case, observed, predicted, single.discrepancy)
     posterior = set_posterior(compared, single.prior, expected=expected, most=most)
     probabilities = posterior.effects()
     families = posterior.families(predicted.effects)
