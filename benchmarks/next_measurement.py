@@ -44,10 +44,11 @@ def said(case: Case, made: list[ControlRooms], truth: list[str]) -> dict[str, An
     predicted = predict_hypotheses(case, library())
     error, prior = estimate_discrepancy(case, made), prior_of(case.room, library(), {})
     posterior = set_posterior(compare(case, observed, predicted, error), prior)
+    best = posterior.best(predicted.effects)
     right = [s for s in posterior.sets if "unknown" not in s and wide(list(s)) == wide(truth)]
     return {
-        "name": sorted(posterior.best) == sorted(truth),
-        "family": wide(list(posterior.best)) == wide(truth),
+        "name": sorted(best) == sorted(truth),
+        "family": wide(list(best)) == wide(truth),
         "probability": sum(posterior.sets[s] for s in right),
     }
 

@@ -218,6 +218,7 @@ def said_of(case: Case, made: list[ControlRooms], truth: dict[str, Any]) -> dict
         "single": row_of(found.single),
         "named": list(found.named),
         "named_families": list(found.named_families),
+        "named_set": list(found.named_set),
         "members": list(found.members),
         "reasons": {n: list(m.reasons) for n, m in found.members.items()},
         "numbers": list(found.numbers),
@@ -227,9 +228,11 @@ def said_of(case: Case, made: list[ControlRooms], truth: dict[str, Any]) -> dict
     }
     if len(truth["effects"]) == 2:
         simple = rmse(plain(case).alpha, truth)
-        row["rmse"] = [rmse(case.room.alpha, truth), simple, simple]
+        row["rmse"] = [rmse(case.room.alpha, truth), simple, simple, rmse(found.alpha, truth)]
         if found.can_be_added:
             row["rmse"][2] = rmse(recalibrate(found.apply(), found.discrepancy).alpha, truth)
+        told = replace(case, applied=true_effects(case, truth))
+        row["rmse"].append(rmse(recalibrate(told, found.discrepancy).alpha, truth))
     return row
 
 
@@ -247,19 +250,23 @@ class Searched:
 
     @property
     def claimed(self) -> set[str]:
-        """The families that were claimed."""
-        return {f.split(",")[0] for f in self.row["named_families"]}
+        """The families that were claimed, one by one or as a set."""
+        return {f.split(",")[0] for f in self.row["named_families"]} | {*self.row["named_set"]}
 
     @property
     def both_claimed(self) -> bool:
-        """Whether both families are claimed; of one family, that it has two effects as well."""
-        two = len(set(self.families)) == 2 or sum(self.row["numbers"][2:]) >= CLAIMED
-        return two and set(self.families) <= self.claimed
+        """Whether both families are claimed, and no other."""
+        return self.row["named_set"] == self.families
 
     @property
     def wrong_claim(self) -> bool:
         """Whether a family is claimed that nothing hidden belongs to."""
         return bool(self.claimed - set(self.families))
+
+    @property
+    def second_claim(self) -> bool:
+        """Whether more is claimed than is hidden: a wrong family, or two where one is hidden."""
+        return self.wrong_claim or len(self.row["named_set"]) > len(self.truth)
 
     @property
     def likeliest_right(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import exp, factorial
@@ -19,6 +20,7 @@ from rtcal.discrepancy import (
     AppliedEffect,
     Case,
     Configuration,
+    Effect,
     SeveralFinding,
     find_several,
     hypotheses,
@@ -33,8 +35,9 @@ from rtcal.discrepancy.likelihood import DEGREES, alpha_covariance, covariance_o
 from rtcal.discrepancy.model import FEATURES
 from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import UNKNOWN, prior_of
-from rtcal.discrepancy.set_posterior import log_prior
-from rtcal.discrepancy.sets import Comparison, Screen, acting_order, compare, evaluate_sets
+from rtcal.discrepancy.set_alpha import averaged_alpha
+from rtcal.discrepancy.set_posterior import log_prior, set_posterior
+from rtcal.discrepancy.sets import Comparison, Screen, acting_order, compare, evaluate_sets, moments
 from rtcal.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)
@@ -43,7 +46,7 @@ ALPHA = np.outer([0.1, 0.3, 0.05, 0.2], np.linspace(0.7, 1.2, 7))
 FEW = ("volume", "noise floor", "opening", "air", "coupled room", "unknown")
 BOTH = (
     AppliedEffect("volume", {"ratio": 1.3}),
-    AppliedEffect("noise floor", {"level": -45.0, "record": 2.0}),
+    AppliedEffect("noise floor", {"level": -46.0, "record": 1.5}),
 )
 
 
@@ -94,10 +97,13 @@ def controls_of(case: Case) -> list[ControlRooms]:
 
 
 def compared(*effects: AppliedEffect) -> Comparison:
-    case = case_with(*effects)
+    return compared_case(case_with(*effects), library())
+
+
+def compared_case(case: Case, effects: Sequence[Effect]) -> Comparison:
     observed, _ = observe(case)
     error = estimate_discrepancy(case, controls_of(case))
-    return compare(case, observed, predict_hypotheses(case, library()), error)
+    return compare(case, observed, predict_hypotheses(case, effects), error)
 
 
 def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> SeveralFinding:
@@ -180,7 +186,11 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert found.verdict == "named"
     assert set(found.members) == {"volume", "noise floor"}
     assert {"scale", "measurement"} <= {f.split(",")[0] for f in found.named_families}
+    assert found.named_set == ("measurement", "scale")
+    assert "More than one thing is missing (100 %)" in found.sentence
+    assert "such sets of families were right" in " ".join(str(found).split())
     assert sum(found.sets.values()) == pytest.approx(1)
+    assert sum(found.family_sets.values()) == pytest.approx(1)
     assert sum(found.numbers) == pytest.approx(1)
     volume = found.members["volume"]
     assert volume.together.size is not None
@@ -204,6 +214,7 @@ def test_one_effect_is_not_taken_for_two(effect: AppliedEffect) -> None:
     found = sought(case)
     assert set(found.members) == {effect.name}
     assert set(found.named) <= {effect.name}
+    assert found.named_set == ()
     assert found.numbers[1] > 0.5
 
 
@@ -217,9 +228,55 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
         found.apply()
 
 
+def test_a_shaded_direct_sound_is_no_second_effect() -> None:
+    """Furniture between source and receiver: C80 and G are lower than any formula says."""
+    furniture = AppliedEffect("furniture", {"absorption_area": 20.0})
+    case = case_with(furniture, AppliedEffect("direct sound", {"gain": -6.0}))
+    found = sought(case, ("furniture", "volume", "noise floor", "direct sound"))
+    assert found.verdict == "named"
+    assert found.named_set == ()
+    assert found.probabilities["furniture"] > 0.9
+    assert found.numbers[2] < 0.5
+
+
+def test_likely_pairs_are_evaluated_deeply_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if all of their parameters were evaluated."""
+    coupled = {"aperture": 10.0, "volume": 400.0, "alpha": 0.2}
+    case = case_with(AppliedEffect("coupled room", coupled), BOTH[0])
+    c = compared_case(case, [e for e in library() if e.name in ("volume", "coupled room", "air")])
+    prior = prior_of(case.room, list(c.predicted.effects.values()), {})
+    some = set_posterior(c, prior, most=2).sets
+    monkeypatch.setattr("rtcal.discrepancy.set_posterior.KEPT", ((0.0, 10_000),))
+    every = set_posterior(c, prior, most=2).sets
+    assert sum(abs(p - some[s]) for s, p in every.items()) < 1e-3
+
+
+def test_alpha_is_the_posterior_mean_of_the_linear_model() -> None:
+    c = compared(BOTH[0])
+    rows = (row(c, "volume", 13),)
+    volume = AppliedEffect("volume", dict(c.predicted.parameters[rows[0]]))
+    of = moments(c, [rows])
+    mask, room = c.observed.used.ravel(), c.case.room
+    base = predict_hypotheses(replace(c.case, applied=[volume]), []).features[0].ravel()[mask]
+    jacobian = np.empty((mask.sum(), *ALPHA.shape))
+    for m, b in np.ndindex(ALPHA.shape):
+        alpha = ALPHA.copy()
+        alpha[m, b] += 1e-6
+        moved = replace(c.case, room=room.replace(alpha=alpha), applied=[volume])
+        up = predict_hypotheses(moved, []).features[0].ravel()[mask]
+        jacobian[:, m, b] = (up - base) / 1e-6
+    lag = np.abs(np.subtract.outer(np.arange(7), np.arange(7)))
+    across = (jacobian * room.sigma) @ (0.7**lag) * room.sigma
+    explained = np.linalg.solve(of.covariance[0], c.observed.values - of.mean[0])
+    expected = ALPHA + np.tensordot(explained, across, axes=1)
+    np.testing.assert_allclose(averaged_alpha(c, [(rows, 1.0)]), expected, atol=1e-6)
+    assert np.abs(expected - ALPHA).max() > 1e-4
+
+
 def test_three_effects_are_tried_where_two_do_not_explain_the_measurement() -> None:
     air = AppliedEffect("air", {"temperature": 30.0, "humidity": 8.0})
-    case = case_with(AppliedEffect("volume", {"ratio": 1.7}), air, BOTH[1])
+    noise = AppliedEffect("noise floor", {"level": -45.0, "record": 2.0})
+    case = case_with(AppliedEffect("volume", {"ratio": 1.7}), air, noise)
     only = ("volume", "air", "noise floor", "non-diffuse field")
     assert set(sought(case, only).members) == {"volume", "air", "noise floor"}
     assert len(sought(case, only, most=2).members) == 2

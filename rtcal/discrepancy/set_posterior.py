@@ -65,10 +65,13 @@ class SetPosterior:
     order: Names
     likely: Sequence[tuple[Rows, float]]
 
-    @property
-    def best(self) -> Names:
-        """The most probable set that has an effect and no unknown one."""
-        return next(s for s in self.sets if s and UNKNOWN not in s)
+    def best(self, effects: Mapping[str, Effect], families: Names = ()) -> Names:
+        """Return the most probable set that has an effect and no unknown one, of these families."""
+        return next(
+            s
+            for s in self.sets
+            if s and UNKNOWN not in s and (not families or families_of(s, effects) == families)
+        )
 
     def numbers(self) -> tuple[float, ...]:
         """Return the probabilities of 0, 1, 2, ... effects."""
@@ -86,6 +89,14 @@ class SetPosterior:
         out[COEFFICIENTS] = sum(p * self.off[names] for names, p in self.sets.items())
         return dict(sorted(out.items(), key=lambda kv: -kv[1]))
 
+    def by_families(self, effects: Mapping[str, Effect]) -> dict[Names, float]:
+        """Return the probability of each set of families (`families_of`), the most probable first."""
+        out: dict[Names, float] = {}
+        for names, p in self.sets.items():
+            families = families_of(names, effects)
+            out[families] = out.get(families, 0.0) + p
+        return dict(sorted(out.items(), key=lambda kv: -kv[1]))
+
     def families(self, effects: Mapping[str, Effect]) -> dict[str, float]:
         """Return the probability of each family that one of it is there, the most probable first."""
         out: dict[str, float] = {}
@@ -97,12 +108,12 @@ class SetPosterior:
         out[COEFFICIENTS] = self.effects()[COEFFICIENTS]
         return dict(sorted(out.items(), key=lambda kv: -kv[1]))
 
-    def stand_ins(self) -> dict[str, tuple[str, ...]]:
-        """Return, for each effect of the best set, the effects that explain the data as well.
+    def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
+        """Return, for each effect of a set, the effects that explain the data as well.
 
-        They take its place in the best set with odds of at least `DISTINCT` against it.
+        They take its place in the set with odds of at least `DISTINCT` against it.
         """
-        best, out = self.best, {}
+        out = {}
         for name in best:
             others = set(best) - {name}
             out[name] = tuple(
@@ -112,6 +123,11 @@ class SetPosterior:
                 if p >= DISTINCT * self.sets[best]
             )
         return out
+
+
+def families_of(names: Names, effects: Mapping[str, Effect]) -> Names:
+    """Return the families of a set, sorted; all of "added absorption" as one."""
+    return tuple(sorted(family_of(name, effects).split(",")[0] for name in names))
 
 
 def set_posterior(
@@ -291,7 +307,9 @@ class _Tables:
             }
             evidence = float(logsumexp(weighted[part])) + share[names]
             # A third effect is tried beside several pairs; the best stays.
-            if np.isfinite(evidence) and (len(names) < 3 or evidence > self.log.get(names, -np.inf)):
+            if np.isfinite(evidence) and (
+                len(names) < 3 or evidence > self.log.get(names, -np.inf)
+            ):
                 self.log[names] = evidence
                 self.off[names] = float(
                     np.exp(logsumexp(weighted[part, 1]) - logsumexp(weighted[part]))

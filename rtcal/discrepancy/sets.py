@@ -222,10 +222,7 @@ def moments(compared: Comparison, sets: Sequence[Rows]) -> Moments:
     t20 = c * observed.used.shape[2] + b
     change = (predicted.features - predicted.features[0])[:, c, f, b]
     amount = (predicted.features - predicted.features[0])[:, c, 0, b]
-    states = [
-        _states(case, predicted, state(case, where), i, sets)
-        for i, where in enumerate(case.configurations)
-    ]
+    states = states_of(compared, sets)
     with np.errstate(all="ignore"):
         made = [
             predict(column, distances(case, where))
@@ -249,6 +246,15 @@ def moments(compared: Comparison, sets: Sequence[Rows]) -> Moments:
     possible = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
     mean[~possible], covariance[~possible], common[~possible] = 0.0, np.eye(len(f)), 0.0
     return Moments(mean, covariance, common.swapaxes(1, 2), possible)
+
+
+def states_of(compared: Comparison, sets: Sequence[Rows]) -> list[list[State]]:
+    """Return the states of sets in each configuration."""
+    case, predicted = compared.case, compared.predicted
+    return [
+        _states(case, predicted, state(case, where), i, sets)
+        for i, where in enumerate(case.configurations)
+    ]
 
 
 def _states(

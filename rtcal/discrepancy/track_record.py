@@ -19,6 +19,12 @@ FLAGGED = (0, 104)
 """Rooms in which something was detected, and rooms in which nothing was hidden."""
 MEASURED = (0, 46)
 """Wrong claims, and cases, in measured rooms."""
+SET_FAMILIES = (41, 44)
+"""Families that were right, and families claimed by a search for several effects
+(`python -m benchmarks.several_effects table`)."""
+FAMILY_SETS = (0, 0)
+"""Sets of families that were right, and sets claimed, by the same search."""
+_ROOMS = "In simulated rooms that were not used to make the finder,"
 
 
 def sentence(verdict: str) -> str:
@@ -27,16 +33,27 @@ def sentence(verdict: str) -> str:
     >>> sentence("named")[:48]
     'In simulated rooms that were not used to make th'
     """
-    rooms = "In simulated rooms that were not used to make the finder,"
     measured = f"In {MEASURED[1]} measured cases {MEASURED[0] or 'none'} was wrong."
     missed = (
-        f"{rooms} {MISSED[0]} of {MISSED[1]} hidden effects were not detected: this is no proof."
+        f"{_ROOMS} {MISSED[0]} of {MISSED[1]} hidden effects were not detected: this is no proof."
     )
     return {
         "none": missed,
         "hint": missed,
-        "named": f"{rooms} {NAMED[0]} of {NAMED[1]} such names were right. {measured}",
-        "family": f"{rooms} {FAMILY[0]} of {FAMILY[1]} such families were right. {measured}",
-        "ambiguous": f"{rooms} {AMBIGUOUS[0]} of {AMBIGUOUS[1]} such sets held the truth.",
-        "unknown": f"{rooms} {FLAGGED[0] or 'none'} of {FLAGGED[1]} that lacked nothing was flagged.",
+        "named": f"{_ROOMS} {NAMED[0]} of {NAMED[1]} such names were right. {measured}",
+        "family": f"{_ROOMS} {FAMILY[0]} of {FAMILY[1]} such families were right. {measured}",
+        "ambiguous": f"{_ROOMS} {AMBIGUOUS[0]} of {AMBIGUOUS[1]} such sets held the truth.",
+        "unknown": f"{_ROOMS} {FLAGGED[0] or 'none'} of {FLAGGED[1]} that lacked nothing was flagged.",
     }[verdict]
+
+
+def of_sets(families: bool, together: bool) -> list[str]:
+    """Return how often claims of `rtcal.discrepancy.find_several` were right: families, and sets."""
+    out = []
+    if families:
+        right, of = SET_FAMILIES
+        out.append(f"{_ROOMS} {right} of {of} families claimed beside others were right.")
+    if together:
+        right, of = FAMILY_SETS
+        out.append(f"{_ROOMS} {right} of {of} such sets of families were right.")
+    return out
