@@ -16,7 +16,8 @@ from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.planning import Plan, Proposal, plan
 from rtcal.discrepancy.recalibration import Recalibrated, recalibrate
 from rtcal.discrepancy.search import find
-from rtcal.discrepancy.several import SeveralFinding, find_several
+from rtcal.discrepancy.several import find_several
+from rtcal.discrepancy.several_finding import SeveralFinding
 from rtcal.discrepancy.verification import Verification, verify
 
 __all__ = [

@@ -21,7 +21,7 @@ from rtcal.discrepancy.model import FEATURES
 from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.discrepancy.prior import NONE, prior_of
 from rtcal.discrepancy.sets import compare, moments
-from rtcal.discrepancy.several import SeveralFinding
+from rtcal.discrepancy.several_finding import SeveralFinding
 from rtcal.errors import DataError
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked

@@ -188,15 +188,28 @@ class SeveralFinding:
         families = [f for f in self.named_families if f not in self._families_of_named]
         claimed = [f"{n} ({self.percent(n)})" for n in self.named]
         claimed += [f"{f} ({100 * self.families[f]:.0f} %)" for f in families]
-        said = f"Missing from the model, or not as stated: {listed(claimed)}." if claimed else ""
+        sentences = []
+        if claimed:
+            sentences.append(f"Missing from the model, or not as stated: {listed(claimed)}.")
         if self.named_set:
-            several = 100 * sum(self.numbers[2:])
-            share = 100 * self.family_sets[self.named_set]
-            said += (
-                f" More than one thing is missing ({several:.0f} %); most probable together: "
-                f"{listed(self.named_set)} ({share:.0f} %)."
-            )
-        return said.strip()
+            sentences.append(self.set_in_words)
+        return " ".join(sentences)
+
+    @property
+    def set_in_words(self) -> str:
+        """What is claimed of several families together; "" where nothing is."""
+        if not self.named_set:
+            return ""
+        several, share = sum(self.numbers[2:]), self.family_sets[self.named_set]
+        return (
+            f"More than one thing is missing ({100 * several:.0f} %); most probable together: "
+            f"{listed(self.named_set)} ({100 * share:.0f} %)."
+        )
+
+    @property
+    def track_record(self) -> list[str]:
+        """How often such claims were right in rooms that were not used to make the finder."""
+        return track_record.of_sets(bool(self.named_families), bool(self.named_set))
 
     @property
     def _families_of_named(self) -> set[str]:
@@ -276,7 +289,7 @@ class SeveralFinding:
         if self.members and self.coefficients is not None:
             words = self.coefficients.words(self.case.room.centre_frequencies)
             sentences.append(f"the coefficients are off together: {words}")
-        sentences += track_record.of_sets(bool(self.named_families), bool(self.named_set))
+        sentences += self.track_record
         sentences += [f"note: {n}" for n in self.notes]
         for sentence in sentences:
             lines += text.wrapped(sentence, indent="  ")

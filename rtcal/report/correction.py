@@ -9,7 +9,7 @@ from typing import Any
 from rtcal.discrepancy.corrected import corrected_room, not_in_room
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.recalibration import recalibrate, table
-from rtcal.discrepancy.several import SeveralFinding
+from rtcal.discrepancy.several_finding import SeveralFinding
 
 _KEPT = ("verdict", "effect", "named", "family", "candidates", "sets", "probabilities", "evidence")
 """Entries of a finding that are stored with the correction."""

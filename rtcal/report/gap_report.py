@@ -11,7 +11,7 @@ from typing import Any
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.several import SeveralFinding
+from rtcal.discrepancy.several_finding import SeveralFinding
 from rtcal.discrepancy.verification import Verification, verify
 from rtcal.discrepancy.wording import listed
 from rtcal.errors import MissingAirWarning

@@ -9,7 +9,8 @@ import numpy as np
 
 from rtcal.discrepancy.probabilities import family_of
 from rtcal.discrepancy.recalibration import recalibrate
-from rtcal.discrepancy.several import RIGHT, SeveralFinding
+from rtcal.discrepancy.several import TWO
+from rtcal.discrepancy.several_finding import SeveralFinding
 from rtcal.discrepancy.wording import listed
 from rtcal.report import gap_figures, gap_words
 from rtcal.report.figures import BLACK, ORANGE, new_figure, shown
@@ -100,7 +101,8 @@ def _headline(finding: SeveralFinding) -> str:
         families = [f for f in finding.named_families if f not in named]
         claimed = [f"{n} ({finding.percent(n)})" for n in finding.named]
         claimed += [f"{gap_words.family(f)} ({100 * finding.families[f]:.0f} %)" for f in families]
-        return f"The model lacks {listed(claimed)}."
+        sentences = [f"The model lacks {listed(claimed)}."] if claimed else []
+        return " ".join([*sentences, finding.set_in_words]).strip()
     if finding.verdict == "ambiguous":
         likely = listed([f"{n} ({finding.percent(n)})" for n in finding.members])
         return (
@@ -116,15 +118,13 @@ def _rests_on(finding: SeveralFinding) -> list[str]:
         gap_words.evidence(finding.single),
         _sentence(finding.numbers_in_words),
         f"An effect or a family is claimed if the probability that it is there is at least "
-        f"{100 * CLAIMED:.0f} %, and if it passes the checks of a single finding.",
+        f"{100 * CLAIMED:.0f} %, and if it passes the checks of a single finding. More than one is "
+        f"claimed from {100 * TWO:.1f} % for more than one effect.",
     ]
     if finding.coefficients is not None:
         words = finding.coefficients.words(finding.case.room.centre_frequencies)
         sentences.append(_sentence(f"the coefficients are off together: {words}"))
-    if finding.verdict == "named":
-        right, of = RIGHT
-        sentences.append(f"Families claimed like this were right in {right} of {of} test cases.")
-    return sentences
+    return sentences + finding.track_record
 
 
 def _to_do(finding: SeveralFinding) -> list[str]:
