@@ -119,7 +119,7 @@ def _rests_on(finding: SeveralFinding) -> list[str]:
         _sentence(finding.numbers_in_words),
         f"An effect or a family is claimed if the probability that it is there is at least "
         f"{100 * CLAIMED:.0f} %, and if it passes the checks of a single finding. More than one is "
-        f"claimed from {100 * TWO:.1f} % for more than one effect.",
+        f"claimed from {100 * TWO:.0f} % for more than one effect.",
     ]
     if finding.coefficients is not None:
         words = finding.coefficients.words(finding.case.room.centre_frequencies)
