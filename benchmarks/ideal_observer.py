@@ -1,0 +1,103 @@
+"""What an observer could name who believes what the finder believes, of rooms drawn from that belief.
+
+    python -m benchmarks.ideal_observer --folder out --population 0 --rooms 24
+
+Two effects, or one, and their parameters are drawn from the finder's prior, and the features from its
+likelihood, in rooms whose control rooms stand. So prior and likelihood are exactly right, and no other
+rule names more sets rightly (Bayes). What is named less in the hidden world is what the model errs by.
+Neither what was measured in these rooms nor what is hidden in them is used.
+"""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.judging import rate
+from benchmarks.several_effects import rooms
+from rtcal.discrepancy import Case, library
+from rtcal.discrepancy.engines import ControlRooms
+from rtcal.discrepancy.features import observe
+from rtcal.discrepancy.hypotheses import predict_hypotheses
+from rtcal.discrepancy.model_error import estimate_discrepancy
+from rtcal.discrepancy.prior import UNKNOWN, Prior, prior_of
+from rtcal.discrepancy.set_posterior import families_of, set_posterior
+from rtcal.discrepancy.sets import Comparison, Rows, acting_order, compare, moments, shapes
+from rtcal.discrepancy.several import TWO
+
+SECOND = 0.05
+"""Share of rooms with one effect in which two may be claimed."""
+
+
+def drawn(compared: Comparison, prior: Prior, number: int, rng: np.random.Generator) -> Rows:
+    """So many effects with their parameters, from the prior."""
+    names, order = (
+        np.array(compared.predicted.names),
+        acting_order(compared.case, compared.predicted),
+    )
+    odds = np.exp([prior.log_probability[n] for n in order])
+    apart = shapes(compared.case, compared.predicted)
+    while True:
+        kinds = np.sort(rng.choice(len(order), number, replace=False, p=odds / odds.sum()))
+        if len({order[k] for k in kinds} & apart) < 2:
+            break
+    out = []
+    for k in kinds:
+        rows = np.flatnonzero(names == order[k])
+        weights = compared.predicted.weights[rows]
+        out.append(int(rows[rng.choice(len(rows), p=weights / weights.sum())]))
+    return tuple(out)
+
+
+def measured(compared: Comparison, rows: Rows, rng: np.random.Generator) -> Comparison:
+    """The comparison with features that are drawn from the likelihood of a set."""
+    of = moments(compared, [rows])
+    factor = np.linalg.cholesky(of.covariance[0])
+    features = compared.observed.features.copy()
+    features[compared.observed.used] = of.mean[0] + factor @ rng.standard_normal(len(factor))
+    return replace(compared, observed=replace(compared.observed, features=features))
+
+
+def examined(
+    case: Case, controls: list[ControlRooms], number: int, rng: np.random.Generator
+) -> tuple[float, bool]:
+    """Probability of two or more effects, and whether the most probable families of two are right."""
+    observed, _ = observe(case)
+    predicted, prior = predict_hypotheses(case, library()), prior_of(case.room, library(), {})
+    compared = compare(case, observed, predicted, estimate_discrepancy(case, controls))
+    rows = drawn(compared, prior, number, rng)
+    posterior = set_posterior(measured(compared, rows, rng), prior, most=2)
+    truth = families_of(tuple(predicted.names[i] for i in rows), predicted.effects)
+    sets = posterior.by_families(predicted.effects)
+    two = next(s for s in sets if len(s) == 2 and UNKNOWN not in s)
+    return sum(posterior.numbers()[2:]), two == truth
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--folder", required=True)
+    parser.add_argument("--population", type=int, default=0)
+    parser.add_argument("--rooms", type=int, default=24)
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    rng = np.random.default_rng(0)
+    every = rooms(given.folder, given.population, given.rooms, double=True)
+    pairs, singles = [], []
+    for _, (_, case, _, controls) in zip(range(given.rooms), every, strict=False):
+        pairs.append(examined(case, controls, 2, rng))
+        singles.append(examined(case, controls, 1, rng)[0])
+        print(f"\r{len(pairs)}   ", end="", flush=True)
+    several, right = np.array([p for p, _ in pairs]), np.array([r for _, r in pairs])
+    limit = float(np.quantile(singles, 1 - SECOND, method="higher"))
+    print("\ntwo effects; told that there are two: families right", rate(right))
+    print(f"claimed from {TWO:g}: two effects, rightly  ", rate((several >= TWO) & right))
+    print("  one effect: two claimed                  ", rate(np.array(singles) >= TWO))
+    print(f"claimed from {limit:.3f}, where one effect is taken for two in {SECOND:.0%}:")
+    print("  two effects, rightly                     ", rate((several > limit) & right))
+
+
+if __name__ == "__main__":
+    main()
