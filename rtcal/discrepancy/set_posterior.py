@@ -202,10 +202,10 @@ class _Tables:
             table = table + self._weights[first][:, None] + self._weights[second]
             likeliest = np.argsort(-table, axis=None)[: KEPT[-1][1]]
             i, j = np.unravel_index(likeliest, table.shape)
-            rows = list(zip(first[i].tolist(), second[j].tolist(), strict=True))
+            rows: list[Rows] = list(zip(first[i].tolist(), second[j].tolist(), strict=True))
             # Of each row, ln of the evidence of all over that of the rows up to it.
             share = logsumexp(table) - np.logaddexp.accumulate(table[i, j])
-            screened[a, b] = share, rows
+            screened[a, b] = np.asarray(share), rows
         for least, kept in KEPT:
             # Those that are probable enough, among the pairs.
             likely = self._likely_pairs(least) if least else list(screened)
