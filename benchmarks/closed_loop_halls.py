@@ -7,10 +7,10 @@ sources and receivers; that `PathTracing` traces for the first alone and then we
 anew is not made use of in the count. Afterwards the calibrated coefficients are confirmed with four
 times the paths and another seed, at receivers that the calibration did not see.
 
-Printed per trial: simulations used; the largest gap of T20 over the bands in JND with the prior, with
-the equation's calibration (the loop's first simulation), after the loop with a fresh seed, and at the
-held-out receivers; there also the largest gaps of EDT, C50 and C80, which were not fitted; and the
-largest noise of the measurement's own T20, standard error in JND.
+Printed per trial: simulations to the end of the loop, without the confirming one; the largest gap of
+T20 over the bands in JND with the prior, with the equation's calibration (the first simulation),
+after the loop with a fresh seed, and at the held-out receivers; there also the largest gaps of EDT, C50
+and C80, which were not fitted; and the largest standard error of the measurement's own T20 in JND.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def run(name: str, case: Case, trial: int) -> Trial:
     )
     noise = seen.mean_uncertainty("t20") / seen.mean("t20") / JND["t20"]
     numbers = [
-        float(result.simulations),
+        float(len(result.loop.steps)),
         largest(with_prior, seen, "t20"),
         largest(result.before, seen, "t20"),
         largest(after, seen, "t20"),

@@ -16,7 +16,9 @@ from nbclient import NotebookClient
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_ROUNDING = 1.01  # units of the last digit that is printed: another machine may round otherwise
+_ROUNDING = 1.01
+"""Units of the last decimal that is printed: another machine may round otherwise. A whole number is a
+count and has none."""
 
 
 def differences(stored: list[str], now: list[str]) -> list[str]:
@@ -32,7 +34,7 @@ def differences(stored: list[str], now: list[str]) -> list[str]:
 
 
 def same(old: str, new: str) -> bool:
-    """Return whether two texts differ in nothing but blanks and the rounding of the last digit."""
+    """Return whether two texts differ in nothing but blanks and the rounding of the last decimal."""
     if _NUMBER.sub("0", old).split() != _NUMBER.sub("0", new).split():
         return False
     pairs = zip(_NUMBER.findall(old), _NUMBER.findall(new), strict=True)
@@ -40,9 +42,10 @@ def same(old: str, new: str) -> bool:
 
 
 def _unit(number: str) -> float:
-    """Return the value of a number's last printed digit."""
+    """Return the value of a number's last printed decimal; 0 of a whole number."""
     mantissa, _, power = number.partition("e")
-    return 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
+    decimals = len(mantissa.partition(".")[2])
+    return 10.0 ** (int(power or 0) - decimals) if decimals or power else 0.0
 
 
 def printed(notebook: nbformat.NotebookNode) -> list[str]:

@@ -139,6 +139,8 @@ def test_a_stored_output_that_the_code_no_longer_gives_is_seen() -> None:
     assert differences(stored, ["score 14.95 ± 0.05\n", "passed: True\n"])
     assert differences(stored, ["score 14.85 ± 0.05\n", "passed: False\n"])
     assert differences(stored, stored[:1])
+    # Counts are not rounded: 4 simulations were taken for 5, and a rule failed unseen.
+    assert differences(["4 simulations"], ["5 simulations"])
 
 
 @named(STUDIES)

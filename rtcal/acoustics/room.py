@@ -25,7 +25,7 @@ from rtcal.acoustics.materials import (
 from rtcal.errors import DataError
 from rtcal.support import checks, html
 from rtcal.support.arguments import checked
-from rtcal.support.files import json_numbers, read_text, write_text
+from rtcal.support.files import read_text, write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 
@@ -79,6 +79,8 @@ class Room:
         specimen absorb too). Clipped ones are listed in ``clipped``.
     calibration : CalibrationRecord, optional
         Set in the room that a calibration returns.
+    author : str
+        Who made the model, for the pages of its results.
 
     Raises
     ------
@@ -109,6 +111,7 @@ class Room:
     band_correlation: float = 0.0
     material_correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
     calibration: CalibrationRecord | None = None
+    author: str = ""
     above_one: InitVar[str] = "refuse"
     clipped: tuple[str, ...] = ()
 
@@ -128,6 +131,7 @@ class Room:
         if blank := [m for m in self.materials if not m.strip()]:
             raise DataError(f"materials has {blank[0]!r}; a name is not blank")
         put("name", text_name("name", self.name))
+        put("author", text_name("author", self.author))
         put("surfaces", checks.listed("surfaces", self.surfaces or ()))
         put("sources", checks.mapped("sources", self.sources or {}))
         pairs = checks.mapped("material_correlation", self.material_correlation or {})
@@ -387,34 +391,7 @@ class Room:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the room as plain values for JSON, without fields that are not stated."""
-        stated: dict[str, Any] = {
-            name: json_numbers(values)
-            for name in ("alpha_min", "scattering", "dimensions")
-            if (values := getattr(self, name)) is not None
-        }
-        if self.surfaces:
-            stated["surfaces"] = [vars(surface).copy() for surface in self.surfaces]
-        if self.sources:
-            stated["sources"] = dict(self.sources)
-        if self.material_correlation:
-            stated["material_correlation"] = [
-                {"materials": list(pair), "value": float(value)}
-                for pair, value in self.material_correlation.items()
-            ]
-        if self.calibration is not None:
-            stated["calibration"] = vars(self.calibration).copy()
-        if self.clipped:
-            stated["clipped"] = list(self.clipped)
-        return {
-            "name": self.name,
-            "volume": self.volume,
-            "materials": list(self.materials),
-            **{name: json_numbers(getattr(self, name)) for name in ("areas", "alpha", "sigma")},
-            "band_correlation": float(self.band_correlation),
-            "centre_frequencies": json_numbers(self.centre_frequencies),
-            "air": None if self.air is None else vars(self.air).copy(),
-            **stated,
-        }
+        return room_files.plain(self)
 
     @classmethod
     @checked

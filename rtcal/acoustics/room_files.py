@@ -3,6 +3,7 @@
 One ``[[material]]`` per material::
 
     name = "Seminar room"
+    author = "A. Consultant"            # optional: stands on the pages of its results
     above_one = "clip"                  # optional: cut ISO 354 coefficients above 1, and say so
     volume = 146.1                      # m³
     centre_frequencies = [500, 1000]    # Hz
@@ -70,6 +71,7 @@ _MATERIAL = ("area", "sigma", "alpha_min", "scattering", "source")
 _PRIOR = ("relative", "minimum", "iso_12999_2", "in_situ_factor", "band_correlation")
 _FILE = (
     "name",
+    "author",
     "air",
     "dimensions",
     "calibration",
@@ -102,6 +104,7 @@ def attributes(data: Mapping[str, Any], place: str = "") -> dict[str, Any]:
     shape = (len(materials), len(frequencies))
     arguments: dict[str, Any] = {
         "name": room.text("name", "room"),
+        "author": room.text("author", ""),
         "volume": room.number("volume"),
         "materials": materials,
         "areas": room.array("areas", shape[:1]),
@@ -264,9 +267,55 @@ def _prior_sigma(prior: Entries, alpha: Array, frequencies: Array) -> Array:
     return in_situ(sigma, prior.number("in_situ_factor", 1.0, _PRIOR_LIMITS))
 
 
+def author(text: str) -> str:
+    """Return who made the room of a TOML text; "" if the text does not say or is no room."""
+    try:
+        stated = toml_table(text).get("author", "")
+    except DataError:
+        return ""
+    return stated if isinstance(stated, str) else ""
+
+
+def plain(room: Any) -> dict[str, Any]:
+    """Return a `Room` as plain values for JSON, without fields that are not stated."""
+    stated: dict[str, Any] = {
+        name: json_numbers(values)
+        for name in ("alpha_min", "scattering", "dimensions")
+        if (values := getattr(room, name)) is not None
+    }
+    if room.surfaces:
+        stated["surfaces"] = [vars(surface).copy() for surface in room.surfaces]
+    if room.sources:
+        stated["sources"] = dict(room.sources)
+    if room.material_correlation:
+        stated["material_correlation"] = [
+            {"materials": list(pair), "value": float(value)}
+            for pair, value in room.material_correlation.items()
+        ]
+    if room.calibration is not None:
+        stated["calibration"] = vars(room.calibration).copy()
+    if room.author:
+        stated["author"] = room.author
+    if room.clipped:
+        stated["clipped"] = list(room.clipped)
+    return {
+        "name": room.name,
+        "volume": room.volume,
+        "materials": list(room.materials),
+        **{name: json_numbers(getattr(room, name)) for name in ("areas", "alpha", "sigma")},
+        "band_correlation": float(room.band_correlation),
+        "centre_frequencies": json_numbers(room.centre_frequencies),
+        "air": None if room.air is None else vars(room.air).copy(),
+        **stated,
+    }
+
+
 def text(data: Mapping[str, Any]) -> str:
     """Return `Room.to_dict`'s dict as the text of its TOML file."""
-    lines = [f"name = {_quoted(data['name'])}", f"volume = {data['volume']!r}"]
+    lines = [f"name = {_quoted(data['name'])}"]
+    if "author" in data:
+        lines.append(f"author = {_quoted(data['author'])}")
+    lines.append(f"volume = {data['volume']!r}")
     lines.append(f"centre_frequencies = {_listed(data['centre_frequencies'])}")
     if "dimensions" in data:
         lines.append(f"dimensions = {_listed(data['dimensions'])}")

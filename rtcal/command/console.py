@@ -23,7 +23,11 @@ from rtcal.support.text import fitted, printable, width
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
 method_option = click.option(
-    "--method", default="mle", show_default=True, help="mle, lse, soft, smooth or robust."
+    "--method",
+    default="mle",
+    show_default=True,
+    help="mle: by the stated sigmas; lse: all sigmas alike; soft: T within its uncertainty; smooth: "
+    "soft, with neighbouring bands alike; robust: soft, and a single sigma may be wrong.",
 )
 equation_option = click.option(
     "--equation",

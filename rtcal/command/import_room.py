@@ -74,7 +74,11 @@ if TYPE_CHECKING:
 )
 @click.option("--iso-12999-2", is_flag=True, help="Use at least the sigma between laboratories.")
 @click.option(
-    "--in-situ-factor", type=float, default=1.0, show_default=True, help="Factor on every sigma."
+    "--in-situ-factor",
+    type=float,
+    default=1.0,
+    show_default=True,
+    help="Factor on every sigma, such as 2 where specimens were mounted otherwise.",
 )
 @click.option(
     "--scattering", type=float, help="Scattering coefficient of materials that state none."
@@ -111,6 +115,7 @@ def import_room(
     \b
     Example: rtcal import catt hall.geo --volume 2000 \\
         --area wood=300 --area plaster=800 --out room.toml
+    Example: rtcal import odeon hall.Li8 --mesh hall.obj --out room.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import sigma_table as table
     from rtcal.io.material_list import SigmaRule

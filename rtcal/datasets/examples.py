@@ -84,7 +84,7 @@ def _responses() -> Example:
         (
             "rtcal measure S*.wav --out t.csv",
             "rtcal import catalogue --mesh room.obj --catalogue carpet=carpet_cotton "
-            "--catalogue plaster=rough_concrete --temperature 20 --humidity 45 --out room.toml",
+            "--catalogue plaster=hard_surface --temperature 20 --humidity 45 --out room.toml",
             _CALIBRATE,
             _REPORT,
         ),

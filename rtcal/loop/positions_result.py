@@ -338,6 +338,7 @@ class PositionsResult:
         return {
             "rtcal": KIND,
             "room": self.prior.name,
+            "author": self.prior.author,
             "simulator": self.simulator,
             "simulations": self.simulations,
             "scattering": self.scattering and asdict(self.scattering),

@@ -36,7 +36,7 @@ class Heading:
     title : str
         By default the room's name.
     author : str
-        Who made it; nothing by default.
+        Who made it; by default the room's author, if it has one.
     date : str
         As it is to be printed; nothing by default, so that the same result gives the same bytes.
 
@@ -55,9 +55,9 @@ class Heading:
             if len(text) > _LONGEST or not text.isprintable():
                 raise DataError(f"{name} is not one line of at most {_LONGEST} characters")
 
-    def or_title(self, title: str) -> Heading:
-        """Return the heading with a title, if it has none."""
-        return Heading(self.title or title, self.author, self.date)
+    def completed(self, title: str, author: str) -> Heading:
+        """Return the heading with a title and an author, where it has none."""
+        return Heading(self.title or title, self.author or author, self.date)
 
 
 @checked

@@ -60,7 +60,7 @@ def page(
     ----------
     result : CalibrationResult or Saved
     heading : Heading, optional
-        Title, author and date; by default the room's name alone.
+        Title, author and date; by default the room's name and author.
     progress : callable, optional
         Called after each figure.
 
@@ -118,7 +118,8 @@ def finding_page(
 
 
 def _heading(heading: Heading | None, calibration: Saved) -> Heading:
-    return (heading or Heading()).or_title(calibration.record["room"])
+    author = room_files.author(calibration.record["inputs"]["room"])
+    return (heading or Heading()).completed(calibration.record["room"], author)
 
 
 def _calibration(calibration: Saved, step: Callable[[], None]) -> dict[str, Any]:
@@ -212,7 +213,7 @@ def loop_page(
             "materials": loop_words.materials_table(loop),
             "equation_option": loop_words.equation_option(loop),
         },
-        (heading or Heading()).or_title(loop.room.name),
+        (heading or Heading()).completed(loop.room.name, loop.room.author),
     )
 
 

@@ -59,7 +59,7 @@ def page(saved: SavedPositions, heading: Heading, step: Callable[[], None]) -> s
             ),
             "left_out": len(saved.materials) - len(order),
         },
-        heading.or_title(saved.record["room"]),
+        heading.completed(saved.record["room"], saved.record["author"]),
     )
 
 

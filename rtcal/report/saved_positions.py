@@ -161,6 +161,7 @@ _PLAN: dict[str, Rule] = {
 }
 _SHOWN: dict[str, Rule] = {
     "room": Entries.text,
+    "author": Entries.text,
     "simulator": Entries.text,
     "level": Entries.text,
     "control_runs": partial(Entries.whole, least=0),

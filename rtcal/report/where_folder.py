@@ -128,7 +128,9 @@ def page(
         "notes": [*finding.reasons, *finding.notes],
         "command": command,
     }
-    return document.render("where.html", values, heading.or_title(finding.case.room.name))
+    return document.render(
+        "where.html", values, heading.completed(finding.case.room.name, finding.case.room.author)
+    )
 
 
 def _said(name: str, finding: Finding, verification: Verification | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -148,6 +149,27 @@ def test_title_author_and_date_are_settable(result, loop, tmp_path, capsys) -> N
     assert "<h1>Hall B</h1>" in written
     assert "· today · C" in written
     assert "BRAS CR2, seminar room: calibration" in written
+
+
+def test_the_author_of_a_room_stands_on_its_pages(loop, tmp_path) -> None:
+    room, measured = rt.datasets.bras_cr2()
+    signed = rt.Room.from_text(room.replace(author="B & Sons").to_text(), "room.toml")
+    assert signed.author == "B & Sons"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "_figures", no_figures)
+        result = rt.calibrate(signed, measured)
+        (tmp_path / "result.json").write_text(result.to_json(), encoding="utf-8")
+        heading = document.Heading(author="C")
+        for text in (
+            page.page(result),
+            page.page_of(tmp_path),
+            page.loop_page(replace(loop, room=signed)),
+        ):
+            assert "· B &amp; Sons" in text
+        assert "· C" in page.page(result, heading=heading)
+        assert "Sons" not in page.page(result, heading=heading).split("<main>")[0]
+    with pytest.raises(DataError, match="author has"):
+        room.replace(author="two\nlines")
 
 
 def test_the_page_names_the_bands_that_were_compared() -> None:
