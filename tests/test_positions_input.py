@@ -170,6 +170,8 @@ def test_paths_that_leave_through_gaps_are_said(measured, monkeypatch):
     assert tracer.lost_share == 0
     result = calibrate(tracer, measured)
     assert "0.31 % of the paths left through gaps" in "\n".join(result.notes)
+    loop = rt.calibrate_simulator(tracer, ROOM, measured)
+    assert "paths left through gaps" in " ".join(str(loop).split())
 
 
 def test_control_runs_of_another_simulator_are_refused(tracer, measured):

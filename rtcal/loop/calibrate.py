@@ -24,7 +24,7 @@ from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
 from rtcal.loop.rules import Rule
 from rtcal.loop.state import Loop, start
-from rtcal.simulators.base import Simulator, run
+from rtcal.simulators.base import Simulator, lost_paths, run
 from rtcal.simulators.observations import checked_parameters
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -344,4 +344,5 @@ def _result(calls: _Calls, loop: Loop, seed: int) -> LoopResult:
         before=calls.answers[0][2],
         after=after,
         confirmation=confirmation,
+        notes=lost_paths(simulator),
     )

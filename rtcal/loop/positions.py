@@ -122,7 +122,7 @@ def calibrate_positions(
         prior_covariance=prior,
         steps=path.steps,
         settled=path.settled,
-        notes=(*notes, *data.notes, *_lost_paths(simulator)),
+        notes=(*notes, *data.notes, *base.lost_paths(simulator)),
     )
 
 
@@ -305,17 +305,6 @@ def _with_t30(match: Sequence[str], measured: Measurement) -> tuple[str, ...]:
     if "t30" in names or t20 or not t30:
         return names
     return tuple("t30" if p == "t20" else p for p in names)
-
-
-def _lost_paths(simulator: Simulator) -> tuple[str, ...]:
-    """Return a note of the paths that left through gaps of the geometry."""
-    share = getattr(simulator, "lost_share", 0.0)
-    if not share:
-        return ()
-    return (
-        f"{100 * share:.2g} % of the paths left through gaps between the faces. They were dropped, and "
-        "the others weigh the more.",
-    )
 
 
 def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: float) -> None:

@@ -44,6 +44,8 @@ class LoopResult:
     confirmation : Measurement or None
         Simulated with the coefficients returned and another seed. None for a deterministic
         simulator, and if no band converged.
+    notes : tuple of str
+        What is to be known of the simulations, such as paths that left through gaps of the mesh.
     """
 
     room: Room
@@ -53,6 +55,7 @@ class LoopResult:
     before: Measurement
     after: Measurement
     confirmation: Measurement | None
+    notes: tuple[str, ...] = ()
 
     @property
     def alpha(self) -> Array:
@@ -161,7 +164,7 @@ class LoopResult:
                 "Not confirmed: with another seed the gap exceeds tolerance plus noise, or the noise "
                 "exceeds the tolerance. Simulate with less noise (more paths).",
             )
-        return notes
+        return [*notes, *self.notes]
 
 
 def _numbers(values: Array, form: str) -> list[str]:

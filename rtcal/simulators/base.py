@@ -143,6 +143,17 @@ def run(simulator: Simulator, alpha: Array, *, seed: int = 0) -> Measurement:
     return check_measurement(simulator, measurement)
 
 
+def lost_paths(simulator: Simulator) -> tuple[str, ...]:
+    """Return a note of the paths that left through gaps of the geometry; () if none did."""
+    share = getattr(simulator, "lost_share", 0.0)
+    if not share:
+        return ()
+    return (
+        f"{100 * share:.2g} % of the paths left through gaps between the faces. They were dropped, and "
+        "the others weigh the more.",
+    )
+
+
 def check_measurement(simulator: Simulator, measurement: object) -> Measurement:
     """Return the simulator's measurement; SimulatorError as in `run`."""
     if not isinstance(measurement, Measurement):
