@@ -67,7 +67,7 @@ def next_measurement(
         )
     if not named:
         return (
-            "nothing to settle"
+            "these data leave nothing to tell apart. That does not confirm the model"
             if not candidates
             else "see in the residuals which band and parameter disagree, and measure these again"
         )

@@ -17,7 +17,7 @@ from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import COEFFICIENTS, Prior
 from rtcal.discrepancy.size import Size
 from rtcal.discrepancy.verdict import Fit
-from rtcal.discrepancy.wording import NATS, amount, listed
+from rtcal.discrepancy.wording import NATS, amount, engine_title, listed
 from rtcal.errors import DataError
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
@@ -289,7 +289,9 @@ class Finding:
         header = ("", [bands.label(f) for f in self.case.room.centre_frequencies])
         for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
             lines += text.wrapped(
-                f'residuals of "{c.name}", in standard deviations (measured - model):', indent="  "
+                f'residuals of "{c.name}", in standard deviations (measured - model; a gap has the '
+                "other sign):",
+                indent="  ",
             )
             rows = [
                 (f"    {name}", ["-" if np.isnan(v) else f"{v:+.1f}" for v in row])
@@ -309,8 +311,8 @@ class Finding:
         )
         return (
             f"probabilities: {first}. Evidence that something is missing: {self.score:+.1f} nats "
-            f"({NATS}). Threshold: {self.threshold:.1f} nats, from control rooms of "
-            f"{' and '.join(self.engines) or 'no engine'} that lack nothing."
+            f"({NATS}). Threshold: {self.threshold:.1f} nats, which at most 5 % of simulated rooms "
+            f"exceed that lack nothing ({', '.join(map(engine_title, self.engines)) or 'no engine'})."
         )
 
     @property

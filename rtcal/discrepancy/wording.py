@@ -18,6 +18,15 @@ def amount(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}"
 
 
+def engine_title(name: str) -> str:
+    """Return what an engine is called in a sentence.
+
+    >>> engine_title("network"), engine_title("path tracing")
+    ('scattering delay network', 'path tracing')
+    """
+    return "scattering delay network" if name == "network" else name
+
+
 def listed(names: Sequence[str]) -> str:
     """Return names as a sentence lists them: a, b and c.
 
