@@ -12,6 +12,7 @@ import pytest
 
 import rtcal as rt
 from tests.test_docs import blocks
+from tests.test_several_effects import BOTH, case_with, sought
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 from matplotlib.text import Text
@@ -45,7 +46,7 @@ def drawn() -> dict[str, Any]:
     found["residuals"] = gap_figures.residuals(finding)
     for draw in (gap_figures.reverberation_time, gap_figures.shifts, gap_figures.decay):
         found[f"gap_figures.{draw.__name__}"] = draw(verification)
-    found["probabilities"] = several_report.probabilities(rt.discrepancy.find_several(case))
+    found["probabilities"] = several_report.probabilities(sought(case_with(*BOTH)))
     pairs, gaps = [("S1", "R1"), ("S1", "R2")], (np.full((2, 2, 3), 3.0), np.full((2, 2, 3), 1.0))
     face = np.array([[0, 0, 0], [5, 0, 0], [5, 4, 0], [0, 4, 0]], dtype=float)
     receivers = {"R1": (1, 1, 1), "R2": (4, 3, 1)}

@@ -346,14 +346,14 @@ One-band problems: a batch by `rtcal.exact`, and one by one by the quickest solv
 
 ## Known limits
 
-- One machine whose cores did other work beside the run, which was stopped and taken up once (for the largest tolerances and
-  pairs of configurations); each problem is timed three times at most: read ratios, not times.
+- One machine, whose cores did other work beside the run. The run was stopped and taken up once, for the largest tolerances and
+  pairs of configurations. Each problem is timed three times at most: read ratios, not times.
 - cvxpy compiles in its first solve of a shape; the best of three calls leaves that out.
-- Correlated bands at 480 unknowns take interior-point solvers longer than at 960: the ordering of the factor happens to
+- Correlated bands at 480 unknowns take interior-point solvers longer than at 960. The ordering of the factor happens to
   fill it more there (Clarabel: 40,123 to 67,690 entries against 34,891). Their exponents are too small for it.
 - Tens of problems a family, not thousands; `Rooms("full", seed)` gives others.
-- A setting means to each solver what it takes it to mean; qpbenchmark's table of settings is used as it is. cvxpy passes only
-  some of them on (to ProxQP no gap tolerance).
+- A setting means something else to each solver. The table of settings is qpbenchmark's, as it is. Only some of them are passed
+  on by cvxpy (to ProxQP no gap tolerance).
 - qpsolvers tells only "found" or not, so an infeasible problem counts as detected if it is not called solved.
 - Beside the sizes on which it met the time limit, HiGHS fails at its default on {_named(rows, "qpsolvers:highs")}.
   In these, one row's bound is below 1e-7 ("excessively small"). Its own final check calls its point infeasible by 1e-6 to
