@@ -238,6 +238,6 @@ def test_every_example_of_a_help_text_can_be_copied(columns: int, monkeypatch, c
     monkeypatch.setenv("COLUMNS", str(columns))
     for name in command_names():
         assert run(*name.split(), "--help") == 0
-        example = capsys.readouterr().out.split("Example: ")[1].split("\n\n")[0]
-        for line in example.splitlines()[:-1]:
-            assert line.endswith("\\"), f"rtcal {name}: {line}"
+        for text in capsys.readouterr().out.split("Example: ")[1:]:
+            for line in text.split("\n\n")[0].splitlines()[:-1]:
+                assert line.endswith("\\"), f"rtcal {name}: {line}"

@@ -115,7 +115,10 @@ def import_room(
     \b
     Example: rtcal import catt hall.geo --volume 2000 \\
         --area wood=300 --area plaster=800 --out room.toml
-    Example: rtcal import odeon hall.Li8 --mesh hall.obj --out room.toml
+
+    \b
+    Example: rtcal import odeon hall.Li8 \\
+        --mesh hall.obj --out room.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import sigma_table as table
     from rtcal.io.material_list import SigmaRule

@@ -138,6 +138,7 @@ def _calibration(calibration: Saved, step: Callable[[], None]) -> dict[str, Any]
     certificate["error"] = _worst(bounds)
     return {
         "calibration": calibration,
+        "headline": words.headline(calibration),
         "summary": words.summary(calibration),
         "verdict": words.verdict(calibration),
         "hertz": words.hertz,

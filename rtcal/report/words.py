@@ -80,6 +80,19 @@ def compared(calibration: Saved) -> str:
     return bands.span(calibration.centre_frequencies[has_gap]) if has_gap.any() else "no band"
 
 
+def headline(calibration: Saved) -> str:
+    """Return the result as one sentence for a reader who is no acoustician."""
+    gap = np.abs(calibration.gap_after[np.isfinite(calibration.gap_after)])
+    met, count = int(np.sum(gap < _MET)), len(gap)
+    if not count:
+        return "Model and measurement could be compared in no band."
+    bands = "" if met == count else f" in {met} of {count} bands"
+    return f"The model has the measured reverberation time{bands}, " + {
+        "agrees": "with its materials within what was stated of them.",
+        "contradicts": "but not with its materials as they were stated.",
+    }.get(verdict(calibration)[0], "and it is open whether its materials are as stated.")
+
+
 def summary(calibration: Saved) -> list[str]:
     """Return the calibration in three sentences: before, after, and whether to believe it."""
     f, has_gap = calibration.centre_frequencies, np.isfinite(calibration.gap_before)

@@ -109,13 +109,17 @@ def test_verdicts() -> None:
     near = rt.Eyring().reverberation_time(room)
     assert words.verdict(saving.saved(rt.calibrate(room, near)))[0] == "agrees"
     assert words.verdict(saving.saved(rt.calibrate(room, 0.6 * near)))[0] == "contradicts"
+    assert "within what was stated" in words.headline(saving.saved(rt.calibrate(room, near)))
     assert words.large_shifts(saving.saved(rt.calibrate(room, near))) == ([], 0)
     shifts, count = words.large_shifts(saving.saved(rt.calibrate(room, 0.6 * near)))
     assert count == len(shifts) > 1
     assert shifts[0].sigmas >= shifts[-1].sigmas > 2
 
 
-def test_a_calibrations_page_opens_with_three_sentences_and_a_figure(html) -> None:
+def test_a_calibrations_page_opens_with_a_headline_three_sentences_and_a_figure(html) -> None:
+    lead = html.split("<main>")[1].split("<h2")[0]
+    said = "The model has the measured reverberation time, but not with its materials as they were"
+    assert said in lead
     summary = html.split('id="summary"')[1].split("<h2")[0]
     sentences = re.findall(r"<p[^>]*>(.*?)</p>", summary)
     assert len(sentences) == 3
