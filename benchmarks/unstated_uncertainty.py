@@ -2,7 +2,7 @@
 
 Rooms of the second hidden world's development population, of which only the first source-receiver pair
 counts, so that no uncertainty follows from the spread over pairs. Prints verdict and effect with the
-numbers of `rtcal.discrepancy.features`, and with half and twice those of times and of levels.
+numbers of `rtcal.acoustics.uncertainty`, and with half and twice those of times and of levels.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import warnings
 
 import numpy as np
 
+from rtcal.acoustics import uncertainty
 from rtcal.discrepancy import Case, control_rooms, features, find
 from tests.second_world.generate import read
 
@@ -41,11 +42,11 @@ def scaled(
     of_time: float, of_level: float, between: dict, one_decay: dict, one_level: float
 ) -> None:
     """Set the numbers of `features` to so many times the chosen ones."""
-    features.REPRODUCIBILITY = {
+    uncertainty.REPRODUCIBILITY = {
         p: tuple((of_level if p in features.LEVELS else of_time) * np.array(row))
         for p, row in between.items()
     }
-    features.ONE_DECAY = {p: of_time * value for p, value in one_decay.items()}
+    uncertainty.ONE_DECAY = {p: of_time * value for p, value in one_decay.items()}
     features.ONE_LEVEL = of_level * one_level
 
 
@@ -55,7 +56,7 @@ def main() -> None:
     count = parser.parse_args().rooms
     warnings.simplefilter("ignore")
     cases, truths = read(0, "case"), read(0, "truth")
-    chosen = features.REPRODUCIBILITY, features.ONE_DECAY, features.ONE_LEVEL
+    chosen = uncertainty.REPRODUCIBILITY, uncertainty.ONE_DECAY, features.ONE_LEVEL
     changed = np.zeros(len(FACTORS), dtype=int)
     for i in np.linspace(0, len(cases) - 1, count).astype(int):
         case = first_pair(cases[i])

@@ -283,6 +283,10 @@ def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
             p: parameter_uncertainty(u, measured.values[p], stated, centres, p)
             for p, u in measured.uncertainty.items()
         },
+        common_uncertainty={
+            p: parameter_uncertainty(u, measured.mean(p), stated, centres, p)
+            for p, u in measured.common_uncertainty.items()
+        },
         n_sources=measured.n_sources,
         n_receivers=measured.n_receivers,
     )
@@ -322,6 +326,7 @@ def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) ->
         pairs=converted.pairs,
         standard_deviation=widened(converted.standard_deviation),
         uncertainty=widened(converted.uncertainty),
+        common_uncertainty=widened(converted.common_uncertainty),
         n_sources=converted.n_sources,
         n_receivers=converted.n_receivers,
     )

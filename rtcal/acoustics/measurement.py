@@ -22,7 +22,14 @@ from rtcal.support.types import Array
 # 0.23 f in thirds. The standard was not at hand; the numbers are those of RWTH Aachen's ITA-Toolbox,
 # ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
 _ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
-_OPTIONAL = ("pairs", "uncertainty", "standard_deviation", "n_sources", "n_receivers")
+_OPTIONAL = (
+    "pairs",
+    "uncertainty",
+    "common_uncertainty",
+    "standard_deviation",
+    "n_sources",
+    "n_receivers",
+)
 _DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
 MAX_POSITIONS = 12
 """Largest number of source-receiver pairs that the uncertainty of a mean counts: the number that the
@@ -64,6 +71,9 @@ class Measurement:
         Of a summary: the spread over its pairs (not the uncertainty of the mean).
     uncertainty : mapping of str to array (n_pairs, n_bands)
         Stated standard uncertainty of each value, where the measurer knows it.
+    common_uncertainty : mapping of str to array (n_bands,)
+        Beside it, the standard uncertainty that all pairs of a band have in common: equipment,
+        evaluation, climate. It does not average out.
     n_sources, n_receivers : int, optional
         Of a summary: numbers of sources and receivers that it averages.
 
@@ -84,6 +94,7 @@ class Measurement:
     pairs: Sequence[tuple[str, str]] = ((SUMMARY, SUMMARY),)
     standard_deviation: Mapping[str, Array] = field(default_factory=dict)
     uncertainty: Mapping[str, Array] = field(default_factory=dict)
+    common_uncertainty: Mapping[str, Array] = field(default_factory=dict)
     n_sources: int | None = None
     n_receivers: int | None = None
 
@@ -95,7 +106,7 @@ class Measurement:
         frequencies.setflags(write=False)
         put("centre_frequencies", frequencies)
         put("pairs", self._checked_pairs())
-        for name in ("values", "uncertainty", "standard_deviation"):
+        for name in ("values", "uncertainty", "common_uncertainty", "standard_deviation"):
             if not isinstance(getattr(self, name), Mapping):
                 raise DataError(f"measurement {name} is not a mapping of parameter to array")
         if not self.values:
@@ -104,6 +115,7 @@ class Measurement:
         for name, shape in (
             ("values", (n, k)),
             ("uncertainty", (n, k)),
+            ("common_uncertainty", (k,)),
             ("standard_deviation", (k,)),
         ):
             checked = {p: self._checked(name, p, v, shape) for p, v in getattr(self, name).items()}
@@ -139,7 +151,7 @@ class Measurement:
                 "measurement: a standard deviation over pairs needs the numbers of sources and "
                 "receivers, else it does not tell how uncertain the mean is"
             )
-        for name in ("uncertainty", "standard_deviation"):
+        for name in ("uncertainty", "common_uncertainty", "standard_deviation"):
             for parameter in getattr(self, name):
                 if parameter not in self.values:
                     raise DataError(f"measurement {name}[{parameter}] has no values beside it")
@@ -227,6 +239,7 @@ class Measurement:
         """Return the standard uncertainty u of `mean`, (n_bands,), NaN where it is unknown.
 
         If all values of a band state their uncertainty, u follows from it with independent errors.
+        If a common uncertainty is stated beside it, u² = max(that, s² / n_eff) + common².
         Else, for T20 and T30, u² = max(s² / n_eff, ISO 3382-2's variance), with s
         the standard deviation over pairs. n_eff is the larger of the numbers of sources and
         receivers, since pairs that share a source are not independent. ISO 3382-2:2008, Eqs. 4 and
@@ -261,6 +274,11 @@ class Measurement:
         if parameter in self.uncertainty:
             stated = np.where(measured, self.uncertainty[parameter], 0.0)
             of_mean = np.sqrt(np.sum(stated**2, axis=0)) / np.maximum(count, 1)
+            if parameter in self.common_uncertainty:
+                scattered = np.where(
+                    n_effective > 1, spread / np.sqrt(np.maximum(n_effective, 1)), 0
+                )
+                of_mean = np.hypot(np.fmax(of_mean, scattered), self.common_uncertainty[parameter])
             uncertainty = np.where((count > 0) & np.isfinite(of_mean), of_mean, uncertainty)
         return uncertainty
 
@@ -316,7 +334,8 @@ class Measurement:
             "pairs": [list(pair) for pair in self.pairs],
             **{
                 name: {p: json_numbers(values) for p, values in getattr(self, name).items()}
-                for name in ("values", "uncertainty", "standard_deviation")
+                for name in ("values", "uncertainty", "common_uncertainty", "standard_deviation")
+                if name != "common_uncertainty" or self.common_uncertainty
             },
             "n_sources": self.n_sources,
             "n_receivers": self.n_receivers,
@@ -344,6 +363,7 @@ class Measurement:
             pairs=[tuple(p) for p in entries.listed("pairs", [(SUMMARY, SUMMARY)])],
             values=arrays("values", shape),
             uncertainty=arrays("uncertainty", shape),
+            common_uncertainty=arrays("common_uncertainty", shape[1:]),
             standard_deviation=arrays("standard_deviation", shape[1:]),
             n_sources=data.get("n_sources"),
             n_receivers=data.get("n_receivers"),

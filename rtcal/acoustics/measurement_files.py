@@ -6,8 +6,10 @@ One row per value. An empty value is missing. Lines that begin with # are notes:
     S1,R1,T20,500,1.92
 
 Parameters: T20, T30, EDT, Ts in s; C50, C80, G in dB; D50 as a fraction; the band in Hz. Optional
-columns: ``uncertainty`` (standard uncertainty of the value). A row over several pairs has source and
-receiver ``*``, and may have ``standard_deviation`` over the pairs, ``sources`` and ``receivers``.
+columns: ``uncertainty`` (standard uncertainty of the value) and ``common_uncertainty`` (beside it, the
+part that all pairs of a band have in common, the same in each of their rows). A row over several pairs
+has source and receiver ``*``, and may have ``standard_deviation`` over the pairs, ``sources`` and
+``receivers``.
 """
 
 from __future__ import annotations
@@ -30,7 +32,13 @@ from rtcal.support.types import Array
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _COLUMNS = ("source", "receiver", "parameter", "band", "value")
-_OPTIONAL_COLUMNS = ("uncertainty", "standard_deviation", "sources", "receivers")
+_OPTIONAL_COLUMNS = (
+    "uncertainty",
+    "common_uncertainty",
+    "standard_deviation",
+    "sources",
+    "receivers",
+)
 
 MAX_BYTES = 2**21
 MAX_CELLS = 2**20
@@ -146,6 +154,7 @@ def of_single_values(
     values = {p: np.full(shape, np.nan) for p in parameters}
     uncertainty: dict[str, Array] = {}
     deviation: dict[str, Array] = {}
+    common: dict[str, Array] = {}
     counts: dict[str, set[float]] = {"sources": set(), "receivers": set()}
     for (source, receiver, parameter, band), numbers in rows.items():
         where = pairs[source, receiver], frequencies[band]
@@ -154,6 +163,14 @@ def of_single_values(
             uncertainty.setdefault(parameter, np.full(shape, np.nan))[where] = numbers[
                 "uncertainty"
             ]
+        if np.isfinite(shared := numbers.get("common_uncertainty", np.nan)):
+            row = common.setdefault(parameter, np.full(shape[1], np.nan))
+            if np.isfinite(row[where[1]]) and row[where[1]] != shared:
+                raise DataError(
+                    f"common_uncertainty of {parameter.upper()} at {bands.label(band)} has several "
+                    "values; all pairs of a band share one"
+                )
+            row[where[1]] = shared
         if np.isfinite(numbers.get("standard_deviation", np.nan)):
             spread = deviation.setdefault(parameter, np.full(shape[1], np.nan))
             spread[where[1]] = numbers["standard_deviation"]
@@ -168,6 +185,11 @@ def of_single_values(
         "pairs": [list(pair) for pair in pairs],
         "values": {p: json_numbers(v) for p, v in values.items()},
         "uncertainty": {p: json_numbers(v) for p, v in uncertainty.items()},
+        **(
+            {"common_uncertainty": {p: json_numbers(v) for p, v in common.items()}}
+            if common
+            else {}
+        ),
         "standard_deviation": {p: json_numbers(v) for p, v in deviation.items()},
         "n_sources": _count(counts["sources"], "sources"),
         "n_receivers": _count(counts["receivers"], "receivers"),
@@ -187,6 +209,7 @@ def text(data: Mapping[str, Any]) -> str:
     """Return `Measurement.to_dict`'s dict as the text of its CSV file."""
     used = {
         "uncertainty": bool(data["uncertainty"]),
+        "common_uncertainty": bool(data.get("common_uncertainty")),
         "standard_deviation": bool(data["standard_deviation"]),
         "sources": data["n_sources"] is not None,
         "receivers": data["n_receivers"] is not None,
@@ -209,6 +232,9 @@ def text(data: Mapping[str, Any]) -> str:
                 }
                 if parameter in data["uncertainty"]:
                     cells["uncertainty"] = _number(data["uncertainty"][parameter][i][k])
+                if parameter in data.get("common_uncertainty", {}):
+                    shared = data["common_uncertainty"][parameter][k]
+                    cells["common_uncertainty"] = _number(shared)
                 if parameter in data["standard_deviation"]:
                     cells["standard_deviation"] = _number(data["standard_deviation"][parameter][k])
                 writer.writerow([cells.get(c, "") for c in columns])

@@ -41,6 +41,12 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
     metavar="N|receivers",
     help="In files of several channels: the one to read, or 'receivers' if each is a receiver.",
 )
+@click.option(
+    "--uncertainty",
+    is_flag=True,
+    help="Write the standard uncertainty of T20, T30, EDT, C50 and C80 too: per value that of one "
+    "decay, in common what teams differ by.",
+)
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
 @json_option
 @quiet_option
@@ -49,6 +55,7 @@ def measure(
     bands: str,
     ranges: tuple[str, ...],
     channels: str | None,
+    uncertainty: bool,
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -58,6 +65,7 @@ def measure(
     Example: rtcal measure *.wav --out t.csv
     """
     from rtcal.io import impulse_responses
+    from rtcal.io.analysis import with_uncertainty
     from rtcal.support.progress import bar
 
     spare([] if out is None else [out], responses)
@@ -72,6 +80,8 @@ def measure(
             minimum_range=numbers("--minimum-range", ranges, "DB"),
             progress=lambda: shown.update(1),
         )
+    if uncertainty:
+        analysis = replace(analysis, measurement=with_uncertainty(analysis.measurement))
     if not quiet and all(np.isnan(v).all() for v in analysis.measurement.values.values()):
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
     notes = {

@@ -279,15 +279,9 @@ class Case:
         for c in self.configurations:
             if configurations is not None and c.name not in configurations:
                 continue
-            m = c.measured
-            kept.append(
-                replace(
-                    c,
-                    measured=replace(
-                        m,
-                        values={p: v for p, v in m.values.items() if p in parameters},
-                        uncertainty={p: v for p, v in m.uncertainty.items() if p in parameters},
-                    ),
-                )
-            )
+            tables = {
+                name: {p: v for p, v in getattr(c.measured, name).items() if p in parameters}
+                for name in ("values", "uncertainty", "common_uncertainty", "standard_deviation")
+            }
+            kept.append(replace(c, measured=replace(c.measured, **tables)))
         return replace(self, configurations=kept)

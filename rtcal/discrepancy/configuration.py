@@ -26,7 +26,14 @@ LEVELS = ("c80", "g")
 MAX_UNCERTAINTY = {"time": (1.0, " (relative: 0.02 is 2 %)"), "level": (20.0, " dB")}
 
 _KEYS = ("name", "changes", "suspect_removed", "air", "distances", "distance", "planned")
-_OF_MEASUREMENT = ("pairs", "uncertainty", "standard_deviation", "n_sources", "n_receivers")
+_OF_MEASUREMENT = (
+    "pairs",
+    "uncertainty",
+    "common_uncertainty",
+    "standard_deviation",
+    "n_sources",
+    "n_receivers",
+)
 
 
 @checked
@@ -123,8 +130,9 @@ class Configuration:
         """Return the configuration as plain values for JSON, as `from_dict` reads them."""
         measured = self.measured.to_dict()
         more: dict[str, Any] = {"pairs": measured["pairs"]}
-        if measured["standard_deviation"]:
-            more["standard_deviation"] = _in_order(measured["standard_deviation"])
+        for name in ("common_uncertainty", "standard_deviation"):
+            if measured.get(name):
+                more[name] = _in_order(measured[name])
         more |= {k: v for k in ("n_sources", "n_receivers") if (v := measured[k]) is not None}
         if self.planned:
             more["planned"] = True

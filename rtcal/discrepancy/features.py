@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import bands, uncertainty
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.configuration import Configuration
@@ -21,23 +20,8 @@ LARGEST_UNCERTAINTY = 0.15
 The evidence takes ln T as normal. With u = 15 % the mean of ln T is off by u²/2 = 1.1 %, which is 0.08
 of its standard deviation; the error grows with u."""
 TIMES, LEVELS = ("t20", "edt", "t30"), ("c80", "g")
-OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
-REPRODUCIBILITY: Mapping[str, tuple[float, ...]] = {
-    "t20": (0.046, 0.036, 0.028, 0.022, 0.017, 0.013),
-    "edt": (0.100, 0.080, 0.064, 0.051, 0.041, 0.033),
-    "t30": (0.046, 0.036, 0.028, 0.022, 0.017, 0.013),
-    "c80": (0.83, 0.70, 0.59, 0.49, 0.42, 0.35),
-    "g": (2.0, 1.55, 1.20, 0.92, 0.72, 0.55),
-}
-"""Standard deviation between teams at one pair of positions, by octave from 125 Hz to 4 kHz: relative,
-and in dB. Ends from the music studio of the PTB (round robin III, Bork 2005; medians over pairs),
-geometric between them; T20 as T30. All pairs of a team have this error in common."""
 SHARED_BY_T20_AND_T30 = 0.75
 """Correlation of that error between T20 and T30 of one decay, which share most of their range."""
-ONE_DECAY: Mapping[str, float] = {"t20": 0.88, "t30": 0.55, "edt": 1.6}
-"""Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz:
-T20 and T30 as in ISO 3382-2, Eqs. 4 and 5. Decays of octave-filtered Gaussian noise (400 at 500 Hz
-and 400 at 1 kHz, T = 1 s) have 0.88 for T20 and 1.7 for EDT."""
 ONE_LEVEL = 1.0
 """Standard deviation of C80 and G in dB over the positions of a room, where a single value has none."""
 
@@ -155,7 +139,8 @@ def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tu
 def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
     """Return the standard uncertainty of a mean, the part that all pairs share, and their origin.
 
-    Both (n_bands,), relative for a decay time and in dB for a level. A stated uncertainty is the whole.
+    Both (n_bands,), relative for a decay time and in dB for a level. A stated uncertainty is the whole,
+    with the part in common that is stated.
     """
     mean = m.mean(p)
     scale = mean if p in TIMES else np.ones_like(mean)
@@ -165,21 +150,18 @@ def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
     if p in m.uncertainty:
         stated = np.isfinite(np.where(present, m.uncertainty[p], 0.0)).all(0)
         if stated.all():
-            return np.nan_to_num(found), nothing, "as stated"
+            shared = np.nan_to_num(m.common_uncertainty.get(p, nothing) / scale)
+            alone = np.sqrt(np.maximum(np.nan_to_num(found) ** 2 - shared**2, 0.0))
+            return alone, shared, "as stated"
     else:
         stated = np.zeros(len(mean), dtype=bool)
     n = np.maximum(present.sum(0), 1)
     if m.is_summary:
         n = np.full(len(mean), (m.n_sources or 1) * (m.n_receivers or 1))
     if p in TIMES:
-        bandwidth = bands.bandwidth_factor(m.centre_frequencies) * m.centre_frequencies
-        one = ONE_DECAY[p] / np.sqrt(bandwidth * np.where(mean > 0, mean, np.nan))
+        one = uncertainty.of_one_decay(p, m.centre_frequencies, mean)
     else:
         one = np.full(len(mean), ONE_LEVEL)
     alone = np.where(stated, found, np.fmax(found, one / np.sqrt(np.minimum(n, MAX_POSITIONS))))
-    shared = np.interp(np.log(m.centre_frequencies), np.log(OCTAVES), REPRODUCIBILITY[p])
-    return (
-        np.nan_to_num(alone),
-        np.where(stated, 0.0, shared),
-        MADE,
-    )
+    shared = uncertainty.between_teams(p, m.centre_frequencies)
+    return np.nan_to_num(alone), np.where(stated, 0.0, shared), MADE

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import bands, uncertainty
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.parameters import UNITS
 from rtcal.support import text
@@ -15,6 +15,28 @@ from rtcal.support.types import Array
 
 _MOST_PAIRS = 4
 """Largest number of pairs that a sentence names."""
+
+
+def with_uncertainty(measurement: Measurement) -> Measurement:
+    """Return the measurement with the uncertainty of each value, where theory or round robins have one.
+
+    Per value: that of one decay, as the field is noise (`rtcal.acoustics.uncertainty.of_one_decay`). In
+    common to the pairs of a band: what teams differ by (Bork 2005).
+    """
+    frequencies, values = measurement.centre_frequencies, measurement.values
+    times = measurement.decay_time().mean
+    own: dict[str, Array] = {}
+    common: dict[str, Array] = {}
+    for p, table in values.items():
+        if p in uncertainty.ONE_DECAY:
+            own[p] = table * uncertainty.of_one_decay(p, frequencies, table)
+        elif p in uncertainty.LIMITS:
+            decay = np.where(np.isfinite(table), times, np.nan)
+            own[p] = uncertainty.of_one_decay(p, frequencies, decay)
+        if p in uncertainty.REPRODUCIBILITY:
+            teams = uncertainty.between_teams(p, frequencies)
+            common[p] = teams * (measurement.mean(p) if p in uncertainty.ONE_DECAY else 1.0)
+    return replace(measurement, uncertainty=own, common_uncertainty=common)
 
 
 @dataclass(frozen=True, kw_only=True)
