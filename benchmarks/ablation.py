@@ -22,7 +22,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks import real_rooms
+from benchmarks import real_cases, real_rooms
 from benchmarks.judging import (
     FLAGS,
     NOTHING,
@@ -142,7 +142,7 @@ def run(folder: str, real: Path, more: Path, number: int, only: str | None) -> N
             for world, truths, index, case, controls in rooms(folder, number):
                 said = row_of(find(part.case(case), controls=controls, **part.options))
                 out.append({"set": world, "truths": sorted(truths), "room": index, "row": said})
-            for each in real_rooms.every_case():
+            for each in real_cases.every_case():
                 kept = real / "controls" / f"{each.file}.npz"
                 if each.part != "development" or not kept.exists():
                     continue
@@ -158,7 +158,7 @@ def run(folder: str, real: Path, more: Path, number: int, only: str | None) -> N
 
 def table(folder: str) -> None:
     """Print per part: flagged controls, detected, single claims right, truth in the set, ECE; real."""
-    cases = {c.name: c for c in real_rooms.every_case()}
+    cases = {c.name: c for c in real_cases.every_case()}
     for name, part in PARTS.items():
         source = "the whole finder" if part.single_names_only else name
         path = Path(folder) / "ablation" / f"{source.split()[0]}.json"

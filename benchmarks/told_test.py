@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -53,7 +54,11 @@ class Told:
     name: str
     squares: tuple[float, float]
     values: int
-    scores: Array
+    scores: Sequence[Sequence[float]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; ``Told(**values)`` reads them."""
+        return {**vars(self), "scores": np.round(self.scores, 2).tolist()}
 
 
 def told(
@@ -100,7 +105,7 @@ def told(
         name=predicted.names[wrong[nearest]],
         squares=(float(square(residual - true)), float(square(residual - table[0]))),
         values=int(mask.sum()),
-        scores=scores,
+        scores=scores.tolist(),
     )
 
 
@@ -209,7 +214,9 @@ def detections(rows: Sequence[Told], said: Sequence[bool], wrong: float = 0.05) 
         power = sum(float(p[0]) for p, _ in limits)
         print(f"{words}: told effect and size      {rate_of(power, n)}")
         print(f"  of the measured                   {rate_of(sum(measured), n)}")
-    own = [(r.scores[0] > np.quantile(r.scores[1], 1 - wrong)).mean() for r in rows]
+    own = [
+        float(np.mean(np.array(r.scores[0]) > np.quantile(r.scores[1], 1 - wrong))) for r in rows
+    ]
     print(f"told the library and its priors      {rate_of(sum(own), n)}")
     print(f"find, of the measured                {rate_of(sum(said), n)}")
 

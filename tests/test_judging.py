@@ -10,9 +10,10 @@ import pytest
 
 pytest.importorskip("numba", reason="the hidden worlds are compiled (extra fast)")
 
-from benchmarks import real_data, real_rooms
+from benchmarks import real_cases, real_data
 from benchmarks.judging import Judged, calibration_error, interval, stated_probabilities
-from benchmarks.real_rooms import RealCase, every_case, outcome
+from benchmarks.real_cases import RealCase, every_case
+from benchmarks.real_rooms import outcome
 
 
 def row(verdict: str, effect: str | None, **more: Any) -> dict[str, Any]:
@@ -90,8 +91,8 @@ def test_the_real_cases_can_be_made(shared_data: Path, monkeypatch: pytest.Monke
     assert len(made) == 46
     pair = made["PTB open and closed, as stated"]
     area = pair.room.areas
-    open_, closed = pair.room.alpha, pair.configurations[1].changes[real_rooms.CLOSED].alpha
-    i = pair.room.material_index(real_rooms.CLOSED)
+    open_, closed = pair.room.alpha, pair.configurations[1].changes[real_cases.CLOSED].alpha
+    i = pair.room.material_index(real_cases.CLOSED)
     # Both sides of 13.92 and 57.41 m² (materials.csv), at 1 kHz.
     assert area[i] * open_[i, 3] == pytest.approx(2 * 13.92 * 0.7)
     assert area[i] * closed[3] == pytest.approx(2 * 57.41 * 0.4)

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 pytest.importorskip("numba", reason="the hidden worlds are compiled (extra fast)")
 
-from benchmarks.real_rooms import every_case
+from benchmarks.real_cases import every_case
 from benchmarks.second_world import WORLDS, true_effect, truth_of
 from benchmarks.told_test import best_powers, drawn_ratios, log_ratio
 from rtcal.discrepancy import library

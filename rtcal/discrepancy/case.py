@@ -279,7 +279,7 @@ class Case:
         for c in self.configurations:
             if configurations is not None and c.name not in configurations:
                 continue
-            tables = {
+            tables: dict[str, Any] = {
                 name: {p: v for p, v in getattr(c.measured, name).items() if p in parameters}
                 for name in ("values", "uncertainty", "common_uncertainty", "standard_deviation")
             }
