@@ -96,6 +96,11 @@ def name_of(hidden: dict[str, Any]) -> str:
     return "people" if PERSONS in hidden else NAMES[hidden["kind"]]
 
 
+def hidden_in(row: dict[str, Any]) -> str:
+    """The name of the effect that is hidden in a stored room."""
+    return name_of(row["truth"][0]) if row["kind"] in NAMES else NOTHING
+
+
 def rmse(alpha: Any, truth: dict[str, Any]) -> float:
     """Area-weighted root mean square error of alpha."""
     area = np.array(truth["areas"])[:, None]
@@ -218,7 +223,7 @@ def naming(here: list[Any], data: str, rows: list[dict[str, Any]]) -> None:
         for label in ("half", "double"):
             flagged = [r[label] in FLAGS for r in rows if label in r]
             print(f"  sigma stated at {label:6}    ", rate(flagged))
-    hidden = [(NAMES[r["kind"]], x) for r, x in here if 1 <= r["kind"] <= 12]
+    hidden = [(hidden_in(r), x) for r, x in here if 1 <= r["kind"] <= 12]
     caught = [(n, x) for n, x in hidden if found(x)]
     single = [(n, x) for n, x in caught if x["verdict"] == "named"]
     print("detected                  ", rate(found(x) for _, x in hidden))
@@ -255,10 +260,12 @@ def most_probable(row: dict[str, Any]) -> str:
 
 def confusion(here: list[Any]) -> None:
     print("\nhidden: the most probable effect, how often")
-    for kind in (0, *NAMES):
-        count = Counter(most_probable(x) for r, x in here if r["kind"] == kind)
-        cells = ", ".join(f"{name} {n}" for name, n in count.most_common())
-        print(f"  {NAMES.get(kind, 'nothing')}: {cells or '-'}")
+    for name in (NOTHING, *NAMES.values(), "people"):
+        count = Counter(
+            most_probable(x) for r, x in here if hidden_in(r) == name and r["kind"] in (0, *NAMES)
+        )
+        cells = ", ".join(f"{best} {n}" for best, n in count.most_common())
+        print(f"  {name}: {cells or '-'}")
 
 
 def by_size(here: list[Any]) -> None:
@@ -299,7 +306,7 @@ def roc(here: list[Any]) -> None:
 def floors(here: list[Any]) -> None:
     """What a higher floor under the threshold would give: fewer rooms, named better."""
     none = [x for r, x in here if r["kind"] == 0]
-    some = [(NAMES[r["kind"]], x) for r, x in here if 1 <= r["kind"] <= 12]
+    some = [(hidden_in(r), x) for r, x in here if 1 <= r["kind"] <= 12]
     if not none or not some:
         return
     print("\nat another floor in nats: flagged; detected; of these right name, single name")
@@ -337,15 +344,15 @@ def mending(here: list[Any]) -> None:
             np.mean([g[3] for g in x["gaps"] if g[1] in quantities])
             / np.mean([g[2] for g in x["gaps"] if g[1] in quantities])
             for r, x in done
-            if NAMES[r["kind"]] == name and any(g[1] in quantities for g in x["gaps"])
+            if hidden_in(r) == name and any(g[1] in quantities for g in x["gaps"])
         ]
         if gains:
             print(
                 f"{name:18} {' and '.join(quantities)} after/before, median {np.median(gains):.2f}"
                 f" of {len(gains)}"
             )
-    wrong = [x for r, x in done if x["effect"] != NAMES[r["kind"]]]
-    right = [(r, x) for r, x in done if x["effect"] == NAMES[r["kind"]]]
+    wrong = [x for r, x in done if x["effect"] != hidden_in(r)]
+    right = [(r, x) for r, x in done if x["effect"] == hidden_in(r)]
     print(
         "wrongly named: withdrawn or ambiguous",
         rate(x["verification"] == "withdrawn" or x["verdict"] == "ambiguous" for x in wrong),
@@ -358,8 +365,7 @@ def mending(here: list[Any]) -> None:
     two = [(r, x) for r, x in here if r["kind"] == DOUBLE]
     if two:
         both = [
-            {NAMES[e["kind"]] for e in r["truth"]}
-            == {x["effect"], x.get("second", {}).get("effect")}
+            {name_of(e) for e in r["truth"]} == {x["effect"], x.get("second", {}).get("effect")}
             for r, x in two
         ]
         better = [
@@ -376,7 +382,7 @@ def mending(here: list[Any]) -> None:
             f"({sum(better)}; {len(missing)} with nothing detected)",
         )
         missed = Counter(
-            " + ".join(sorted(NAMES[e["kind"]] for e in r["truth"]))
+            " + ".join(sorted(name_of(e) for e in r["truth"]))
             for (r, _), ok in zip(two, both, strict=True)
             if not ok
         )
@@ -549,7 +555,7 @@ def alpha(folder: str, rooms: int) -> None:
                 case, controls = one(case), first_of(controls)
             finding = find(case, controls=controls)
             if finding.can_be_added:
-                right = finding.effect == NAMES[truth["seed"][1]]
+                right = finding.effect == name_of(truth["effects"][0])
                 shares[right].append(held(finding, np.array(truth["alpha"])))
         for right, table in shares.items():
             if len(table) > 1:
