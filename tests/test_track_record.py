@@ -63,13 +63,22 @@ def test_every_verdict_says_how_often_it_was_right() -> None:
 
 
 @pytest.mark.parametrize("data", ["without level", "with level"])
-def test_what_a_finding_with_a_geometry_says_is_the_study_s(data: str) -> None:
+@pytest.mark.parametrize("statement", [where_record.IN_SITU, where_record.HANDBOOK])
+def test_what_a_finding_with_a_geometry_says_is_the_study_s(statement: str, data: str) -> None:
     column = {"without level": 3, "with level": 4}[data]
+    section = WHERE.split(f"### Coefficients {statement}\n")[1].split("\n#")[0]
     for label, (some, of) in (
-        ("flagged with nothing hidden", where_record.FLAGGED[data]),
-        ("detected", where_record.DETECTED[data]),
+        ("flagged with nothing hidden", where_record.FLAGGED[statement][data]),
+        ("detected", where_record.DETECTED[statement][data]),
+        ("right surface, of absorbers detected", where_record.SURFACE[statement][data]),
     ):
-        row = next(line for line in WHERE.splitlines() if line.startswith(f"| {label} |"))
+        row = next(line for line in section.splitlines() if line.startswith(f"| {label} |"))
         cell = row.split("|")[column].strip()
         assert cell.startswith(f"{some / of:.2f} [")
         assert cell.endswith(f"of {of}")
+
+
+def test_a_room_is_compared_with_those_whose_sigma_is_like_its_own() -> None:
+    room = rt.datasets.hidden_room()[0].room
+    assert where_record.statement(room.replace(sigma=0.3 * room.alpha)) == where_record.HANDBOOK
+    assert where_record.statement(room.replace(sigma=0.1 * room.alpha)) == where_record.IN_SITU

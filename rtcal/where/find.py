@@ -308,7 +308,7 @@ def _finding(
         parameters=observations.parameters,
         pairs=observations.pairs,
         reasons=reasons,
-        notes=(track_record.sentence(case.match), *numbers.data.notes),
+        notes=(track_record.sentence(case.room, case.match), *numbers.data.notes),
         controls=numbers.controls,
     )
 

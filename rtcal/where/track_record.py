@@ -7,22 +7,46 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-DETECTED = {"without level": (3, 17), "with level": (4, 17)}
+from rtcal.acoustics.room import Room
+
+IN_SITU, HANDBOOK = "measured in situ", "from a handbook"
+DETECTED = {
+    IN_SITU: {"without level": (0, 1), "with level": (0, 1)},
+    HANDBOOK: {"without level": (3, 17), "with level": (4, 17)},
+}
 """Rooms in which something was detected, and rooms in which something was hidden."""
-FLAGGED = {"without level": (3, 13), "with level": (2, 13)}
+FLAGGED = {
+    IN_SITU: {"without level": (0, 1), "with level": (0, 1)},
+    HANDBOOK: {"without level": (3, 13), "with level": (2, 13)},
+}
 """Rooms in which something was detected, and rooms in which nothing was hidden."""
+SURFACE = {
+    IN_SITU: {"without level": (0, 1), "with level": (0, 1)},
+    HANDBOOK: {"without level": (1, 3), "with level": (2, 4)},
+}
+"""Rooms in which the most probable surface was right, and rooms with an absorber detected."""
+_BETWEEN = 0.22
+"""Relative uncertainty of the room's absorption from which its coefficients count as a handbook's."""
 
 
-def sentence(match: Sequence[str]) -> str:
-    """Return how often hidden effects were detected and empty rooms flagged, with such data.
+def statement(room: Room) -> str:
+    """Return `IN_SITU` or `HANDBOOK`: which of the judged rooms a room resembles.
 
-    >>> sentence(["t20", "edt"])[:45]
-    'In simulated rooms that were not used to make'
+    By the mean sigma over the mean alpha, weighted by area: the handbook's is 0.3.
     """
+    relative = float((room.areas @ room.sigma).sum() / (room.areas @ room.alpha).sum())
+    return HANDBOOK if relative > _BETWEEN else IN_SITU
+
+
+def sentence(room: Room, match: Sequence[str]) -> str:
+    """Return how often hidden effects were detected and empty rooms flagged, with such data."""
     data = "with level" if "level" in match else "without level"
-    detected, flagged = DETECTED[data], FLAGGED[data]
+    stated = statement(room)
+    detected, flagged = DETECTED[stated][data], FLAGGED[stated][data]
+    right = SURFACE[stated][data]
     return (
-        "In simulated rooms that were not used to make this finder, it detected "
-        f"{detected[0]} of {detected[1]} hidden effects, and flagged {flagged[0]} of {flagged[1]} "
-        "rooms that lacked nothing: take a finding as a place to look at."
+        f"In simulated rooms with coefficients {stated} that were not used to make this finder, it "
+        f"detected {detected[0]} of {detected[1]} hidden effects, flagged {flagged[0]} of {flagged[1]} "
+        f"rooms that lacked nothing, and put {right[0]} of {right[1]} absorbers that it detected on the "
+        "right surface."
     )
