@@ -46,7 +46,7 @@ def sentence(room: Room, match: Sequence[str]) -> str:
     right = SURFACE[stated][data]
     return (
         f"In simulated rooms with coefficients {stated} that were not used to make this finder, it "
-        f"detected {detected[0]} of {detected[1]} hidden effects, flagged {flagged[0]} of {flagged[1]} "
-        f"rooms that lacked nothing, and put {right[0]} of {right[1]} absorbers that it detected on the "
-        "right surface."
+        f"detected {detected[0]} of {detected[1]} hidden effects, flagged {flagged[0]} of "
+        f"{flagged[1]} rooms that lacked nothing, and put {right[0]} of {right[1]} absorbers that it "
+        "detected on the right surface."
     )
