@@ -32,10 +32,11 @@ from rtcal.where.hypotheses import (
     spreads,
 )
 from rtcal.where.model import Model, model
+from rtcal.where.prior import statement
 from rtcal.where.responses import Responses, parameters, responses
 from rtcal.where.search import (
     TEMPER,
-    THRESHOLD,
+    THRESHOLDS,
     Hypotheses,
     Weights,
     evaluate,
@@ -285,7 +286,8 @@ def _finding(
     summary = _posterior(case, hypotheses, posterior)
     score = float(posterior.score[0])
     groups = _groups(case, hypotheses, summary, likelihood)
-    verdict, effect, family = _claimed(summary, score)
+    limit = THRESHOLDS[statement(case.room)]
+    verdict, effect, family = _claimed(summary, score, limit)
     reasons = _reasons(hypotheses, summary, verdict)
     first = next(iter(summary.surfaces))
     sure = summary.surfaces[first] >= LIKELY and summary.on_surfaces >= CLAIMED
@@ -303,7 +305,7 @@ def _finding(
         probabilities=summary.probabilities,
         families=summary.families,
         score=score,
-        threshold=THRESHOLD,
+        threshold=limit,
         map=_map(numbers, likelihood),
         parameters=observations.parameters,
         pairs=observations.pairs,
@@ -313,9 +315,9 @@ def _finding(
     )
 
 
-def _claimed(summary: _Posterior, score: float) -> tuple[str, str | None, str | None]:
+def _claimed(summary: _Posterior, score: float, limit: float) -> tuple[str, str | None, str | None]:
     """Return the verdict, and the effect and the family that are claimed."""
-    if score <= THRESHOLD:
+    if score <= limit:
         return ("hint" if score > 0 else "none"), None, None
     some = {e: p for e, p in summary.probabilities.items() if e != NONE}
     best = next(iter(some))

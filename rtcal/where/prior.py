@@ -5,11 +5,24 @@ from __future__ import annotations
 import numpy as np
 
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.room import Room
 from rtcal.discrepancy import coefficients
 from rtcal.discrepancy.case import CLIMATE_UNCERTAINTY
 from rtcal.discrepancy.prior import HANDBOOK_SIGMA
 from rtcal.support.types import Array
 from rtcal.where.case import Case
+
+IN_SITU, HANDBOOK = "measured in situ", "from a handbook"
+"""How a room's coefficients are stated."""
+
+
+def statement(room: Room) -> str:
+    """Return `IN_SITU` or `HANDBOOK`: which of the judged rooms a room resembles.
+
+    By the mean sigma over the mean alpha, weighted by area: a handbook's is `HANDBOOK_SIGMA`.
+    """
+    relative = float((room.areas @ room.sigma).sum() / (room.areas @ room.alpha).sum())
+    return HANDBOOK if relative > 0.95 * HANDBOOK_SIGMA else IN_SITU
 
 
 def usual_errors(case: Case) -> Array:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rtcal.acoustics.room import Room
+from rtcal.where.prior import HANDBOOK, IN_SITU, statement
 
-IN_SITU, HANDBOOK = "measured in situ", "from a handbook"
 DETECTED = {
     IN_SITU: {"without level": (0, 1), "with level": (0, 1)},
     HANDBOOK: {"without level": (3, 17), "with level": (4, 17)},
@@ -25,17 +25,6 @@ SURFACE = {
     HANDBOOK: {"without level": (1, 3), "with level": (2, 4)},
 }
 """Rooms in which the most probable surface was right, and rooms with an absorber detected."""
-_BETWEEN = 0.22
-"""Relative uncertainty of the room's absorption from which its coefficients count as a handbook's."""
-
-
-def statement(room: Room) -> str:
-    """Return `IN_SITU` or `HANDBOOK`: which of the judged rooms a room resembles.
-
-    By the mean sigma over the mean alpha, weighted by area: the handbook's is 0.3.
-    """
-    relative = float((room.areas @ room.sigma).sum() / (room.areas @ room.alpha).sum())
-    return HANDBOOK if relative > _BETWEEN else IN_SITU
 
 
 def sentence(room: Room, match: Sequence[str]) -> str:
