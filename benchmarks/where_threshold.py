@@ -23,8 +23,9 @@ from benchmarks.where import DATA, case_of
 from rtcal.loop.control_runs import control_runs
 from rtcal.where.find import every_hypothesis
 from rtcal.where.model import Model, model
+from rtcal.where.prior import statement as statement_of
 from rtcal.where.responses import parameters, responses
-from rtcal.where.search import FALSE_ALARMS, TEMPER, Hypotheses, evaluate, weights
+from rtcal.where.search import FALSE_ALARMS, TEMPER, THRESHOLDS, Hypotheses, evaluate, weights
 from tests.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 
 FOLDS, DRAWS = 8, 25
@@ -109,7 +110,7 @@ def main() -> None:
     print(
         f"{len(every)} control rooms: {np.quantile(every, 1 - FALSE_ALARMS):.2f} nats are exceeded by"
     )
-    limit = THRESHOLDS[statement(load(0, rooms[0], given.statement).room)]
+    limit = THRESHOLDS[statement_of(load(0, rooms[0], given.statement).room)]
     print(f"{FALSE_ALARMS:.0%}, {limit} by {np.mean(np.array(every) > limit):.1%};", end=" ")
     print(f"mean square of projections {np.mean(squares):.2f}, divided by {TEMPER}")
 
