@@ -11,7 +11,7 @@ from rtcal.command import gap
 from rtcal.discrepancy import find
 from rtcal.report import figures, gap_report, page, result_folder, study_report
 from tests.test_discrepancy import controls_of, opened
-from tests.test_fault_commands import WRITERS, attempt, fit_once
+from tests.test_fault_commands import WRITERS, attempt, fit_once, search_once
 
 
 def once(patch: pytest.MonkeyPatch, module: Any, name: str) -> None:
@@ -31,6 +31,7 @@ def once(patch: pytest.MonkeyPatch, module: Any, name: str) -> None:
 def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """What takes long and writes nothing is done once; figures are drawn once for all."""
     fit_once(monkeypatch)
+    search_once(monkeypatch)
     finding = find(opened(), controls=controls_of(opened()))
     monkeypatch.setattr(gap, "_find", lambda *_: finding)
     for name in ("verify", "figures", "finding_page"):

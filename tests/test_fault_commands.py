@@ -11,12 +11,14 @@ from typing import Any, NamedTuple
 import pytest
 
 import rtcal as rt
+from rtcal.command import gap_where
 from rtcal.command.main import main
 from rtcal.loop import positions
-from rtcal.report import figures
+from rtcal.report import figures, where_folder
 from rtcal.support import kept_arrays
 from tests import faults, fuzz
 from tests.test_discrepancy import opened
+from tests.test_where_page import PLACE, finding_of, verification_of
 
 BETWEEN = 20
 """Every so many events of the quick commands in the suite; test_every_fault tries all of all."""
@@ -111,6 +113,10 @@ def case(folder: Path) -> None:
     opened().save(str(folder / "case.json"))
 
 
+def case_with_geometry(folder: Path) -> None:
+    (folder / "case.toml").write_text('geometry = "room.obj"\n')
+
+
 FIT = "fit @room.toml @pairs.csv --positions @positions.toml --match t20 --match c80 --paths 100"
 
 
@@ -137,6 +143,20 @@ def fit_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(positions, "calibrate_positions", once)
     monkeypatch.setattr(figures, "rendered", drawn)
+
+
+def search_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`rtcal gap` with a geometry searches and verifies once."""
+    finding = finding_of({"floor": 0.7, "wall 5": 0.3})
+    verified = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
+    drawn = where_folder.drawn(finding, verified, PLACE)
+    pictures = {id(figure): figures.rendered(figure, "png") for figure in drawn.values()}
+    monkeypatch.setattr(gap_where, "find", lambda *_, **__: finding)
+    monkeypatch.setattr(rt.where, "verify", lambda *_, **__: verified)
+    monkeypatch.setattr(rt.where, "next_position", lambda *_, **__: (PLACE,))
+    monkeypatch.setattr(where_folder, "drawn", lambda *_: drawn)
+    monkeypatch.setattr(where_folder, "rendered", lambda figure, _: pictures[id(figure)])
+    monkeypatch.setattr(where_folder, "page", lambda *_: "<p>a page</p>")
 
 
 @pytest.fixture(autouse=True)
@@ -173,6 +193,10 @@ WRITERS = {
     ),
     "gap apply": Writer(case, "gap apply @case.json --out @new.json --room @new.toml"),
     "gap report": Writer(case, "gap report @case.json --out @gap"),
+    "gap apply with a geometry": Writer(
+        case_with_geometry, "gap apply @case.toml --out @corrected"
+    ),
+    "gap report with a geometry": Writer(case_with_geometry, "gap report @case.toml --out @page"),
 }
 
 
@@ -218,6 +242,16 @@ def attempt(name: str, tmp_path: Path, between: int) -> tuple[int, int]:
             assert code == 0 or now != before, f"{name} does not go on where event {nth} {what}"
             assert code or state() == after or now != before, f"{name}: event {nth} {what}"
     return tried, lost
+
+
+@pytest.mark.parametrize("name", ["gap apply with a geometry", "gap report with a geometry"])
+def test_a_corrected_geometry_is_written_all_or_nothing(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search_once(monkeypatch)
+    tried, lost = attempt(name, tmp_path, BETWEEN)
+    assert tried >= 3
+    assert lost == 0
 
 
 @pytest.mark.parametrize(

@@ -74,16 +74,16 @@ def tell_finding(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
 
 def apply(path: str, search: Any, out: str, patch: Patch, *, quiet: bool, as_json: bool) -> bool:
     """Write the corrected room into a folder; return whether there was something to add."""
-    from rtcal.where.corrected import CATT, FILES, ODEON
+    from rtcal.where.corrected import FILES
 
     folder = Path(out)
-    finding = find(path, search, quiet, [folder / name for name in (*FILES, CATT, ODEON)])
+    finding = find(path, search, quiet, [folder / name for name in FILES])
     if not finding.can_be_added:
         text = f"{finding.headline}\nNothing is written."
         tell(text, {**finding.to_dict(), "written": []}, quiet=quiet, as_json=as_json)
         return False
     corrected = finding.apply(patch.form, at=patch.at)
-    paths = [*corrected.save(folder), *corrected.export(folder)]
+    paths = corrected.save(folder)
     added = corrected.added
     text = "\n".join(
         [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,7 +37,7 @@ ROOM, MESH, PLACES, CATT, ODEON = (
     "catt.txt",
     "odeon.txt",
 )
-FILES = (ROOM, MESH, PLACES)
+FILES = (ROOM, MESH, PLACES, CATT, ODEON)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,39 +82,36 @@ class Corrected:
 
     @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write room, mesh and positions into a folder, all or none, and return their paths.
+        """Write `FILES` into a folder, all or none, and return their paths.
 
-        ``room.toml`` and ``room.obj`` are for rtcal and any program that reads a mesh. The lists of
-        materials for CATT and ODEON are those of `export`.
+        ``room.toml``, ``room.obj`` and ``positions.toml`` are for rtcal and any program that reads a
+        mesh, ``catt.txt`` and ``odeon.txt`` lists of materials. Octaves that the room lacks have the
+        coefficients of the nearest one there. In CATT's list a name has an underscore in place of a
+        character that CATT does not read.
         """
         where = checks.path("folder", folder)
+        simulator = self.case.simulator
         contents = {
-            where / ROOM: self.room.to_text().encode(),
-            where / MESH: obj.text(self.geometry).encode(),
-            where / PLACES: position_files.text(
-                self.case.simulator.sources, self.case.simulator.receivers
-            ).encode(),
+            ROOM: self.room.to_text().encode(),
+            MESH: obj.text(self.geometry).encode(),
+            PLACES: position_files.text(simulator.sources, simulator.receivers).encode(),
+            **self._lists(),
         }
         make_folder(where)
-        write_all(contents)
-        return list(contents)
+        write_all({where / name: content for name, content in contents.items()})
+        return [where / name for name in contents]
 
-    @checked
-    def export(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write the lists of materials for CATT and ODEON into a folder, and return their paths.
-
-        Octaves that the room lacks have the coefficients of the nearest one. In CATT's list a name has
-        an underscore in place of a character that CATT does not read.
-        """
-        where = checks.path("folder", folder)
-        make_folder(where)
+    def _lists(self) -> dict[str, bytes]:
+        """Return the lists of materials for CATT and ODEON by file name."""
         names = [re.sub(r"[^!-~]|[=<>{};:]", "_", m) for m in self.room.materials]
         if len(set(names)) < len(names):
             names = [f"{name}_{i + 1}" for i, name in enumerate(names)]
         plain = self.room.replace(materials=names, surfaces=(), material_correlation={}, sources={})
-        catt.write(plain, where / CATT, missing_bands="nearest")
-        odeon.write(self.room, where / ODEON, missing_bands="nearest")
-        return [where / CATT, where / ODEON]
+        # Their writers fill in a list that exists; these are new ones.
+        with tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
+            catt.write(plain, Path(empty, CATT), missing_bands="nearest")
+            odeon.write(self.room, Path(empty, ODEON), missing_bands="nearest")
+            return {name: Path(empty, name).read_bytes() for name in (CATT, ODEON)}
 
     def __repr__(self) -> str:
         return f'<Corrected room: {self.added.title} as {self.form} "{self.material}">'

@@ -1,0 +1,144 @@
+"""`rtcal gap` with a geometry: what it prints, its exit codes, and what an interrupted search keeps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rtcal as rt
+from rtcal.command import gap_where
+from rtcal.command.main import main
+from rtcal.where import Finding, Verification
+from tests.test_terminal import longest
+from tests.test_where import measured, stated, tracing
+from tests.test_where_page import PLACE, finding_of, verification_of
+
+pytest.importorskip("matplotlib", reason="needs the extra report")
+pytest.importorskip("jinja2", reason="needs the extra report")
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+WIDTHS = (40, 60, 80, 120)
+CASE = 'room = "room.toml"\ngeometry = "room.obj"\npositions = "p.toml"\nmeasured = "pairs.csv"\n'
+COMMANDS = [
+    ("find",),
+    ("verify",),
+    ("report", "--out", "a-folder"),
+    ("apply", "--out", "a-folder", "--at", "6,2,0"),
+    ("apply", "--out", "a-folder", "--form", "material"),
+]
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main(["gap", *arguments])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def some() -> Finding:
+    shares = {"floor": 0.6, "wall 0": 0.25, "ceiling": 0.15}
+    return finding_of(shares, (("floor", "wall 0"), ("wall 1", "wall 2")))
+
+
+@pytest.fixture
+def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
+    """The slow part, which is not what these tests are about."""
+    finding = some()
+
+    def verified(*_: Any, **__: Any) -> Verification:
+        return verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
+
+    monkeypatch.setattr(gap_where, "find", lambda *_, **__: finding)
+    monkeypatch.setattr(rt.where, "verify", verified)
+    monkeypatch.setattr(rt.where, "next_position", lambda *_, **__: (PLACE,))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "case.toml").write_text(CASE)
+    return finding
+
+
+@pytest.mark.usefixtures("found")
+@pytest.mark.parametrize("columns", WIDTHS)
+def test_no_line_is_longer_than_the_terminal(
+    columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    for command, *options in COMMANDS:
+        assert run(command, "case.toml", *options) == 0, capsys.readouterr().err
+        said = capsys.readouterr().out
+        line = longest(said)
+        assert len(line) <= columns, f"rtcal gap {command}: {line}"
+    assert run("apply", "case.toml", "--out", "x", "--at", "3,2,1.5") == 2
+    assert len(longest(capsys.readouterr().err)) <= columns
+
+
+def test_nothing_found_is_said_and_nothing_is_written(
+    found: Finding,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    nothing = replace(found, verdict="none", effect=None, family=None)
+    monkeypatch.setattr(gap_where, "find", lambda *_, **__: nothing)
+    assert run("apply", "case.toml", "--out", "corrected") == 6
+    assert not (tmp_path / "corrected").exists()
+    assert run("verify", "case.toml") == 0
+    assert "There is nothing to add" in capsys.readouterr().out
+    assert run("report", "case.toml", "--out", "page") == 0
+    assert not (tmp_path / "page" / "gap.png").exists()
+
+
+@pytest.mark.usefixtures("found")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--at", "7,1"), '--at "7,1" is not X,Y,Z in m'),
+        (("--at", "a,b,c"), '--at "a,b,c" is not X,Y,Z in m'),
+        (("--at", "6,2,0", "--form", "material"), "at is the middle of a patch"),
+        (("--form", "hole"), "'hole' is not one of"),
+        (("--room", "x.toml"), "--room: with a geometry"),
+    ],
+)
+def test_a_wrong_option_is_refused(
+    options: tuple[str, ...],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert run("apply", "case.toml", "--out", "corrected", *options) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "corrected").exists()
+
+
+def test_a_place_needs_a_geometry(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert run("apply", str(tmp_path / "case.json"), "--out", "x", "--at", "1,2,3") == 2
+    assert "--at: a case without a geometry has no surface" in capsys.readouterr().err
+
+
+def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(tmp_path: Path) -> None:
+    case = rt.where.Case(simulator=tracing(stated(), n_paths=800), measured=measured(False))
+    told: list[str] = []
+
+    def stop(what: str, done: int, of: int) -> None:
+        assert 0 < done <= of
+        told.append(what)
+        if what != "control runs":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rt.where.find(case, cache=tmp_path, report=stop)
+    assert told.count("control runs") > 1
+    again: list[str] = []
+    rt.where.find(case, cache=tmp_path, report=lambda what, done, of: again.append(what))
+    assert again
+    assert "control runs" not in again
+    last: list[str] = []
+    rt.where.find(case, cache=tmp_path, report=lambda what, done, of: last.append(what))
+    assert not last
