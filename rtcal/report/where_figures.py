@@ -86,6 +86,7 @@ def draw_room(axes: Any, finding: Finding, place: Place | None = None) -> None:
     axes.set_aspect("equal")
     axes.axis("off")
     axes.set_title("\n".join(above), fontsize=_SIZE, loc="left")
+    _legend(axes)
 
 
 def _probabilities(finding: Finding) -> dict[str, float]:
@@ -145,7 +146,7 @@ def _stands(axes: Any, finding: Finding, place: Place | None, turn: float) -> No
         foot = (point[0], point[1], low)
         x, y = _projected(np.array([point, foot]), turn).T
         axes.plot(x, y, color="0.6", linewidth=0.8, zorder=6)
-        axes.plot(x[0], y[0], marker=marker, color=colour, markersize=8, zorder=7)
+        _mark(axes, x[0], y[0], marker, colour)
         axes.annotate(
             name,
             (x[0], y[0]),
@@ -154,6 +155,22 @@ def _stands(axes: Any, finding: Finding, place: Place | None, turn: float) -> No
             fontsize=_SIZE,
             zorder=8,
         )
+
+
+def _mark(axes: Any, x: float, y: float, marker: str, colour: str) -> None:
+    """Draw a source, a receiver or a proposed place; the first of a kind has a label."""
+    kinds = {"^": "source", "o": "receiver", "*": "further receiver"}
+    label = kinds[marker]
+    if label in axes.get_legend_handles_labels()[1]:
+        label = "_" + label
+    style = {"linestyle": "none", "markersize": 8, "zorder": 7, "label": label}
+    axes.plot(x, y, marker=marker, color=colour, **style)
+
+
+def _legend(axes: Any) -> None:
+    """Draw the legend of what stands in the room below the axes."""
+    style = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.02), "ncols": 3, "frameon": False}
+    axes.legend(fontsize=_SIZE, **style)
 
 
 def _points(
@@ -213,7 +230,8 @@ def plan(finding: Finding, place: Place | None = None) -> Any:
     standard deviations. Walls are as orange as they are probable. ``place`` is a further receiver.
     """
     case, geometry = finding.case, finding.case.geometry
-    size = np.ptp(geometry.vertices[:, :2], axis=0)
+    corners = geometry.vertices[:, :2]
+    size, centre = np.ptp(corners, axis=0), (corners.min(axis=0) + corners.max(axis=0)) / 2
     probability, letters = _probabilities(finding), _letters(finding)
     above = _group_lines(letters)
     figure, axes = new_figure(6.5, float(np.clip(6.0 * size[1] / size[0], 3.0, 6.5)) + 1.8)
@@ -230,7 +248,10 @@ def plan(finding: Finding, place: Place | None = None) -> Any:
             label = f"{_lettered(name, letters)}: {100 * chance:.0f} %"
             if wall:
                 middle = _middle(geometry, faces)[:2]
-                style = {"ha": "center", "va": "center", "bbox": _BOX, "zorder": 9}
+                # Into the room, so that no label of a side wall stands on the axis.
+                side = 0 if abs(middle[0] - centre[0]) < 0.3 * size[0] else middle[0] - centre[0]
+                align = {0: "center", -1: "left", 1: "right"}[int(np.sign(side))]
+                style = {"ha": align, "va": "center", "bbox": _BOX, "zorder": 9}
                 axes.annotate(label, middle, fontsize=_SIZE, **style)
             else:
                 above.append(label)
@@ -242,8 +263,8 @@ def plan(finding: Finding, place: Place | None = None) -> Any:
         grey = str(0.88 * (1 - min(value / most, 1.0)))
         axes.plot(x, y, color=grey, linewidth=0.8 + 2.2 * min(value / most, 1.0), zorder=3)
     for name, point, marker, colour in _points(sources, receivers, place):
-        axes.plot(*point[:2], marker=marker, color=colour, markersize=9, zorder=4)
-        style = {"xytext": (6, 5), "textcoords": "offset points", "zorder": 5}
+        _mark(axes, point[0], point[1], marker, colour)
+        style = {"xytext": (6, 6), "textcoords": "offset points", "zorder": 5, "bbox": _BOX}
         axes.annotate(name, point[:2], fontsize=_SIZE, **style)
     axes.set_aspect("equal")
     axes.set_xlabel("x / m", fontsize=_SIZE)
@@ -333,6 +354,7 @@ def draw_bars(axes: Any, verification: Verification) -> None:
             ha="center",
         )
     axes.axhline(1.0, color=BLACK, linestyle=":", linewidth=1)
+    axes.annotate("1 JND", (1.5, 1.0), xytext=(0, 3), textcoords="offset points", ha="center")
     axes.set_xticks(range(len(labels)), labels)
     axes.set_ylabel("Mean gap at pairs not fitted / JND")
     axes.margins(y=0.15)
