@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
@@ -25,7 +25,7 @@ from rtcal.where.case import Case
 from rtcal.where.corrected import corrected
 from rtcal.where.find import find
 from rtcal.where.finding import Finding
-from rtcal.where.responses import BASE
+from rtcal.where.responses import precisely
 
 MODELS = ("before", "plain", "corrected")
 LEAST_PAIRS = 4
@@ -297,11 +297,12 @@ def verify(
         added.append(best)
         left = [p for p in finding.pairs if p not in half]
         columns = [finding.pairs.index(p) for p in left]
-        stated = _precise(fitted.simulator)
+        # A gap is not to be that of the tracing's noise.
+        stated = precisely(fitted.simulator)
         models = {
             "before": stated,
             "plain": stated,
-            "corrected": stated if best is None else _precise(corrected(fitted, best).simulator),
+            "corrected": stated if best is None else precisely(corrected(fitted, best).simulator),
         }
         for n, seed in enumerate(chosen):
             for model, simulator in models.items():
@@ -332,11 +333,6 @@ def _halves(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
     receivers = list(dict.fromkeys(r for _, r in pairs))
     even = tuple((s, r) for s, r in pairs if (sources.index(s) + receivers.index(r)) % 2 == 0)
     return even, tuple(p for p in pairs if p not in even)
-
-
-def _precise(tracer: PathTracing) -> PathTracing:
-    """Return the tracing with the paths of what a search compares: a gap is not that of its noise."""
-    return replace(tracer, n_paths=BASE * tracer.n_paths)
 
 
 def _calibrated(fitted: Case, simulator: PathTracing, finding: Finding, seed: int) -> Observations:
