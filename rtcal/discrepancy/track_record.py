@@ -15,7 +15,7 @@ AMBIGUOUS = (45, 45)
 """Sets that held the truth, and sets of candidates where nothing was claimed."""
 MISSED = (128, 210)
 """Rooms in which nothing was detected, and rooms in which something was hidden."""
-FLAGGED = (0, 104)
+FLAGGED = (1, 144)
 """Rooms in which something was detected, and rooms in which nothing was hidden."""
 MEASURED = (0, 46)
 """Wrong claims, and cases, in measured rooms."""
