@@ -11,7 +11,7 @@ NAMED = (15, 15)
 """Single names that were right, and single names claimed."""
 FAMILY = (20, 20)
 """Families that were right, and families claimed."""
-AMBIGUOUS = (45, 46)
+AMBIGUOUS = (44, 47)
 """Sets that held the truth, and sets of candidates where nothing was claimed."""
 MISSED = (128, 210)
 """Rooms in which nothing was detected, and rooms in which something was hidden."""
