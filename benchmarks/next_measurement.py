@@ -14,6 +14,7 @@ import argparse
 import json
 import warnings
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -196,6 +197,18 @@ def table(folder: str, population: int) -> None:
             f"  {kind:15} proposed in {number} [{low:.2f}, {high:.2f}]; expected {nats:.2f} nats; "
             f"families right {np.mean(gained):+.3f}"
         )
+    hours = {kind: COSTS[kind] for kind in KINDS}
+    said = [cheapest(r, hours) for r in rows]
+    print("nats per hour:", ", ".join(f"{k} in {said.count(k)}" for k in KINDS))
+    for kind, factor in product(KINDS, (0.5, 2.0)):
+        other = [cheapest(r, {**hours, kind: factor * hours[kind]}) for r in rows]
+        same = sum(a == b for a, b in zip(said, other, strict=True))
+        print(f"  {kind:15} {factor:g} times the hours: the same proposal in {same} of {len(rows)}")
+
+
+def cheapest(row: dict[str, Any], hours: dict[str, float]) -> str:
+    """The measurement with most nats per hour."""
+    return max(row["nats"], key=lambda kind: row["nats"][kind] / hours[kind])
 
 
 def main() -> None:

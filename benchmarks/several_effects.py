@@ -3,7 +3,6 @@
     python -m benchmarks.several_effects controls --folder out --population 1   # can be resumed
     python -m benchmarks.several_effects bound --folder out --population 1      # what any test could do
     python -m benchmarks.several_effects run --folder out --population 1        # then: table
-    python -m benchmarks.several_effects speed --folder out --population 0
 
 Population 0 is for development. It has 12 rooms with two effects; as many as ``--more`` says are
 built beside them, from the numbers that follow. Population 1 judges.
@@ -34,7 +33,7 @@ from benchmarks.judging import (
     row_of,
 )
 from benchmarks.second_world import place
-from rtcal.discrepancy import AppliedEffect, Case, find, find_several, recalibrate
+from rtcal.discrepancy import AppliedEffect, Case, find_several, recalibrate
 from rtcal.discrepancy.effects.people import AT_1_KHZ
 from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.features import observe
@@ -277,6 +276,11 @@ class Searched:
         return self.wrong_claim or len(self.row["named_set"]) > len(self.truth)
 
     @property
+    def more_than_one(self) -> float:
+        """The probability of two or more effects."""
+        return float(sum(self.row["numbers"][2:]))
+
+    @property
     def second_set(self) -> bool:
         """Whether a set of several families is claimed where one effect is hidden."""
         return bool(self.row["named_set"])
@@ -303,9 +307,13 @@ def wide(names: list[str]) -> list[str]:
     return sorted(families()[n].split(",")[0] for n in names)
 
 
-def table(folder: str, population: int, label: str) -> None:
-    """Print what the issue asks."""
+def table(folder: str, population: int, label: str, pairs: str) -> None:
+    """Print what the issue asks; ``pairs`` says which rooms with two effects are counted."""
     stored = sorted(place(folder, 1, population, label, 0, "json").parent.glob("*.json"))
+    built = len(read(population, "case"))
+    left_out = {"all": (), "stored": (True,), "built": (False,)}[pairs]
+    singles = {i for i, t in enumerate(read(population, "truth")) if t["seed"][1] != DOUBLE}
+    stored = [p for p in stored if int(p.stem) in singles or (int(p.stem) >= built) not in left_out]
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in stored]
     for data, words in DATA.items():
         every = [
@@ -351,33 +359,21 @@ def table(folder: str, population: int, label: str) -> None:
         print(f"seconds of processor: median {np.median(seconds):.2f}, at most {max(seconds):.2f}")
 
 
-def speed(folder: str, population: int) -> None:
-    """Print the time of a search for several effects against that for one, control rooms given."""
-    warnings.simplefilter("ignore")
-    ratios = []
-    for _, case, _, made in list(rooms(folder, population, 0, double=True))[:5]:
-        seconds = []
-        for search in (find, find_several):
-            began = time.process_time()
-            search(case, controls=made)
-            seconds.append(time.process_time() - began)
-        ratios.append([*seconds, seconds[1] - seconds[0]])
-    one_effect, several, beyond = np.median(ratios, axis=0)
-    print(
-        f"one effect {one_effect:.2f} s, several {several:.2f} s (pairs and sizes {beyond:.2f} s): "
-        f"{several / one_effect:.1f} times as long"
-    )
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("controls", "bound", "run", "table", "speed"))
+    parser.add_argument("what", choices=("controls", "bound", "run", "table"))
     parser.add_argument("--folder", required=True)
     parser.add_argument("--population", type=int, default=0)
     parser.add_argument("--more", type=int, default=0, help="rooms that are built beside them")
     parser.add_argument("--label", default="several", help="folder of this run's rows")
     parser.add_argument("--step", type=int, default=1, help="every so many rooms with one or none")
     parser.add_argument("--data", nargs="+", choices=tuple(DATA), default=tuple(DATA))
+    parser.add_argument(
+        "--pairs",
+        choices=("all", "stored", "built"),
+        default="all",
+        help="table: which rooms with two",
+    )
     parser.add_argument("--part", default="0/1", help="1/3: the second of three parts of the rooms")
     given = parser.parse_args()
     if given.what == "controls":
@@ -394,10 +390,8 @@ def main() -> None:
             given.data,
             given.part,
         )
-    elif given.what == "table":
-        table(given.folder, given.population, given.label)
     else:
-        speed(given.folder, given.population)
+        table(given.folder, given.population, given.label, given.pairs)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,8 @@ COSTS: Mapping[str, float] = {
     "planned": 4.0,
 }
 """Hours that a measurement takes: a judgement, settable. EDT, T30 and C80 are evaluated from responses
-that there are. G needs a calibrated source. "planned" are configurations that a user states."""
+that there are. G needs a calibrated source. "planned" are configurations that a user states. Half or
+twice any of them leaves the proposal in 11 to 14 of 14 rooms (`benchmarks.next_measurement table`)."""
 MORE_POSITIONS = 4
 USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
 """Standard uncertainty of a mean over four positions that is not measured yet, by feature."""

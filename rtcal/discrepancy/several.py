@@ -28,8 +28,8 @@ from rtcal.support.threads import single_threaded_blas
 
 TWO = 0.98
 """Probability of two or more effects from which more than one family is claimed. Chosen on development
-rooms of the first hidden world: of 61 with one effect it claims two in 2, and of 48 with two effects in
-12, rightly in 10 (docs/discrepancy_study.md)."""
+rooms of the first hidden world: of 63 with one effect it claims two in 2, and of 48 with two effects in
+12, rightly in 10 (`benchmarks.several_effects_choices claim`)."""
 
 
 @single_threaded_blas()
