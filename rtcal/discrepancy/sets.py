@@ -25,7 +25,7 @@ from scipy.linalg import solve_triangular
 from rtcal.discrepancy.alpha_covariance import AlphaCovariance
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.effects.checks import changed_states
+from rtcal.discrepancy.effects.checks import added, changed_states
 from rtcal.discrepancy.evidence import unknown_evidence
 from rtcal.discrepancy.factorization import Factorization
 from rtcal.discrepancy.features import Observed
@@ -273,7 +273,7 @@ def _states(
                 made |= {(*before, i): made[before] for i in last}
                 continue
             grid = [predicted.parameters[i] for i in last]
-            states = changed_states(effect, made[before], grid)
+            states = added(effect, made[before], grid)
             made |= {(*before, i): s for i, s in zip(last, states, strict=True)}
     return [made[rows] for rows in sets]
 

@@ -87,7 +87,7 @@ def checked_grid(effect: Effect, state: State) -> Sequence[Parameters]:
 def changed_states(effect: Effect, state: State, grid: Sequence[Parameters]) -> list[State]:
     """Return the state with the effect in it, by parameters; DataError if a state is impossible."""
     where = f'effect "{effect.name}": change'
-    made = [_run(where, partial(effect.change, state, theta), theta) for theta in grid]
+    made = added(effect, state, grid)
     for after in made:
         if not isinstance(after, State):
             raise DataError(f"{where} returns {type(after).__name__}; it returns a State")
@@ -101,6 +101,12 @@ def changed_states(effect: Effect, state: State, grid: Sequence[Parameters]) -> 
         if after.shape is not state.shape and not hasattr(after.shape, "together"):
             _check_shape(effect.name, after)
     return made
+
+
+def added(effect: Effect, state: State, grid: Sequence[Parameters]) -> list[State]:
+    """Return the state with the effect in it, by parameters, where `changed_states` passed it alone."""
+    where = f'effect "{effect.name}": change'
+    return [_run(where, partial(effect.change, state, theta), theta) for theta in grid]
 
 
 _FIELDS = tuple(f.name for f in fields(State))
