@@ -52,7 +52,7 @@ def of_sets(families: bool, together: bool) -> list[str]:
     out = []
     if families:
         right, of = SET_FAMILIES
-        out.append(f"{_ROOMS} {right} of {of} families claimed beside others were right.")
+        out.append(f"{_ROOMS} {right} of {of} such families were right.")
     if together:
         right, of = FAMILY_SETS
         out.append(f"{_ROOMS} {right} of {of} such sets of families were right.")
