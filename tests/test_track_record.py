@@ -55,6 +55,22 @@ def test_missed_and_flagged_are_those_of_the_tables() -> None:
     assert tuple(int(n) for n in measured.groups()) == track_record.MEASURED
 
 
+@pytest.mark.parametrize(
+    ("label", "stated"),
+    [
+        ("families claimed that were right, all 113 rooms", track_record.SET_FAMILIES),
+        ("sets claimed that were right, all 113 rooms", track_record.FAMILY_SETS),
+    ],
+)
+def test_claims_beside_others_are_those_of_the_table(label: str, stated: tuple[int, int]) -> None:
+    right, of = stated
+    assert re.search(rf"^\| {label} \| \| {right / of:.2f} \[.*\] of {of} \|$", PAGE, re.MULTILINE)
+    assert (
+        f"{right} of {of} such"
+        in track_record.of_sets(True, True)[stated == track_record.FAMILY_SETS]
+    )
+
+
 def test_every_verdict_says_how_often_it_was_right() -> None:
     case, _ = rt.datasets.hidden_room()
     finding = rt.discrepancy.find(case)
