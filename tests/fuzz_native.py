@@ -139,6 +139,7 @@ POSITIONS = (
         {
             "rtcal": "positions 1",
             "room": "box",
+            "author": "",
             "simulator": "tracer",
             "level": "",
             "control_runs": 16,
