@@ -291,7 +291,7 @@ def test_distances_that_are_not_stated_err_by_configuration_and_in_the_null_room
     assert spread[0] - spread[1] == pytest.approx(distance, rel=0.3)
 
 
-@pytest.mark.parametrize(("stated", "least"), [(True, 0.5), (False, 1.1)])
+@pytest.mark.parametrize(("stated", "least"), [(True, 0.5), (False, 1.6)])
 def test_levels_without_stated_uncertainty_need_more_evidence(
     stated: bool, least: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
