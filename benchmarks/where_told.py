@@ -21,7 +21,8 @@ import rtcal as rt
 from benchmarks.where import ABSORBERS, HANDBOOK, LARGE, STATEMENTS, Judging, case_of, plain, read
 from rtcal.where.candidate import Candidate
 from rtcal.where.corrected import corrected
-from rtcal.where.verification import _calibrated, _gap, _halves, _precise
+from rtcal.where.responses import precisely
+from rtcal.where.verification import gap_in_jnd, halves_of, heard_calibrated
 from tests.geometric_world.load import stored, truth
 
 
@@ -44,13 +45,13 @@ def told(judging: Judging, index: int) -> dict[str, Any]:
         spectrum=np.array(true["alpha_of_it"]),
     )
     gaps: dict[str, list[float]] = {"plain": [], "corrected": []}
-    for half in _halves(finding.pairs):
+    for half in halves_of(finding.pairs):
         fitted = case.only(half)
         left = [pair for pair in finding.pairs if pair not in half]
         models = {"plain": case.simulator, "corrected": corrected(fitted, hidden).simulator}
         for name, simulator in models.items():
-            heard = _calibrated(fitted, _precise(simulator), finding, 0)
-            gaps[name].append(float(np.nanmean(np.abs(_gap(case, finding, heard, left)))))
+            heard = heard_calibrated(fitted, precisely(simulator), finding, 0)
+            gaps[name].append(float(np.nanmean(np.abs(gap_in_jnd(case, finding, heard, left)))))
     mean = {name: float(np.mean(values)) for name, values in gaps.items()}
     return {"index": index, "ratio": mean["corrected"] / mean["plain"], **mean}
 

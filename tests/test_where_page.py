@@ -111,7 +111,7 @@ def test_what_is_predicted_scatters_as_it_was_calibrated(
     fitted = replace(tracer, scattering=0.9)
     result = SimpleNamespace(tracer=fitted, alpha=tracer.room.alpha)
     monkeypatch.setattr(verification, "calibrate_positions", lambda *_, **__: result)
-    heard = verification._calibrated(finding.case, tracer, finding, 0)
+    heard = verification.heard_calibrated(finding.case, tracer, finding, 0)
     alpha = tracer.room.alpha
     assert np.array_equal(heard.values, fitted.observe(alpha, finding.parameters, seed=0).values)
     assert not np.array_equal(

@@ -22,7 +22,7 @@ from rtcal.support.types import Array
 # 0.23 f in thirds. The standard was not at hand; the numbers are those of RWTH Aachen's ITA-Toolbox,
 # ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
 _ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
-_OPTIONAL = (
+OPTIONAL = (
     "pairs",
     "uncertainty",
     "common_uncertainty",
@@ -30,6 +30,7 @@ _OPTIONAL = (
     "n_sources",
     "n_receivers",
 )
+"""Keys of a saved measurement that may be absent."""
 _DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
 MAX_POSITIONS = 12
 """Largest number of source-receiver pairs that the uncertainty of a mean counts: the number that the
@@ -347,7 +348,7 @@ class Measurement:
 
         Raises DataError for an unknown key, for a value that is no number, and as `Measurement` does.
         """
-        entries = Entries("", data, ("centre_frequencies", "values"), _OPTIONAL)
+        entries = Entries("", data, ("centre_frequencies", "values"), OPTIONAL)
         frequencies = entries.array("centre_frequencies", (None,))
         shape = (None, len(frequencies))
 

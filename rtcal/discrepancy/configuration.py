@@ -11,7 +11,7 @@ import numpy as np
 from rtcal.acoustics import room_files
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import text_name
-from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.measurement import OPTIONAL, Measurement
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -26,14 +26,6 @@ LEVELS = ("c80", "g")
 MAX_UNCERTAINTY = {"time": (1.0, " (relative: 0.02 is 2 %)"), "level": (20.0, " dB")}
 
 _KEYS = ("name", "changes", "suspect_removed", "air", "distances", "distance", "planned")
-_OF_MEASUREMENT = (
-    "pairs",
-    "uncertainty",
-    "common_uncertainty",
-    "standard_deviation",
-    "n_sources",
-    "n_receivers",
-)
 
 
 @checked
@@ -161,7 +153,7 @@ class Configuration:
         """
         name = text_name("configuration: name", data.get("name", "measured"))
         where = f'configuration "{name}"'
-        inline = (*PARAMETERS, *_OF_MEASUREMENT)
+        inline = (*PARAMETERS, *OPTIONAL)
         entries = Entries(f"{where}: ", data, (), (*_KEYS, "measured", *inline))
         if "measured" in data:
             if beside := [key for key in inline if key in data]:
@@ -218,7 +210,7 @@ def _inline(where: str, data: Mapping[str, Any], centre_frequencies: Array) -> M
         "centre_frequencies": centre_frequencies,
         "values": values,
         "pairs": [["S", f"R{i + 1}"] for i in range(n_pairs)] if pairs is None else pairs,
-        **{key: data[key] for key in _OF_MEASUREMENT[2:] if data.get(key) is not None},
+        **{key: data[key] for key in OPTIONAL[2:] if data.get(key) is not None},
     }
     if data.get("uncertainty") is not None:
         stated = checks.mapped(f"{where}: uncertainty", data["uncertainty"])

@@ -271,7 +271,7 @@ def verify(
             f"there are {len(finding.pairs)} pairs; to predict half of them from the others, it needs "
             f"{LEAST_PAIRS}"
         )
-    halves = _halves(finding.pairs)
+    halves = halves_of(finding.pairs)
     gaps = {model: np.full((len(chosen), *finding.map.shape), np.nan) for model in MODELS}
     added: list[Candidate | None] = []
     done, steps = 0, len(halves) * (1 + len(MODELS) * len(chosen))
@@ -309,8 +309,8 @@ def verify(
                 if model == "before":
                     heard = observe(simulator, simulator.room.alpha, finding.parameters, seed=seed)
                 else:
-                    heard = _calibrated(fitted, simulator, finding, seed)
-                gaps[model][n][:, columns] = _gap(case, finding, heard, left)
+                    heard = heard_calibrated(fitted, simulator, finding, seed)
+                gaps[model][n][:, columns] = gap_in_jnd(case, finding, heard, left)
                 tell(TITLES[model])
     return Verification(
         finding=finding,
@@ -323,7 +323,7 @@ def verify(
     )
 
 
-def _halves(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
+def halves_of(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
     """Return two halves with every source in both: every second receiver of each source.
 
     Sources begin in turn with the first and the second receiver, so that a half has all receivers
@@ -335,7 +335,9 @@ def _halves(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
     return even, tuple(p for p in pairs if p not in even)
 
 
-def _calibrated(fitted: Case, simulator: PathTracing, finding: Finding, seed: int) -> Observations:
+def heard_calibrated(
+    fitted: Case, simulator: PathTracing, finding: Finding, seed: int
+) -> Observations:
     """Return what all positions hear in a model that is calibrated on the fitted pairs."""
     result = calibrate_positions(
         simulator,
@@ -350,7 +352,7 @@ def _calibrated(fitted: Case, simulator: PathTracing, finding: Finding, seed: in
     return observe(result.tracer, result.alpha, finding.parameters, seed=seed)
 
 
-def _gap(case: Case, finding: Finding, heard: Observations, pairs: Sequence[Pair]) -> Array:
+def gap_in_jnd(case: Case, finding: Finding, heard: Observations, pairs: Sequence[Pair]) -> Array:
     """Return simulated less measured at pairs in JND, (n_parameters, n_pairs, n_bands).
 
     A relative level has its mean over each source's pairs taken off.
