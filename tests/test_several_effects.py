@@ -337,3 +337,17 @@ def test_the_command_finds_and_adds_the_set(
     assert [text.index(words) for words in order] == sorted(map(text.index, order))
     assert "--several --expected 0.7" in text
     assert (tmp_path / "page" / "probabilities.png").is_file()
+
+
+def test_sets_of_a_single_effect_are_refused() -> None:
+    case, _ = rt.datasets.hidden_room()
+    first = case.only("t20", configurations=["A"])
+    with pytest.raises(DataError, match="1 effect is tried, and sets need at least two"):
+        rt.discrepancy.find_several(first, only=("opening",))
+
+
+def test_a_library_that_was_cut_is_said() -> None:
+    case, _ = rt.datasets.hidden_room()
+    first = case.only("t20", configurations=["A"])
+    cut = rt.discrepancy.find(first, only=("opening",))
+    assert any("weighted by hand" in note for note in cut.notes)

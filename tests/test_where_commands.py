@@ -118,7 +118,11 @@ def test_a_place_needs_a_geometry(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
-    assert run("apply", str(tmp_path / "case.json"), "--out", "x", "--at", "1,2,3") == 2
+    case = tmp_path / "case.json"
+    assert run("apply", str(case), "--out", "x", "--at", "1,2,3") == 2
+    assert "No such file" in capsys.readouterr().err
+    case.write_text("{}")
+    assert run("apply", str(case), "--out", "x", "--at", "1,2,3") == 2
     assert "--at: a case without a geometry has no surface" in capsys.readouterr().err
 
 

@@ -190,7 +190,7 @@ def apply(
             raise click.exceptions.Exit(NOTHING_TO_ADD)
         return
     for option, value in (("--form", form), ("--at", at)):
-        if value is not None:
+        if value is not None and Path(case).is_file():
             raise DataError(f"{option}: a case without a geometry has no surface")
     from rtcal.report.correction import correct
     from rtcal.support.files import write_all

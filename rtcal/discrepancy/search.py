@@ -102,6 +102,8 @@ def find(
     checks.whole("seed", seed, 0)
     effects = library() if effects is None else checked_effects(effects)
     observed, notes = observe(case)
+    if without or only or prior:
+        notes = [*notes, _CHOSEN]
     effects, left_out = chosen_effects(effects, without, only)
     before = prior_of(case.room, effects, checked_odds(effects, prior), left_out)
     predicted = predict_hypotheses(case, effects)
@@ -122,6 +124,12 @@ def find(
     else:
         bootstrapped, limit = threshold, threshold.value
     return _conclude(case, observed, predicted, bootstrapped.discrepancy, limit, before, notes)
+
+
+_CHOSEN = (
+    "effects were left out or weighted by hand: the probabilities are among those that were tried, and "
+    "how often such findings were right was measured with the whole library"
+)
 
 
 def _conclude(

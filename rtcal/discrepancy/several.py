@@ -97,6 +97,10 @@ def find_several(
         cache=cache,
         report=report,
     )
+    if len(single.effects) < 2:
+        raise DataError(
+            f"{len(single.effects)} effect is tried, and sets need at least two; use find for one"
+        )
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, list(single.effects.values()))
     compared = compare(case, observed, predicted, single.discrepancy)

@@ -55,7 +55,7 @@ _OPTIONAL = (
 @checked
 def has_geometry(path: str | os.PathLike[str]) -> bool:
     """Return whether a case's file states a geometry; DataError if it is not valid TOML."""
-    if not str(path).endswith(".toml") or not Path(path).is_file():
+    if Path(path).suffix.lower() != ".toml" or not Path(path).is_file():
         return False
     try:
         return "geometry" in toml_table(read_text(path, MAX_BYTES))
