@@ -121,7 +121,7 @@ def test_a_place_needs_a_geometry(
     case = tmp_path / "case.json"
     assert run("apply", str(case), "--out", "x", "--at", "1,2,3") == 2
     assert "No such file" in capsys.readouterr().err
-    case.write_text("{}")
+    case.write_bytes(rt.datasets.path("hidden_room/case.json").read_bytes())
     assert run("apply", str(case), "--out", "x", "--at", "1,2,3") == 2
     assert "--at: a case without a geometry has no surface" in capsys.readouterr().err
 

@@ -189,14 +189,14 @@ def apply(
         if not gap_where.apply(case, search, out, patch, quiet=quiet, as_json=as_json):
             raise click.exceptions.Exit(NOTHING_TO_ADD)
         return
-    for option, value in (("--form", form), ("--at", at)):
-        if value is not None and Path(case).is_file():
-            raise DataError(f"{option}: a case without a geometry has no surface")
     from rtcal.report.correction import correct
     from rtcal.support.files import write_all
 
     targets = [out] if room is None else [out, room]
     read = _case(case, targets)
+    for option, value in (("--form", form), ("--at", at)):
+        if value is not None:
+            raise DataError(f"{option}: a case without a geometry has no surface")
     finding: Finding | SeveralFinding
     if expected is None:
         finding = _find(case, read, search, quiet)

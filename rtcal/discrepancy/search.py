@@ -100,11 +100,10 @@ def find(
     """
     checks.instance("case", case, Case).require_fresh()
     checks.whole("seed", seed, 0)
-    effects = library() if effects is None else checked_effects(effects)
+    effects, left_out = effects_to_try(effects, without, only)
     observed, notes = observe(case)
     if without or only or prior:
         notes = [*notes, _CHOSEN]
-    effects, left_out = chosen_effects(effects, without, only)
     before = prior_of(case.room, effects, checked_odds(effects, prior), left_out)
     predicted = predict_hypotheses(case, effects)
     if not isinstance(threshold, Threshold):
@@ -124,6 +123,13 @@ def find(
     else:
         bootstrapped, limit = threshold, threshold.value
     return _conclude(case, observed, predicted, bootstrapped.discrepancy, limit, before, notes)
+
+
+def effects_to_try(
+    effects: Sequence[Effect] | None, without: Sequence[str], only: Sequence[str]
+) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
+    """Return the effects that a search tries, and what else is left out; the library if None."""
+    return chosen_effects(library() if effects is None else checked_effects(effects), without, only)
 
 
 _CHOSEN = (

@@ -15,7 +15,7 @@ from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.discrepancy.probabilities import family_of, narrowest_family
-from rtcal.discrepancy.search import find
+from rtcal.discrepancy.search import effects_to_try, find
 from rtcal.discrepancy.set_alpha import averaged_alpha
 from rtcal.discrepancy.set_posterior import EXPECTED, MOST, Names, SetPosterior, set_posterior
 from rtcal.discrepancy.sets import compare
@@ -85,6 +85,11 @@ def find_several(
     most = checks.whole("most", most, 1)
     if most > MOST:
         raise DataError(f"most = {most} is not from 1 to {MOST}")
+    tried, _ = effects_to_try(effects, without, only)
+    if len(tried) < 2:
+        raise DataError(
+            f"{len(tried)} effect is tried, and sets need at least two; use find for one"
+        )
     single = find(
         case,
         effects,
@@ -97,10 +102,6 @@ def find_several(
         cache=cache,
         report=report,
     )
-    if len(single.effects) < 2:
-        raise DataError(
-            f"{len(single.effects)} effect is tried, and sets need at least two; use find for one"
-        )
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, list(single.effects.values()))
     compared = compare(case, observed, predicted, single.discrepancy)
