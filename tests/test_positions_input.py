@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from dataclasses import replace
@@ -114,6 +115,25 @@ def test_a_missing_value_is_left_out_alone(tracer, measured):
     assert np.isnan(result.gap_after[1, 0, 2])
     assert np.isfinite(result.alpha).all()
     assert json.loads(result.to_json())["gap_after_jnd"][1][0][2] is None
+
+
+def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):
+    rows, shape = list(range(len(measured.pairs))), measured.values["t20"].shape
+    own, common = np.full(shape, 0.02), np.full(shape[1], 0.1)
+
+    def covariance(**stated):
+        m = dataclasses.replace(kept(measured, rows), **stated)
+        t = m.values["t20"][:, 0]
+        first_band = np.s_[0 : t.size * shape[1] : shape[1]]
+        return calibrate(tracer, m).measured.covariance[first_band, first_band], t
+
+    alone, t = covariance(uncertainty={"t20": own})
+    assert alone == pytest.approx(np.diag((0.02 / t) ** 2))
+    both, _ = covariance(uncertainty={"t20": own}, common_uncertainty={"t20": common})
+    assert both - alone == pytest.approx(0.01 / np.outer(t, t))
+    made, _ = covariance()
+    of_team, _ = covariance(common_uncertainty={"t20": common})
+    assert np.diag(of_team - made) == pytest.approx(0.01 / t**2 - made[0, 1])
 
 
 def test_excluded_pairs_must_have_been_measured(tracer, measured):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics import band_conversion, uncertainty
 from rtcal.discrepancy import Case, Configuration
-from rtcal.discrepancy.features import observe
+from rtcal.discrepancy.features import _uncertainty, observe
 from rtcal.errors import DataError
 from rtcal.io.analysis import with_uncertainty
 
@@ -68,6 +69,27 @@ def test_uncertainties_survive_their_file(tmp_path: Path) -> None:
     assert thirds.common_uncertainty["t20"] == pytest.approx(stated.common_uncertainty["t20"][1:4])
     configuration = Configuration(name="A", measured=again).to_dict()
     assert configuration["common_uncertainty"]["c80"] == again.common_uncertainty["c80"].tolist()
+
+
+@pytest.mark.parametrize("name", ["uncertainty", "common_uncertainty"])
+@pytest.mark.parametrize(("parameter", "value"), [("t20", 5.0), ("t20", 1e300), ("c80", 500.0)])
+def test_an_uncertainty_above_the_value_is_refused(name: str, parameter: str, value: float) -> None:
+    m = measured()
+    shape = (4, 6) if name == "uncertainty" else (6,)
+    with pytest.raises(DataError, match=rf"{name}\[{parameter}, 125 Hz\] = .* is larger than"):
+        replace(m, **{name: {parameter: np.full(shape, value)}})
+
+
+def test_a_part_in_common_that_stands_alone_is_taken() -> None:
+    m, common = measured(), np.full(6, 0.2)
+    alone = replace(m, common_uncertainty={"t20": common})
+    assert alone.mean_uncertainty("t20") == pytest.approx(
+        np.hypot(m.mean_uncertainty("t20"), common)
+    )
+    relative = common / m.mean("t20")
+    own, shared, _ = _uncertainty(alone, "t20")
+    assert shared == pytest.approx(relative)
+    assert own == pytest.approx(_uncertainty(m, "t20")[0])
 
 
 def test_a_common_uncertainty_has_one_value_in_a_band(tmp_path: Path) -> None:

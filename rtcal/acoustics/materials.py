@@ -83,13 +83,29 @@ class CalibrationRecord:
     version: str = ""
 
 
+LONGEST_NAME = 200
+"""Largest length of an author, and of what stands at the head of a page, in characters."""
+_BIDIRECTIONAL = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+"""Characters that turn the direction of what follows: a name could be read as another."""
+
+
 def text_name(place: str, value: object) -> str:
-    """Return a name; DataError unless it is text without control characters."""
+    """Return a name; DataError unless it is text without characters that control how it is shown."""
     if not isinstance(value, str):
         raise DataError(f"{place} has {value!r}, which is not a text")
-    if any(unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") for c in value):
+    if any(
+        unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") or c in _BIDIRECTIONAL for c in value
+    ):
         raise DataError(f"{place} has {value!r}; a name has no control characters")
     return value
+
+
+def short_name(place: str, value: object) -> str:
+    """Return a name of at most `LONGEST_NAME` characters, as stands at the head of a page."""
+    name = text_name(place, value)
+    if len(name) > LONGEST_NAME:
+        raise DataError(f"{place} has {len(name)} characters; at most {LONGEST_NAME} are allowed")
+    return name
 
 
 def number(name: str, value: object, unit: str) -> float:

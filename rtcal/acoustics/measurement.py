@@ -121,6 +121,9 @@ class Measurement:
         ):
             checked = {p: self._checked(name, p, v, shape) for p, v in getattr(self, name).items()}
             put(name, checked)
+        for name in ("uncertainty", "common_uncertainty"):
+            for parameter in getattr(self, name):
+                self._check_uncertainty(name, parameter)
         self._check_summary()
 
     def _checked_pairs(self) -> tuple[tuple[str, str], ...]:
@@ -156,6 +159,23 @@ class Measurement:
             for parameter in getattr(self, name):
                 if parameter not in self.values:
                     raise DataError(f"measurement {name}[{parameter}] has no values beside it")
+
+    def _check_uncertainty(self, name: str, parameter: str) -> None:
+        """Refuse an uncertainty that is larger than the value itself, or than its whole range."""
+        stated = np.atleast_2d(getattr(self, name)[parameter])
+        if parameter in DECAY_TIMES:
+            most, rule = self.values[parameter], "the value itself"
+        else:
+            low, high, _ = LIMITS[parameter]
+            most, rule = np.array(high - low), "the parameter's range"
+        if (bad := stated > most).any():
+            pair, band = (int(i) for i in np.argwhere(bad)[0])
+            row = 0 if name == "common_uncertainty" else pair
+            raise DataError(
+                f"measurement {name}[{parameter}, {bands.label(self.centre_frequencies[band])}] = "
+                f"{stated[row, band]:g}{f' {UNITS[parameter]}'.rstrip()} is larger than {rule}: is it "
+                "in percent?"
+            )
 
     def _checked(self, name: str, parameter: str, value: Any, shape: tuple[int, ...]) -> Array:
         if parameter not in UNITS:
@@ -272,15 +292,18 @@ class Measurement:
             iso = a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth)
             variance = np.fmax(variance, iso)
         uncertainty = np.where(count > 0, np.sqrt(variance), np.nan)
+        common = self.common_uncertainty.get(parameter)
         if parameter in self.uncertainty:
             stated = np.where(measured, self.uncertainty[parameter], 0.0)
             of_mean = np.sqrt(np.sum(stated**2, axis=0)) / np.maximum(count, 1)
-            if parameter in self.common_uncertainty:
+            if common is not None:
                 scattered = np.where(
                     n_effective > 1, spread / np.sqrt(np.maximum(n_effective, 1)), 0
                 )
-                of_mean = np.hypot(np.fmax(of_mean, scattered), self.common_uncertainty[parameter])
+                of_mean = np.fmax(of_mean, scattered)
             uncertainty = np.where((count > 0) & np.isfinite(of_mean), of_mean, uncertainty)
+        if common is not None:
+            uncertainty = np.hypot(uncertainty, np.nan_to_num(common))
         return uncertainty
 
     def _spread(self, parameter: str) -> tuple[Array, Array, Array]:

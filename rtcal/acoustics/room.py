@@ -19,6 +19,7 @@ from rtcal.acoustics.materials import (
     Surface,
     array_of,
     number,
+    short_name,
     stacked,
     text_name,
 )
@@ -131,7 +132,7 @@ class Room:
         if blank := [m for m in self.materials if not m.strip()]:
             raise DataError(f"materials has {blank[0]!r}; a name is not blank")
         put("name", text_name("name", self.name))
-        put("author", text_name("author", self.author))
+        put("author", short_name("author", self.author))
         put("surfaces", checks.listed("surfaces", self.surfaces or ()))
         put("sources", checks.mapped("sources", self.sources or {}))
         pairs = checks.mapped("material_correlation", self.material_correlation or {})

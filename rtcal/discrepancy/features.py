@@ -144,17 +144,14 @@ def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
     """
     mean = m.mean(p)
     scale = mean if p in TIMES else np.ones_like(mean)
-    found = m.mean_uncertainty(p) / scale
+    nothing = np.full(len(mean), np.nan)
     present = np.isfinite(m.values[p])
-    nothing = np.zeros_like(mean)
-    if p in m.uncertainty:
-        stated = np.isfinite(np.where(present, m.uncertainty[p], 0.0)).all(0)
-        if stated.all():
-            shared = np.nan_to_num(m.common_uncertainty.get(p, nothing) / scale)
-            alone = np.sqrt(np.maximum(np.nan_to_num(found) ** 2 - shared**2, 0.0))
-            return alone, shared, "as stated"
-    else:
-        stated = np.zeros(len(mean), dtype=bool)
+    stated = np.isfinite(np.where(present, m.uncertainty.get(p, nothing), 0.0)).all(0)
+    common = m.common_uncertainty.get(p, nothing) / scale
+    whole = m.mean_uncertainty(p) / scale
+    alone = np.sqrt(np.maximum(np.nan_to_num(whole) ** 2 - np.nan_to_num(common) ** 2, 0.0))
+    if stated.all():
+        return alone, np.nan_to_num(common), "as stated"
     n = np.maximum(present.sum(0), 1)
     if m.is_summary:
         n = np.full(len(mean), (m.n_sources or 1) * (m.n_receivers or 1))
@@ -162,6 +159,6 @@ def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
         one = uncertainty.of_one_decay(p, m.centre_frequencies, mean)
     else:
         one = np.full(len(mean), ONE_LEVEL)
-    alone = np.where(stated, found, np.fmax(found, one / np.sqrt(np.minimum(n, MAX_POSITIONS))))
-    shared = uncertainty.between_teams(p, m.centre_frequencies)
-    return np.nan_to_num(alone), np.where(stated, 0.0, shared), MADE
+    alone = np.where(stated, alone, np.fmax(alone, one / np.sqrt(np.minimum(n, MAX_POSITIONS))))
+    shared = np.where(stated, 0.0, uncertainty.between_teams(p, m.centre_frequencies))
+    return np.nan_to_num(alone), np.where(np.isfinite(common), common, shared), MADE

@@ -1,14 +1,15 @@
 """What was measured at each position, ready to be matched, and how uncertain it is.
 
-Where a measurement states no uncertainty, two parts are taken. In a band of bandwidth B a response is
-noise-like: the energy within dt scatters by 1 / sqrt(B dt), differently at each pair, and every
-parameter follows. And a part common to all pairs of a band, from equipment and evaluation.
+What a measurement states is taken. Where it states no uncertainty, two parts are assumed. In a band
+of bandwidth B a response is noise-like: the energy within dt scatters by 1 / sqrt(B dt), differently at
+each pair, and every parameter follows. The second part is common to all pairs of a band: equipment and
+evaluation.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -176,7 +177,11 @@ def _covariance(
     _, n_pairs, n_bands = shape
     full = np.zeros((*shape, *shape))
     times = _decay_times(observations, measured)
-    common = _between_teams(parameters, frequencies) * _COMMON
+    assumed = _between_teams(parameters, frequencies) * _COMMON
+    alone = _stated(observations, measured, measured.uncertainty)
+    common = _stated(observations, measured, measured.common_uncertainty)
+    of_team = np.where(np.isfinite(alone), 0.0, assumed[:, np.newaxis])
+    shared = np.where(np.isfinite(common), common, of_team)
     direct = np.zeros((n_pairs, n_bands))
     if simulated.direct is not None:
         direct = simulated.direct[[simulated.pairs.index(pair) for pair in pairs]]
@@ -185,10 +190,12 @@ def _covariance(
         noise = response_noise(parameters, times[k], bandwidth, direct[:, k])
         for i in range(n_pairs):
             full[:, i, k, :, i, k] = noise[i]
-        full[:, :, k, :, :, k] += np.einsum(
-            "pq,ij->piqj", np.diag(common[:, k] ** 2), np.ones((n_pairs,) * 2)
-        )
-    _state(full, observations, measured)
+    for p, i, k in np.argwhere(np.isfinite(alone)):
+        full[p, i, k] = 0.0
+        full[:, :, :, p, i, k] = 0.0
+        full[p, i, k, p, i, k] = alone[p, i, k] ** 2
+    for p, k in np.ndindex(len(parameters), n_bands):
+        full[p, :, k, p, :, k] += np.outer(shared[p, :, k], shared[p, :, k])
     if level == "relative" and "level" in parameters:
         p = parameters.index("level")
         sources = np.array([s for s, _ in pairs])
@@ -200,20 +207,19 @@ def _covariance(
     return np.asarray(full.reshape(size, size)[np.ix_(used, used)])
 
 
-def _state(full: Array, observations: Observations, measured: Measurement) -> None:
-    """Put the stated uncertainties in the place of the assumed ones; they are independent."""
+def _stated(
+    observations: Observations, measured: Measurement, uncertainty: Mapping[str, Array]
+) -> Array:
+    """Return stated standard uncertainties in the observations' units and shape; NaN where none is."""
     rows = [measured.pairs.index(pair) for pair in observations.pairs]
+    stated = np.full(observations.values.shape, np.nan)
     for p, name in enumerate(observations.parameters):
         key = "g" if name == "level" and "level" not in measured.values else name
-        if key not in measured.uncertainty:
-            continue
-        stated = measured.uncertainty[key][rows]
-        if name in LOGARITHMIC:
-            stated = stated / measured.values[key][rows]
-        for i, k in np.argwhere(np.isfinite(stated)):
-            full[p, i, k] = 0.0
-            full[:, :, :, p, i, k] = 0.0
-            full[p, i, k, p, i, k] = stated[i, k] ** 2
+        if key in uncertainty:
+            value = measured.values[key][rows] if name in LOGARITHMIC else 1.0
+            each = uncertainty[key]  # per pair and band, or per band
+            stated[p] = (each[rows] if each.ndim == 2 else each) / value
+    return stated
 
 
 def _decay_times(observations: Observations, measured: Measurement) -> Array:

@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.materials import LONGEST_NAME, short_name
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.report import figures
 from rtcal.support.arguments import checked
 from rtcal.support.files import write_text
+from rtcal.support.text import shortened
 from rtcal.support.version import __version__
 
 MAX_BYTES = 2 * 10**6
 """Largest size of a page in bytes."""
 _BANDS_ABREAST = 7
-_LONGEST = 200
-"""Largest length of a title, an author and a date in characters."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Heading:
     Raises
     ------
     DataError
-        For a text that is longer than 200 characters or has more than one line.
+        For a text that is longer than 200 characters or has control characters.
     """
 
     title: str = ""
@@ -52,12 +52,12 @@ class Heading:
 
     def __post_init__(self) -> None:
         for name, text in vars(self).items():
-            if len(text) > _LONGEST or not text.isprintable():
-                raise DataError(f"{name} is not one line of at most {_LONGEST} characters")
+            short_name(name, text)
 
     def completed(self, title: str, author: str) -> Heading:
-        """Return the heading with a title and an author, where it has none."""
-        return Heading(self.title or title, self.author or author, self.date)
+        """Return the heading with a title and an author, where it has none; a long title is cut."""
+        title = self.title or shortened(title, LONGEST_NAME)
+        return Heading(title, self.author or author, self.date)
 
 
 @checked

@@ -13,6 +13,7 @@ import numpy as np
 from rtcal.acoustics import room_files
 from rtcal.acoustics.quality import letters
 from rtcal.discrepancy.wording import NATS
+from rtcal.errors import DataError
 from rtcal.loop import files as loop_files
 from rtcal.loop.positions_result import KIND as POSITIONS
 from rtcal.loop.result import LoopResult
@@ -225,8 +226,21 @@ def page_of(
     heading: Heading | None = None,
     progress: Callable[[], None] | None = None,
 ) -> str:
-    """Return the page of a saved result: ``result.json``, its folder, a loop's state or result."""
-    place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
+    """Return the page of a saved result: ``result.json``, its folder, a loop's state or result.
+
+    Raises
+    ------
+    DataError
+        For a folder that has no result, or a file that is none.
+    """
+    place = Path(path)
+    if place.is_dir():
+        place /= "result.json"
+        if not place.exists():
+            raise DataError(
+                f"folder {Path(path).resolve()} has no result.json; `rtcal calibrate --out` and "
+                "`rtcal fit --out` write one"
+            )
     record = read_json(place)
     if record.get("rtcal") == loop_files.KIND:
         loop = Loop.load(os.fspath(place))

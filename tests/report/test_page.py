@@ -142,8 +142,11 @@ def test_title_author_and_date_are_settable(result, loop, tmp_path, capsys) -> N
         (tmp_path / "result.json").write_text(result.to_json(), encoding="utf-8")
         options = ["--title", "Hall B", "--author", "C", "--date", "today"]
         assert run("report", tmp_path, *options, "--quiet") == 0
+        (tmp_path / "empty").mkdir()
+        assert run("report", tmp_path / "empty") == 2
+        assert "has no result.json" in capsys.readouterr().err
         assert run("report", tmp_path, "--title", "two\nlines") == 2
-        assert "title is not one line" in capsys.readouterr().err
+        assert "title has 'two\\nlines'" in capsys.readouterr().err
     for text in texts:
         assert "<h1>Hall &#34;A&#34; &lt;/style&gt;&lt;b&gt;</h1>" in text
         assert "· 2026-11-22 · B &amp; Sons" in text
