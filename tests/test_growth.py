@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal import terms
 from rtcal.calibration import joint_solution, uncertainty
 from rtcal.errors import ModelError
 
@@ -38,15 +39,19 @@ def peak_of_calibration(room: rt.Room, method: str) -> float:
     return peak
 
 
-def test_memory_of_a_calibration_is_linear_in_the_materials() -> None:
+@pytest.mark.parametrize("method", ["mle", "soft", "robust", "smooth"])
+def test_memory_of_a_calibration_is_linear_in_the_materials(method: str) -> None:
     rt.calibrate(large_room(5), np.full(6, 0.8), unreachable="nearest")  # imports
-    small, large = (peak_of_calibration(large_room(n), "mle") for n in (100, 400))
+    small, large = (peak_of_calibration(large_room(n), method) for n in (100, 400))
     assert np.log(large / small) / np.log(4) < 1.2
 
 
-def test_soft_match_beyond_memory_is_refused_before_the_work() -> None:
-    with pytest.raises(ModelError, match=r"SoftMatch couples every two of 2000 materials .* 2\.4e"):
-        rt.calibrate(large_room(2000), np.full(6, 0.8), method="soft")
+def test_linear_observations_beyond_memory_are_refused_before_the_work() -> None:
+    calibration = rt.Calibration(terms.PriorDeviation() + terms.LinearObservations("positions"))
+    with pytest.raises(
+        ModelError, match=r"every two of 2000 materials in 6 bands: 1\.4e\+08 pairs"
+    ):
+        calibration.build(large_room(2000))
 
 
 def test_what_configurations_share_is_calculated_once(monkeypatch: pytest.MonkeyPatch) -> None:

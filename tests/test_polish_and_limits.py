@@ -14,6 +14,7 @@ from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.calibration.polish import active_rows, polish
 from rtcal.errors import SolverError
 from rtcal.support import kkt
+from rtcal.support.hessian import Hessian
 
 PRIOR = terms.PriorDeviation()
 ROOM, MEASURED = rt.datasets.bras_cr2()
@@ -154,6 +155,35 @@ def test_kkt_solution_satisfies_both_equations(sparse: bool) -> None:
             np.diag(hessian) @ step + rows.T @ multipliers, force, atol=1e-12
         )
         np.testing.assert_allclose(rows @ step, limit, atol=1e-12)
+
+
+@pytest.mark.parametrize("steep", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("sparse", [False, True])
+@pytest.mark.parametrize("columns", [(), (3,)])
+def test_kkt_with_squares_solves_the_whole_system(
+    sparse: bool, steep: float, columns: tuple[int, ...]
+) -> None:
+    import scipy.sparse as sp
+
+    rng = np.random.default_rng(0)
+    diagonal, squares = rng.uniform(1, 3, 6), steep * rng.standard_normal((2, 6))
+    rows = rng.standard_normal((1, 6))
+    force, limit = rng.standard_normal((6, *columns)), rng.standard_normal((1, *columns))
+    plain = sp.csr_array(sp.diags_array(diagonal)) if sparse else diagonal
+    hessian = Hessian(plain, sp.csr_array(squares))
+    whole = np.diag(diagonal) + squares.T @ squares
+    np.testing.assert_allclose(hessian.whole().toarray(), whole)
+    np.testing.assert_allclose(hessian.diagonal(), np.diag(whole))
+    size = rng.uniform(0, 1, 6)
+    assert (hessian.magnitude(size) >= np.abs(whole) @ size * (1 - 1e-12)).all()
+    step, multipliers = kkt.solve(hessian, sp.csr_array(rows) if sparse else rows, force, limit)
+    np.testing.assert_allclose(rows @ step, limit, atol=1e-12)
+    # Along the rows' null space the whole system holds, which is solved there in 6 - 1 dimensions.
+    null = np.linalg.svd(rows)[2][1:].T
+    particular = np.linalg.pinv(rows) @ limit
+    inner = np.linalg.solve(null.T @ whole @ null, null.T @ (force - whole @ particular))
+    np.testing.assert_allclose(step, particular + null @ inner, rtol=1e-6, atol=1e-9)
+    assert multipliers.shape == limit.shape
 
 
 def test_kkt_takes_the_least_multipliers_of_dependent_rows() -> None:

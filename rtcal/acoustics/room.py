@@ -207,7 +207,7 @@ class Room:
             raise DataError(
                 f"band_correlation = {self.band_correlation:g} is not from 0 to below 1"
             )
-        between = np.eye(self.n_materials)
+        between: dict[tuple[int, int], float] = {}
         for pair, value in self.material_correlation.items():
             if not isinstance(pair, tuple) or len(pair) != 2:
                 raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
@@ -220,7 +220,9 @@ class Room:
                     "-1 and 1 for two materials"
                 )
             between[i, j] = between[j, i] = value
-        if np.linalg.eigvalsh(between)[0] <= 0:
+        named = sorted({i for i, _ in between})
+        matrix = np.array([[between.get((i, j), float(i == j)) for j in named] for i in named])
+        if named and np.linalg.eigvalsh(matrix)[0] <= 0:
             raise DataError("material_correlation is not positive definite: the values contradict")
 
     def _checked_areas(self, n: int) -> Array:

@@ -12,7 +12,6 @@ from functools import cached_property
 
 import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation
@@ -298,8 +297,7 @@ def _failure(solution: Solution, solver: str) -> str:
         return ""
     n_bands = model.data.layout.n_bands
     steepness = _ACCEPTED * model.steepness(u)[:n_bands]
-    curvature, size = abs(model.curvature(u)), np.abs(u)
-    products = model.sigma * (curvature @ size if sp.issparse(curvature) else curvature * size)
+    products = model.sigma * model.curvature(u).magnitude(np.abs(u))
     rounding = 16 * np.finfo(float).eps * model.data.layout.by_band(products, np.max)
     if not model.separate(u):
         rounding = np.full(n_bands, np.max(rounding))

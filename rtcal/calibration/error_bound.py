@@ -237,8 +237,7 @@ def _onto(
 
 def _at_bounds(model: NumpyModel, point: _Point) -> Array:
     """Move each unknown to the minimum of the Lagrangian along it, (size,), within the box later."""
-    curvature = model.curvature(point.centre)
-    diagonal = curvature.diagonal() if sp.issparse(curvature) else curvature
+    diagonal = model.curvature(point.centre).diagonal()
     force = model.stationarity(point.centre, point.multipliers)
     step = np.divide(force, diagonal, out=np.zeros_like(force), where=diagonal > 0)
     return np.asarray(point.centre - np.where(model.movable, step, 0.0))
@@ -288,9 +287,7 @@ def _force_error(model: NumpyModel, point: _Point) -> Array:
     where the gradient bends within it.
     """
     gradient = model.gradient(point.centre)
-    curvature = model.curvature(point.centre)
-    bends = abs(curvature)
-    change = 2 * np.asarray(bends @ point.radius if sp.issparse(bends) else bends * point.radius)
+    change = 2 * model.curvature(point.centre).magnitude(point.radius)
     for end in (point.centre - point.radius, point.centre + point.radius):
         change = np.maximum(change, np.abs(model.gradient(end) - gradient))
     pulls = np.asarray(model.absolute.T @ np.abs(point.multipliers))

@@ -12,10 +12,9 @@ import scipy.sparse as sp
 from rtcal.calibration.layout import Integers
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.terms import MatchConstraint, Objective, RowConstraint
+from rtcal.support.hessian import Hessian
+from rtcal.support.kkt import DENSE
 from rtcal.support.types import Array, read_only_view
-
-_DENSE = 500_000
-"""Largest number of coefficients for which the rows are a dense array."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +65,7 @@ class NumpyModel:
         if not parts:
             return np.zeros((0, self.sigma.size))
         matrix = parts[0] if len(parts) == 1 else sp.csr_array(sp.vstack(parts))
-        # In a usual room the overhead of scipy.sparse exceeds the arithmetic.
-        return matrix.toarray() if matrix.shape[0] * matrix.shape[1] <= _DENSE else matrix
+        return matrix.toarray() if matrix.shape[0] * matrix.shape[1] <= DENSE else matrix
 
     @cached_property
     def squares(self) -> Any:
@@ -109,11 +107,7 @@ class NumpyModel:
         rows, columns = self.matrix.nonzero()
         if (columns % k != self.row_band[rows]).any():
             return False
-        curvature = self.curvature(u)
-        if not sp.issparse(curvature):
-            return True
-        entries = curvature.tocoo()
-        return bool((entries.row % k == entries.col % k).all())
+        return not self.curvature(u).couples(np.arange(layout.size) % k)
 
     @cached_property
     def row_lower(self) -> Array:
@@ -168,17 +162,10 @@ class NumpyModel:
         pairs, u = zip(self.objective.terms, self.data.weights, strict=True), read_only_view(u)
         return float(sum(weight * term.value(u, self.data) for term, weight in pairs))
 
-    def curvature(self, u: Array) -> Any:
-        """Return the objective's second derivative: a diagonal (size,), or a sparse matrix."""
-        diagonal, u = np.zeros(self.sigma.size), read_only_view(u)
-        matrix = None
-        for term, weight in zip(self.objective.terms, self.data.weights, strict=True):
-            part = term.curvature(u, self.data)
-            if sp.issparse(part):
-                matrix = weight * part if matrix is None else matrix + weight * part
-            else:
-                diagonal = diagonal + weight * part
-        return diagonal if matrix is None else sp.csr_array(matrix + sp.diags_array(diagonal))
+    def curvature(self, u: Array) -> Hessian:
+        """Return the objective's second derivative."""
+        pairs, u = zip(self.objective.terms, self.data.weights, strict=True), read_only_view(u)
+        return Hessian.total(((w, t.curvature(u, self.data)) for t, w in pairs), self.sigma.size)
 
     def __repr__(self) -> str:
         terms = " + ".join(type(term).__name__ for term in self.objective.terms)

@@ -150,12 +150,7 @@ def _solve(
     matrix = model.matrix[used][:, free] * scale / norm[used][:, np.newaxis]
     residual = (limit[used] - np.asarray(model.matrix @ alpha)[used]) / norm[used]
     force = model.gradient(alpha)[free] * scale
-    curvature = model.curvature(alpha)
-    hessian = curvature[free]
-    if sp.issparse(hessian):
-        hessian = sp.diags_array(scale) @ hessian[:, free] @ sp.diags_array(scale)
-    else:
-        hessian = hessian * scale**2
+    hessian = model.curvature(alpha).part(free, scale)
     try:
         step, pull = kkt.solve(hessian, matrix, -force, residual)
     except SolverError:

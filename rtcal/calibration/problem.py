@@ -45,8 +45,8 @@ Times = Measurement | Sequence[float] | Array
 
 
 _MOST_PAIRS = 20_000_000
-"""Largest number of curvature entries of a soft match. Polishing holds six copies of them; at 12 bytes
-each these take 1.5 GB."""
+"""Largest number of curvature entries of linear observations. Polishing holds six copies of them; at
+12 bytes each these take 1.5 GB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,13 +173,13 @@ def _compiled(
 
 
 def _refuse_too_large(layout: Layout, objective: Objective) -> None:
-    """Raise ModelError if a soft match would not fit into memory."""
-    pairs = layout.n_rows**2 * layout.n_bands
-    if pairs > _MOST_PAIRS and any(isinstance(t, SoftMatch) for t in objective.terms):
+    """Raise ModelError if linear observations would not fit into memory."""
+    pairs = layout.n_alpha**2
+    if pairs > _MOST_PAIRS and any(isinstance(t, LinearObservations) for t in objective.terms):
         raise ModelError(
-            f"SoftMatch couples every two of {layout.n_rows} materials in each of "
-            f"{layout.n_bands} bands: {pairs:.2g} pairs, and at most {_MOST_PAIRS:.2g} fit. Merge "
-            "materials, use fewer bands, or match exactly"
+            f"LinearObservations couple every two of {layout.n_rows} materials in {layout.n_bands} "
+            f"bands: {pairs:.2g} pairs, and at most {_MOST_PAIRS:.2g} fit. Merge materials, use fewer "
+            "bands, or match T alone"
         )
 
 

@@ -16,6 +16,7 @@ from rtcal.calibration.context import Context
 from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.calibration.terms import ObjectiveTerm, RowConstraint
 from rtcal.errors import TermError
+from rtcal.support.hessian import Hessian
 from rtcal.support.types import Array, read_only_view
 
 _AGREEMENT = 1e-4
@@ -97,7 +98,7 @@ def _check_derivatives(term: ObjectiveTerm, model: NumpyModel, us: Array, scale:
         directional.append(float(term.gradient(u, data) @ direction))
         gradients = term.gradient(high, data) - term.gradient(low, data)
         bends.append(float(direction @ gradients) / (2 * _STEP))
-        curvature = term.curvature(u, data)
+        curvature = Hessian.total([(1.0, term.curvature(u, data))], len(u)).whole()
         product = curvature * direction if np.ndim(curvature) == 1 else curvature @ direction
         curved.append(float(direction @ product))
     for first, second, stated, derived in (

@@ -136,7 +136,7 @@ def estimate_sigma(
 def _gaussian_sigma(model: NumpyModel, u: Array) -> Array:
     """Return the square root of the diagonal of the inverse curvature, within the equalities."""
     free = model.movable
-    curvature = model.curvature(u)
+    curvature = model.curvature(u).whole()
     dense = curvature.toarray() if sp.issparse(curvature) else np.diag(curvature)
     covariance = np.linalg.inv(dense[np.ix_(free, free)])
     exact = (model.row_lower == model.row_upper) & (model.row_norm > 0)
@@ -219,7 +219,7 @@ def _truncated_normal(model: NumpyModel, u: Array) -> TruncatedNormal:
     return TruncatedNormal(
         point=u,
         gradient=model.gradient(u),
-        curvature=model.curvature(u),
+        curvature=model.curvature(u).whole(),
         scale=model.sigma,
         lower=model.lower,
         upper=model.upper,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rtcal.errors import DataError
 from rtcal.support import kkt
 from rtcal.support.arguments import checked
+from rtcal.support.hessian import Hessian
 from rtcal.support.types import Array
 
 
@@ -25,8 +26,8 @@ class Optimality:
     rows : tuple of int (n_materials,)
         The row of coefficients of each material.
     n_bands, n_configurations : int
-    curvature : array (size,) or sparse array (size, size)
-        H; its diagonal if H is diagonal.
+    curvature : Hessian
+        H.
     matrix : array or sparse array (n_rows, size)
     scale : array (size,)
         The scale of each unknown.
@@ -43,7 +44,7 @@ class Optimality:
     rows: tuple[int, ...]
     n_bands: int
     n_configurations: int
-    curvature: Any
+    curvature: Hessian
     matrix: Any
     scale: Array
     free: NDArray[np.bool_]
@@ -61,12 +62,7 @@ class Optimality:
         rows = sp.csr_array(sp.diags_array(1 / norm) @ rows)
         force = -self.gradient_by_time[self.free] * scale[:, np.newaxis]
         limit = self.limit_by_time[self.active] / norm[:, np.newaxis]
-        hessian = self.curvature[self.free]
-        if sp.issparse(hessian):
-            hessian = sp.diags_array(scale) @ hessian[:, self.free] @ sp.diags_array(scale)
-        else:
-            hessian = hessian * scale**2
-        step, _ = kkt.solve(hessian, rows, force, limit)
+        step, _ = kkt.solve(self.curvature.part(self.free, scale), rows, force, limit)
         out = np.zeros((len(self.scale), force.shape[1]))
         out[self.free] = scale[:, np.newaxis] * step
         return out

@@ -2,7 +2,8 @@
 
     H x + A'y = f,  A x = c,
 
-with H positive definite, given as its diagonal or as a sparse matrix.
+with H positive definite, given as its diagonal, as a sparse matrix, or as a `Hessian` with rows F of
+squares. Each of those is a further unknown s = F x, which has s'Fx / 2 in the objective's place.
 """
 
 from __future__ import annotations
@@ -14,8 +15,12 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from rtcal.errors import SolverError
+from rtcal.support.hessian import Hessian
 from rtcal.support.types import Array
 
+DENSE = 500_000
+"""Largest number of coefficients for which rows are a dense array: in a usual room the overhead of
+scipy.sparse exceeds the arithmetic."""
 _SHIFT = 1e-11
 """Regularisation of the factored matrix; the refinement below removes its effect."""
 _REFINEMENTS = 4
@@ -30,7 +35,7 @@ def solve(hessian: Any, matrix: Any, force: Array, limit: Array) -> tuple[Array,
 
     Parameters
     ----------
-    hessian : array (n,) or sparse array (n, n)
+    hessian : array (n,), sparse array (n, n) or Hessian
         H, or its diagonal.
     matrix : array or sparse array (n_rows, n)
         A, its rows of unit length.
@@ -52,9 +57,33 @@ def solve(hessian: Any, matrix: Any, force: Array, limit: Array) -> tuple[Array,
     >>> print(step, multipliers)
     [1. 1.] [-1.]
     """
+    if isinstance(hessian, Hessian):
+        if hessian.rows is not None:
+            return _with_squares(hessian, matrix, force, limit)
+        hessian = hessian.plain
     if sp.issparse(hessian):
         return _factored(hessian, matrix, force, limit)
     return _eliminated(hessian, matrix, force, limit)
+
+
+def _with_squares(hessian: Hessian, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:
+    """Take each square as a further unknown s: F x - s = 0, with s² / 2 in the objective."""
+    rows, (n_squares, n) = hessian.rows, hessian.rows.shape
+    norm = np.sqrt(1 + np.asarray((rows**2).sum(axis=1)).ravel())
+    inverse = sp.diags_array(1 / norm)
+    above = sp.hstack([sp.csr_array(matrix), sp.csr_array((matrix.shape[0], n_squares))])
+    every = sp.csr_array(sp.vstack([above, sp.hstack([inverse @ rows, -inverse])]))
+    if every.shape[0] * every.shape[1] <= DENSE:
+        every = every.toarray()
+    if sp.issparse(hessian.plain):
+        plain = sp.block_diag([hessian.plain, sp.eye_array(n_squares)], format="csr")
+    else:
+        plain = np.concatenate([hessian.plain, np.ones(n_squares)])
+    nothing = np.zeros((n_squares, *np.shape(force)[1:]))
+    step, multipliers = solve(
+        plain, every, np.concatenate([force, nothing]), np.concatenate([limit, nothing])
+    )
+    return step[:n], multipliers[: matrix.shape[0]]
 
 
 def _eliminated(diagonal: Array, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:

@@ -42,7 +42,11 @@ class ObjectiveTerm(Protocol):
         ...
 
     def curvature(self, u: Array, data: ProblemData) -> Any:
-        """Return the unweighted second derivative: its diagonal (size,), or a sparse matrix."""
+        """Return the unweighted second derivative.
+
+        Its diagonal (size,), a sparse matrix, or the `rtcal.support.hessian.Squares` of few rows that
+        couple many unknowns.
+        """
         ...
 
     def convexity(self, data: ProblemData) -> Array:

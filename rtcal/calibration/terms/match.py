@@ -17,6 +17,7 @@ from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited, 
 from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.hessian import Squares
 from rtcal.support.types import Array
 
 
@@ -206,10 +207,9 @@ class SoftMatch(BaseTerm):
         return self._residual(u, data) / self.uncertainty(data)
 
     def curvature(self, u: Array, data: ProblemData) -> Any:
-        """Return S S' / u_b²: a sparse matrix that couples the materials of a band."""
+        """Return S S' / u_b², which couples the materials of a band."""
         steep = np.nan_to_num(1 / self.uncertainty(data).ravel())
-        matrix = sp.diags_array(steep) @ match_matrix(data)
-        return sp.csr_array(matrix.T @ matrix)
+        return Squares(sp.csr_array(sp.diags_array(steep) @ match_matrix(data)))
 
     def _residual(self, u: Array, data: ProblemData) -> Array:
         return (data.absorption_area(u) - data.target) / self.uncertainty(data)

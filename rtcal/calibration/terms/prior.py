@@ -314,7 +314,9 @@ class HuberDeviation(BaseTerm):
         n = context.layout.n_alpha
         x = context.x[:n]
         beyond = context.variable(n)
-        near = half_squares(x - beyond) + self.threshold * cp.norm1(beyond)
+        # The maximum makes the sum one helper variable. cvxpy compiles an objective that is linear in
+        # n of them with memory for n numbers per parameter.
+        near = half_squares(x - beyond) + self.threshold * cp.maximum(cp.norm1(beyond), 0)
         return self.convex * half_squares(x) + (1 - self.convex) * near
 
     def value(self, u: Array, data: ProblemData) -> float:
