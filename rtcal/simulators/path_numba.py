@@ -1,7 +1,8 @@
 """The path tracer's inner loops, compiled. `rtcal.simulators.path_numpy` does the same in NumPy.
 
-Both modules have `trace`, `histogram` and `histogram_gradient` with the same arguments, and trace the
-same paths up to rounding. Only `rtcal.simulators.paths` imports them, inside a function.
+Both modules have `trace`, `histogram`, `histogram_gradient` and `histogram_changed` with the same
+arguments, and trace the same paths up to rounding. Only `rtcal.simulators.paths` imports them, inside a
+function.
 """
 
 from __future__ import annotations
@@ -248,4 +249,61 @@ def histogram_gradient(
                     if hits[j] > 0.0:
                         for k in range(n_bands):
                             gradient[receiver, place, j, k] += hits[j] * energy[k]
+            heard += 1
+
+
+@compiled(reorder=False)
+def histogram_changed(
+    events: Any,
+    starts: Any,
+    lengths: Any,
+    weights: Any,
+    log_reflection: Array,
+    attenuation: Array,
+    first: Array,
+    bin_length: float,
+    parts: Any,
+    members: Any,
+    factors: Array,
+    out: Array,
+) -> None:
+    """Add to ``out`` the energy with each group of faces changed, in one sweep of the paths.
+
+    ``parts`` (n_faces,) is the number of the part that each face belongs to. ``members``
+    (n_groups, n_parts) says which parts a group has. ``factors`` (n_parts, n_hits, n_changes n_bands)
+    multiply the energy after as many hits on a part. ``out`` (n_receivers, n_bins, n_groups,
+    n_changes n_bands).
+    """
+    n_faces, n_bands = log_reflection.shape
+    n_bins, n_groups, width = out.shape[1:]
+    n_parts, most = factors.shape[0], factors.shape[1] - 1
+    level, energy = np.empty(n_bands), np.empty(width)
+    hits = np.zeros(n_parts, dtype=np.int64)
+    changed = np.empty(width)
+    heard = 0
+    for path in range(len(starts) - 1):
+        level[:] = 0.0
+        hits[:] = 0
+        for e in range(starts[path], starts[path + 1]):
+            code = np.int64(events[e])
+            if code < n_faces:
+                for k in range(n_bands):
+                    level[k] += log_reflection[code, k]
+                hits[parts[code]] = min(hits[parts[code]] + 1, most)
+                continue
+            receiver, length = code - n_faces, np.float64(lengths[heard])
+            place = math.floor((length - first[receiver]) / bin_length)
+            if 0 <= place < n_bins:
+                for k in range(n_bands):
+                    energy[k] = weights[heard] * math.exp(level[k] - attenuation[k] * length)
+                for m in range(n_bands, width):
+                    energy[m] = energy[m - n_bands]
+                for j in range(n_groups):
+                    changed[:] = energy
+                    for u in range(n_parts):
+                        if members[j, u] and hits[u] > 0:
+                            for m in range(width):
+                                changed[m] *= factors[u, hits[u], m]
+                    for m in range(width):
+                        out[receiver, place, j, m] += changed[m]
             heard += 1

@@ -176,6 +176,36 @@ def histogram_gradient(
         gradient[:, :, j] += _sums(flat, number * energy, in_bins, shape)
 
 
+def histogram_changed(
+    events: NDArray[np.uint16],
+    starts: NDArray[np.int64],
+    lengths: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    log_reflection: Array,
+    attenuation: Array,
+    first: Array,
+    bin_length: float,
+    parts: NDArray[np.int64],
+    members: NDArray[np.bool_],
+    factors: Array,
+    out: Array,
+) -> None:
+    """Add energies as `rtcal.simulators.path_numba.histogram_changed` does."""
+    shape = out.shape[:2]
+    heard, begin, energy, flat, in_bins = _heard(
+        events, starts, lengths, weights, log_reflection, attenuation, first, bin_length, shape
+    )
+    part = np.where(events < len(log_reflection), parts[np.minimum(events, len(parts) - 1)], -1)
+    by_part = []
+    for u, factor in enumerate(factors):
+        hits = np.concatenate([[0], np.cumsum(part == u)])
+        by_part.append(factor[np.minimum(hits[heard] - hits[begin], len(factor) - 1)])
+    every = np.tile(energy, out.shape[3] // energy.shape[1])
+    for j, chosen in enumerate(members):
+        product = np.prod([by_part[u] for u in np.flatnonzero(chosen)], axis=0)
+        out[:, :, j] += _sums(flat, product * every, in_bins, shape)
+
+
 def _sums(
     flat: NDArray[np.int64], energy: Array, in_bins: NDArray[np.bool_], shape: tuple[int, int]
 ) -> Array:

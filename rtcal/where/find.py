@@ -116,7 +116,7 @@ def find(
         )
     if controls is None:  # a PathTracing has control runs always
         raise DataError(f"{case.simulator.name} has no geometry to trace")
-    steps = ("paths", "surfaces", "materials", "places")
+    steps = ("paths", "surfaces", "places")
     made = responses(case, seed, cache, lambda what: tell(what, steps.index(what) + 1, len(steps)))
     numbers = model(case, made, controls)
     hypotheses = every_hypothesis(case, made, numbers, left_out)

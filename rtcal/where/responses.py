@@ -15,14 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.discrepancy.effects.covered import HARD
 from rtcal.simulators.observations import MATCH, observe
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, kept_arrays
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
+from rtcal.where import surfaces as of_room
+from rtcal.where.aperture import SECOND_ROOMS, Aperture
 from rtcal.where.case import Case
-from rtcal.where.surfaces import Faces
 from rtcal.where.weighing import Weighing
 
 SHARES = (-1.0, -0.5, 0.08, 0.25, 0.55, 1.0)
@@ -32,10 +33,17 @@ AIR = (-1.0, -0.5, 0.7, 1.5, 3.0)
 """Nodes of the air: attenuation more than stated, over that at 20 °C and 50 %."""
 VOLUME = (-0.5, -0.25, 0.25, 0.5)
 """Nodes of ln volume over what is stated."""
+OPEN = tuple(share for share in SHARES if share > 0)
+"""Nodes of an aperture: shares of its surface."""
 MOVE = 0.5
 """Distance in m by which a source or receiver is displaced, along each axis and both ways."""
 _SOURCE_PATHS = 4000
 """Paths from each displaced source."""
+
+_FEW_PATHS = 1600
+"""Paths from each source that tell how long the others must be."""
+_SPARE = 1.15
+"""By how much longer they are, since a decay's length differs between few paths and many."""
 
 BASE = 8
 """Factor of the number of paths that are weighed. The shifts of T20, EDT and C80 differ little between
@@ -59,6 +67,8 @@ class Responses:
         What the simulator hears as stated, with `BASE` times its paths.
     surfaces : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
         At the nodes `SHARES` of each surface.
+    apertures : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
+        At the nodes `OPEN` of each surface for each of `SECOND_ROOMS`; 0 for floors.
     air, volume : array (n_parameters, n_pairs, n_bands, n_nodes)
         At the nodes `AIR` and `VOLUME`.
     moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
@@ -72,6 +82,7 @@ class Responses:
     parameters: tuple[str, ...]
     base: Array
     surfaces: Array
+    apertures: Array
     air: Array
     volume: Array
     moved: Mapping[str, Array]
@@ -105,13 +116,12 @@ def responses(
 def _weighed(case: Case, seed: int, report: Report) -> Responses:
     report("paths")
     match = parameters(case)
-    weighing = Weighing(precisely(case.simulator), match, seed)
-    groups = weighing.in_groups(weighing.alpha, BASE)
-    base = weighing.observe(weighing.alpha)
+    weighing = Weighing(precisely(case.simulator), match, seed, _seconds(case, match, seed))
+    parts = weighing.energy(weighing.alpha, number=BASE)
+    base = weighing.parameters(parts.mean(axis=0))
+    groups = np.array([weighing.parameters(part) for part in parts])
     report("surfaces")
-    surfaces = [
-        _of_surface(weighing, faces) - base[..., np.newaxis] for faces in case.faces.values()
-    ]
+    surfaces, apertures, materials = _of_surfaces(case, weighing, base)
     room = case.room
     reference = Air(20, 50).attenuation(room.centre_frequencies)
     air = [
@@ -119,23 +129,26 @@ def _weighed(case: Case, seed: int, report: Report) -> Responses:
         for t in AIR
     ]
     volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
-    report("materials")
-    made_of = np.array([room.material_index(m) for m in case.geometry.materials])
-    materials = [
-        weighing.observe(changed_alpha(weighing.alpha, np.flatnonzero(made_of == row), STEP))
-        for row in range(room.n_materials)
-    ]
     report("places")
     return Responses(
         parameters=match,
         base=base,
-        surfaces=np.array(surfaces),
+        surfaces=surfaces,
+        apertures=apertures,
         air=np.stack(air, axis=-1) - base[..., np.newaxis],
         volume=np.stack(volume, axis=-1) - base[..., np.newaxis],
         moved=_moved(case, match, base, seed),
-        materials=np.stack(materials, axis=-1) - base[..., np.newaxis],
+        materials=materials,
         noise=groups - groups.mean(axis=0),
     )
+
+
+def _seconds(case: Case, match: Sequence[str], seed: int) -> float:
+    """Return how long paths must be where any surface is hard, so that they are traced once."""
+    few = Weighing(_retraced(case.simulator, n_paths=_FEW_PATHS), match, seed)
+    for _ in few.of_groups([*case.faces.values()], [min(SHARES)]):
+        pass
+    return min(_SPARE * few.seconds, LONGEST)
 
 
 def precisely(tracer: PathTracing) -> PathTracing:
@@ -143,22 +156,43 @@ def precisely(tracer: PathTracing) -> PathTracing:
     return _retraced(tracer, n_paths=BASE * tracer.n_paths)
 
 
-def changed_alpha(alpha: Array, faces: Faces, share: float) -> Array:
-    """Return alpha (n_faces, n_bands) with the faces' moved towards 1, or towards a hard wall's."""
-    out = alpha.copy()
-    if share >= 0:
-        out[faces] += share * (1 - out[faces])
-    else:
-        out[faces] += share * np.maximum(out[faces] - HARD, 0.0)
-    return out
-
-
-def _of_surface(weighing: Weighing, faces: Faces) -> Array:
-    """Return what is heard at the nodes of a surface, (n_parameters, n_pairs, n_bands, n_nodes)."""
-    alpha = weighing.alpha
+def _of_surfaces(case: Case, weighing: Weighing, base: Array) -> tuple[Array, Array, Array]:
+    """Return the shifts by surfaces, apertures and materials; see `Responses`."""
+    room = case.room
+    made_of = np.array([room.material_index(m) for m in case.geometry.materials])
+    of_materials = [np.flatnonzero(made_of == row) for row in range(room.n_materials)]
+    groups = {frozenset(f.tolist()): f for f in (*case.faces.values(), *of_materials)}
+    names = {frozenset(faces.tolist()): name for name, faces in case.faces.items()}
     # An alpha of 1 leaves no sound after the first reflection where a surface is all of the room.
-    every = [changed_alpha(alpha, faces, min(t, 0.98)) for t in SHARES]
-    return np.stack([weighing.observe(a) for a in every], axis=-1)
+    shares = [*(min(t, 0.98) for t in SHARES), STEP]
+    shifts, apertures = {}, {}
+    for members, decays in zip(groups, weighing.of_groups([*groups.values()], shares), strict=True):
+        heard = np.stack([weighing.parameters(energy) for energy in decays], axis=-1)
+        shifts[members] = heard - base[..., np.newaxis]
+        if members in names:
+            apertures[members] = _apertures(case, weighing, names[members], decays, base)
+    by_surface = [frozenset(f.tolist()) for f in case.faces.values()]
+    by_material = [shifts[frozenset(f.tolist())][..., -1] for f in of_materials]
+    return (
+        np.array([shifts[members][..., :-1] for members in by_surface]),
+        np.array([apertures[members] for members in by_surface]),
+        np.stack(by_material, axis=-1),
+    )
+
+
+def _apertures(case: Case, weighing: Weighing, name: str, decays: Array, base: Array) -> Array:
+    """Return the shifts with an aperture on a surface, from its decays at `SHARES`."""
+    if of_room.kind(case.geometry, case.faces[name]) == "floor":
+        return np.zeros((*base.shape, len(SECOND_ROOMS) * len(OPEN)))
+    room, tracer = case.room, weighing.tracer
+    heard = []
+    for volume, alpha in SECOND_ROOMS:
+        for share in OPEN:
+            aperture = Aperture(share * case.areas[name], volume * room.volume, alpha)
+            opened = decays[SHARES.index(share)]
+            with_return = aperture.returned_to(opened, room, tracer.bin_width, len(tracer.sources))
+            heard.append(weighing.parameters(with_return))
+    return np.stack(heard, axis=-1) - base[..., np.newaxis]
 
 
 def _retraced(tracer: PathTracing, **changes: object) -> PathTracing:
@@ -210,7 +244,7 @@ def _inside(case: Case, point: Array, step: Array) -> Array:
 def _packed(made: Responses) -> Array:
     """Return all shifts as one array, (n_parameters, n_pairs, n_bands, n_columns)."""
     moved = [np.moveaxis(shift, 0, -1) for shift in made.moved.values()]
-    surfaces = [*made.surfaces]
+    surfaces = [*made.surfaces, *made.apertures]
     parts = [
         made.base[..., np.newaxis],
         made.materials,
@@ -229,13 +263,16 @@ def _read(path: Path, case: Case) -> Responses | None:
     tracer, n_moves = case.simulator, 6
     names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
     sizes = [1, case.room.n_materials, len(AIR), len(VOLUME), BASE]
-    sizes += [len(SHARES)] * len(case.faces) + [n_moves] * len(names)
+    n_surfaces = len(case.faces)
+    sizes += [len(SHARES)] * n_surfaces + [len(OPEN) * len(SECOND_ROOMS)] * n_surfaces
+    sizes += [n_moves] * len(names)
     shape = (len(parameters(case)), len(tracer.pairs), case.room.n_bands, sum(sizes))
     if packed is None or packed.shape != shape or not np.isfinite(packed).all():
         return None
     parts = np.split(packed, np.cumsum(sizes)[:-1], axis=-1)
     base, materials, air, volume, noise = parts[:5]
-    surfaces, moved = parts[5 : 5 + len(case.faces)], parts[5 + len(case.faces) :]
+    surfaces, apertures = parts[5 : 5 + n_surfaces], parts[5 + n_surfaces : 5 + 2 * n_surfaces]
+    moved = parts[5 + 2 * n_surfaces :]
     return Responses(
         parameters=parameters(case),
         base=base[..., 0],
@@ -244,6 +281,7 @@ def _read(path: Path, case: Case) -> Responses | None:
         air=air,
         volume=volume,
         surfaces=np.array(surfaces),
+        apertures=np.array(apertures),
         moved={n: np.moveaxis(m, -1, 0) for n, m in zip(names, moved, strict=True)},
     )
 
@@ -263,6 +301,6 @@ def _key(case: Case, seed: int) -> str:
         {name: list(map(float, p)) for name, p in {**tracer.sources, **tracer.receivers}.items()},
         np.asarray(tracer.scattering).tolist(),
         list(parameters(case)),
-        [BASE, STEP, seed, SHARES, AIR, VOLUME, MOVE, __version__],
+        [BASE, STEP, seed, SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

@@ -6,17 +6,32 @@ paths anew, and their random numbers cancel in the difference.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import decay
+from rtcal.discrepancy.effects.covered import HARD
 from rtcal.simulators import observations, paths
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.tracer import LONGEST, decay_long_enough
+from rtcal.simulators.tracer import LONGEST, decay_long_enough, eyring_seconds
 from rtcal.support.types import Array
+from rtcal.where.surfaces import Faces
+
+_AT_ONCE = 8
+"""Groups of faces in one sweep: their decays share the memory of one room."""
+
+
+def changed_alpha(alpha: Array, faces: Faces, share: float) -> Array:
+    """Return alpha (n_faces, n_bands) with the faces' moved towards 1, or towards a hard wall's."""
+    out = alpha.copy()
+    if share >= 0:
+        out[faces] += share * (1 - out[faces])
+    else:
+        out[faces] += share * np.maximum(out[faces] - HARD, 0.0)
+    return out
 
 
 @dataclass(eq=False)
@@ -49,9 +64,31 @@ class Weighing:
         """
         return self.parameters(self.energy(alpha, attenuation, stretch)[0])
 
-    def in_groups(self, alpha: Array, number: int) -> Array:
-        """Return what groups of the paths hear, (number, n_parameters, n_pairs, n_bands)."""
-        return np.array([self.parameters(group) for group in self.energy(alpha, number=number)])
+    def of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Iterator[Array]:
+        """Yield the decays with each group of faces changed, in one sweep of the paths for many.
+
+        Parameters
+        ----------
+        groups : sequence of int array
+            Numbers of each group's faces.
+        shares : sequence of float
+            See `changed_alpha`.
+
+        Yields
+        ------
+        array (n_shares, n_pairs, n_bands, n_bins)
+        """
+        alpha = np.minimum(self.alpha, observations.LARGEST_ALPHA)
+        if not self.seconds:
+            self.seconds = eyring_seconds(self.tracer.room, self.tracer.room.alpha)
+        for start in range(0, len(groups), _AT_ONCE):
+            some = groups[start : start + _AT_ONCE]
+            while True:
+                energy = self._of_groups(alpha, some, shares)
+                every = energy.reshape(-1, *energy.shape[2:])
+                if self._long_enough(every):
+                    break
+            yield from energy
 
     def parameters(self, energy: Array) -> Array:
         """Return the parameters of decays, (n_pairs, n_bands, n_bins), as `observe` does."""
@@ -76,9 +113,15 @@ class Weighing:
         while True:
             batches = self._energy(alpha, air, stretch)
             energy = batches.reshape(number, -1, *batches.shape[1:]).mean(axis=1)
-            if self.seconds >= LONGEST or not decay.too_short(energy, self._longest).any():
+            if self._long_enough(energy):
                 return np.asarray(energy)
-            self.seconds = min(1.5 * self.seconds, LONGEST)
+
+    def _long_enough(self, energy: Array) -> bool:
+        """Return whether decays need no longer paths; if they do, the next are longer."""
+        if self.seconds >= LONGEST or not decay.too_short(energy, self._longest).any():
+            return True
+        self.seconds = min(1.5 * self.seconds, LONGEST)
+        return False
 
     @property
     def _longest(self) -> str:
@@ -98,12 +141,45 @@ class Weighing:
             )
             for bands in self._bands
         ]
-        n_bins = min(d.shape[-1] for d in decays)
-        out = np.empty((len(decays[0]), len(tracer.pairs), tracer.room.n_bands, n_bins))
+        return self._joined(decays) / stretch**2
+
+    def _of_groups(self, alpha: Array, groups: Sequence[Faces], shares: Sequence[float]) -> Array:
+        """Return decays, (n_groups, n_shares, n_pairs, n_bands, n_bins)."""
+        tracer = self.tracer
+        # A part's faces have one material, and belong to the same groups.
+        held = np.array([np.isin(np.arange(len(alpha)), group) for group in groups])
+        made_of = [tracer.room.material_index(m) for m in tracer.geometry.materials]
+        kinds, first, parts = np.unique(
+            np.vstack([made_of, held]), axis=1, return_index=True, return_inverse=True
+        )
+        of_part = alpha[first]
+        every = np.arange(len(of_part))
+        changed = np.array([changed_alpha(of_part, every, share) for share in shares])
+        decays = [
+            self._by_face(int(bands[0])).energy_changed(
+                alpha[:, bands],
+                tracer.room.air_attenuation[bands],
+                tracer.room.speed_of_sound * tracer.bin_width,
+                parts.reshape(-1),
+                kinds[1:].astype(bool),
+                changed[..., bands],
+            )
+            for bands in self._bands
+        ]
+        joined = self._joined([d.reshape(-1, *d.shape[2:]) for d in decays])
+        return joined.reshape(len(groups), len(shares), *joined.shape[1:])
+
+    def _joined(self, decays: Sequence[Array]) -> Array:
+        """Return the decays of groups of bands, (n, n_sources, n_receivers, ...), as one array.
+
+        Its shape is (n, n_pairs, n_bands, n_bins).
+        """
+        n_pairs, n_bins = len(self.tracer.pairs), min(d.shape[-1] for d in decays)
+        out = np.empty((len(decays[0]), n_pairs, self.tracer.room.n_bands, n_bins))
         for bands, of_bands in zip(self._bands, decays, strict=True):
             cut = of_bands[..., :n_bins]
-            out[:, :, bands] = cut.reshape(len(cut), len(tracer.pairs), len(bands), n_bins)
-        return out / stretch**2
+            out[:, :, bands] = cut.reshape(len(cut), n_pairs, len(bands), n_bins)
+        return out
 
     @property
     def _bands(self) -> list[NDArray[np.int64]]:
