@@ -142,6 +142,9 @@ def _stands(axes: Any, finding: Finding, place: Place | None, turn: float) -> No
     """Draw sources, receivers and a proposed place, each on a line from the floor."""
     simulator = finding.case.simulator
     low = float(finding.case.geometry.vertices[:, 2].min())
+    if (middle := _most_probable(finding)) is not None:
+        x, y = _projected(np.array([middle]), turn)[0]
+        _mark(axes, x, y, "X", BLACK)
     for name, point, marker, colour in _points(simulator.sources, simulator.receivers, place):
         foot = (point[0], point[1], low)
         x, y = _projected(np.array([point, foot]), turn).T
@@ -157,9 +160,20 @@ def _stands(axes: Any, finding: Finding, place: Place | None, turn: float) -> No
         )
 
 
+def _most_probable(finding: Finding) -> Sequence[float] | None:
+    """Return the middle of the part on which something most probably stands; None without one."""
+    located = finding.located
+    return None if finding.verdict == "none" or located is None else located.middle
+
+
 def _mark(axes: Any, x: float, y: float, marker: str, colour: str) -> None:
-    """Draw a source, a receiver or a proposed place; the first of a kind has a label."""
-    kinds = {"^": "source", "o": "receiver", "*": "further receiver"}
+    """Draw what stands in the room; the first of a kind has a label."""
+    kinds = {
+        "^": "source",
+        "o": "receiver",
+        "*": "further receiver",
+        "X": "most probable part of its surface",
+    }
     label = kinds[marker]
     if label in axes.get_legend_handles_labels()[1]:
         label = "_" + label

@@ -10,6 +10,10 @@ from rtcal.discrepancy.wording import amount
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
+Point = tuple[float, float, float]
+LOCATED = 0.5
+"""Share of a candidate's probability from which a part of its surface is where it stands."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -31,6 +35,9 @@ class Candidate:
         The most probable ones.
     spectrum : array (n_bands,) or (0,)
         Posterior mean alpha of what stands on the surface.
+    parts : tuple of (middle, probability)
+        Of a large surface: the middle (x, y, z) of each part in m, and the probability that it stands
+        on this part alone. With the rest of its probability it is spread over the surface.
     """
 
     effect: str
@@ -44,6 +51,20 @@ class Candidate:
     unit: str
     parameters: Mapping[str, float]
     spectrum: Array
+    parts: tuple[tuple[Point, float], ...] = ()
+
+    @property
+    def middle(self) -> Point | None:
+        """Middle in m of the part that holds at least half of the probability; None without one."""
+        middle, probability = max(self.parts, key=lambda part: part[1], default=(None, 0.0))
+        return middle if probability >= LOCATED * self.probability else None
+
+    @property
+    def about(self) -> str:
+        """The middle in words; "" without one."""
+        if self.middle is None:
+            return ""
+        return f", most probably about ({', '.join(f'{x:.1f}' for x in self.middle)}) m"
 
     @property
     def title(self) -> str:
@@ -60,7 +81,11 @@ class Candidate:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return {
-            **{k: v for k, v in vars(self).items() if k not in ("spectrum", "parameters")},
+            **{k: v for k, v in vars(self).items() if k not in _CONVERTED},
             "parameters": dict(self.parameters),
             "spectrum": json_numbers(self.spectrum),
+            "parts": [{"middle": list(m), "probability": p} for m, p in self.parts],
         }
+
+
+_CONVERTED = ("spectrum", "parameters", "parts")

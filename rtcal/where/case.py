@@ -19,7 +19,9 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.text import shortened
+from rtcal.where import parts
 from rtcal.where import surfaces as of_room
+from rtcal.where.parts import Divided
 from rtcal.where.surfaces import Faces
 
 
@@ -52,6 +54,8 @@ class Case:
     ----------
     faces : dict of str to int array
         Numbers of each surface's faces.
+    divided : Divided
+        The geometry with its long surfaces divided.
 
     Raises
     ------
@@ -68,6 +72,7 @@ class Case:
     surfaces: Mapping[str, Sequence[str]] | None = None
     position_uncertainty: float = POSITION
     faces: dict[str, Faces] = field(init=False)
+    divided: Divided = field(init=False)
 
     def __post_init__(self) -> None:
         checks.instance("simulator", self.simulator, PathTracing)
@@ -95,6 +100,7 @@ class Case:
                 f'room "{self.room.name}" states sigma = 0: every coefficient is exactly known'
             )
         object.__setattr__(self, "faces", of_room.of_geometry(self.geometry, self.surfaces))
+        object.__setattr__(self, "divided", parts.divided(self.geometry, self.faces))
 
     def _check_simulated(self, simulated: Measurement) -> None:
         """Raise DataError unless there is a value for everything that was measured and is used."""

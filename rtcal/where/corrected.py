@@ -132,7 +132,8 @@ def corrected(
         return _as_material(case, added, material)
     faces = case.faces[added.surface]
     area = added.size * max(1.0, float(added.spectrum.max()) / HEADROOM)
-    place = None if at is None else point(at)
+    middle = added.middle if at is None else at
+    place = None if middle is None else point(middle)
     geometry = patched(case.geometry, faces, area, material, material, place)
     if geometry is None:
         return replace(

@@ -32,6 +32,7 @@ from rtcal.where.hypotheses import (
     spreads,
 )
 from rtcal.where.model import Model, model
+from rtcal.where.part_hypotheses import on_parts
 from rtcal.where.prior import statement
 from rtcal.where.responses import Responses, parameters, responses
 from rtcal.where.search import (
@@ -141,7 +142,7 @@ def every_hypothesis(
     errors = (numbers.measurement + numbers.simulator_error()).reshape(k, p, i, k, p, i)
     places = spreads(observations.pairs, moved, errors, columns)
     return Hypotheses(
-        shifts=shifts(case, left_out),
+        shifts=on_parts(case, shifts(case, left_out)),
         spreads=[spread for spread in places if spread.effect not in left_out],
         off=0.0 if COEFFICIENTS in left_out else prior_off(case),
         unknown=UNKNOWN not in left_out,
@@ -174,9 +175,11 @@ class _Posterior:
 def _posterior(case: Case, hypotheses: Hypotheses, posterior: Weights) -> _Posterior:
     total = float(posterior.total[0])
     names = list(case.faces)
-    candidates = []
+    grouped: dict[tuple[str, int | None, str], list[tuple[Shift, Array]]] = {}
     for shift, logs in zip(hypotheses.shifts, posterior.shifts, strict=True):
-        candidates.append(_candidate(shift, np.exp(logs[:, 0] - total), names))
+        key = (shift.effect, shift.surface, shift.place)
+        grouped.setdefault(key, []).append((shift, np.exp(logs[:, 0] - total)))
+    candidates = [_candidate(case, members) for members in grouped.values()]
     places: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
     for spread, log in zip(hypotheses.spreads, posterior.spreads, strict=True):
         chance = float(np.exp(log[0] - total))
@@ -212,17 +215,21 @@ def _sorted(values: Mapping[str, float]) -> dict[str, float]:
     return dict(sorted(values.items(), key=lambda kv: -kv[1]))
 
 
-def _candidate(shift: Shift, chances: Array, names: Sequence[str]) -> Candidate:
+def _candidate(case: Case, members: Sequence[tuple[Shift, Array]]) -> Candidate:
+    """Return the candidate of an effect in one place: spread over a surface, and on its parts."""
+    shift = members[0][0]
+    chances = np.concatenate([some for _, some in members])
+    sizes = np.concatenate([member.sizes for member, _ in members])
     total = float(chances.sum())
     share = chances / total if total > 0 else np.full(len(chances), 1 / len(chances))
     likely = int(np.argmax(share))
-    signed = bool((shift.sizes <= 0).any())
-    scale = shift.sizes if signed else np.log(shift.sizes)
+    signed = bool((sizes <= 0).any())
+    scale = sizes if signed else np.log(sizes)
     mean = float(share @ scale)
     deviation = float(np.sqrt(share @ (scale - mean) ** 2 + (0.0 if signed else _SPACING**2)))
     ends = [mean, mean - _NORMAL_90 * deviation, mean + _NORMAL_90 * deviation]
     size, low, high = ends if signed else np.exp(ends).tolist()
-    surface = None if shift.surface is None else names[shift.surface]
+    surface = None if shift.surface is None else list(case.faces)[shift.surface]
     return Candidate(
         effect=shift.effect,
         family=shift.family,
@@ -233,8 +240,13 @@ def _candidate(shift: Shift, chances: Array, names: Sequence[str]) -> Candidate:
         low=low,
         high=high,
         unit=shift.unit,
-        parameters=shift.parameters[likely],
-        spectrum=np.asarray(share @ shift.spectra),
+        parameters=[p for member, _ in members for p in member.parameters][likely],
+        spectrum=np.asarray(share @ np.concatenate([member.spectra for member, _ in members])),
+        parts=tuple(
+            (case.divided.parts[member.part].middle, float(some.sum()))
+            for member, some in members
+            if member.part is not None
+        ),
     )
 
 
@@ -367,7 +379,7 @@ def _groups(
         return ()
     names, vectors = [], []
     for shift in hypotheses.shifts:
-        if shift.effect != best.effect or shift.surface is None:
+        if shift.effect != best.effect or shift.surface is None or shift.part is not None:
             continue
         near = np.abs(np.log(np.maximum(shift.sizes, 1e-9) / best.size))
         row = int(np.argmin(near + _unlike(shift, best)))

@@ -128,8 +128,9 @@ class Finding:
             new material that absorbs as much. A patch that does not fit becomes a material: see
             `Corrected.note`.
         at : (x, y, z), optional
-            Middle of the patch in m, by default the middle of the surface. The surface is the one at
-            this place, and the candidate is the most probable one on it.
+            Middle of the patch in m, by default the candidate's ``middle``, or without one the middle
+            of the surface. The surface is the one at this place, and the candidate is the most probable
+            one on it.
 
         Raises
         ------
@@ -186,7 +187,8 @@ class Finding:
         if best is None or best.surface is None:
             return "" if best is None or not best.place else f"Most probably {best.place}."
         if self.surface is not None:
-            return f'It is on "{self.surface}" ({100 * self.surfaces[self.surface]:.0f} %).'
+            about = "" if self.located is None else self.located.about
+            return f'It is on "{self.surface}" ({100 * self.surfaces[self.surface]:.0f} %){about}.'
         some = [f'"{n}" ({100 * self.surfaces[n]:.0f} %)' for n in self.likely_surfaces]
         return f"These positions do not say on which surface: {_listed(some)}."
 

@@ -81,6 +81,8 @@ class Shift:
         Covariance of the relative error of the change, band by band.
     place : str
         The material whose coefficients are off.
+    part : int or None
+        Number of the part of the surface; None for all of it.
     """
 
     effect: str
@@ -95,6 +97,7 @@ class Shift:
     spectra: Array
     error: Array
     place: str = ""
+    part: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,10 +199,7 @@ def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
                     moved = np.minimum(moved, 0.0)
                     if (-moved / np.maximum(stated[j], 1e-6)).max() < _LEAST_COVERED:
                         continue
-                up = moved / np.maximum(1 - stated[j], 1e-6)
-                down = moved / np.maximum(stated[j] - HARD, 1e-6)
-                at = np.where(moved >= 0, up, np.maximum(down, -1.0))
-                weights.append(interpolation(SHARES, at))
+                weights.append(interpolation(SHARES, towards(moved, stated[j])))
                 fitting = areas[possible & (areas >= (0 if covering else area))]
                 odds.append(areas[j] / fitting.sum() / (len(spectra) * len(sizes)))
                 used.append(area)
@@ -223,6 +223,13 @@ def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
             )
     total = sum(s.odds.sum() for s in made)
     return [_scaled(s, effect.prior_odds(case.room) / total) for s in made]
+
+
+def towards(moved: Array, stated: Array) -> Array:
+    """Return changes of alpha as shares of the way to 1, or (below 0) to a hard wall; see `SHARES`."""
+    up = moved / np.maximum(1 - stated, 1e-6)
+    down = moved / np.maximum(stated - HARD, 1e-6)
+    return np.asarray(np.where(moved >= 0, up, np.maximum(down, -1.0)))
 
 
 _LEAST_COVERED = 0.1
@@ -272,9 +279,7 @@ def _materials(case: Case) -> list[Shift]:
             continue
         alpha = room.alpha[row]
         moved = np.minimum(np.exp(FACTORS)[:, np.newaxis] * alpha, 1.0) - alpha
-        down = moved / np.maximum(alpha - HARD, 1e-6)
-        at = np.where(moved >= 0, moved / np.maximum(1 - alpha, 1e-6), np.maximum(down, -1.0))
-        every = interpolation(SHARES, at)
+        every = interpolation(SHARES, towards(moved, alpha))
         made.append(
             Shift(
                 effect=COEFFICIENTS,

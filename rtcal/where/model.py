@@ -135,6 +135,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
         return band_first(_linear(wanted.parameters, ends, stated[..., np.newaxis]))
 
     nodes = {f"surface {j}": shifted(s) for j, s in enumerate(made.surfaces)}
+    nodes |= {f"part {p}": shifted(s) for p, s in enumerate(made.parts)}
     nodes |= _of_materials(case, nodes)
     error = simulator_error(
         controls.at(wanted.parameters, wanted.pairs), made.noise[:, rows][:, :, columns], BASE

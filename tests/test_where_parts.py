@@ -1,0 +1,142 @@
+"""Parts of large surfaces: a divided geometry traces the same paths, and something stands on a part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.simulators import PathTracing, Polyhedron
+from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.where import surfaces
+from rtcal.where.hypotheses import shifts
+from rtcal.where.part_hypotheses import on_parts
+from rtcal.where.parts import divided
+from rtcal.where.patch import face_at, patched
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+BANDS = (500.0, 1000.0)
+SIZE = (12.0, 4.0, 3.0)
+SOURCES = {"S1": (1.5, 1.0, 1.5), "S2": (10.3, 2.9, 1.4)}
+RECEIVERS = {
+    "R1": (3.4, 2.4, 1.3),
+    "R2": (5.9, 1.2, 1.2),
+    "R3": (8.6, 3.1, 1.2),
+    "R4": (10.9, 1.1, 1.3),
+}
+MATCH = ("t20", "edt", "c80", "ts", "level")
+PLACE = (2.5, 0.0, 1.5)  # of an opening of 6 m² on the south wall of 36 m²
+
+
+def box() -> Polyhedron:
+    return Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
+
+
+def tracing(
+    geometry: Polyhedron, alpha: float = 0.12, paths: int = 2400, scattering: float = 0.4
+) -> PathTracing:
+    """Return a tracing in which all materials but "hole" have one alpha."""
+    rows = np.array([[1.0 if m == "hole" else alpha] * len(BANDS) for m in geometry.areas])
+    room = rt.Room(
+        name="box",
+        volume=geometry.volume,
+        materials=list(geometry.areas),
+        areas=list(geometry.areas.values()),
+        alpha=rows,
+        sigma=0.1 * rows,
+        centre_frequencies=BANDS,
+        air=rt.Air(20, 50),
+    )
+    return PathTracing(
+        geometry=geometry,
+        room=room,
+        sources=SOURCES,
+        receivers=RECEIVERS,
+        scattering=scattering,
+        n_paths=paths,
+    )
+
+
+@pytest.fixture(scope="module")
+def case() -> rt.where.Case:
+    south = SHOEBOX_WALLS.index("south")
+    opened = patched(box(), [south], 6.0, "hole", "hole", np.array(PLACE))
+    assert opened is not None
+    real = tracing(opened, paths=9600, scattering=0.5)
+    heard = real.observe(real.room.alpha, MATCH, seed=7)
+    measured = rt.Measurement(
+        centre_frequencies=BANDS,
+        pairs=heard.pairs,
+        values={("g" if p == "level" else p): heard.natural(p) for p in MATCH},
+    )
+    return rt.where.Case(simulator=tracing(box()), measured=measured)
+
+
+def test_long_surfaces_are_divided_and_short_ones_are_not(case: rt.where.Case) -> None:
+    names = [list(case.faces)[part.surface] for part in case.divided.parts]
+    assert names == [w for w in SHOEBOX_WALLS if w not in ("west", "east") for _ in range(3)]
+    for name, faces in zip(case.faces, case.divided.surfaces, strict=True):
+        area = case.divided.geometry.face_areas[faces].sum()
+        assert area == pytest.approx(case.areas[name])
+    south = [p for p, name in zip(case.divided.parts, names, strict=True) if name == "south"]
+    assert [p.area for p in south] == pytest.approx([18.0] * 3)
+    assert np.array([p.middle for p in south]) == pytest.approx(
+        np.array([[3, 0, 1.5], [6, 0, 1.5], [9, 0, 1.5]])
+    )
+
+
+def test_the_same_paths_are_traced_in_the_divided_geometry(case: rt.where.Case) -> None:
+    whole, alpha = case.simulator, case.room.alpha
+    parts = tracing(case.divided.geometry)
+    assert len(case.divided.geometry.faces) > len(whole.geometry.faces)
+    there, here = (t.observe(alpha, MATCH, seed=1).values for t in (parts, whole))
+    assert there == pytest.approx(here, abs=1e-3)
+
+
+def test_the_middle_of_a_part_is_on_its_surface() -> None:
+    """Of an L-shaped floor the mean of the corners lies beside it."""
+    plan = [(0, 0), (14, 0), (14, 2), (2, 2), (2, 14), (0, 14)]
+    level = [[(x, y, z) for x, y in plan] for z in (0.0, 3.0)]
+    ends = zip(plan, [*plan[1:], plan[0]], strict=True)
+    walls = [[(*a, 0.0), (*b, 0.0), (*b, 3.0), (*a, 3.0)] for a, b in ends]
+    faces = [(f"face {i}", "plaster", f) for i, f in enumerate([*level, *walls])]
+    solid = Polyhedron.from_polygons(faces)
+    made = divided(solid, surfaces.of_geometry(solid))
+    assert made.parts
+    assert max(face_at(solid, np.array(part.middle))[1] for part in made.parts) < 1e-6
+
+
+def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.where.Case) -> None:
+    def odds(every: list) -> dict[tuple[str, int | None, str], float]:
+        total: dict[tuple[str, int | None, str], float] = {}
+        for s in every:
+            key = (s.effect, s.surface, s.place)
+            total[key] = total.get(key, 0.0) + float(s.odds.sum())
+        return total
+
+    whole = shifts(case)
+    both = on_parts(case, whole)
+    assert odds(both) == pytest.approx(odds(whole))
+    on_one = [s for s in both if s.part is not None]
+    assert {s.effect for s in on_one} >= {"opening", "porous", "curtain", "resonator"}
+    assert all(s.sizes.max() <= case.divided.parts[s.part].area for s in on_one)
+
+
+def test_an_opening_at_an_end_of_a_long_wall_is_found_there(
+    case: rt.where.Case, tmp_path: Path
+) -> None:
+    finding = rt.where.find(case, cache=tmp_path)
+    assert next(iter(finding.surfaces)) == "south"
+    best = finding.best
+    assert best is not None
+    assert best.middle == pytest.approx((3.0, 0.0, 1.5))
+    assert sum(p for _, p in best.parts) <= best.probability
+    made = finding.apply()
+    hole = made.geometry.names.index(made.material)
+    assert made.geometry.vertices[list(made.geometry.faces[hole])].mean(axis=0)[0] < 4.0
+    again = rt.where.find(case, cache=tmp_path)  # from what is kept
+    assert again.best is not None
+    assert again.best.parts == best.parts
