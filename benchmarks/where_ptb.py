@@ -3,6 +3,7 @@
     python -m benchmarks.where_ptb run --folder out              # rtcal's model, then 21 others
     python -m benchmarks.where_ptb run --folder out --only own   # rtcal's model alone
     python -m benchmarks.where_ptb table --folder out
+    python -m benchmarks.where_ptb told --folder out             # the bound: the change is told
 
 Two sources and three receivers, six octaves (Bork 2005). The closed curtains hang 0.24 m before
 the wall y = 0 (40.2 m²) and 0.29 m before x = -4.19 (17.3 m²); the model has their 13.9 m² gathered.
@@ -20,6 +21,7 @@ import argparse
 import json
 import time
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +31,15 @@ import rtcal as rt
 from benchmarks.judging import FLAGS, families_of, rate
 from benchmarks.real_data import DATA, OCTAVES, PTB_AIR, handbook_sigma, lines
 from benchmarks.where import MODELS, PATHS, first, plain, said
+from rtcal.loop.control_runs import control_runs
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.types import Array
+from rtcal.where import scales
+from rtcal.where.evidence import flat
+from rtcal.where.model import Model
+from rtcal.where.model import model as model_of
+from rtcal.where.responses import parameters, precisely, responses
+from rtcal.where.weighing import Weighing
 
 PAIRS = [(s, r) for s in ("S1", "S2") for r in ("R1", "R2", "R3")]
 QUANTITIES = {"t30": ("T30", 1.0), "edt": ("EDT", 1.0), "c80": ("C", 1.0), "ts": ("TS", 0.001)}
@@ -43,7 +52,11 @@ WITHIN = 0.4
 WALL = "wall y = 0"
 SLAB = 0.02
 """Thickness in m of the gathered curtains, which absorb on both sides."""
-SPELLED = {"windowglass": "windowglas", "wood absorbers": "wood absorber"}
+SPELLED = {
+    "windowglass": "windowglas",
+    "wood absorbers": "wood absorber",
+    "curtain (closed)": "curtain(closed)",
+}
 """Materials of the planes as the table of coefficients spells them."""
 SURFACES = {
     WALL: ("2", "3"),
@@ -76,7 +89,7 @@ def corners() -> dict[str, Array]:
     return out
 
 
-def slab(name: str, points: Array) -> list[tuple[str, str, Array]]:
+def slab(name: str, material: str, points: Array) -> list[tuple[str, str, Array]]:
     """Return the six faces of a thin box in place of a rectangle, clear of the walls by 1 cm."""
     low, high = points.min(0), points.max(0)
     thin = int(np.argmin(high - low))
@@ -85,23 +98,23 @@ def slab(name: str, points: Array) -> list[tuple[str, str, Array]]:
             low[axis], high[axis] = low[axis] - SLAB / 2, high[axis] + SLAB / 2
         else:
             low[axis], high[axis] = low[axis] + 0.01, high[axis] - 0.01
-    box = Polyhedron.shoebox(tuple(high - low), "curtain(open)")
+    box = Polyhedron.shoebox(tuple(high - low), material)
     return [
-        (f"{name} {i}", "curtain(open)", low + box.vertices[list(face)])
+        (f"{name} {i}", material, low + box.vertices[list(face)])
         for i, face in enumerate(box.faces)
     ]
 
 
-def geometry() -> Polyhedron:
-    """Return the studio with its curtains open."""
+def geometry(state: str = "open") -> Polyhedron:
+    """Return the studio with its curtains open or closed."""
     at = corners()
     polygons: list[tuple[str, str, Array]] = []
     for row in lines("ptb_studio", "planes.csv"):
         points = np.array([at[c] for c in row["corners"].split()])
         name = row["plane"]
         material = SPELLED.get(row["material"], row["material"])
-        if row["curtains"] == "open":
-            polygons += slab(name, points)
+        if row["curtains"] == state:
+            polygons += slab(name, material, points)
         elif row["curtains"] == "both" and name != "6":
             polygons.append((name, material, points))
         elif name == "6":  # its window, plane 8, is in its plane: the wall is two faces around it
@@ -115,12 +128,12 @@ def geometry() -> Polyhedron:
     return Polyhedron.from_polygons(polygons)
 
 
-def simulator(workers: int | None = None) -> PathTracing:
+def simulator(workers: int | None = None, state: str = "open") -> PathTracing:
     """Return the studio's path tracer with the round robin's coefficients.
 
     Scattering is the mean over the bands, so that all of them share their paths.
     """
-    solid = geometry()
+    solid = geometry(state)
     table = {r["material"]: r for r in lines("ptb_studio", "materials.csv")}
 
     def of(kind: str) -> Array:
@@ -191,15 +204,7 @@ def participants() -> list[str]:
 
 def judged(model: str, state: str, folder: Path, workers: int | None) -> dict[str, Any]:
     """Return what is said of a model against the measurement in a state."""
-    others = None if model == OWN else simulated(model)
-    match = tuple(p for p in QUANTITIES if others is None or p in others.values)
-    case = rt.where.Case(
-        simulator=simulator(workers),
-        measured=measured(state),
-        match=(*match, "level"),
-        simulated=others,
-        surfaces=SURFACES,
-    )
+    case = case_of(model, state, workers)
     clock, processor = time.perf_counter(), time.process_time()
     finding = rt.where.find(case, cache=folder / "controls")
     wall = case.geometry.names.index(SURFACES[WALL][0])
@@ -216,6 +221,19 @@ def judged(model: str, state: str, folder: Path, workers: int | None) -> dict[st
         row["by_parameter"] = verification.by_parameter
         row["ratio"] = verification.ratio
     return dict(plain(row))
+
+
+def case_of(model: str, state: str, workers: int | None) -> rt.where.Case:
+    """Return a model against the measurement in a state."""
+    others = None if model == OWN else simulated(model)
+    match = tuple(p for p in QUANTITIES if others is None or p in others.values)
+    return rt.where.Case(
+        simulator=simulator(workers),
+        measured=measured(state),
+        match=(*match, "level"),
+        simulated=others,
+        surfaces=SURFACES,
+    )
 
 
 def read(folder: Path) -> list[dict[str, Any]]:
@@ -237,6 +255,63 @@ def run(folder: Path, only: str | None, workers: int | None) -> None:
             with (folder / "rows.jsonl").open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(row, separators=(",", ":")) + "\n")
             print(model, state, row["verdict"], row["effect"], first(row), flush=True)
+
+
+def told(folder: Path, only: str | None, workers: int | None) -> None:
+    """Print the log likelihood ratio of the true change, told exactly, in nats.
+
+    The change is what rtcal's tracing says of the model with its curtains closed, less that of the open
+    one. Beside it stands what is to be expected of this ratio if the change and all errors are as
+    assumed. With fewer errors it is what a better simulator, measurement or prior would give.
+    """
+    own = case_of(OWN, "closed", workers)
+    names, controls = parameters(own), folder / "controls"
+    runs = control_runs(
+        own.simulator,
+        own.room,
+        names,
+        position_uncertainty=own.position_uncertainty,
+        cache=controls,
+    )
+    made = responses(own, 0, controls)
+    closed = simulator(workers, "closed")
+    heard = Weighing(precisely(closed), names).observe(Weighing(closed, names).alpha)
+    print(f"{'nats: got / expected':24}{'closed':>16}{'open':>16}")
+    for model in [only] if only else [OWN, *participants()]:
+        line = []
+        for state in STATES:
+            case = case_of(model, state, workers)
+            line.append(ratios(model_of(case, made, runs), made.parameters, made.base, heard))
+        for name in line[0] if model == OWN else ["all errors"]:
+            cells = "".join(
+                f"{got:8.1f} /{expected:6.1f}" for got, expected in (c[name] for c in line)
+            )
+            print(f"{model + ': ' + name:24}{cells}")
+
+
+def ratios(
+    numbers: Model, names: Sequence[str], opened: Array, closed: Array
+) -> dict[str, tuple[float, float]]:
+    """Return the log likelihood ratio of a told change and its expectation, by the errors assumed."""
+    wanted = numbers.data.observations
+    rows = [names.index(p) for p in wanted.parameters]
+    change = [scales.linear(names[r], closed[r], opened[r]) for r in rows]
+    used = numbers.used
+    shift, residual = flat(np.array(change))[used], numbers.residual[used]
+    simulators, prior = numbers.simulator_error(), numbers.alpha @ numbers.alpha.T
+    least = 0.01 * np.diag(np.diag(simulators + prior + numbers.measurement))
+    errors = {
+        "all errors": simulators + prior + numbers.measurement,
+        "a perfect simulator": prior + numbers.measurement,
+        "a perfect measurement": prior + simulators,
+        "known coefficients": simulators + numbers.measurement,
+    }
+    out = {}
+    for name, covariance in errors.items():
+        pulled = np.linalg.solve((covariance + least)[np.ix_(used, used)], shift)
+        expected = 0.5 * float(shift @ pulled)
+        out[name] = (float(residual @ pulled) - expected, expected)
+    return out
 
 
 def curtain(row: dict[str, Any]) -> bool:
@@ -289,7 +364,7 @@ def table(rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=("run", "table"))
+    parser.add_argument("command", choices=("run", "table", "told"))
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--only", help="own, or the number of a participant")
     parser.add_argument("--workers", type=int, default=None)
@@ -297,6 +372,8 @@ def main() -> None:
     warnings.simplefilter("ignore")
     if given.command == "run":
         run(given.folder, given.only, given.workers)
+    elif given.command == "told":
+        told(given.folder, given.only, given.workers)
     else:
         stated_beside_measured()
         table(read(given.folder))

@@ -67,6 +67,8 @@ class Responses:
         What the simulator hears as stated, with `BASE` times its paths.
     surfaces : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
         At the nodes `SHARES` of each surface.
+    parts : array (n_parts, n_parameters, n_pairs, n_bands, n_nodes)
+        At the nodes `SHARES` of each of the case's ``divided.parts``.
     apertures : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
         At the nodes `OPEN` of each surface for each of `SECOND_ROOMS`; 0 for floors.
     air, volume : array (n_parameters, n_pairs, n_bands, n_nodes)
@@ -82,6 +84,7 @@ class Responses:
     parameters: tuple[str, ...]
     base: Array
     surfaces: Array
+    parts: Array
     apertures: Array
     air: Array
     volume: Array
@@ -116,12 +119,13 @@ def responses(
 def _weighed(case: Case, seed: int, report: Report) -> Responses:
     report("paths")
     match = parameters(case)
-    weighing = Weighing(precisely(case.simulator), match, seed, _seconds(case, match, seed))
-    parts = weighing.energy(weighing.alpha, number=BASE)
-    base = weighing.parameters(parts.mean(axis=0))
-    groups = np.array([weighing.parameters(part) for part in parts])
+    tracer = _retraced(precisely(case.simulator), geometry=case.divided.geometry)
+    weighing = Weighing(tracer, match, seed, _seconds(case, match, seed))
+    energy = weighing.energy(weighing.alpha, number=BASE)
+    base = weighing.parameters(energy.mean(axis=0))
+    groups = np.array([weighing.parameters(group) for group in energy])
     report("surfaces")
-    surfaces, apertures, materials = _of_surfaces(case, weighing, base)
+    surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base)
     room = case.room
     reference = Air(20, 50).attenuation(room.centre_frequencies)
     air = [
@@ -134,6 +138,7 @@ def _weighed(case: Case, seed: int, report: Report) -> Responses:
         parameters=match,
         base=base,
         surfaces=surfaces,
+        parts=parts,
         apertures=apertures,
         air=np.stack(air, axis=-1) - base[..., np.newaxis],
         volume=np.stack(volume, axis=-1) - base[..., np.newaxis],
@@ -156,13 +161,15 @@ def precisely(tracer: PathTracing) -> PathTracing:
     return _retraced(tracer, n_paths=BASE * tracer.n_paths)
 
 
-def _of_surfaces(case: Case, weighing: Weighing, base: Array) -> tuple[Array, Array, Array]:
-    """Return the shifts by surfaces, apertures and materials; see `Responses`."""
-    room = case.room
-    made_of = np.array([room.material_index(m) for m in case.geometry.materials])
+def _of_surfaces(case: Case, weighing: Weighing, base: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the shifts by surfaces, parts, apertures and materials; see `Responses`."""
+    room, divided = case.room, case.divided
+    made_of = np.array([room.material_index(m) for m in divided.geometry.materials])
     of_materials = [np.flatnonzero(made_of == row) for row in range(room.n_materials)]
-    groups = {frozenset(f.tolist()): f for f in (*case.faces.values(), *of_materials)}
-    names = {frozenset(faces.tolist()): name for name, faces in case.faces.items()}
+    of_parts = [part.faces for part in divided.parts]
+    groups = {frozenset(f.tolist()): f for f in (*divided.surfaces, *of_parts, *of_materials)}
+    by_surface = [frozenset(faces.tolist()) for faces in divided.surfaces]
+    names = dict(zip(by_surface, case.faces, strict=True))
     # An alpha of 1 leaves no sound after the first reflection where a surface is all of the room.
     shares = [*(min(t, 0.98) for t in SHARES), STEP]
     shifts, apertures = {}, {}
@@ -171,10 +178,11 @@ def _of_surfaces(case: Case, weighing: Weighing, base: Array) -> tuple[Array, Ar
         shifts[members] = heard - base[..., np.newaxis]
         if members in names:
             apertures[members] = _apertures(case, weighing, names[members], decays, base)
-    by_surface = [frozenset(f.tolist()) for f in case.faces.values()]
+    by_part = [shifts[frozenset(f.tolist())][..., :-1] for f in of_parts]
     by_material = [shifts[frozenset(f.tolist())][..., -1] for f in of_materials]
     return (
         np.array([shifts[members][..., :-1] for members in by_surface]),
+        np.array(by_part),
         np.array([apertures[members] for members in by_surface]),
         np.stack(by_material, axis=-1),
     )
@@ -244,8 +252,8 @@ def _inside(case: Case, point: Array, step: Array) -> Array:
 def _packed(made: Responses) -> Array:
     """Return all shifts as one array, (n_parameters, n_pairs, n_bands, n_columns)."""
     moved = [np.moveaxis(shift, 0, -1) for shift in made.moved.values()]
-    surfaces = [*made.surfaces, *made.apertures]
-    parts = [
+    surfaces = [*made.surfaces, *made.parts, *made.apertures]
+    columns = [
         made.base[..., np.newaxis],
         made.materials,
         made.air,
@@ -254,7 +262,7 @@ def _packed(made: Responses) -> Array:
         *surfaces,
         *moved,
     ]
-    return np.concatenate(parts, axis=-1)
+    return np.concatenate(columns, axis=-1)
 
 
 def _read(path: Path, case: Case) -> Responses | None:
@@ -263,16 +271,17 @@ def _read(path: Path, case: Case) -> Responses | None:
     tracer, n_moves = case.simulator, 6
     names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
     sizes = [1, case.room.n_materials, len(AIR), len(VOLUME), BASE]
-    n_surfaces = len(case.faces)
-    sizes += [len(SHARES)] * n_surfaces + [len(OPEN) * len(SECOND_ROOMS)] * n_surfaces
-    sizes += [n_moves] * len(names)
+    n_surfaces, n_parts = len(case.faces), len(case.divided.parts)
+    sizes += [len(SHARES)] * (n_surfaces + n_parts)
+    sizes += [len(OPEN) * len(SECOND_ROOMS)] * n_surfaces + [n_moves] * len(names)
     shape = (len(parameters(case)), len(tracer.pairs), case.room.n_bands, sum(sizes))
     if packed is None or packed.shape != shape or not np.isfinite(packed).all():
         return None
-    parts = np.split(packed, np.cumsum(sizes)[:-1], axis=-1)
-    base, materials, air, volume, noise = parts[:5]
-    surfaces, apertures = parts[5 : 5 + n_surfaces], parts[5 + n_surfaces : 5 + 2 * n_surfaces]
-    moved = parts[5 + 2 * n_surfaces :]
+    columns = iter(np.split(packed, np.cumsum(sizes)[:-1], axis=-1))
+    base, materials, air, volume, noise = (next(columns) for _ in range(5))
+    surfaces, parts, apertures = (
+        [next(columns) for _ in range(number)] for number in (n_surfaces, n_parts, n_surfaces)
+    )
     return Responses(
         parameters=parameters(case),
         base=base[..., 0],
@@ -281,8 +290,9 @@ def _read(path: Path, case: Case) -> Responses | None:
         air=air,
         volume=volume,
         surfaces=np.array(surfaces),
+        parts=np.array(parts),
         apertures=np.array(apertures),
-        moved={n: np.moveaxis(m, -1, 0) for n, m in zip(names, moved, strict=True)},
+        moved={n: np.moveaxis(m, -1, 0) for n, m in zip(names, columns, strict=True)},
     )
 
 
@@ -298,6 +308,7 @@ def _key(case: Case, seed: int) -> str:
         [list(map(int, face)) for face in geometry.faces],
         list(geometry.materials),
         {n: f.tolist() for n, f in case.faces.items()},
+        [part.faces.tolist() for part in case.divided.parts],
         {name: list(map(float, p)) for name, p in {**tracer.sources, **tracer.receivers}.items()},
         np.asarray(tracer.scattering).tolist(),
         list(parameters(case)),
