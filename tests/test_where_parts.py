@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.report import where_figures
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.where import surfaces
@@ -129,7 +131,8 @@ def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.where.Case) -
 def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     case: rt.where.Case, tmp_path: Path
 ) -> None:
-    """All four long surfaces say so, and the patch is added there."""
+    """All four long surfaces say so, and patch and picture show it there."""
+    pytest.importorskip("matplotlib", reason="needs the extra report")
     finding = rt.where.find(case, cache=tmp_path)
     assert finding.detected
     assert "east" not in finding.likely_surfaces
@@ -145,3 +148,9 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     assert [c.title for c in again.candidates] == [c.title for c in finding.candidates]
     for kept, first in zip(again.candidates, finding.candidates, strict=True):
         assert [p for _, p in kept.parts] == pytest.approx([p for _, p in first.parts])
+    others = {c.surface: 0.0 for c in finding.candidates if c.surface not in (None, "south")}
+    said = replace(finding, surfaces={"south": 1.0} | others)
+    assert said.located is not None
+    assert said.located.about == ", most probably about (3.0, 0.0, 1.5) m"
+    legend = where_figures.room(said).axes[0].get_legend_handles_labels()[1]
+    assert "most probable part of its surface" in legend
