@@ -21,7 +21,7 @@ import argparse
 import json
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -266,7 +266,7 @@ def told(folder: Path, only: str | None, workers: int | None) -> None:
     """
     own = case_of(OWN, "closed", workers)
     names, controls = parameters(own), folder / "controls"
-    runs = control_runs(
+    runs: Any = control_runs(
         own.simulator,
         own.room,
         names,
@@ -276,23 +276,37 @@ def told(folder: Path, only: str | None, workers: int | None) -> None:
     made = responses(own, 0, controls)
     closed = simulator(workers, "closed")
     heard = Weighing(precisely(closed), names).observe(Weighing(closed, names).alpha)
-    print(f"{'nats: got / expected':24}{'closed':>16}{'open':>16}")
+    print(f"{'nats: got / expected':28}" + "".join(f"{state:>16}" for state in STATES))
+    others = []
     for model in [only] if only else [OWN, *participants()]:
-        line = []
-        for state in STATES:
-            case = case_of(model, state, workers)
-            line.append(ratios(model_of(case, made, runs), made.parameters, made.base, heard))
-        for name in line[0] if model == OWN else ["all errors"]:
-            cells = "".join(
-                f"{got:8.1f} /{expected:6.1f}" for got, expected in (c[name] for c in line)
-            )
-            print(f"{model + ': ' + name:24}{cells}")
+        case = {state: case_of(model, state, workers) for state in STATES}
+        numbers = {state: model_of(case[state], made, runs) for state in STATES}
+        columns = [
+            ratios(numbers[state], made.parameters, made.base, heard, state == "closed")
+            for state in STATES
+        ]
+        for name in columns[0] if model == OWN else ["all errors"]:
+            print_ratios(f"{model}: {name}", [column[name] for column in columns])
+        if model != OWN:
+            others.append([column["all errors"] for column in columns])
+    if others:
+        print_ratios("others: median", np.median(others, axis=0))
+
+
+def print_ratios(name: str, columns: Iterable[Iterable[float]]) -> None:
+    """Print one line of `told`."""
+    cells = (f"{got:8.1f} /{expected:6.1f}" for got, expected in columns)
+    print(f"{name:28}" + "".join(cells), flush=True)
 
 
 def ratios(
-    numbers: Model, names: Sequence[str], opened: Array, closed: Array
+    numbers: Model, names: Sequence[str], opened: Array, closed: Array, changed: bool
 ) -> dict[str, tuple[float, float]]:
-    """Return the log likelihood ratio of a told change and its expectation, by the errors assumed."""
+    """Return the log likelihood ratio of a told change and its expectation, by the errors assumed.
+
+    The last entry is chi-square per value with all errors, and 1, of what is measured less what is
+    simulated: with the change where it is there (``changed``).
+    """
     wanted = numbers.data.observations
     rows = [names.index(p) for p in wanted.parameters]
     change = [scales.linear(names[r], closed[r], opened[r]) for r in rows]
@@ -311,6 +325,9 @@ def ratios(
         pulled = np.linalg.solve((covariance + least)[np.ix_(used, used)], shift)
         expected = 0.5 * float(shift @ pulled)
         out[name] = (float(residual @ pulled) - expected, expected)
+    left = residual - shift if changed else residual
+    covariance = errors["all errors"][np.ix_(used, used)]
+    out["chi-square per value"] = (float(left @ np.linalg.solve(covariance, left)) / len(left), 1.0)
     return out
 
 

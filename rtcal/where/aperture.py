@@ -32,8 +32,8 @@ SECOND_ROOMS = tuple(product(VOLUMES, ALPHAS))
 """Volume over that of the first room, and mean alpha, of each second room."""
 _NEPERS = 6 * np.log(10)
 """ln of the energy's decay in a reverberation time."""
-_FOLLOWED = 0.75
-"""Of the slow reverberation time: T20 needs 45 dB with its margin."""
+_FOLLOWED = 0.9
+"""Of the slow reverberation time: 54 dB. T30 needs 50 dB with its margin."""
 
 
 @dataclass(frozen=True)
