@@ -41,6 +41,8 @@ from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.likelihood import alpha_covariance
 from rtcal.discrepancy.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.discrepancy.recalibration import plain
+from rtcal.discrepancy.set_alpha import averaged_alpha, covariance_with_alpha
+from rtcal.discrepancy.sets import compare, moments
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import COUNTS, DOUBLE, TOGGLED, build
 
@@ -142,12 +144,17 @@ def distances_apart(
 
 
 def bound(folder: str, population: int, more: int) -> None:
-    """Print how often a test that is told both effects and sizes could tell them from one."""
+    """Print how often a test that is told both effects and sizes could tell them from one.
+
+    Then, how good the coefficients can be.
+    """
     limit = float(norm.ppf(1 - LEVEL))
     table: dict[str, list[tuple[float, float, float]]] = {data: [] for data in DATA}
+    left = []
     for _, case, truth, controls in rooms(folder, population, more, double=True):
         for data, (part, made) in cut(case, controls).items():
             table[data].append(distances_apart(part, truth, estimate_discrepancy(part, made)))
+        left.append(coefficients_left(case, truth, estimate_discrepancy(case, controls)))
     print(f"Neyman and Pearson's test at {LEVEL:g}, told both effects and their sizes:")
     for data, rows in table.items():
         far, perfect, said = np.array(rows).T
@@ -158,6 +165,38 @@ def bound(folder: str, population: int, more: int) -> None:
                 f"({power.mean():.2f}); median distance {np.median(d):.1f} standard deviations"
             )
         print(f"{'':36} of what was measured it says two in {rate(said > limit)}")
+    print("Both effects and sizes told, alpha's error is at most half of plain calibration's:")
+    for label, ratios in zip(
+        ("posterior mean", "as it expects", "expected by a model without error"),
+        np.array(left).T,
+        strict=True,
+    ):
+        print(f"  {label:36}", rate(ratios <= 0.5))
+
+
+def coefficients_left(
+    case: Case, truth: dict[str, Any], discrepancy: ModelDiscrepancy
+) -> tuple[float, float, float]:
+    """Errors of alpha over plain calibration's, with the true effects and sizes told.
+
+    Of the posterior mean with the model's error; as that posterior expects; and as the posterior of a
+    model without error expects. The last is a bound: it knows everything but alpha.
+    """
+    told = replace(case, applied=true_effects(case, truth))
+    observed, _ = observe(case)
+    compared = compare(told, observed, predict_hypotheses(told, []), discrepancy)
+    simple = rmse(plain(case).alpha, truth)
+    across = covariance_with_alpha(compared, [()])[0]
+    mask = observed.used.ravel()
+    covariance = moments(compared, [()]).covariance[0]
+    perfect = alpha_covariance(compared.predicted, 0)[np.ix_(mask, mask)] + observed.covariance
+    area = np.array(truth["areas"])[:, None]
+    out = [rmse(averaged_alpha(compared, [((), 1.0)]), truth)]
+    for c in (covariance, perfect):
+        explained = np.linalg.solve(c, across.reshape(len(c), -1)).reshape(across.shape)
+        left = case.room.sigma**2 - (across * explained).sum(0)
+        out.append(float(np.sqrt((area * left).sum() / area.sum() / left.shape[1])))
+    return out[0] / simple, out[1] / simple, out[2] / simple
 
 
 def cut(case: Case, controls: list[ControlRooms]) -> dict[str, tuple[Case, list[ControlRooms]]]:

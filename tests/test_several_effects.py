@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -315,9 +316,12 @@ def test_the_command_finds_and_adds_the_set(
     path, out = str(tmp_path / "case.json"), str(tmp_path / "corrected.json")
     said = json.loads(run("find", path, *only, "--several", "--json"))
     assert set(said["members"]) == {"volume", "noise floor"}
-    assert "number of effects" in run("find", path, *only, "--several")
+    words = " ".join(run("find", path, *only, "--several").split())
+    assert re.search(r"number of effects: (one with \d+ %, )?two with \d+ %", words), words
     assert "candidates" in json.loads(run("find", path, *only, "--json"))
-    assert "the most probable set" in run("apply", path, *only, "--several", "--out", out)
+    added = run("apply", path, *only, "--several", "--out", out)
+    assert "the most probable set" in added
+    assert "; verdict" not in added and "It is claimed." in " ".join(added.split())
     assert {a.name for a in Case.from_file(out).applied} == {"volume", "noise floor"}
     pytest.importorskip("jinja2", reason="needs the extra report")
     pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -344,6 +348,40 @@ def test_sets_of_a_single_effect_are_refused() -> None:
     first = case.only("t20", configurations=["A"])
     with pytest.raises(DataError, match="1 effect is tried, and sets need at least two"):
         rt.discrepancy.find_several(first, only=("opening",))
+
+
+def test_what_of_the_added_set_is_claimed_is_said() -> None:
+    both = ("volume", "noise floor")
+    finding = replace(sought(case_with(*BOTH)), named=both)
+    assert finding.added.endswith("It is claimed.")
+    less = replace(finding, named=("volume",), named_families=("scale",), named_set=())
+    assert less.added.endswith("Of it, volume is claimed.")
+    family = replace(less, named=())
+    assert family.added.endswith("Of it, the family scale is claimed.")
+    assert replace(family, named_families=()).added.endswith("Nothing of it is claimed.")
+
+
+def test_prior_odds_of_none_are_refused_for_several_effects() -> None:
+    case, _ = rt.datasets.hidden_room()
+    with pytest.raises(DataError, match='prior has odds of "none".*expected'):
+        rt.discrepancy.find_several(case, prior={"none": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--expected", "1"), "--expected is of a search for several effects: add --several"),
+        (("--prior", "air=1", "--prior", "air=2"), '--prior states "air" twice'),
+        (("--several", "--prior", "none=2"), 'prior has odds of "none"'),
+    ],
+)
+def test_options_of_several_effects_that_would_do_nothing_are_refused(
+    options: tuple[str, ...], words: str, tmp_path: Path
+) -> None:
+    case_with().save(str(tmp_path / "case.json"))
+    done = CliRunner().invoke(cli, ["gap", "find", str(tmp_path / "case.json"), *options])
+    assert isinstance(done.exception, DataError | SystemExit)
+    assert words in " ".join(f"{done.output} {done.exception}".split())
 
 
 def test_a_library_that_was_cut_is_said() -> None:

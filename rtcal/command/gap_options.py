@@ -13,6 +13,7 @@ from rtcal.command.console import json_option, quiet_option
 from rtcal.errors import DataError
 
 ENGINES = ("path tracing", "network")
+_EXPECTED = 0.7  # set_posterior.EXPECTED, which takes seconds to import
 seed_option = click.option(
     "--seed", default=0, show_default=True, help="Seed of the control rooms and the bootstrap."
 )
@@ -43,15 +44,18 @@ class Search:
 
 
 def numbers(option: str, rule: str, texts: Sequence[str]) -> dict[str, float]:
-    """Read NAME=NUMBER; DataError for anything else."""
-    out = {}
+    """Read NAME=NUMBER, each name once; DataError for anything else."""
+    out: dict[str, float] = {}
     for text in texts:
-        name, _, number = text.rpartition("=")
+        stated, _, number = text.rpartition("=")
+        name = stated.strip()
+        if name in out:
+            raise DataError(f'{option} states "{name}" twice')
         try:
-            out[name.strip()] = float(number)
+            out[name] = float(number)
         except ValueError:
             name = ""
-        if not name.strip():
+        if not name:
             raise DataError(f'{option} "{text}" is not {rule}')
     return out
 
@@ -100,14 +104,17 @@ def several_options(command: Any) -> Any:
     """Add the options of a search for several effects; the command takes their expected number."""
 
     @wraps(command)
-    def with_number(several: bool, expected: float, **others: Any) -> Any:
-        return command(expected=expected if several else None, **others)
+    def with_number(several: bool, expected: float | None, **others: Any) -> Any:
+        if expected is not None and not several:
+            raise DataError("--expected is of a search for several effects: add --several")
+        number = _EXPECTED if expected is None else expected
+        return command(expected=number if several else None, **others)
 
     for option in (
         click.option(
             "--expected",
-            default=0.7,
-            show_default=True,
+            type=float,
+            show_default=f"{_EXPECTED:g}",
             help="Expected number of missing effects, with --several.",
         ),
         click.option("--several", is_flag=True, help="Several effects may be missing at once."),

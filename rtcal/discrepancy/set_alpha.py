@@ -26,10 +26,24 @@ def averaged_alpha(compared: Comparison, likely: Sequence[tuple[Rows, float]]) -
 
     Coefficients stay within 0 and 1.
     """
-    case, observed = compared.case, compared.observed
-    room = case.room
     sets = [rows for rows, _ in likely]
     of = moments(compared, sets)
+    across = covariance_with_alpha(compared, sets)
+    weights = np.array([p for _, p in likely]) * of.possible
+    out = np.array(compared.case.room.alpha)
+    for k in np.flatnonzero(weights):
+        explained = np.linalg.solve(of.covariance[k], compared.observed.values - of.mean[k])
+        out += weights[k] / weights.sum() * np.tensordot(explained, across[k], axes=1)
+    return np.clip(out, 0.0, 1.0)
+
+
+def covariance_with_alpha(compared: Comparison, sets: Sequence[Rows]) -> Array:
+    """Return G Sigma, the prior's covariance of the features in use and alpha, under each set.
+
+    (n_sets, n_used, n_materials, n_bands).
+    """
+    case, observed = compared.case, compared.observed
+    room = case.room
     jacobian = np.zeros((*observed.used.shape, len(sets), *room.alpha.shape))
     for i, (configuration, states) in enumerate(
         zip(case.configurations, states_of(compared, sets), strict=True)
@@ -43,10 +57,5 @@ def averaged_alpha(compared: Comparison, likely: Sequence[tuple[Rows, float]]) -
             slopes = made.slopes[:, :, band].T[..., None]
             jacobian[i, :, band, :, :, band] = slopes * per_alpha[:, :, band]
     rho = correlation(room.centre_frequencies, room.band_correlation)
-    across = (jacobian[observed.used] * room.sigma) @ rho * room.sigma  # (n_used, n_sets, ...)
-    weights = np.array([p for _, p in likely]) * of.possible
-    out = np.array(room.alpha)
-    for k in np.flatnonzero(weights):
-        explained = np.linalg.solve(of.covariance[k], observed.values - of.mean[k])
-        out += weights[k] / weights.sum() * np.tensordot(explained, across[:, k], axes=1)
-    return np.clip(out, 0.0, 1.0)
+    across = (jacobian[observed.used] * room.sigma) @ rho * room.sigma
+    return np.asarray(across.swapaxes(0, 1))

@@ -63,8 +63,8 @@ def find_several(
     seed : int
         Of the control rooms and of the bootstrap.
     without, only, prior, engines, controls, cache, report
-        As `rtcal.discrepancy.find` takes them. Prior odds of "none" decide in the single search
-        alone; ``expected`` takes their place for sets.
+        As `rtcal.discrepancy.find` takes them, but for prior odds of "none": ``expected`` takes their
+        place.
 
     Returns
     -------
@@ -73,7 +73,8 @@ def find_several(
     Raises
     ------
     DataError
-        If ``expected`` or ``most`` is out of its range, and as `rtcal.discrepancy.find` does.
+        If ``expected`` or ``most`` is out of its range, if ``prior`` has odds of "none", and as
+        `rtcal.discrepancy.find` does.
 
     Examples
     --------
@@ -85,6 +86,10 @@ def find_several(
     most = checks.whole("most", most, 1)
     if most > MOST:
         raise DataError(f"most = {most} is not from 1 to {MOST}")
+    if prior is not None and NONE in prior:
+        raise DataError(
+            'prior has odds of "none": of several effects, expected says how many there are'
+        )
     tried, _ = effects_to_try(effects, without, only)
     if len(tried) < 2:
         raise DataError(

@@ -25,6 +25,7 @@ from rtcal.support.types import Array
 
 _SAID = 0.03
 """Probability below which an effect is not printed."""
+_NUMBERS = ("none", "one", "two", "three")
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +172,16 @@ class SeveralFinding:
             for n, m in self.members.items()
         ]
         share = 100 * next(p for s, p in self.sets.items() if s == tuple(self.members))
-        return f"Added {listed(titles)}, the most probable set ({share:.0f} %; verdict {self.verdict})."
+        return f"Added {listed(titles)}, the most probable set ({share:.0f} %). {self._claimed_of_it}"
+
+    @property
+    def _claimed_of_it(self) -> str:
+        """What of the set that `apply` adds is claimed, in words."""
+        if set(self.members) <= set(self.named):
+            return "It is claimed."
+        families = dict.fromkeys((*self._families_claimed_alone, *self.named_set))
+        claimed = [*self.named, *(f"the family {f}" for f in families)]
+        return f"Of it, {listed(claimed)} is claimed." if claimed else "Nothing of it is claimed."
 
     def percent(self, name: str) -> str:
         """The probability that an effect is there at all, in percent."""
@@ -185,9 +195,8 @@ class SeveralFinding:
         likely = listed([f"{n} ({self.percent(n)})" for n in self.members])
         if self.verdict == "ambiguous":
             return f"Something is missing; most probable is {likely}."
-        families = [f for f in self.named_families if f not in self._families_of_named]
         claimed = [f"{n} ({self.percent(n)})" for n in self.named]
-        claimed += [f"{f} ({100 * self.families[f]:.0f} %)" for f in families]
+        claimed += [f"{f} ({100 * self.families[f]:.0f} %)" for f in self._families_claimed_alone]
         sentences = []
         if claimed:
             sentences.append(f"Missing from the model, or not as stated: {listed(claimed)}.")
@@ -212,14 +221,18 @@ class SeveralFinding:
         return track_record.of_sets(bool(self.named_families), bool(self.named_set))
 
     @property
-    def _families_of_named(self) -> set[str]:
-        return {family_of(n, self.single.effects) for n in self.named}
+    def _families_claimed_alone(self) -> list[str]:
+        """The claimed families of which no effect is claimed."""
+        of_named = {family_of(n, self.single.effects) for n in self.named}
+        return [f for f in self.named_families if f not in of_named]
 
     @property
     def numbers_in_words(self) -> str:
         """The probabilities of none, one and more effects."""
         return "number of effects: " + ", ".join(
-            f"{n} {100 * p:.0f} %" for n, p in enumerate(self.numbers) if p >= 0.005
+            f"{word} with {100 * p:.0f} %"
+            for word, p in zip(_NUMBERS, self.numbers, strict=False)
+            if p >= 0.005
         )
 
     def in_words(self, name: str) -> list[str]:
