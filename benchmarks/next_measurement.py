@@ -22,7 +22,8 @@ import numpy as np
 from benchmarks.hidden_effects import name_of
 from benchmarks.judging import first_of, interval, one
 from benchmarks.second_world import place
-from benchmarks.several_effects import Room, judged_alone, rooms, wide
+from benchmarks.several_effects import wide
+from benchmarks.several_effects_rooms import Room, judged_alone, rooms
 from rtcal.discrepancy import Case, find_several, library, plan
 from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.features import observe

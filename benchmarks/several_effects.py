@@ -5,7 +5,8 @@
     python -m benchmarks.several_effects run --folder out --population 1        # then: table
 
 Population 0 is for development. It has 12 rooms with two effects; as many as ``--more`` says are
-built beside them, from the numbers that follow. Population 1 judges.
+built beside them, from the numbers that follow. Population 1 judges. ``--more 100 --first 50 --singles
+60`` takes the last 50 of 100 built rooms with two effects and 60 built rooms with one, turn by turn.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ import json
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -25,16 +27,22 @@ from scipy.stats import norm
 from benchmarks.hidden_effects import NAMES, name_of, rmse
 from benchmarks.judging import (
     families,
-    first_of,
     kept_controls,
-    one,
     rate,
     rounded,
     row_of,
 )
 from benchmarks.second_world import place
-from rtcal.discrepancy import AppliedEffect, Case, find_several, recalibrate
-from rtcal.discrepancy.effects.people import AT_1_KHZ
+from benchmarks.several_effects_rooms import (
+    BUILT_SINGLE,
+    DATA,
+    built_singles,
+    cut,
+    judged_alone,
+    rooms,
+    true_effects,
+)
+from rtcal.discrepancy import Case, find_several, recalibrate
 from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
@@ -44,78 +52,10 @@ from rtcal.discrepancy.recalibration import plain
 from rtcal.discrepancy.set_alpha import averaged_alpha, covariance_with_alpha
 from rtcal.discrepancy.sets import compare, moments
 from tests.hidden_world.generate import read
-from tests.hidden_world.populations import COUNTS, DOUBLE, TOGGLED, build
+from tests.hidden_world.populations import DOUBLE
 
 LEVEL = 0.05
 """Of Neyman and Pearson's test: one effect taken for two."""
-DATA = {"one": "T20, EDT, T30; one configuration", "all": "two configurations, C80, G as well"}
-ORDER = (9, 7, 8, 1, 2, 3, 4, 5, 6, 10, 11, 12)
-"""Kinds in the order in which they act on a model: formula, area and volume first."""
-Room = tuple[int, Case, dict[str, Any], list[ControlRooms]]
-
-
-def rooms(folder: str, population: int, more: int, *, double: bool) -> Iterator[Room]:
-    """The rooms with two effects, or the others, whose control rooms stand."""
-    cases, truths = read(population, "case"), read(population, "truth")
-    order = np.random.default_rng(0).permutation(len(cases))
-    for index in order:
-        kept = place(folder, 1, population, "controls", int(index), "npz")
-        if kept.exists() and (truths[index]["seed"][1] == DOUBLE) == double:
-            case = Case.from_dict(cases[index])
-            yield int(index), case, truths[index], kept_controls(case, kept)
-    for index in range(more if double else 0):
-        number = COUNTS[population][DOUBLE] + index
-        made = built(folder, population, number)
-        case = Case.from_dict(made["case"])
-        kept = place(folder, 1, population, "more", number, "npz")
-        yield len(cases) + index, case, made["truth"], kept_controls(case, kept)
-
-
-def built(folder: str, population: int, index: int) -> dict[str, Any]:
-    """A room with two effects that is not stored with the tests, built once and kept."""
-    path = place(folder, 1, population, "more", index, "json")
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(build(population, DOUBLE, index)), encoding="utf-8")
-    made: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return made
-
-
-def true_effects(case: Case, truth: dict[str, Any]) -> list[AppliedEffect]:
-    """The hidden effects with their true sizes, as the library states them."""
-    hidden = sorted(truth["effects"], key=lambda e: ORDER.index(e["kind"]))
-    return [AppliedEffect(name_of(e), true_parameters(e)) for e in hidden]
-
-
-def true_parameters(hidden: dict[str, Any]) -> dict[str, float]:
-    """The library's parameters of one hidden effect."""
-    kind = hidden["kind"]
-    if kind == 1:
-        return {k: hidden[k] for k in ("temperature", "humidity")}
-    if kind == 2:
-        return {"area": hidden["size"]}
-    if kind == 3 and "persons" in hidden:
-        return {"persons": 0.51 / AT_1_KHZ * hidden["persons"]}
-    if kind == 3:
-        return {"absorption_area": 0.83 * hidden["size"]}
-    if kind == 4:
-        return {"absorption_area": hidden["size"]}
-    if kind == 5:
-        flow = 1000 * hidden["flow"]
-        return {"thickness": hidden["depth"], "flow_resistivity": flow, "area": hidden["size"]}
-    if kind == 6:
-        return {"resonance": hidden["f0"], "quality": hidden["q"], "area": hidden["size"]}
-    if kind == 7:
-        return {"material": float(hidden["material"]), "ratio": hidden["ratio"]}
-    if kind == 8:
-        return {"ratio": hidden["ratio"]}
-    if kind == 9:
-        return {"equation": 1.0}
-    if kind == 10:
-        return {"aperture": hidden["size"], "volume": hidden["volume"], "alpha": hidden["alpha"]}
-    if kind == 11:
-        return {"scattering": hidden["scattering"]}
-    return {"level": hidden["level"], "record": 2.0}
 
 
 def distances_apart(
@@ -199,11 +139,6 @@ def coefficients_left(
     return out[0] / simple, out[1] / simple, out[2] / simple
 
 
-def cut(case: Case, controls: list[ControlRooms]) -> dict[str, tuple[Case, list[ControlRooms]]]:
-    """The case as `DATA` says, with its control rooms."""
-    return {"one": (one(case), first_of(controls)), "all": (case, controls)}
-
-
 def controls(folder: str, population: int, more: int) -> None:
     """Simulate the control rooms of the rooms with two effects; seconds of processor each."""
     cases, truths = read(population, "case"), read(population, "truth")
@@ -223,18 +158,26 @@ def run(
     step: int,
     data: Sequence[str],
     part: str,
+    first: int,
+    singles: int,
 ) -> None:
     """Search the rooms for several effects, those with two first, and keep what was said.
 
-    Of the rooms with one effect or none every ``step``-th is searched. ``part`` "1/3" does the second
-    of three parts.
+    Of the rooms with one effect or none every ``step``-th is searched. With ``singles`` only built
+    rooms are, with two effects from the ``first`` on and with one in turn. ``part`` "1/3" does the
+    second of three parts.
     """
     warnings.simplefilter("ignore")
     two = list(rooms(folder, population, more, double=True))
-    others = [r for r in rooms(folder, population, 0, double=False) if judged_alone(r[2])]
-    others = sorted(others[::step], key=lambda r: not r[2]["effects"])
-    first, parts = (int(x) for x in part.split("/"))
-    for index, case, truth, made in [*two, *others][first::parts]:
+    if singles:
+        of_two = [r for r in two if r[0] >= len(read(population, "case")) + first]
+        of_one = list(built_singles(folder, population, singles))
+        every = [r for turn in zip_longest(of_two, of_one) for r in turn if r is not None]
+    else:
+        others = [r for r in rooms(folder, population, 0, double=False) if judged_alone(r[2])]
+        every = [*two, *sorted(others[::step], key=lambda r: not r[2]["effects"])]
+    begin, parts = (int(x) for x in part.split("/"))
+    for index, case, truth, made in every[begin::parts]:
         path = place(folder, 1, population, label, index, "json")
         if path.exists():
             continue
@@ -244,12 +187,6 @@ def run(
         path.write_text(json.dumps({"truth": truth["effects"], **row}), encoding="utf-8")
         print(f"\r{index}   ", end="", flush=True)
     print()
-
-
-def judged_alone(truth: dict[str, Any]) -> bool:
-    """Whether the room has one effect of the library, or none, and is made to look like no other."""
-    kind = TOGGLED.get(truth["seed"][1], truth["seed"][1])
-    return kind == 0 or kind in range(1, 13)
 
 
 def said_of(case: Case, made: list[ControlRooms], truth: dict[str, Any]) -> dict[str, Any]:
@@ -332,13 +269,19 @@ class Searched:
         )
 
     @property
-    def both_among_pairs(self) -> bool:
-        """Whether the most probable families of two effects are right, told that there are two."""
+    def likeliest_families(self) -> list[str]:
+        """The most probable families of two or more effects."""
         table: Counter[tuple[str, ...]] = Counter()
         for names, p in self.row["sets"]:
-            if len(names) == 2 and "unknown" not in names:
+            if len(names) > 1 and "unknown" not in names:
                 table[tuple(wide(names))] += p
-        return bool(table) and list(max(table, key=lambda k: table[k])) == self.families
+        return list(max(table, key=lambda k: table[k])) if table else []
+
+    @property
+    def both_among_pairs(self) -> bool:
+        """Whether the most probable families of two effects are right, told that there are two."""
+        pairs = [s for s in self.row["sets"] if len(s[0]) == 2]
+        return replace(self, row={"sets": pairs}).likeliest_families == self.families
 
 
 def wide(names: list[str]) -> list[str]:
@@ -352,6 +295,7 @@ def table(folder: str, population: int, label: str, pairs: str) -> None:
     built = len(read(population, "case"))
     left_out = {"all": (), "stored": (True,), "built": (False,)}[pairs]
     singles = {i for i, t in enumerate(read(population, "truth")) if t["seed"][1] != DOUBLE}
+    singles |= {int(p.stem) for p in stored if int(p.stem) >= BUILT_SINGLE}
     stored = [p for p in stored if int(p.stem) in singles or (int(p.stem) >= built) not in left_out]
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in stored]
     for data, words in DATA.items():
@@ -413,6 +357,8 @@ def main() -> None:
         default="all",
         help="table: which rooms with two",
     )
+    parser.add_argument("--first", type=int, default=0, help="first of the built rooms with two")
+    parser.add_argument("--singles", type=int, default=0, help="built rooms with one effect")
     parser.add_argument("--part", default="0/1", help="1/3: the second of three parts of the rooms")
     given = parser.parse_args()
     if given.what == "controls":
@@ -428,6 +374,8 @@ def main() -> None:
             given.step,
             given.data,
             given.part,
+            given.first,
+            given.singles,
         )
     else:
         table(given.folder, given.population, given.label, given.pairs)

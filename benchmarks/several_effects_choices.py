@@ -1,7 +1,7 @@
 """What decides numbers of the search for several effects, on development rooms.
 
-    python -m benchmarks.several_effects_choices claim --folder out    # `several.TWO`
-    python -m benchmarks.several_effects_choices kept --folder out     # `set_posterior.KEPT`
+    python -m benchmarks.several_effects_choices claim --folder out    # `several.claimed_from`
+    python -m benchmarks.several_effects_choices parameters --folder out     # `set_posterior.KEPT`
     python -m benchmarks.several_effects_choices speed --folder out
 
 ``claim`` reads what `benchmarks.several_effects run` said of population 0.
@@ -18,13 +18,16 @@ import numpy as np
 
 from benchmarks.hidden_effects import NAMES
 from benchmarks.second_world import place
-from benchmarks.several_effects import Searched, rooms
+from benchmarks.several_effects import Searched
+from benchmarks.several_effects_rooms import rooms
 from rtcal.discrepancy import find, find_several, library, set_posterior
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import prior_of
+from rtcal.discrepancy.set_posterior import Kept
 from rtcal.discrepancy.sets import compare
+from rtcal.discrepancy.several import NOT_OF_THE_ROOM
 
 POPULATION = 0
 
@@ -33,20 +36,30 @@ def claim(folder: str) -> None:
     """Print what a claim of two costs where one is hidden, by the probability that it asks for."""
     stored = sorted(place(folder, 1, POPULATION, "several", 0, "json").parent.glob("*.json"))
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in stored]
-    every = [Searched([NAMES[e["kind"]] for e in row["truth"]], row["all"]) for row in rows]
+    every = [
+        Searched([NAMES[e["kind"]] for e in row["truth"]], row["all"])
+        for row in rows
+        if all(e["kind"] in NAMES for e in row["truth"])
+    ]
     single, two = ([r for r in every if len(r.truth) == n] for n in (1, 2))
     right = sum(r.both_among_pairs for r in two)
     print(f"told that there are two, {right} of {len(two)} are right")
-    for least in (0.5, 0.75, 0.9, 0.95, 0.98, 0.995):
-        claimed = [r for r in two if r.more_than_one >= least]
-        print(
-            f"two claimed from {least:5}: {len(claimed)} of {len(two)} pairs, "
-            f"{sum(r.both_among_pairs for r in claimed)} rightly; "
-            f"{sum(r.more_than_one >= least for r in single)} of {len(single)} rooms with one effect"
-        )
+    for label, of_the_room in (("climate or measurement among them", False), ("neither", True)):
+        print(f"{label}:")
+        for least in (0.5, 0.6, 0.75, 0.9, 0.95, 0.98, 0.995):
+
+            def claimed(r: Searched, least: float = least, of: bool = of_the_room) -> bool:
+                likeliest = r.likeliest_families
+                return r.more_than_one >= least and NOT_OF_THE_ROOM.isdisjoint(likeliest) == of
+
+            print(
+                f"  two claimed from {least:5}: {sum(map(claimed, two))} of {len(two)} pairs, "
+                f"{sum(claimed(r) and r.likeliest_families == r.families for r in two)} rightly; "
+                f"{sum(map(claimed, single))} of {len(single)} rooms with one effect"
+            )
 
 
-def kept(folder: str) -> None:
+def parameters(folder: str) -> None:
     """Print what evaluating few parameters of each two effects costs in probability, and in time."""
     warnings.simplefilter("ignore")
     chosen = set_posterior.KEPT
@@ -56,14 +69,14 @@ def kept(folder: str) -> None:
         compared = compare(case, observed, predicted, estimate_discrepancy(case, made))
         every: dict[tuple[str, ...], float] = {}
         line = [f"room {index}:"]
-        for number in (((0.0, 300),), ((0.0, 24),), chosen):
-            set_posterior.KEPT = number
+        for kept in ((Kept(0.0, 1.0, 300),), (Kept(0.0, 1.0, 24),), chosen):
+            set_posterior.KEPT = kept
             began = time.process_time()
             sets = set_posterior.set_posterior(compared, prior, most=2).sets
             seconds = time.process_time() - began
             every = every or dict(sets)
             off = 0.5 * sum(abs(p - sets[s]) for s, p in every.items())
-            line.append(f"{number[0][1]} off by {off:.3f} ({seconds:.1f} s)")
+            line.append(f"{kept[0].most} off by {off:.3f} ({seconds:.1f} s)")
         print(" ".join(line))
 
 
@@ -87,7 +100,7 @@ def speed(folder: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    what = {f.__name__: f for f in (claim, kept, speed)}
+    what = {f.__name__: f for f in (claim, parameters, speed)}
     parser.add_argument("what", choices=tuple(what))
     parser.add_argument("--folder", required=True)
     given = parser.parse_args()

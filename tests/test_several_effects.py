@@ -37,7 +37,7 @@ from rtcal.discrepancy.model import FEATURES
 from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import UNKNOWN, prior_of
 from rtcal.discrepancy.set_alpha import averaged_alpha
-from rtcal.discrepancy.set_posterior import log_prior, set_posterior
+from rtcal.discrepancy.set_posterior import Kept, log_prior, set_posterior
 from rtcal.discrepancy.sets import Comparison, Screen, acting_order, compare, evaluate_sets, moments
 from rtcal.errors import DataError
 
@@ -247,7 +247,7 @@ def test_likely_pairs_are_evaluated_deeply_enough(monkeypatch: pytest.MonkeyPatc
     c = compared_case(case, [e for e in library() if e.name in ("volume", "coupled room", "air")])
     prior = prior_of(case.room, list(c.predicted.effects.values()), {})
     some = set_posterior(c, prior, most=2).sets
-    monkeypatch.setattr("rtcal.discrepancy.set_posterior.KEPT", ((0.0, 10_000),))
+    monkeypatch.setattr("rtcal.discrepancy.set_posterior.KEPT", (Kept(0.0, 1.0, 10_000),))
     every = set_posterior(c, prior, most=2).sets
     assert sum(abs(p - some[s]) for s, p in every.items()) < 1e-3
 
@@ -321,7 +321,8 @@ def test_the_command_finds_and_adds_the_set(
     assert "candidates" in json.loads(run("find", path, *only, "--json"))
     added = run("apply", path, *only, "--several", "--out", out)
     assert "the most probable set" in added
-    assert "; verdict" not in added and "It is claimed." in " ".join(added.split())
+    assert "; verdict" not in added
+    assert "It is claimed." in " ".join(added.split())
     assert {a.name for a in Case.from_file(out).applied} == {"volume", "noise floor"}
     pytest.importorskip("jinja2", reason="needs the extra report")
     pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -363,7 +364,7 @@ def test_what_of_the_added_set_is_claimed_is_said() -> None:
 
 def test_prior_odds_of_none_are_refused_for_several_effects() -> None:
     case, _ = rt.datasets.hidden_room()
-    with pytest.raises(DataError, match='prior has odds of "none".*expected'):
+    with pytest.raises(DataError, match=r'prior has odds of "none".*expected'):
         rt.discrepancy.find_several(case, prior={"none": 2.0})
 
 

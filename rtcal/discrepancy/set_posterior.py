@@ -35,11 +35,29 @@ from rtcal.support.types import Array
 EXPECTED = 0.7
 """Expected number of effects that a model lacks."""
 MOST = 3
-KEPT = ((0.0, 16), (1e-3, 96))
-"""Probability of two effects among the pairs, and how many pairs of their parameters are evaluated from
-it on; the screen estimates the others' share. In six development rooms the sets' probabilities are off
-by at most 0.05 in all, against 300 evaluated; with 24 of each, by up to 0.59
-(`benchmarks.several_effects_choices kept`)."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Which parameters of two effects are evaluated, if these have the probability ``least``.
+
+    The most probable ones of the screen, until they have a ``share`` of the two effects' probability;
+    at most so many. The screen estimates the others' share.
+    """
+
+    least: float
+    share: float
+    most: int
+
+    def last(self, log_others: Array) -> int:
+        """Return the last row, of ln of the evidence of all over that of the rows up to each."""
+        enough = np.flatnonzero(log_others <= -np.log(self.share))
+        return min(int(enough[0]) if len(enough) else len(log_others) - 1, self.most - 1)
+
+
+KEPT = (Kept(0.0, 0.5, 16), Kept(1e-3, 0.95, 96))
+"""How many parameters of two effects are evaluated: few of each two, more of those that are probable
+among the pairs (`benchmarks.several_effects_choices parameters`)."""
 UNEXPLAINED = 0.05
 """Probability of the residuals under the best pair below which three effects are tried: the usual level
 of a test of fit."""
@@ -203,18 +221,19 @@ class _Tables:
             first, second = self._rows[a], self._rows[b]
             table = screen.pairs(first, second)
             table = table + self._weights[first][:, None] + self._weights[second]
-            likeliest = np.argsort(-table, axis=None)[: KEPT[-1][1]]
+            likeliest = np.argsort(-table, axis=None)[: KEPT[-1].most]
             i, j = np.unravel_index(likeliest, table.shape)
             rows: list[Rows] = list(zip(first[i].tolist(), second[j].tolist(), strict=True))
             # Of each row, ln of the evidence of all over that of the rows up to it.
             share = logsumexp(table) - np.logaddexp.accumulate(table[i, j])
             screened[a, b] = np.asarray(share), rows
-        for least, kept in KEPT:
+        for kept in KEPT:
             # Those that are probable enough, among the pairs.
-            likely = self._likely_pairs(least) if least else list(screened)
+            likely = self._likely_pairs(kept.least) if kept.least else list(screened)
+            last = {s: kept.last(screened[s][0]) for s in likely}
             self._evaluate(
-                {s: screened[s][1][:kept] for s in likely},
-                {s: float(screened[s][0][:kept][-1]) for s in likely},
+                {s: screened[s][1][: last[s] + 1] for s in likely},
+                {s: float(screened[s][0][last[s]]) for s in likely},
             )
         if self._unknown:
             self._add_unknown()
