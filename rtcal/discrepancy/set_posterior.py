@@ -55,7 +55,7 @@ class Kept:
         return min(int(enough[0]) if len(enough) else len(log_others) - 1, self.most - 1)
 
 
-KEPT = (Kept(0.0, 0.5, 16), Kept(1e-3, 0.95, 96))
+KEPT = (Kept(0.0, 0.5, 16), Kept(1e-3, 0.99, 96))
 """How many parameters of two effects are evaluated: few of each two, more of those that are probable
 among the pairs (`benchmarks.several_effects_choices parameters`)."""
 UNEXPLAINED = 0.05

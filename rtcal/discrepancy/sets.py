@@ -44,18 +44,23 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What is compared: a case, its measured features, the single hypotheses, and the model's error."""
+    """What is compared: a case, its measured features, the single hypotheses, and the model's error.
+
+    ``cells`` (n, n_used, n_parameters) are the changes of the features over the cell of the grid that a
+    hypothesis stands for, one standard deviation of each parameter.
+    """
 
     case: Case
     observed: Observed
     predicted: Hypotheses
     discrepancy: ModelDiscrepancy
+    cells: Array
 
 
 def compare(
     case: Case, observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
 ) -> Comparison:
-    """Return what is compared, with the error of the direct sound (`DIRECT_SOUND`) in it."""
+    """Return what is compared, with the error of the direct sound (`DIRECT_SOUND`) and of the grids."""
     columns = np.zeros((*predicted.features.shape[1:], case.room.n_bands))
     octaves = np.log2(case.room.centre_frequencies)
     lag = np.abs(np.subtract.outer(octaves, octaves))
@@ -68,7 +73,35 @@ def compare(
     applied = predicted.applied
     factor = np.concatenate([applied.factor, columns.reshape(-1, columns.shape[-1])], axis=1)
     predicted = replace(predicted, applied=LowRank(factor, applied.diagonal))
-    return Comparison(case, observed, predicted, discrepancy)
+    return Comparison(case, observed, predicted, discrepancy, _cells(observed, predicted))
+
+
+def _cells(observed: Observed, predicted: Hypotheses) -> Array:
+    """Return the changes of the features over each hypothesis's cell of the grid.
+
+    The standard deviation of an even distribution is the step over sqrt(12). Without it, what lies
+    between the grid's points would look like a second effect.
+    """
+    c, f, b = np.nonzero(observed.used)
+    features = predicted.features[:, c, f, b]
+    names = np.array(predicted.names)
+    steps: list[Array] = []
+    for name, effect in predicted.effects.items():
+        rows = np.flatnonzero(names == name)
+        grid = [predicted.parameters[i] for i in rows]
+        for k, parameter in enumerate(p for p in grid[0] if p not in effect.discrete):
+            if k == len(steps):
+                steps.append(np.zeros_like(features))
+            lines: dict[tuple[float, ...], list[int]] = {}
+            for j in np.argsort([theta[parameter] for theta in grid]):
+                others = tuple(v for p, v in grid[j].items() if p != parameter)
+                lines.setdefault(others, []).append(rows[j])
+            for line in lines.values():
+                if len(line) > 1:
+                    steps[k][line] = np.gradient(features[line], axis=0)
+    if not steps:
+        return np.zeros((*features.shape, 0))
+    return np.stack(steps, axis=-1) / np.sqrt(12)
 
 
 DIRECT_SOUND = 6.0
@@ -138,6 +171,7 @@ class Screen:
                     predicted.spectrum_errors[i][b],
                     predicted.formula_errors[i],
                 ).covariance
+                + compared.cells[i] @ compared.cells[i].T
             )
         factor = np.linalg.cholesky(alpha + other)
         self._half = float(np.log(np.diag(factor)).sum())
@@ -149,7 +183,7 @@ class Screen:
 
         self._z = whitened(residual[None])[0]
         self._v = whitened(change)
-        self._w = whitened(error.factor.swapaxes(1, 2))
+        self._w = whitened(np.concatenate([error.factor, compared.cells], axis=2).swapaxes(1, 2))
         self._own = self._w @ self._w.swapaxes(1, 2)
 
     def pairs(self, first: Indices, second: Indices) -> Array:
@@ -241,6 +275,8 @@ def moments(compared: Comparison, sets: Sequence[Rows]) -> Moments:
         errors = predicted.spectrum_errors[at].take(b, 1)
         alone = predicted.formula_errors[at]
         covariance += misfit(change[at], amount[at], f, errors, alone).covariance
+        cells = compared.cells[at]
+        covariance += cells @ cells.swapaxes(1, 2)
     common = alpha.off_together(whole).take(t20, 1) * slopes[:, :, None]
     mean = features + compared.discrepancy.bias[observed.used.ravel()]
     possible = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
@@ -286,6 +322,7 @@ def unknown_beside(compared: Comparison, rows: Indices) -> Array:
     out = []
     for i in rows:
         alpha, other = covariance_of(observed, predicted, compared.discrepancy, int(i))
+        other = other + compared.cells[i] @ compared.cells[i].T
         residual = observed.values - predicted.features[i].ravel()[mask] - bias[mask]
         value = unknown_evidence(residual[None], alpha + other, observed.used, coarsened=False)
         out.append(value[0])
