@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import correlation
@@ -65,7 +66,7 @@ class AlphaCovariance:
             self._stored[rows] = self._covariance(slopes)
             self._off[rows] = factors(self._directions, slopes)
 
-    def of(self, part: slice) -> Array:
+    def of(self, part: slice | NDArray[np.intp]) -> Array:
         """Return the covariance of some hypotheses over configurations and bands, (n, size, size)."""
         stored, together = self._stored[part], self.off_together(part)
         parts = np.concatenate([self._air[part], together], axis=-1)
@@ -96,7 +97,7 @@ class AlphaCovariance:
         """Return -d ln T20 / d alpha of hypothesis 0 or 1, (n_configurations, n_materials, n_bands)."""
         return np.asarray(self._first[i])
 
-    def off_together(self, part: slice) -> Array:
+    def off_together(self, part: slice | NDArray[np.intp]) -> Array:
         """Return the usual changes of ln T20 in common, (n, size, n_directions).
 
         See `rtcal.discrepancy.coefficients.factors`.

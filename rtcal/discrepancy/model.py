@@ -65,7 +65,8 @@ class State:
 
     def __post_init__(self) -> None:
         for name in ("areas", "alpha", "facing", "air", "frequencies", "covering", "objects"):
-            if isinstance(values := getattr(self, name), np.ndarray):
+            values = getattr(self, name)
+            if isinstance(values, np.ndarray) and values.flags.writeable:
                 object.__setattr__(self, name, read_only_view(values))
 
     @property
@@ -88,6 +89,11 @@ class State:
         """Mean alpha of the materials; cached, since every grid point covers part of one state."""
         return np.asarray(self.areas @ self.alpha / self.total_area)
 
+    @cached_property
+    def _wall_contribution(self) -> Array:
+        """The contribution of 1 m² of mean wall to the equation's sum, cached as `_wall` is."""
+        return np.asarray(mean_equation(self.equation).contribution(self._wall))
+
     def decay(self) -> Decay:
         """Return the decay: that of the state's ``shape``, else one exponential."""
         if self.shape is not None:
@@ -99,7 +105,7 @@ class State:
         """Return the state with ``area`` m² of wall replaced by a covering with these coefficients."""
         equation = mean_equation(self.equation)
         patch = equation.contribution(np.minimum(spectrum, equation.largest_alpha))
-        gain = area * (patch - equation.contribution(self._wall))
+        gain = area * (patch - self._wall_contribution)
         return replace(self, covering=self.covering + gain)
 
     def with_objects(self, absorption_area: Array) -> State:

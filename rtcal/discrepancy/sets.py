@@ -101,7 +101,7 @@ def _cells(observed: Observed, predicted: Hypotheses) -> Array:
                     steps[k][line] = np.gradient(features[line], axis=0)
     if not steps:
         return np.zeros((*features.shape, 0))
-    return np.stack(steps, axis=-1) / np.sqrt(12)
+    return np.asarray(np.stack(steps, axis=-1) / np.sqrt(12))
 
 
 DIRECT_SOUND = 6.0
@@ -256,18 +256,25 @@ def moments(compared: Comparison, sets: Sequence[Rows]) -> Moments:
     t20 = c * observed.used.shape[2] + b
     change = (predicted.features - predicted.features[0])[:, c, f, b]
     amount = (predicted.features - predicted.features[0])[:, c, 0, b]
-    states = states_of(compared, sets)
-    with np.errstate(all="ignore"):
-        made = [
-            predict(column, distances(case, where))
-            for column, where in zip(states, case.configurations, strict=True)
-        ]
-    features = np.stack([p.features for p in made], axis=1)[:, c, f, b]
-    slopes = np.stack([p.slopes for p in made], axis=1)[:, c, f, b]
-    whole = slice(0, len(sets))
-    alpha = AlphaCovariance(case, len(sets))
-    alpha.fill(whole, states, made)
-    covariance = alpha.of(whole).take(t20, 2) * slopes[:, None, :]
+    if max(map(len, sets)) < 2:
+        # These are predicted already.
+        which = np.array([rows[0] if rows else 0 for rows in sets])
+        features, slopes = predicted.features[which], predicted.slopes[which]
+        alpha = predicted.alpha_covariance
+    else:
+        which = np.arange(len(sets))
+        states = states_of(compared, sets)
+        with np.errstate(all="ignore"):
+            made = [
+                predict(column, distances(case, where))
+                for column, where in zip(states, case.configurations, strict=True)
+            ]
+        features = np.stack([p.features for p in made], axis=1)
+        slopes = np.stack([p.slopes for p in made], axis=1)
+        alpha = AlphaCovariance(case, len(sets))
+        alpha.fill(slice(0, len(sets)), states, made)
+    features, slopes = features[:, c, f, b], slopes[:, c, f, b]
+    covariance = alpha.of(which).take(t20, 2) * slopes[:, None, :]
     covariance = covariance.take(t20, 1) * slopes[:, :, None]
     covariance += without_alpha(observed, predicted, compared.discrepancy)
     for member in range(max(map(len, sets))):
@@ -277,7 +284,7 @@ def moments(compared: Comparison, sets: Sequence[Rows]) -> Moments:
         covariance += misfit(change[at], amount[at], f, errors, alone).covariance
         cells = compared.cells[at]
         covariance += cells @ cells.swapaxes(1, 2)
-    common = alpha.off_together(whole).take(t20, 1) * slopes[:, :, None]
+    common = alpha.off_together(which).take(t20, 1) * slopes[:, :, None]
     mean = features + compared.discrepancy.bias[observed.used.ravel()]
     possible = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
     mean[~possible], covariance[~possible], common[~possible] = 0.0, np.eye(len(f)), 0.0
