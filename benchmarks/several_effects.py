@@ -39,6 +39,7 @@ from benchmarks.several_effects_rooms import (
     built_singles,
     cut,
     judged_alone,
+    pairs_from,
     rooms,
     true_effects,
 )
@@ -83,15 +84,15 @@ def distances_apart(
     return min(out)
 
 
-def bound(folder: str, population: int, more: int) -> None:
+def bound(folder: str, population: int, more: int, first: int) -> None:
     """Print how often a test that is told both effects and sizes could tell them from one.
 
-    Then, how good the coefficients can be.
+    Then, how good the coefficients can be. With ``first``, of the built rooms from that one on.
     """
     limit = float(norm.ppf(1 - LEVEL))
     table: dict[str, list[tuple[float, float, float]]] = {data: [] for data in DATA}
     left = []
-    for _, case, truth, controls in rooms(folder, population, more, double=True):
+    for _, case, truth, controls in pairs_from(folder, population, more, first):
         for data, (part, made) in cut(case, controls).items():
             table[data].append(distances_apart(part, truth, estimate_discrepancy(part, made)))
         left.append(coefficients_left(case, truth, estimate_discrepancy(case, controls)))
@@ -163,16 +164,15 @@ def run(
 ) -> None:
     """Search the rooms for several effects, those with two first, and keep what was said.
 
-    Of the rooms with one effect or none every ``step``-th is searched. With ``singles`` only built
-    rooms are, with two effects from the ``first`` on and with one in turn. ``part`` "1/3" does the
+    Of the rooms with one effect or none every ``step``-th is searched; with ``singles``, so many built
+    rooms with one, and the rooms with two (`pairs_from`) in turn. ``part`` "1/3" does the
     second of three parts.
     """
     warnings.simplefilter("ignore")
-    two = list(rooms(folder, population, more, double=True))
+    two = list(pairs_from(folder, population, more, first))
     if singles:
-        of_two = [r for r in two if r[0] >= len(read(population, "case")) + first]
         of_one = list(built_singles(folder, population, singles))
-        every = [r for turn in zip_longest(of_two, of_one) for r in turn if r is not None]
+        every = [r for turn in zip_longest(two, of_one) for r in turn if r is not None]
     else:
         others = [r for r in rooms(folder, population, 0, double=False) if judged_alone(r[2])]
         every = [*two, *sorted(others[::step], key=lambda r: not r[2]["effects"])]
@@ -364,7 +364,7 @@ def main() -> None:
     if given.what == "controls":
         controls(given.folder, given.population, given.more)
     elif given.what == "bound":
-        bound(given.folder, given.population, given.more)
+        bound(given.folder, given.population, given.more, given.first)
     elif given.what == "run":
         run(
             given.folder,

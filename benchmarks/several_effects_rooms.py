@@ -40,6 +40,14 @@ def rooms(folder: str, population: int, more: int, *, double: bool) -> Iterator[
         yield len(cases) + index, *built(path, population, DOUBLE, number)
 
 
+def pairs_from(folder: str, population: int, more: int, first: int) -> Iterator[Room]:
+    """The rooms with two effects; with ``first``, the built ones from that one on."""
+    begin = len(read(population, "case")) + first if first else 0
+    for room in rooms(folder, population, more, double=True):
+        if room[0] >= begin:
+            yield room
+
+
 def built_singles(folder: str, population: int, count: int) -> Iterator[Room]:
     """Rooms with one effect that are not stored with the tests, of every kind in turn."""
     for index in range(count):
