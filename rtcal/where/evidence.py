@@ -7,18 +7,25 @@ prior of alpha and the error of d_h are integrated. All values are ordered (band
 
 A shift of band k is a mixture of the shifts at the nodes of one response, and no parameter of a band
 depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
+
+The error of d_h has two parts. Each band's shift is larger or smaller by a factor (`Shift.error`), and
+pairs hear more or less of it than if it were spread evenly (`rtcal.where.unevenness`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.support.types import Array
 from rtcal.where.hypotheses import Shift, Spread
+
+_AT_ONCE = 256
+"""Hypotheses in one product: their matrices fill some 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +56,17 @@ class Likelihood:
         Which values were measured; the others say nothing.
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
         Shifts at the nodes of each response, by band.
+    uneven : array (n_values, n_columns)
+        Deviations by pair at a change of 1 of the absorption; see `rtcal.where.unevenness`.
+    amount : array (n_values,)
+        Weights of a band's shift in that change.
     """
 
     covariance: Array
     used: NDArray[np.bool_]
     nodes: Mapping[str, Array]
+    uneven: Array
+    amount: Array
     inverse: Array = field(init=False)
     log_determinant: float = field(init=False)
     _products: dict[str, Array] = field(default_factory=dict, init=False)
@@ -83,18 +96,75 @@ class Likelihood:
 
     def shifted(self, shift: Shift, residuals: Residuals) -> Array:
         """Return the log density by hypothesis, (n_hypotheses, n_draws)."""
+        parts = range(0, len(shift.weights), _AT_ONCE)
+        return np.concatenate(
+            [self._shifted(shift.some(slice(p, p + _AT_ONCE)), residuals) for p in parts]
+        )
+
+    def _shifted(self, shift: Shift, residuals: Residuals) -> Array:
         projected, forms = self._forms(shift, residuals)
-        error = np.linalg.cholesky(shift.error + 1e-9 * np.eye(len(shift.error)))
+        error = np.asarray(np.linalg.cholesky(shift.error + 1e-9 * np.eye(len(shift.error))))
         whole = residuals.square - 2 * projected.sum(1)
         whole = whole + forms.sum((1, 2))[:, np.newaxis]
         left = projected - forms.sum(2)[:, :, np.newaxis]
-        inner = np.eye(len(error)) + error.T @ forms @ error
+        inner = error.T @ forms @ error
         turned = error.T @ left
+        if shift.uneven.any():
+            inner, turned = self._with_uneven(shift, residuals, error, inner, turned)
+        inner = inner + np.eye(inner.shape[-1])
         factor = np.linalg.cholesky(inner)
         gained = np.linalg.solve(factor, turned)
         whole = whole - np.einsum("hkm,hkm->hm", gained, gained)
         more = 2 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         return self._log(whole, more[:, np.newaxis])
+
+    def _with_uneven(
+        self, shift: Shift, residuals: Residuals, error: Array, inner: Array, turned: Array
+    ) -> tuple[Array, Array]:
+        """Return products with K⁻¹ of the errors' columns, those of the pairs after the bands'."""
+        nodes = self.nodes[shift.response]
+        n_columns = self.uneven.shape[1]
+        change = np.einsum("hkn,kn->hk", shift.weights, np.einsum("v,kvn->kn", self.amount, nodes))
+        change = change * shift.uneven[:, np.newaxis]
+        both = (change[:, :, np.newaxis] * change[:, np.newaxis]).reshape(len(change), -1)
+        pairs = (both @ self._uneven_products).reshape(-1, n_columns, n_columns)
+        cross = self._uneven_node_products(shift.response)  # (k, c, l, n): band k, column c
+        mixed = np.einsum("hk,kcln->hcln", change, cross, optimize=True)
+        mixed = np.einsum("hcln,hln->hcl", mixed, shift.weights, optimize=True)
+        pulled = residuals.pull.reshape(len(nodes), nodes.shape[1], -1)
+        by_column = np.einsum("vc,kvm->kcm", self.uneven, pulled)
+        toward = np.einsum("hk,kcm->hcm", change, by_column, optimize=True)
+        toward = toward - mixed.sum(axis=2)[:, :, np.newaxis]
+        side = mixed @ error
+        joined = np.concatenate(
+            [
+                np.concatenate([inner, side.swapaxes(1, 2)], axis=2),
+                np.concatenate([side, pairs], axis=2),
+            ],
+            axis=1,
+        )
+        return joined, np.concatenate([turned, toward], axis=1)
+
+    @cached_property
+    def _uneven_products(self) -> Array:
+        """W' K⁻¹ W by pairs of bands, (n_bands², n_columns²), W being `uneven`."""
+        n_values, n_columns = self.uneven.shape
+        n_bands = len(self.inverse) // n_values
+        inverse = self.inverse.reshape(n_bands, n_values, n_bands, n_values)
+        half = np.einsum("vc,kvlw->kclw", self.uneven, inverse, optimize=True)
+        full = np.einsum("kclw,wd->klcd", half, self.uneven, optimize=True)
+        return np.asarray(full.reshape(n_bands**2, n_columns**2))
+
+    def _uneven_node_products(self, response: str) -> Array:
+        """Return W' K⁻¹ N, (n_bands, n_columns, n_bands, n_nodes)."""
+        key = f"uneven {response}"
+        if key not in self._products:
+            nodes = self.nodes[response]
+            n_bands, n_values, _ = nodes.shape
+            inverse = self.inverse.reshape(n_bands, n_values, n_bands, n_values)
+            half = np.einsum("kvlw,lwn->kvln", inverse, nodes, optimize=True)
+            self._products[key] = np.einsum("vc,kvln->kcln", self.uneven, half, optimize=True)
+        return self._products[key]
 
     def spread(self, spread: Spread, residuals: Residuals) -> Array:
         """Return the log density with some errors wider, (n_draws,)."""

@@ -21,6 +21,7 @@ from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
 from rtcal.where.finding import LIKELY, Finding
 from rtcal.where.hypotheses import (
+    COUPLED,
     MEASUREMENT,
     NOISE,
     POSITION,
@@ -47,6 +48,7 @@ from rtcal.where.search import (
 
 EFFECTS = (
     *(e.name for e in library()),
+    COUPLED.name,
     "air",
     "volume",
     SCATTERING,
@@ -226,7 +228,8 @@ def _candidate(case: Case, members: Sequence[tuple[Shift, Array]]) -> Candidate:
     signed = bool((sizes <= 0).any())
     scale = sizes if signed else np.log(sizes)
     mean = float(share @ scale)
-    deviation = float(np.sqrt(share @ (scale - mean) ** 2 + (0.0 if signed else _SPACING**2)))
+    more = 0.0 if signed else _SPACING**2 + shift.size_error**2
+    deviation = float(np.sqrt(share @ (scale - mean) ** 2 + more))
     ends = [mean, mean - _NORMAL_90 * deviation, mean + _NORMAL_90 * deviation]
     size, low, high = ends if signed else np.exp(ends).tolist()
     surface = None if shift.surface is None else list(case.faces)[shift.surface]

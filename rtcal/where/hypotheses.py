@@ -7,8 +7,7 @@ errors of some pairs: `Spread`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from rtcal.acoustics.air import Air
 from rtcal.discrepancy.effects.air import OmittedAir
 from rtcal.discrepancy.effects.audience import SEATED_ALPHA, Audience
 from rtcal.discrepancy.effects.base import Absorber, Effect, Parameters, interpolate_octaves
+from rtcal.discrepancy.effects.coupled_room import CoupledRoom
 from rtcal.discrepancy.effects.covered import HARD, CoveredSurface
 from rtcal.discrepancy.effects.curtain import Curtain
 from rtcal.discrepancy.effects.membrane import Membrane
@@ -28,10 +28,13 @@ from rtcal.discrepancy.hypotheses import spectrum_errors
 from rtcal.discrepancy.prior import COEFFICIENTS, grid_weights
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array
+from rtcal.where import unevenness
+from rtcal.where.aperture import SECOND_ROOMS
 from rtcal.where.case import Case
-from rtcal.where.responses import AIR, MOVE, SHARES, VOLUME
+from rtcal.where.responses import AIR, MOVE, OPEN, SHARES, VOLUME
 from rtcal.where.surfaces import kind
 
+COUPLED = CoupledRoom()
 POSITION, NOISE, SCATTERING, UNKNOWN = "position", "noise", "scattering", "unknown"
 MEASUREMENT = "measurement"
 SIZES = tuple(np.geomspace(0.05, 1.4, 14))
@@ -79,6 +82,10 @@ class Shift:
         Alpha of what stands on the surface; empty for the whole room.
     error : array (n_bands, n_bands)
         Covariance of the relative error of the change, band by band.
+    uneven : array (n_hypotheses,)
+        How far pairs may hear more or less of it; see `rtcal.where.unevenness.factor`.
+    size_error : float
+        Standard deviation of ln size that the effect's description leaves open.
     place : str
         The material whose coefficients are off.
     part : int or None
@@ -96,8 +103,22 @@ class Shift:
     parameters: Sequence[Parameters]
     spectra: Array
     error: Array
+    uneven: Array
+    size_error: float = 0.0
     place: str = ""
     part: int | None = None
+
+    def some(self, which: slice) -> Shift:
+        """Return some of the hypotheses."""
+        return replace(
+            self,
+            weights=self.weights[which],
+            odds=self.odds[which],
+            sizes=self.sizes[which],
+            parameters=self.parameters[which],
+            spectra=self.spectra[which],
+            uneven=self.uneven[which],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +191,8 @@ def shifts(case: Case, without: Sequence[str] = ()) -> list[Shift]:
     for effect in library():
         if effect.name not in without:
             out += _on_surfaces(case, effect)
+    if COUPLED.name not in without:
+        out += _apertures(case)
     out += _materials(case) if COEFFICIENTS not in without else []
     whole = [_air(case), _volume(case), _scattering(case)]
     return out + [shift for shift in whole if shift.effect not in without]
@@ -219,10 +242,17 @@ def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
                     parameters=parameters,
                     spectra=np.array(alpha),
                     error=error_over_bands(effect, frequencies),
+                    uneven=unevenness.factor(np.array(used) / areas[j]),
+                    size_error=effect.size_error,
                 )
             )
-    total = sum(s.odds.sum() for s in made)
-    return [_scaled(s, effect.prior_odds(case.room) / total) for s in made]
+    return _normalised(made, effect.prior_odds(case.room))
+
+
+def _normalised(shifts: Sequence[Shift], odds: float) -> list[Shift]:
+    """Return an effect's hypotheses with odds whose sum is the effect's."""
+    total = sum(s.odds.sum() for s in shifts)
+    return [replace(s, odds=s.odds * odds / total) for s in shifts]
 
 
 def towards(moved: Array, stated: Array) -> Array:
@@ -236,9 +266,43 @@ _LEAST_COVERED = 0.1
 """A cover that takes less than this share of a surface's absorption is no hypothesis."""
 
 
-def _scaled(shift: Shift, factor: float) -> Shift:
-    fields: dict[str, Any] = {**vars(shift), "odds": shift.odds * factor}
-    return Shift(**fields)
+def _apertures(case: Case) -> list[Shift]:
+    """Return an aperture to a second room on each wall and ceiling."""
+    room, areas = case.room, np.array(list(case.areas.values()))
+    middle, n_bands = _middle_absorption(case), case.room.n_bands
+    possible = np.array([kind(case.geometry, f) != "floor" for f in case.faces.values()])
+    made = []
+    for j in np.flatnonzero(possible):
+        area = np.array([size * middle for size in SIZES if size * middle <= areas[j]])
+        if not len(area):
+            continue
+        share = interpolation(OPEN, np.repeat(area[:, np.newaxis] / areas[j], n_bands, axis=1))
+        weights = np.zeros((len(SECOND_ROOMS), len(area), n_bands, len(SECOND_ROOMS), len(OPEN)))
+        for n in range(len(SECOND_ROOMS)):
+            weights[n, :, :, n] = share
+        odds = areas[j] / np.array([areas[possible & (areas >= a)].sum() for a in area])
+        made.append(
+            Shift(
+                effect=COUPLED.name,
+                family=COUPLED.family,
+                surface=int(j),
+                response=f"aperture {j}",
+                weights=weights.reshape(len(SECOND_ROOMS) * len(area), n_bands, -1),
+                odds=np.tile(odds, len(SECOND_ROOMS)),
+                sizes=np.tile(area, len(SECOND_ROOMS)),
+                unit=COUPLED.unit,
+                parameters=[
+                    {"aperture": float(a), "volume": volume * room.volume, "alpha": alpha}
+                    for volume, alpha in SECOND_ROOMS
+                    for a in area
+                ],
+                spectra=np.ones((len(SECOND_ROOMS) * len(area), n_bands)),
+                error=error_over_bands(COUPLED, room.centre_frequencies),
+                uneven=np.tile(unevenness.factor(area / areas[j]), len(SECOND_ROOMS)),
+                size_error=COUPLED.size_error,
+            )
+        )
+    return _normalised(made, COUPLED.odds)
 
 
 def _may_have(effect: Effect, where: str) -> bool:
@@ -293,6 +357,7 @@ def _materials(case: Case) -> list[Shift]:
                 parameters=[{"factor": float(np.exp(f))} for f in FACTORS],
                 spectra=np.zeros((len(FACTORS), 0)),
                 error=0.1**2 + 0.15**2 * 0.7**octaves,
+                uneven=np.zeros(len(FACTORS)),
                 place=material,
             )
         )
@@ -332,6 +397,7 @@ def _whole(
         parameters=parameters,
         spectra=np.zeros((len(sizes), 0)),
         error=error,
+        uneven=np.zeros(len(sizes)),
     )
 
 
@@ -390,8 +456,7 @@ def _scattering(case: Case) -> Shift:
         parameters=[{"scattering": float(e)} for e in ends],
         error=0.3**2 * 0.7**octaves,
     )
-    doubled = shift.weights * np.abs(ends)[:, np.newaxis, np.newaxis]
-    return Shift(**{**vars(shift), "weights": doubled})
+    return replace(shift, weights=shift.weights * np.abs(ends)[:, np.newaxis, np.newaxis])
 
 
 def spreads(

@@ -15,7 +15,7 @@ from rtcal.loop.measured_pairs import MeasuredPairs, measured_pairs
 from rtcal.loop.positions import prior_covariance
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
-from rtcal.where import scales
+from rtcal.where import scales, unevenness
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood, band_first, flat, reordered
 from rtcal.where.hypotheses import SCATTERING as SCATTERED
@@ -92,7 +92,14 @@ class Model:
         common = self.together @ self.together.T
 
         def of(covariance: Array) -> Likelihood:
-            return Likelihood(covariance, self.used, self.nodes)
+            names, n_pairs = self.data.observations.parameters, self.shape[1]
+            return Likelihood(
+                covariance,
+                self.used,
+                self.nodes,
+                uneven=unevenness.columns(names, n_pairs),
+                amount=unevenness.amount(names, n_pairs),
+            )
 
         off = [of(base + (scale**2 - 1) * common) for scale, _ in SCALES]
         unknown = [of(base + (scale - 1) * error) for scale in UNKNOWN_SCALES]
@@ -136,6 +143,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
 
     nodes = {f"surface {j}": shifted(s) for j, s in enumerate(made.surfaces)}
     nodes |= {f"part {p}": shifted(s) for p, s in enumerate(made.parts)}
+    nodes |= {f"aperture {j}": shifted(s) for j, s in enumerate(made.apertures)}
     nodes |= _of_materials(case, nodes)
     error = simulator_error(
         controls.at(wanted.parameters, wanted.pairs), made.noise[:, rows][:, :, columns], BASE

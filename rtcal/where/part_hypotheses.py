@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from rtcal.discrepancy.effects.covered import CoveredSurface
 from rtcal.support.types import Array
+from rtcal.where import unevenness
 from rtcal.where.case import Case
-from rtcal.where.hypotheses import Shift, interpolation, surface_alpha, towards
+from rtcal.where.hypotheses import COUPLED, Shift, interpolation, surface_alpha, towards
 from rtcal.where.parts import Part
 from rtcal.where.responses import SHARES
 
@@ -24,13 +25,13 @@ def on_parts(case: Case, shifts: Sequence[Shift]) -> list[Shift]:
 
     `LOCATED` of the odds of a size go to the parts that hold it. The others stay with what is spread
     over the surface. So the odds of a surface do not depend on the number of its parts. What covers a
-    stated absorber is a share of the whole surface, and has no parts.
+    stated absorber is a share of the whole surface, and has no parts; nor has an aperture.
     """
     stated, every = surface_alpha(case), list(enumerate(case.divided.parts))
     out = []
     for shift in shifts:
         own = [(p, part) for p, part in every if part.surface == shift.surface]
-        if not own or shift.effect == CoveredSurface.name:
+        if not own or shift.effect in (CoveredSurface.name, COUPLED.name):
             out.append(shift)
             continue
         holds = np.array([shift.sizes <= part.area for _, part in own])
@@ -56,4 +57,5 @@ def _on_part(
         sizes=shift.sizes[rows],
         parameters=[q for q, holds in zip(shift.parameters, rows, strict=True) if holds],
         spectra=spectra,
+        uneven=unevenness.factor(shift.sizes[rows] / part.area),
     )

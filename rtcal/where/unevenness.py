@@ -1,0 +1,62 @@
+"""How what stands on a part of a surface differs from what is spread over all of it.
+
+A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it lose
+more than others, and T changes by more or less. Neither is known before the place is, so it is an error
+of the hypothesis, in proportion to its change of the absorption. The shares come from patches on walls
+of development boxes, which are weighed on the same paths (`python -m benchmarks.where_patches`). They
+are over sqrt(1 / s - 1), s being the part of the surface that is covered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rtcal.support.types import Array
+
+SMALLEST = 1 / 9
+"""Least part of a surface for which the shares were found; smaller ones have its error."""
+_T, _EARLY, _LEVEL = ("t20", "t30"), ("edt", "c50", "c80", "ts"), "level"
+COMMON = {"t": 0.05, "early": 0.06, "level": 0.14}
+"""Relative deviation that all pairs share. That of T and of the early parameters is the same one."""
+OWN = {"t": 0.06, "early": 0.06, "level": 0.24}
+"""Relative deviation of each pair: one for T, one for all early parameters, one for the level."""
+
+
+def _group(parameter: str) -> str:
+    if parameter in _T:
+        return "t"
+    return "early" if parameter in _EARLY else "level"
+
+
+def sign(parameter: str) -> float:
+    """Return whether a parameter's linear scale rises or falls with the absorption."""
+    return 1.0 if parameter in ("c50", "c80") else -1.0
+
+
+def factor(covered: Array) -> Array:
+    """Return the size of the deviation where these parts of a surface are covered."""
+    return np.asarray(np.sqrt(1 / np.clip(covered, SMALLEST, 1.0) - 1))
+
+
+def amount(parameters: Sequence[str], n_pairs: int) -> Array:
+    """Return the weights of a mean change of the absorption, (n_parameters n_pairs,)."""
+    signs = np.array([sign(name) for name in parameters])
+    return np.repeat(signs, n_pairs) / (len(parameters) * n_pairs)
+
+
+def columns(parameters: Sequence[str], n_pairs: int) -> Array:
+    """Return the deviations at a change of 1, (n_parameters n_pairs, n_columns)."""
+    signs = np.array([sign(name) for name in parameters])
+    groups = [_group(name) for name in parameters]
+    out = []
+    for shared in (("t", "early"), ("level",)):
+        row = [COMMON[g] if g in shared else 0.0 for g in groups]
+        out.append(np.repeat(signs * row, n_pairs))
+    for group in ("t", "early", "level"):
+        own = np.array([OWN[g] if g == group else 0.0 for g in groups])
+        for pair in np.eye(n_pairs):
+            out.append(np.outer(signs * own, pair).ravel())
+    every = np.array(out).T
+    return np.asarray(every[:, np.abs(every).max(axis=0) > 0])
