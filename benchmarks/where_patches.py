@@ -2,9 +2,9 @@
 
     python -m benchmarks.where_patches --number 6
 
-Walls of development boxes (population 0 of tests/geometric_world) are divided into nine. A patch covers
-one to three adjoining ninths, and the same paths are weighed with it and with the same absorption spread
-over its wall. Printed are the deviation of a shift per pair from the spread one's, over the mean shift:
+Walls of development boxes (population 0 of tests/geometric_world) are divided into nine. A patch
+covers one to three adjoining ninths, and the same paths are weighed with it and with the same
+absorption spread over its wall. Printed are the deviation of a shift per pair from the spread one's, over the mean shift:
 its part common to all pairs, and each pair's own, by parameter. `rtcal.where.unevenness` has them.
 """
 
@@ -56,7 +56,7 @@ def divided(box: Polyhedron) -> tuple[Polyhedron, np.ndarray, np.ndarray]:
 
 
 def deviations(index: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the relative deviations, (n, n_parameters, n_pairs, n_bands), and shares of the wall (n,)."""
+    """Return relative deviations, (n, n_parameters, n_pairs, n_bands), and shares of the wall."""
     case = case_of(load(0, index, IN_SITU), "level")
     geometry, owner, place = divided(case.geometry)
     tracer = case.simulator

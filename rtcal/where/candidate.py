@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from rtcal.discrepancy.effects.coupled_room import CoupledRoom
 from rtcal.discrepancy.wording import amount
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
@@ -72,6 +73,11 @@ class Candidate:
         if self.surface is not None:
             return f'{self.effect} on "{self.surface}"'
         return f"{self.effect} of {self.place}" if self.place else self.effect
+
+    @property
+    def can_be_added(self) -> bool:
+        """Whether it stands on a surface and a room of one geometry can have it."""
+        return self.surface is not None and self.effect != CoupledRoom.name
 
     @property
     def in_words(self) -> str:

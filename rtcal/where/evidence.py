@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.support.types import Array
-from rtcal.where.hypotheses import Shift, Spread
+from rtcal.where.shift import Shift, Spread
 
 _AT_ONCE = 256
 """Hypotheses in one product: their matrices fill some 10 MB."""

@@ -20,18 +20,7 @@ from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
 from rtcal.where.finding import LIKELY, Finding
-from rtcal.where.hypotheses import (
-    COUPLED,
-    MEASUREMENT,
-    NOISE,
-    POSITION,
-    SCATTERING,
-    UNKNOWN,
-    Shift,
-    library,
-    shifts,
-    spreads,
-)
+from rtcal.where.hypotheses import COUPLED, library, shifts, spreads
 from rtcal.where.model import Model, model
 from rtcal.where.part_hypotheses import on_parts
 from rtcal.where.prior import statement
@@ -45,6 +34,7 @@ from rtcal.where.search import (
     prior_off,
     weights,
 )
+from rtcal.where.shift import MEASUREMENT, NOISE, POSITION, SCATTERING, UNKNOWN, Shift
 
 EFFECTS = (
     *(e.name for e in library()),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rtcal.discrepancy.effects.coupled_room import CoupledRoom
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support import html, text
@@ -113,9 +114,17 @@ class Finding:
 
     @property
     def can_be_added(self) -> bool:
-        """Whether `apply` has something to add: detected, and on a surface."""
+        """Whether `apply` has something to add: detected, on a surface, and no second room."""
         best = self.best
-        return self.detected and best is not None and best.surface is not None
+        return self.detected and best is not None and best.can_be_added
+
+    @property
+    def reason_for_none(self) -> str:
+        """Why `apply` has nothing to add."""
+        best = self.best
+        if self.detected and best is not None and best.effect == CoupledRoom.name:
+            return f"{best.title}: {CoupledRoom.not_in_simulator}"
+        return f'the verdict is "{self.verdict}"; no surface lacks anything to add'
 
     @checked
     def apply(self, form: str = "patch", *, at: Sequence[float] | None = None) -> Corrected:
@@ -135,13 +144,13 @@ class Finding:
         Raises
         ------
         DataError
-            If nothing is other than stated, or not on a surface; or if ``at`` is on no surface, or on
-            one on which nothing was found.
+            If nothing is other than stated, or not on a surface, or a second room; or if ``at`` is on
+            no surface, or on one on which nothing was found.
         """
         from rtcal.where.corrected import corrected
 
         if not self.can_be_added:
-            raise DataError(f'the verdict is "{self.verdict}"; no surface lacks anything to add')
+            raise DataError(self.reason_for_none)
         best = self.candidates[0] if at is None else self._candidate_at(at)
         return corrected(self.case, best, form, at)
 
@@ -150,7 +159,8 @@ class Finding:
         from rtcal.where.corrected import surface_at
 
         surface = surface_at(self.case, at)
-        best = next((c for c in self.candidates if c.surface == surface), None)
+        every = (c for c in self.candidates if c.surface == surface and c.can_be_added)
+        best = next(every, None)
         if best is None or best.probability < _LEAST:
             raise DataError(f'at lies on "{surface}", on which nothing was found')
         return best

@@ -1,21 +1,14 @@
-"""What may be other than stated, and where: effect and surface, the whole room, or the measurement.
-
-A hypothesis of the room shifts the parameters at every pair: `Shift`. One of the measurement widens the
-errors of some pairs: `Spread`.
-"""
+"""What may be other than stated, and where: effect and surface, the whole room, or the measurement."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtcal.acoustics.air import Air
-from rtcal.discrepancy.effects.air import OmittedAir
 from rtcal.discrepancy.effects.audience import SEATED_ALPHA, Audience
-from rtcal.discrepancy.effects.base import Absorber, Effect, Parameters, interpolate_octaves
+from rtcal.discrepancy.effects.base import Absorber, Effect, interpolate_octaves
 from rtcal.discrepancy.effects.coupled_room import CoupledRoom
 from rtcal.discrepancy.effects.covered import HARD, CoveredSurface
 from rtcal.discrepancy.effects.curtain import Curtain
@@ -23,135 +16,33 @@ from rtcal.discrepancy.effects.membrane import Membrane
 from rtcal.discrepancy.effects.opening import Opening
 from rtcal.discrepancy.effects.porous import Porous
 from rtcal.discrepancy.effects.resonator import Resonator
-from rtcal.discrepancy.effects.stated import WrongVolume
-from rtcal.discrepancy.hypotheses import spectrum_errors
-from rtcal.discrepancy.prior import COEFFICIENTS, grid_weights
+from rtcal.discrepancy.prior import COEFFICIENTS
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array
 from rtcal.where import unevenness
 from rtcal.where.aperture import SECOND_ROOMS
 from rtcal.where.case import Case
-from rtcal.where.responses import AIR, MOVE, OPEN, SHARES, VOLUME
+from rtcal.where.responses import MOVE, OPEN, SHARES
+from rtcal.where.room_hypotheses import air, materials, scattering, volume
+from rtcal.where.shift import (
+    NOISE,
+    ODDS,
+    POSITION,
+    Shift,
+    Spread,
+    error_over_bands,
+    interpolation,
+    towards,
+)
 from rtcal.where.surfaces import kind
 
 COUPLED = CoupledRoom()
-POSITION, NOISE, SCATTERING, UNKNOWN = "position", "noise", "scattering", "unknown"
-MEASUREMENT = "measurement"
 SIZES = tuple(np.geomspace(0.05, 1.4, 14))
 """Areas that are tried, over the room's absorption area at 500 to 2000 Hz."""
-ODDS = {
-    POSITION: 0.5,
-    NOISE: 0.5,
-    SCATTERING: 0.3,
-    UNKNOWN: 0.5,
-    "air": 1.0,
-    "volume": 1.0,
-    COEFFICIENTS: 1.0,
-}
-"""Prior odds against an effect of odds 1; those of the absorbers are their classes'."""
-FACTORS = np.array([-1.2, -0.9, -0.65, -0.45, -0.3, 0.3, 0.45, 0.65, 0.9, 1.2])
-"""ln of the factors by which one material's coefficients may be off."""
-FACTOR_SCALE = 0.35
-"""Mean size of that logarithm. Carpets, plasters and glass of one name differ by 20 to 60 % between
-tables, and now and then by a factor of three."""
 DISPLACEMENTS = (0.5, 1.0, 2.0)
 """Distances in m by which a source or receiver may stand elsewhere."""
 NOISES = (3.0, 10.0)
 """Factors of the standard deviation of a pair whose measurement failed."""
-
-
-@dataclass(frozen=True, eq=False)
-class Shift:
-    """Hypotheses of one effect in one place, with their sizes.
-
-    Attributes
-    ----------
-    effect, family : str
-    surface : int or None
-        Number of the surface; None for the whole room.
-    response : str
-        Which of the responses is interpolated.
-    weights : array (n_hypotheses, n_bands, n_nodes)
-        Shift of band k is weights[:, k] @ the response's nodes of band k.
-    odds : array (n_hypotheses,)
-        Prior odds of each within its effect; over all surfaces they are normalised to 1.
-    sizes : array (n_hypotheses,)
-    unit : str
-    parameters : sequence of mapping
-    spectra : array (n_hypotheses, n_bands)
-        Alpha of what stands on the surface; empty for the whole room.
-    error : array (n_bands, n_bands)
-        Covariance of the relative error of the change, band by band.
-    uneven : array (n_hypotheses,)
-        How far pairs may hear more or less of it; see `rtcal.where.unevenness.factor`.
-    size_error : float
-        Standard deviation of ln size that the effect's description leaves open.
-    place : str
-        The material whose coefficients are off.
-    part : int or None
-        Number of the part of the surface; None for all of it.
-    """
-
-    effect: str
-    family: str
-    surface: int | None
-    response: str
-    weights: Array
-    odds: Array
-    sizes: Array
-    unit: str
-    parameters: Sequence[Parameters]
-    spectra: Array
-    error: Array
-    uneven: Array
-    size_error: float = 0.0
-    place: str = ""
-    part: int | None = None
-
-    def some(self, which: slice) -> Shift:
-        """Return some of the hypotheses."""
-        return replace(
-            self,
-            weights=self.weights[which],
-            odds=self.odds[which],
-            sizes=self.sizes[which],
-            parameters=self.parameters[which],
-            spectra=self.spectra[which],
-            uneven=self.uneven[which],
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Spread:
-    """A hypothesis that some values err by more: their covariance grows by ``covariance``.
-
-    ``rows`` are the values' numbers in the order (band, parameter, pair). ``place`` names the
-    source, receiver or pair.
-    """
-
-    effect: str
-    place: str
-    size: float
-    unit: str
-    rows: NDArray[np.int64]
-    covariance: Array
-    odds: float
-
-
-def interpolation(nodes: Sequence[float], at: Array) -> Array:
-    """Return the nodes' weights (..., n_nodes) in a linear interpolation that is 0 at 0.
-
-    Beyond the nodes the value at the last one is taken.
-    """
-    every = np.array(sorted([*nodes, 0.0]))
-    position = np.clip(at, every[0], every[-1])
-    right = np.clip(np.searchsorted(every, position), 1, len(every) - 1)
-    share = (position - every[right - 1]) / (every[right] - every[right - 1])
-    out = np.zeros((*np.shape(at), len(every)))
-    np.put_along_axis(out, right[..., np.newaxis], share[..., np.newaxis], -1)
-    np.put_along_axis(out, right[..., np.newaxis] - 1, (1 - share)[..., np.newaxis], -1)
-    kept = [int(np.flatnonzero(every == node)[0]) for node in nodes]
-    return np.asarray(out[..., kept])
 
 
 def library() -> tuple[Effect, ...]:
@@ -165,12 +56,6 @@ def library() -> tuple[Effect, ...]:
         Audience(),
         CoveredSurface(),
     )
-
-
-def error_over_bands(effect: Effect, frequencies: Array) -> Array:
-    """Return the covariance of the relative error of an effect's change, (n_bands, n_bands)."""
-    factor = spectrum_errors(effect, frequencies)
-    return np.asarray(factor @ factor.T)
 
 
 def surface_alpha(case: Case) -> Array:
@@ -193,8 +78,8 @@ def shifts(case: Case, without: Sequence[str] = ()) -> list[Shift]:
             out += _on_surfaces(case, effect)
     if COUPLED.name not in without:
         out += _apertures(case)
-    out += _materials(case) if COEFFICIENTS not in without else []
-    whole = [_air(case), _volume(case), _scattering(case)]
+    out += materials(case) if COEFFICIENTS not in without else []
+    whole = [air(case), volume(case), scattering(case)]
     return out + [shift for shift in whole if shift.effect not in without]
 
 
@@ -253,13 +138,6 @@ def _normalised(shifts: Sequence[Shift], odds: float) -> list[Shift]:
     """Return an effect's hypotheses with odds whose sum is the effect's."""
     total = sum(s.odds.sum() for s in shifts)
     return [replace(s, odds=s.odds * odds / total) for s in shifts]
-
-
-def towards(moved: Array, stated: Array) -> Array:
-    """Return changes of alpha as shares of the way to 1, or (below 0) to a hard wall; see `SHARES`."""
-    up = moved / np.maximum(1 - stated, 1e-6)
-    down = moved / np.maximum(stated - HARD, 1e-6)
-    return np.asarray(np.where(moved >= 0, up, np.maximum(down, -1.0)))
 
 
 _LEAST_COVERED = 0.1
@@ -324,139 +202,12 @@ def _spectra(effect: Effect, frequencies: Array) -> list[tuple[dict[str, float],
     return [({}, np.full(len(frequencies), HARD))]
 
 
-def _materials(case: Case) -> list[Shift]:
-    """Return each material's coefficients off by a factor.
-
-    Its surfaces then hear what an absorber on all of them would do, with the material's own spectrum.
-    """
-    room = case.room
-    made_of = np.array([room.material_index(m) for m in case.geometry.materials])
-    octaves = np.abs(np.subtract.outer(*(2 * [np.log2(room.centre_frequencies)])))
-    density = np.exp(-np.abs(FACTORS) / FACTOR_SCALE)
-    absorbed = room.areas * room.alpha.mean(axis=1)
-    made = []
-    for row, material in enumerate(room.materials):
-        members = [
-            j for j, faces in enumerate(case.faces.values()) if (made_of[faces] == row).all()
-        ]
-        if not members:
-            continue
-        alpha = room.alpha[row]
-        moved = np.minimum(np.exp(FACTORS)[:, np.newaxis] * alpha, 1.0) - alpha
-        every = interpolation(SHARES, towards(moved, alpha))
-        made.append(
-            Shift(
-                effect=COEFFICIENTS,
-                family=COEFFICIENTS,
-                surface=None,
-                response=f"material {row}",
-                weights=np.tile(every, (1, 1, len(members))),
-                odds=density / density.sum() * absorbed[row] / absorbed.sum() * ODDS[COEFFICIENTS],
-                sizes=np.exp(FACTORS),
-                unit="of what is stated",
-                parameters=[{"factor": float(np.exp(f))} for f in FACTORS],
-                spectra=np.zeros((len(FACTORS), 0)),
-                error=0.1**2 + 0.15**2 * 0.7**octaves,
-                uneven=np.zeros(len(FACTORS)),
-                place=material,
-            )
-        )
-    return made
-
-
 def _middle_absorption(case: Case) -> float:
     """Return the room's absorption area at 500 to 2000 Hz in m², over all bands if it has none."""
     area = case.room.areas @ case.room.alpha
     f = case.room.centre_frequencies
     middle = (f > 440) & (f < 2300)
     return float(area[middle].mean() if middle.any() else area.mean())
-
-
-def _whole(
-    effect: str,
-    family: str,
-    at: Array,
-    nodes: Sequence[float],
-    *,
-    odds: Array,
-    sizes: Array,
-    unit: str,
-    parameters: Sequence[Parameters],
-    error: Array,
-) -> Shift:
-    odds = odds * ODDS[effect] / odds.sum()
-    return Shift(
-        effect=effect,
-        family=family,
-        surface=None,
-        response=effect,
-        weights=interpolation(nodes, at),
-        odds=odds,
-        sizes=sizes,
-        unit=unit,
-        parameters=parameters,
-        spectra=np.zeros((len(sizes), 0)),
-        error=error,
-        uneven=np.zeros(len(sizes)),
-    )
-
-
-def _air(case: Case) -> Shift:
-    """Return other climates, or air where none is stated."""
-    effect, room = OmittedAir(), case.room
-    f = room.centre_frequencies
-    reference = Air(20, 50).attenuation(f)
-    grid = effect.grid(None)  # type: ignore[arg-type]  # the climates do not depend on the room
-    attenuation = np.array([Air(p["temperature"], p["humidity"]).attenuation(f) for p in grid])
-    density = grid_weights(effect, grid, None)  # type: ignore[arg-type]
-    return _whole(
-        "air",
-        effect.family,
-        (attenuation - room.air_attenuation) / reference,
-        AIR,
-        odds=density * effect.prior_odds(room),
-        sizes=np.array([p["humidity"] for p in grid]),
-        unit=effect.unit,
-        parameters=grid,
-        error=error_over_bands(effect, f),
-    )
-
-
-def _volume(case: Case) -> Shift:
-    effect, n_bands = WrongVolume(), case.room.n_bands
-    grid = effect.grid(None)  # type: ignore[arg-type]  # the ratios do not depend on the room
-    logs = np.log([p["ratio"] for p in grid])
-    density = grid_weights(effect, grid, None)  # type: ignore[arg-type]
-    return _whole(
-        "volume",
-        effect.family,
-        np.repeat(logs[:, np.newaxis], n_bands, axis=1),
-        VOLUME,
-        odds=density,
-        sizes=np.exp(logs),
-        unit=effect.unit,
-        parameters=grid,
-        error=np.full((n_bands, n_bands), 0.02**2) + 0.02**2 * np.eye(n_bands),
-    )
-
-
-def _scattering(case: Case) -> Shift:
-    """Return too little and too much scattering, as far as tracings at both ends show it."""
-    n_bands = case.room.n_bands
-    ends = np.array([-2.0, -1.0, 1.0, 2.0])
-    octaves = np.abs(np.subtract.outer(*(2 * [np.log2(case.room.centre_frequencies)])))
-    shift = _whole(
-        SCATTERING,
-        "field",
-        np.repeat(np.clip(ends, -1, 1)[:, np.newaxis], n_bands, axis=1),
-        (-1.0, 1.0),
-        odds=np.ones(4),
-        sizes=ends,
-        unit="of the way to 0.05 or 0.95",
-        parameters=[{"scattering": float(e)} for e in ends],
-        error=0.3**2 * 0.7**octaves,
-    )
-    return replace(shift, weights=shift.weights * np.abs(ends)[:, np.newaxis, np.newaxis])
 
 
 def spreads(
@@ -502,10 +253,3 @@ def spreads(
             name = " to ".join(pair)
             out.append(Spread(NOISE, name, factor, "times as uncertain", rows, scaled, odds))
     return out
-
-
-def family_of(effect: str, every: Sequence[Shift]) -> str:
-    """Return the family of an effect."""
-    if effect in (POSITION, NOISE):
-        return MEASUREMENT
-    return next((s.family for s in every if s.effect == effect), effect)

@@ -18,10 +18,10 @@ from rtcal.support.types import Array
 from rtcal.where import scales, unevenness
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood, band_first, flat, reordered
-from rtcal.where.hypotheses import SCATTERING as SCATTERED
-from rtcal.where.hypotheses import interpolation
 from rtcal.where.prior import climate_error, usual_errors
 from rtcal.where.responses import AIR, BASE, STEP, Responses
+from rtcal.where.shift import SCATTERING as SCATTERED
+from rtcal.where.shift import interpolation
 from rtcal.where.simulator_error import SimulatorError, simulator_error
 
 SCATTERING = np.array([0.05, 0.95])

@@ -12,9 +12,10 @@ from rtcal.discrepancy.effects.covered import CoveredSurface
 from rtcal.support.types import Array
 from rtcal.where import unevenness
 from rtcal.where.case import Case
-from rtcal.where.hypotheses import COUPLED, Shift, interpolation, surface_alpha, towards
+from rtcal.where.hypotheses import COUPLED, surface_alpha
 from rtcal.where.parts import Part
 from rtcal.where.responses import SHARES
+from rtcal.where.shift import Shift, interpolation, towards
 
 LOCATED = 0.5
 """Prior probability that something which fits on a part of its surface stands on one alone."""

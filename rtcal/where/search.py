@@ -13,8 +13,8 @@ from rtcal.discrepancy.prior import NO_EFFECT, off_together
 from rtcal.support.types import Array
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
-from rtcal.where.hypotheses import ODDS, UNKNOWN, Shift, Spread
 from rtcal.where.prior import HANDBOOK, IN_SITU
+from rtcal.where.shift import ODDS, UNKNOWN, Shift, Spread
 
 FALSE_ALARMS = 0.05
 """Share of rooms with nothing hidden that may be flagged."""

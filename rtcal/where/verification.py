@@ -264,7 +264,7 @@ def verify(
     if len(set(chosen)) < len(chosen):
         raise DataError(f"seeds has one twice: {', '.join(map(str, chosen))}")
     if not finding.can_be_added:
-        raise DataError(f'the verdict is "{finding.verdict}"; no surface lacks anything to add')
+        raise DataError(finding.reason_for_none)
     case = finding.case
     if len(finding.pairs) < LEAST_PAIRS:
         raise DataError(
@@ -293,7 +293,7 @@ def verify(
             without=without,
         )
         tell("search in half of the pairs")
-        best = next((c for c in again.candidates if c.surface is not None), None)
+        best = next((c for c in again.candidates if c.can_be_added), None)
         added.append(best)
         left = [p for p in finding.pairs if p not in half]
         columns = [finding.pairs.index(p) for p in left]

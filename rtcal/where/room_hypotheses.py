@@ -1,0 +1,152 @@
+"""What may be other than stated of the whole room: air, volume, scattering, and one material."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rtcal.acoustics.air import Air
+from rtcal.discrepancy.effects.air import OmittedAir
+from rtcal.discrepancy.effects.base import Parameters
+from rtcal.discrepancy.effects.stated import WrongVolume
+from rtcal.discrepancy.prior import COEFFICIENTS, grid_weights
+from rtcal.support.types import Array
+from rtcal.where.case import Case
+from rtcal.where.responses import AIR, SHARES, VOLUME
+from rtcal.where.shift import ODDS, SCATTERING, Shift, error_over_bands, interpolation, towards
+
+FACTORS = np.array([-1.2, -0.9, -0.65, -0.45, -0.3, 0.3, 0.45, 0.65, 0.9, 1.2])
+"""ln of the factors by which one material's coefficients may be off."""
+FACTOR_SCALE = 0.35
+"""Mean size of that logarithm. Carpets, plasters and glass of one name differ by 20 to 60 % between
+tables, and now and then by a factor of three."""
+
+
+def materials(case: Case) -> list[Shift]:
+    """Return each material's coefficients off by a factor.
+
+    Its surfaces then hear what an absorber on all of them would do, with the material's own spectrum.
+    """
+    room = case.room
+    made_of = np.array([room.material_index(m) for m in case.geometry.materials])
+    octaves = np.abs(np.subtract.outer(*(2 * [np.log2(room.centre_frequencies)])))
+    density = np.exp(-np.abs(FACTORS) / FACTOR_SCALE)
+    absorbed = room.areas * room.alpha.mean(axis=1)
+    made = []
+    for row, material in enumerate(room.materials):
+        members = [
+            j for j, faces in enumerate(case.faces.values()) if (made_of[faces] == row).all()
+        ]
+        if not members:
+            continue
+        alpha = room.alpha[row]
+        moved = np.minimum(np.exp(FACTORS)[:, np.newaxis] * alpha, 1.0) - alpha
+        every = interpolation(SHARES, towards(moved, alpha))
+        made.append(
+            Shift(
+                effect=COEFFICIENTS,
+                family=COEFFICIENTS,
+                surface=None,
+                response=f"material {row}",
+                weights=np.tile(every, (1, 1, len(members))),
+                odds=density / density.sum() * absorbed[row] / absorbed.sum() * ODDS[COEFFICIENTS],
+                sizes=np.exp(FACTORS),
+                unit="of what is stated",
+                parameters=[{"factor": float(np.exp(f))} for f in FACTORS],
+                spectra=np.zeros((len(FACTORS), 0)),
+                error=0.1**2 + 0.15**2 * 0.7**octaves,
+                uneven=np.zeros(len(FACTORS)),
+                place=material,
+            )
+        )
+    return made
+
+
+def _whole(
+    effect: str,
+    family: str,
+    at: Array,
+    nodes: Sequence[float],
+    *,
+    odds: Array,
+    sizes: Array,
+    unit: str,
+    parameters: Sequence[Parameters],
+    error: Array,
+) -> Shift:
+    odds = odds * ODDS[effect] / odds.sum()
+    return Shift(
+        effect=effect,
+        family=family,
+        surface=None,
+        response=effect,
+        weights=interpolation(nodes, at),
+        odds=odds,
+        sizes=sizes,
+        unit=unit,
+        parameters=parameters,
+        spectra=np.zeros((len(sizes), 0)),
+        error=error,
+        uneven=np.zeros(len(sizes)),
+    )
+
+
+def air(case: Case) -> Shift:
+    """Return other climates, or air where none is stated."""
+    effect, room = OmittedAir(), case.room
+    f = room.centre_frequencies
+    reference = Air(20, 50).attenuation(f)
+    grid = effect.grid(None)  # type: ignore[arg-type]  # the climates do not depend on the room
+    attenuation = np.array([Air(p["temperature"], p["humidity"]).attenuation(f) for p in grid])
+    density = grid_weights(effect, grid, None)  # type: ignore[arg-type]
+    return _whole(
+        "air",
+        effect.family,
+        (attenuation - room.air_attenuation) / reference,
+        AIR,
+        odds=density * effect.prior_odds(room),
+        sizes=np.array([p["humidity"] for p in grid]),
+        unit=effect.unit,
+        parameters=grid,
+        error=error_over_bands(effect, f),
+    )
+
+
+def volume(case: Case) -> Shift:
+    """Return other volumes, the geometry scaled."""
+    effect, n_bands = WrongVolume(), case.room.n_bands
+    grid = effect.grid(None)  # type: ignore[arg-type]  # the ratios do not depend on the room
+    logs = np.log([p["ratio"] for p in grid])
+    density = grid_weights(effect, grid, None)  # type: ignore[arg-type]
+    return _whole(
+        "volume",
+        effect.family,
+        np.repeat(logs[:, np.newaxis], n_bands, axis=1),
+        VOLUME,
+        odds=density,
+        sizes=np.exp(logs),
+        unit=effect.unit,
+        parameters=grid,
+        error=np.full((n_bands, n_bands), 0.02**2) + 0.02**2 * np.eye(n_bands),
+    )
+
+
+def scattering(case: Case) -> Shift:
+    """Return too little and too much scattering, as far as tracings at both ends show it."""
+    n_bands = case.room.n_bands
+    ends = np.array([-2.0, -1.0, 1.0, 2.0])
+    octaves = np.abs(np.subtract.outer(*(2 * [np.log2(case.room.centre_frequencies)])))
+    shift = _whole(
+        SCATTERING,
+        "field",
+        np.repeat(np.clip(ends, -1, 1)[:, np.newaxis], n_bands, axis=1),
+        (-1.0, 1.0),
+        odds=np.ones(4),
+        sizes=ends,
+        unit="of the way to 0.05 or 0.95",
+        parameters=[{"scattering": float(e)} for e in ends],
+        error=0.3**2 * 0.7**octaves,
+    )
+    return replace(shift, weights=shift.weights * np.abs(ends)[:, np.newaxis, np.newaxis])

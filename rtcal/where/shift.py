@@ -1,0 +1,139 @@
+"""A hypothesis: how it shifts what the positions hear, or which errors it widens.
+
+One of the room shifts the parameters at every pair: `Shift`. One of the measurement widens the errors
+of some pairs: `Spread`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.discrepancy.effects.base import Effect, Parameters
+from rtcal.discrepancy.effects.covered import HARD
+from rtcal.discrepancy.hypotheses import spectrum_errors
+from rtcal.discrepancy.prior import COEFFICIENTS
+from rtcal.support.types import Array
+
+POSITION, NOISE, SCATTERING, UNKNOWN = "position", "noise", "scattering", "unknown"
+MEASUREMENT = "measurement"
+ODDS = {
+    POSITION: 0.5,
+    NOISE: 0.5,
+    SCATTERING: 0.3,
+    UNKNOWN: 0.5,
+    "air": 1.0,
+    "volume": 1.0,
+    COEFFICIENTS: 1.0,
+}
+"""Prior odds against an effect of odds 1; those of the absorbers are their classes'."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shift:
+    """Hypotheses of one effect in one place, with their sizes.
+
+    Attributes
+    ----------
+    effect, family : str
+    surface : int or None
+        Number of the surface; None for the whole room.
+    response : str
+        Which of the responses is interpolated.
+    weights : array (n_hypotheses, n_bands, n_nodes)
+        Shift of band k is weights[:, k] @ the response's nodes of band k.
+    odds : array (n_hypotheses,)
+        Prior odds of each within its effect; over all surfaces they are normalised to 1.
+    sizes : array (n_hypotheses,)
+    unit : str
+    parameters : sequence of mapping
+    spectra : array (n_hypotheses, n_bands)
+        Alpha of what stands on the surface; empty for the whole room.
+    error : array (n_bands, n_bands)
+        Covariance of the relative error of the change, band by band.
+    uneven : array (n_hypotheses,)
+        How far pairs may hear more or less of it; see `rtcal.where.unevenness.factor`.
+    size_error : float
+        Standard deviation of ln size that the effect's description leaves open.
+    place : str
+        The material whose coefficients are off.
+    part : int or None
+        Number of the part of the surface; None for all of it.
+    """
+
+    effect: str
+    family: str
+    surface: int | None
+    response: str
+    weights: Array
+    odds: Array
+    sizes: Array
+    unit: str
+    parameters: Sequence[Parameters]
+    spectra: Array
+    error: Array
+    uneven: Array
+    size_error: float = 0.0
+    place: str = ""
+    part: int | None = None
+
+    def some(self, which: slice) -> Shift:
+        """Return some of the hypotheses."""
+        return replace(
+            self,
+            weights=self.weights[which],
+            odds=self.odds[which],
+            sizes=self.sizes[which],
+            parameters=self.parameters[which],
+            spectra=self.spectra[which],
+            uneven=self.uneven[which],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """A hypothesis that some values err by more: their covariance grows by ``covariance``.
+
+    ``rows`` are the values' numbers in the order (band, parameter, pair). ``place`` names the
+    source, receiver or pair.
+    """
+
+    effect: str
+    place: str
+    size: float
+    unit: str
+    rows: NDArray[np.int64]
+    covariance: Array
+    odds: float
+
+
+def interpolation(nodes: Sequence[float], at: Array) -> Array:
+    """Return the nodes' weights (..., n_nodes) in a linear interpolation that is 0 at 0.
+
+    Beyond the nodes the value at the last one is taken.
+    """
+    every = np.array(sorted([*nodes, 0.0]))
+    position = np.clip(at, every[0], every[-1])
+    right = np.clip(np.searchsorted(every, position), 1, len(every) - 1)
+    share = (position - every[right - 1]) / (every[right] - every[right - 1])
+    out = np.zeros((*np.shape(at), len(every)))
+    np.put_along_axis(out, right[..., np.newaxis], share[..., np.newaxis], -1)
+    np.put_along_axis(out, right[..., np.newaxis] - 1, (1 - share)[..., np.newaxis], -1)
+    kept = [int(np.flatnonzero(every == node)[0]) for node in nodes]
+    return np.asarray(out[..., kept])
+
+
+def error_over_bands(effect: Effect, frequencies: Array) -> Array:
+    """Return the covariance of the relative error of an effect's change, (n_bands, n_bands)."""
+    factor = spectrum_errors(effect, frequencies)
+    return np.asarray(factor @ factor.T)
+
+
+def towards(moved: Array, stated: Array) -> Array:
+    """Return changes of alpha as shares of the way to 1, or (below 0) to a hard wall; see `SHARES`."""
+    up = moved / np.maximum(1 - stated, 1e-6)
+    down = moved / np.maximum(stated - HARD, 1e-6)
+    return np.asarray(np.where(moved >= 0, up, np.maximum(down, -1.0)))
