@@ -5,6 +5,7 @@
     python -m benchmarks.where gaps --folder out --number 40     # at held-out pairs, the same rooms
     python -m benchmarks.where means --folder out --number 40    # means over positions, the same rooms
     python -m benchmarks.where table                             # of the stored run, or --folder out
+                                     --rooms earlier             # that earlier versions were judged on
     python -m benchmarks.where store --folder out                # the run that the study shows
     python -m benchmarks.where speed --folder out                # first and second run of one room
 
@@ -34,8 +35,8 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.judging import FLAGS, NOTHING, families_of, kept_controls, rounded, row_of
-from benchmarks.positions import bootstrap, share
+from benchmarks.judging import FLAGS, kept_controls, rounded, row_of
+from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.discrepancy import Case, Configuration, find
 from rtcal.discrepancy.engines import ControlRooms
@@ -53,26 +54,8 @@ from tests.geometric_world.load import (
 
 PATHS = 6000
 STATEMENTS = IN_SITU, HANDBOOK
-DATA = {"without": "without level", "level": "with level"}
-ABSORBERS = rooms.ON_A_SURFACE
-WHOLE_PLACES = ("audience",)
-"""Kinds whose surface follows from their name: people stand on floors."""
-MODELS = ("before", "plain", "corrected")
 MATCH = ("t20", "edt", "c80", "ts", "level")
-LARGE = 0.10
-"""The gap is judged where the effect changes T by more, on average over the bands."""
 STORED = HERE / "population_1_results.jsonl.gz"
-OF_KIND = {
-    "receiver": ("measurement",),
-    "coupled room": ("field",),
-    "covered surface": ("less absorption",),
-}
-"""Right families of kinds whose name is no effect of `rtcal.discrepancy`."""
-
-
-def right_families(kind: str) -> frozenset[str]:
-    """Families that are right: of an absorber its own, and "added absorption"."""
-    return frozenset(OF_KIND.get(kind, ())) or families_of([kind])
 
 
 def case_of(room: GeometricRoom, data: str) -> rt.where.Case:
@@ -135,11 +118,11 @@ def verified(judging: Judging, index: int, data: str) -> dict[str, Any]:
     result = rt.where.verify(finding, cache=cache)
     gaps = {model: getattr(result, model).mean(axis=0) for model in MODELS}
     off = noise(finding, without_noise(judging.population, index))
-    for key, table in (
+    for key, by_model in (
         ("gaps", gaps),
         ("gaps_heard", {m: to_heard(g, off) for m, g in gaps.items()}),
     ):
-        out[key] = {model: float(np.nanmean(np.abs(gap))) for model, gap in table.items()}
+        out[key] = {model: float(np.nanmean(np.abs(gap))) for model, gap in by_model.items()}
     return out
 
 
@@ -238,12 +221,12 @@ def faces_of(room: GeometricRoom) -> tuple[Any, Any, Any]:
     return geometry.face_areas, geometry.normals, geometry.materials
 
 
-def run(judging: Judging, step: str, number: int, data: Iterable[str]) -> None:
-    """Judge the first rooms that are built and not in the file yet; each row is written at once."""
+def run(judging: Judging, step: str, indices: Iterable[int], data: Sequence[str]) -> None:
+    """Judge the rooms that are not in the file yet; each row is written at once."""
     file, population = judging.file(step), judging.population
     file.parent.mkdir(parents=True, exist_ok=True)
     done = {(r["index"], r["data"]) for r in read(file)}
-    for index in sorted(stored(population, "truth"))[:number]:
+    for index in indices:
         for which in data:
             if (index, which) in done:
                 continue
@@ -291,190 +274,6 @@ def store(folder: Path) -> None:
     STORED.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
 
 
-class Rows:
-    """Rows of one kind of data beside the truth of their rooms."""
-
-    def __init__(self, rows: Iterable[dict[str, Any]], population: int, data: str) -> None:
-        chosen = {r["index"]: r for r in rows if r["data"] == data}
-        self.all = [(truth(population, i), row) for i, row in sorted(chosen.items())]
-
-    def only(self, kinds: Sequence[str], flagged: bool | None = None) -> list[Any]:
-        return [
-            (t, r)
-            for t, r in self.all
-            if t["kind"] in kinds and flagged in (None, r["verdict"] in FLAGS)
-        ]
-
-
-HIDDEN = tuple(k for k in rooms.KINDS if k != rooms.NOTHING)
-
-
-def family_of(row: dict[str, Any]) -> str | None:
-    """Return the family that is claimed, or else the most probable one."""
-    if row["family"]:
-        return str(row["family"])
-    wide = {f.split(",")[0] for f in row["families"] if "," in f}
-    narrow = {f: p for f, p in row["families"].items() if f not in wide | {NOTHING, "unknown"}}
-    return max(narrow, key=lambda f: narrow[f]) if narrow else None
-
-
-Line = tuple[float, float, float, int]
-"""A figure, its 95 % interval, and the number of rooms that it is over."""
-
-
-def portion(hits: Iterable[bool]) -> Line:
-    """Return a share with its interval (Clopper and Pearson 1934)."""
-    table = [bool(h) for h in hits]
-    return (*share(sum(table), len(table)), len(table)) if table else (np.nan, np.nan, np.nan, 0)
-
-
-def over(statistic: Callable[[np.ndarray], Any], values: Iterable[float]) -> Line:
-    """Return a statistic of the rooms' values with its interval over rooms."""
-    x = np.array([v for v in values if v is not None], dtype=float)
-    if not x.size:
-        return np.nan, np.nan, np.nan, 0
-    return (*bootstrap(lambda i: float(statistic(x[i])), len(x)), len(x))
-
-
-def flags(rows: Rows, kinds: Sequence[str]) -> list[bool]:
-    return [r["verdict"] in FLAGS for _, r in rows.only(kinds)]
-
-
-def common(rows: Rows) -> dict[str, Line]:
-    """Return the lines that a finder without a geometry has as well."""
-    caught = rows.only(HIDDEN, True)
-    right = [(r, family_of(r) in right_families(t["kind"])) for t, r in caught]
-    return {
-        "flagged with nothing hidden": portion(flags(rows, (rooms.NOTHING,))),
-        "detected": portion(flags(rows, HIDDEN)),
-        "detected, absorbers alone": portion(flags(rows, ABSORBERS)),
-        "right family, of the detected": portion(hit for _, hit in right),
-        "the same, where one is claimed": portion(
-            hit for r, hit in right if r["verdict"] in ("named", "family")
-        ),
-    }
-
-
-def places(rows: Rows) -> dict[str, Line]:
-    """Return how often the right surface was said."""
-    caught = rows.only(ABSORBERS, True)
-    walls = [(t, r) for t, r in caught if t["kind"] not in WHOLE_PLACES]
-    claimed = [r for _, r in rows.all if r["surface"] is not None and r["verdict"] in FLAGS]
-    sized = [(t["size"], r["best"]["size"]) for t, r in caught if r["best"]]
-    return {
-        "right surface, of absorbers detected": portion(is_first(r) for _, r in caught),
-        "the same without audiences": portion(is_first(r) for _, r in walls),
-        "by chance": over(np.mean, (1 / r["n_surfaces"] for _, r in caught)),
-        "right surface among the candidates": portion(
-            r["true_surface"] in r["likely"] for _, r in caught
-        ),
-        "candidates, mean": over(np.mean, (len(r["likely"]) for _, r in caught)),
-        "a single surface is claimed": portion(r["surface"] is not None for _, r in caught),
-        "a single surface claimed: right": portion(
-            r["surface"] == r["true_surface"] for r in claimed
-        ),
-        "size in its 90 % interval": portion(
-            low <= size <= high for size, (_, low, high) in sized if low is not None
-        ),
-    }
-
-
-def gaps(rows: Rows) -> dict[str, Line]:
-    """Return how the gap at held-out pairs shrinks where the effect changes T by over 10 %."""
-    large = [(t, r) for t, r in rows.only(HIDDEN) if t["effect_on_t"] > LARGE]
-    out: dict[str, Line] = {}
-    tried = [r for _, r in large if r.get("gaps")]
-    for key, words in (("gaps", ""), ("gaps_heard", ", to what is heard")):
-        ratios = [r[key]["corrected"] / r[key]["plain"] for r in tried]
-        out[f"gap corrected / plain, median{words}"] = over(np.median, ratios)
-        out[f"rooms in which it shrinks{words}"] = portion(x < 1 for x in ratios)
-        for which in MODELS:
-            out[f"gap {which}, JND{words}"] = over(np.mean, (r[key][which] for r in tried))
-    return out
-
-
-def is_first(row: dict[str, Any]) -> bool:
-    return first(row) == row["true_surface"]
-
-
-def first(row: dict[str, Any]) -> str | None:
-    """Return the most probable surface."""
-    table = row["surfaces"]
-    return max(table, key=lambda name: table[name]) if table else None
-
-
-def summary(
-    found: Iterable[dict[str, Any]], means: Iterable[dict[str, Any]], population: int, data: str
-) -> dict[str, Line]:
-    """Return every figure of one kind of data by its name; those of the means begin with "means: ".
-
-    The means, and the gain over them, are of the rooms that both have judged.
-    """
-    rows, others = Rows(found, population, data), Rows(means, population, data)
-    out = {**common(rows), **places(rows), **gaps(rows)}
-    seconds = [r["processor"] for _, r in rows.all]
-    out["processor time, s, median"] = over(np.median, seconds)
-    of_means = {id(t): r for t, r in others.all}
-    both = [(t, r, of_means[id(t)]) for t, r in rows.all if id(t) in of_means]
-    others.all = [(t, r) for t, _, r in both]
-    out |= {f"means: {name}": line for name, line in common(others).items()}
-    gained = [
-        float(r["verdict"] in FLAGS) - float(m["verdict"] in FLAGS)
-        for t, r, m in both
-        if t["kind"] in HIDDEN
-    ]
-    out["detected more than by means"] = over(np.mean, gained)
-    return out
-
-
-def asked(data: str) -> dict[str, tuple[float, float]]:
-    """Return the limits of issue 22, the lowest and the highest figure that meets it, by name."""
-    return {
-        "flagged with nothing hidden": (0, 0.05),
-        "detected more than by means": (0.12, 1),
-        "right family, of the detected": (0.85, 1),
-        "right surface, of absorbers detected": (0.75 if data == "level" else 0.6, 1),
-        "right surface among the candidates": (0.85, 1),
-        "candidates, mean": (1, 2),
-        "a single surface claimed: right": (0.9, 1),
-        "gap corrected / plain, median": (0, 0.7),
-        "rooms in which it shrinks": (0.85, 1),
-    }
-
-
-def print_confusion(rows: Rows) -> None:
-    print("rows: hidden; columns: the most probable effect where flagged; '-' not flagged")
-    flagged = [effect_of(r) for _, r in rows.all if r["verdict"] in FLAGS]
-    names = [n for n in dict.fromkeys([*HIDDEN, *flagged]) if n in flagged]
-    print(f"{'':16}{'-':>4}" + "".join(f"{n[:8]:>9}" for n in names))
-    for kind in (*HIDDEN, rooms.NOTHING):
-        chosen = [r for _, r in rows.only((kind,))]
-        count = Counter(effect_of(r) if r["verdict"] in FLAGS else "-" for r in chosen)
-        if chosen:
-            print(f"{kind:16}{count['-']:4}" + "".join(f"{count[n] or '.':>9}" for n in names))
-
-
-def effect_of(row: dict[str, Any]) -> str:
-    return str((row.get("best") or {}).get("effect") or row["effect"])
-
-
-def table(found: list[dict[str, Any]], means: list[dict[str, Any]], population: int) -> None:
-    """Print every line with its 95 % interval, and what was asked of it."""
-    for data, words in DATA.items():
-        rows, limits = Rows(found, population, data), asked(data)
-        print(f"\n== {words}: {len(rows.all)} rooms of population {population} ==")
-        for name, (value, low, high, n) in summary(found, means, population, data).items():
-            if n == 0:
-                continue
-            print(f"{name:46}{value:7.3f}  [{low:.3f}, {high:.3f}] of {n:<4}", end="")
-            if name in limits:
-                least, most = limits[name]
-                met = "met" if least <= value <= most else "not met"
-                print(f" asked {least:g} to {most:g}: {met}", end="")
-            print()
-        print_confusion(rows)
-
-
 def listed() -> None:
     for population in rooms.COUNTS:
         kinds = Counter(rooms.order(population))
@@ -516,25 +315,29 @@ def main() -> None:
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument("--statement", choices=STATEMENTS, default=HANDBOOK)
-    parser.add_argument("--number", type=int, default=250, help="the first rooms, in a fair order")
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--number", type=int, default=250, help="of rooms, in a fair order")
+    parser.add_argument("--rooms", choices=ROOMS, default="fresh", help="which ones a table is of")
     parser.add_argument("--data", default=",".join(DATA))
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     if given.command == "list":
         listed()
-    elif given.command == "table" and given.folder is None:
-        table(*kept(given.statement), given.population)
+    elif given.command == "table":
+        judging = Judging(given.population, given.statement, given.folder)
+        both = kept(given.statement) if given.folder is None else results(judging)
+        print(f"rooms {ROOMS[given.rooms]}; coefficients: {given.statement}")
+        table(*(chosen(rows, given.rooms) for rows in both), given.population)
     elif given.folder is None:
         parser.error("--folder is needed")
-    elif given.command == "table":
-        table(*results(Judging(given.population, given.statement, given.folder)), given.population)
     elif given.command == "store":
         store(given.folder)
     elif given.command == "speed":
         speed(given.folder, given.population)
     else:
         judging = Judging(given.population, given.statement, given.folder)
-        run(judging, given.command, given.number, given.data.split(","))
+        every = sorted(i for i in stored(given.population, "truth") if i >= given.first)
+        run(judging, given.command, every[: given.number], given.data.split(","))
 
 
 if __name__ == "__main__":

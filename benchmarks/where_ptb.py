@@ -30,7 +30,8 @@ import numpy as np
 import rtcal as rt
 from benchmarks.judging import FLAGS, families_of, rate
 from benchmarks.real_data import DATA, OCTAVES, PTB_AIR, handbook_sigma, lines
-from benchmarks.where import MODELS, PATHS, first, plain, said
+from benchmarks.where import PATHS, plain, said
+from benchmarks.where_figures import MODELS, first
 from rtcal.loop.control_runs import control_runs
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.types import Array

@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.where import DATA, case_of
+from benchmarks.where import case_of
+from benchmarks.where_figures import DATA
 from rtcal.loop.control_runs import control_runs
 from rtcal.where.find import every_hypothesis
 from rtcal.where.model import Model, model

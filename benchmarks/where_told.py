@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.where import ABSORBERS, HANDBOOK, LARGE, STATEMENTS, Judging, case_of, plain, read
+from benchmarks.where import HANDBOOK, STATEMENTS, Judging, case_of, plain, read
+from benchmarks.where_figures import ABSORBERS, LARGE
 from rtcal.where.candidate import Candidate
 from rtcal.where.corrected import corrected
 from rtcal.where.responses import precisely

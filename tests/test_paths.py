@@ -321,3 +321,30 @@ def test_jackknife_of_a_mean_is_its_standard_error():
     values = np.random.default_rng(0).normal(2, 1, (40, 3))
     error = jackknife(lambda mean: mean, values)
     assert error == pytest.approx(values.std(axis=0, ddof=1) / np.sqrt(40))
+
+
+def test_one_sweep_changes_groups_of_faces_as_weighings_do(monkeypatch):
+    hall = halls.lecture_hall()
+    names = list(hall.geometry.areas)
+    made_of = np.array([names.index(m) for m in hall.geometry.materials])
+    made = trace(
+        hall.geometry,
+        [hall.sources["S1"]],
+        list(hall.receivers.values()),
+        0.4,
+        0.2,
+        n_paths=200,
+        n_batches=2,
+    )
+    rng = np.random.default_rng(1)
+    alpha, air = rng.uniform(0, 0.9, (len(names), 2)), np.array([0, 1e-3])
+    changed = np.stack([alpha * 0.5, np.ones_like(alpha)])
+    members = np.zeros((2, len(names)), dtype=bool)
+    members[0, 0] = members[1, 1:4] = True
+    for kernels in (path_numba, path_numpy):
+        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
+        swept = made.energy_changed(alpha, air, BIN, made_of, members, changed)
+        for group, of_group in zip(members, swept, strict=True):
+            for other, energy in zip(changed, of_group, strict=True):
+                weighed = made.energy(np.where(group[:, None], other, alpha), air, BIN).mean(axis=0)
+                assert energy == pytest.approx(weighed, rel=1e-6, abs=1e-12)

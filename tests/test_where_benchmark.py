@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("numba", reason="the geometric world is compiled (extra fast)")
 
 import rtcal as rt
-from benchmarks import where
+from benchmarks import where, where_figures
 from rtcal.acoustics.quality import gap_jnd
 from tests.geometric_world import rooms
 from tests.geometric_world.load import stored, truth
@@ -61,7 +61,7 @@ def test_every_line_counts_the_rooms_that_it_is_about() -> None:
         *(row(i, true_surface=None) for i in nothing[1:]),
     ]  # fmt: skip
     means = [row(i, verdict="none") for i in (opening, curtain, nothing[0])]
-    lines = where.summary(found, means, 0, "without")
+    lines = where_figures.summary(found, means, 0, "without")
     shares = {
         "flagged with nothing hidden": (0.25, 4),
         "detected": (1.0, 2),
@@ -77,8 +77,8 @@ def test_every_line_counts_the_rooms_that_it_is_about() -> None:
     }
     for name, (value, n) in shares.items():
         assert (lines[name][0], lines[name][3]) == (pytest.approx(value), n), name
-    assert set(where.asked("level")) <= set(lines)
-    assert where.summary(found, means, 0, "level")["detected"][3] == 0
+    assert set(where_figures.asked("level")) <= set(lines)
+    assert where_figures.summary(found, means, 0, "level")["detected"][3] == 0
 
 
 def test_a_gap_to_what_was_measured_becomes_that_to_what_is_heard() -> None:

@@ -1,0 +1,124 @@
+"""Hypotheses: the return of a second room, and the error of what stands on a part of a surface."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.acoustics import decay
+from rtcal.where import unevenness
+from rtcal.where.aperture import Aperture
+from rtcal.where.candidate import Candidate
+from rtcal.where.evidence import Likelihood
+from rtcal.where.shift import Shift
+
+WIDTH = 0.002
+
+
+def room() -> rt.Room:
+    return rt.Room(
+        name="box",
+        volume=200.0,
+        materials=["wall"],
+        areas=[210.0],
+        alpha=[[0.1, 0.2]],
+        sigma=[[0.01, 0.02]],
+        centre_frequencies=[500, 1000],
+    )
+
+
+def balances(aperture: Aperture, first: np.ndarray, seconds: float) -> np.ndarray:
+    """Integrate the two balances step by step; the energy of the first room, (n_bands, n_bins)."""
+    second = aperture.second_rate(room())
+    c = room().speed_of_sound
+    step, out = WIDTH / 20, []
+    e1, e2 = np.ones(2), np.zeros(2)
+    for _ in range(int(seconds / WIDTH)):
+        out.append(e1)
+        for _ in range(20):
+            out_of = c * aperture.area / 4
+            e1, e2 = (
+                e1 + step * (-first * e1 + out_of / 200.0 * e2),
+                e2 + step * (-second * e2 + out_of / aperture.volume * e1),
+            )
+    return np.array(out).T
+
+
+@pytest.mark.parametrize(("volume", "alpha"), [(60.0, 0.03), (400.0, 0.05), (400.0, 0.9)])
+def test_the_return_is_that_of_two_coupled_rooms(volume: float, alpha: float) -> None:
+    aperture, first = Aperture(8.0, volume, alpha), np.array([12.0, 18.0])
+    t = WIDTH * np.arange(800)
+    opened = np.tile(np.exp(-first[:, np.newaxis] * t), (2, 1, 1))  # two receivers of one source
+    opened[..., 0] *= 3  # a direct sound, which the second room does not hear
+    heard = aperture.returned_to(opened, room(), WIDTH, 1)
+    expected = balances(aperture, first, WIDTH * heard.shape[-1])
+    got = decay.decay_time(heard[0], WIDTH)
+    assert got == pytest.approx(decay.decay_time(expected, WIDTH), rel=0.03)
+    assert (got > 1.001 * decay.decay_time(opened[0], WIDTH)).all()
+
+
+def test_an_aperture_is_named_and_not_added() -> None:
+    common = {"family": "field", "surface": "north", "place": "north", "probability": 1.0}
+    sizes = {"size": 4.0, "low": 2.0, "high": 8.0, "unit": "m²", "parameters": {}}
+    aperture = Candidate(effect="coupled room", spectrum=np.ones(2), **common, **sizes)  # type: ignore[arg-type]
+    assert not aperture.can_be_added
+    assert replace(aperture, effect="opening").can_be_added
+
+
+def shift(uneven: float) -> tuple[Shift, np.ndarray]:
+    """Return one hypothesis of two bands, and its change in the order (band, parameter, pair)."""
+    rng = np.random.default_rng(3)
+    nodes = -rng.uniform(0.1, 0.3, (2, 2 * 3, 1))
+    made = Shift(
+        effect="opening",
+        family="added absorption, flat",
+        surface=0,
+        response="surface 0",
+        weights=np.ones((1, 2, 1)),
+        odds=np.ones(1),
+        sizes=np.ones(1),
+        unit="m²",
+        parameters=[{}],
+        spectra=np.ones((1, 2)),
+        error=np.array([[0.04, 0.02], [0.02, 0.04]]),
+        uneven=np.array([uneven]),
+    )
+    return made, nodes
+
+
+@pytest.mark.parametrize("uneven", [0.0, 1.5])
+def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> None:
+    hypothesis, nodes = shift(uneven)
+    names, n_pairs, n = ("t20", "level"), 3, 12
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((n, n)) / 10
+    covariance = root @ root.T + 0.01 * np.eye(n)
+    uneven_columns = unevenness.columns(names, n_pairs)
+    likelihood = Likelihood(
+        covariance,
+        np.ones(n, dtype=bool),
+        {"surface 0": nodes},
+        uneven=uneven_columns,
+        amount=unevenness.amount(names, n_pairs),
+    )
+    residual = 0.1 * rng.standard_normal(n)
+    change = nodes[:, :, 0]
+    of_bands = np.zeros((n, 2))
+    of_bands[:6, 0], of_bands[6:, 1] = change
+    amount = -change.mean(axis=1)  # both parameters fall with the absorption
+    of_pairs = uneven * np.vstack([a * uneven_columns for a in amount])
+    full = covariance + of_bands @ hypothesis.error @ of_bands.T + of_pairs @ of_pairs.T
+    off = residual - change.ravel()
+    square = off @ np.linalg.solve(full, off)
+    assert square < n  # so that the density is normal
+    expected = -square / 2 - np.linalg.slogdet(full)[1] / 2
+    got = likelihood.shifted(hypothesis, likelihood.of(residual[:, np.newaxis]))
+    assert got[0, 0] == pytest.approx(expected, abs=1e-4)
+
+
+def test_what_covers_a_whole_surface_is_even() -> None:
+    factors = unevenness.factor(np.array([1.0, 0.5, 1 / 9, 0.01]))
+    assert factors == pytest.approx([0.0, 1.0, np.sqrt(8), np.sqrt(8)])
