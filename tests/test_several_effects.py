@@ -359,6 +359,13 @@ def test_the_command_finds_and_adds_the_set(
     assert (tmp_path / "page" / "probabilities.png").is_file()
 
 
+def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:
+    """T then hardly depends on alpha: its uncertainty over that slope is larger than T."""
+    coupled = AppliedEffect("coupled room", {"aperture": 8.0, "volume": 900.0, "alpha": 0.02})
+    case = replace(case_with(coupled), applied=[coupled])
+    np.testing.assert_allclose(rt.discrepancy.recalibrate(case).alpha, ALPHA, atol=0.01)
+
+
 def test_sets_of_a_single_effect_are_refused() -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.only("t20", configurations=["A"])

@@ -280,7 +280,9 @@ def _calibrated(
         terms = [
             AddedAbsorption(p.name, list(g), sigma=_spread(p), mean=_size(p)) for p, g in gains
         ]
-        solved = _solve(rooms, equation, target, u / slope, terms, exact=exact)
+        # An uncertainty of T's own size says nothing; a measurement refuses a larger one.
+        spread = np.minimum(u / slope, 1.0)
+        solved = _solve(rooms, equation, target, spread, terms, exact=exact)
         alpha, changed = _values(fitted, solved)
         effects = [_resized(p, solved.effects) if p.name in solved.effects else p for p in effects]
     done = replace(whole, applied=effects if fitted.applied else whole.applied)
