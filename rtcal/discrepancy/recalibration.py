@@ -280,8 +280,8 @@ def _calibrated(
         terms = [
             AddedAbsorption(p.name, list(g), sigma=_spread(p), mean=_size(p)) for p, g in gains
         ]
-        # An uncertainty of T's own size says nothing; a measurement refuses a larger one.
-        spread = np.minimum(u / slope, 1.0)
+        # An uncertainty near T itself says nothing; a measurement refuses one that is larger than T.
+        spread = np.minimum(u / slope, 0.9)
         solved = _solve(rooms, equation, target, spread, terms, exact=exact)
         alpha, changed = _values(fitted, solved)
         effects = [_resized(p, solved.effects) if p.name in solved.effects else p for p in effects]
