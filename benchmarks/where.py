@@ -5,7 +5,7 @@
     python -m benchmarks.where gaps --folder out --number 40     # at held-out pairs, the same rooms
     python -m benchmarks.where means --folder out --number 40    # means over positions, the same rooms
     python -m benchmarks.where table                             # of the stored run, or --folder out
-                                     --rooms earlier             # that earlier versions were judged on
+    python -m benchmarks.where table --rooms earlier             # as judged by an earlier finder
     python -m benchmarks.where store --folder out                # the run that the study shows
     python -m benchmarks.where speed --folder out                # first and second run of one room
 
@@ -254,23 +254,25 @@ def results(judging: Judging) -> tuple[list[dict[str, Any]], list[dict[str, Any]
     return found, every["means"]
 
 
-def kept(statement: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the rows of the stored run, as `results` does."""
-    rows = [r for r in read(STORED) if r["statement"] == statement]
+def kept(statement: str, which: str = "fresh") -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the stored rows of some of the rooms (`ROOMS`), as `results` does."""
+    rows = chosen((r for r in read(STORED) if r["statement"] == statement), which)
     found = [r for r in rows if r["finder"] == "where"]
     return found, [r for r in rows if r["finder"] == "means"]
 
 
 def store(folder: Path) -> None:
-    """Put the rows of a judging run into the repository."""
-    lines = [
-        json.dumps({"finder": finder, "statement": statement, **row}, separators=(",", ":"))
+    """Put the rows of fresh rooms into the repository, beside those of earlier ones."""
+    every = chosen(read(STORED), "earlier")
+    every += [
+        {"finder": finder, "statement": statement, **row}
         for statement in STATEMENTS
         for finder, rows in zip(
             ("where", "means"), results(Judging(1, statement, folder)), strict=True
         )
-        for row in rows
+        for row in chosen(rows, "fresh")
     ]
+    lines = [json.dumps(row, separators=(",", ":")) for row in every]
     STORED.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
 
 
@@ -324,10 +326,12 @@ def main() -> None:
     if given.command == "list":
         listed()
     elif given.command == "table":
-        judging = Judging(given.population, given.statement, given.folder)
-        both = kept(given.statement) if given.folder is None else results(judging)
         print(f"rooms {ROOMS[given.rooms]}; coefficients: {given.statement}")
-        table(*(chosen(rows, given.rooms) for rows in both), given.population)
+        if given.folder is None:
+            table(*kept(given.statement, given.rooms), given.population)
+        else:
+            judging = Judging(given.population, given.statement, given.folder)
+            table(*(chosen(rows, given.rooms) for rows in results(judging)), given.population)
     elif given.folder is None:
         parser.error("--folder is needed")
     elif given.command == "store":

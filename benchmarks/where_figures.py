@@ -23,10 +23,10 @@ LARGE = 0.10
 FRESH = 43
 """Number of the first room that no earlier version of the finder was judged on."""
 ROOMS = {
-    "fresh": "that no earlier version was judged on",
-    "earlier": "that earlier versions were judged on",
-    "all": "of both",
+    "fresh": "that were judged once, by this finder",
+    "earlier": "as judged by the finder before it had apertures, parts and errors of a place",
 }
+"""Which rooms the stored rows are of."""
 OF_KIND = {
     "receiver": ("measurement",),
     "coupled room": ("field",),
@@ -36,8 +36,8 @@ OF_KIND = {
 
 
 def chosen(rows: Iterable[dict[str, Any]], which: str) -> list[dict[str, Any]]:
-    """Return the rows of fresh rooms, of the earlier ones, or all."""
-    return [r for r in rows if which in ("all", "fresh" if r["index"] >= FRESH else "earlier")]
+    """Return the rows of fresh rooms, or of earlier ones."""
+    return [r for r in rows if (r["index"] >= FRESH) == (which == "fresh")]
 
 
 def right_families(kind: str) -> frozenset[str]:

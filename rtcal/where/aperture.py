@@ -32,6 +32,8 @@ SECOND_ROOMS = tuple(product(VOLUMES, ALPHAS))
 """Volume over that of the first room, and mean alpha, of each second room."""
 _NEPERS = 6 * np.log(10)
 """ln of the energy's decay in a reverberation time."""
+_LARGEST_SHARE = 0.95
+"""Of what a room loses, through an aperture."""
 _FOLLOWED = 0.9
 """Of the slow reverberation time: 54 dB. T30 needs 50 dB with its margin."""
 
@@ -73,7 +75,9 @@ class Aperture:
         first = _NEPERS / decay.decay_time(energy.mean(axis=0), bin_width)
         second = self.second_rate(room)
         c = room.speed_of_sound
-        exchange = (c * self.area / 4) ** 2 / (room.volume * self.volume)
+        # No more can go through it than the room loses: a field that is not diffuse decays more slowly.
+        out = np.minimum(c * self.area / (4 * room.volume), _LARGEST_SHARE * first)
+        exchange = out * c * self.area / (4 * self.volume)
         root = np.sqrt((first - second) ** 2 / 4 + exchange)
         slow, fast = (first + second) / 2 - root, (first + second) / 2 + root
         seconds = min(_FOLLOWED * _NEPERS / float(slow.min()), LONGEST)
@@ -88,7 +92,7 @@ class Aperture:
                 lfilter([1.0], [1.0, -np.exp(-rate * bin_width)], mean[:, k])
                 for rate in (slow[k], fast[k])
             ]
-            back[:, k] = exchange * bin_width * (both[0] - both[1]) / (fast[k] - slow[k])
+            back[:, k] = exchange[k] * bin_width * (both[0] - both[1]) / (fast[k] - slow[k])
         return np.asarray((heard.reshape(shape) + back[:, np.newaxis]).reshape(heard.shape))
 
 

@@ -1,6 +1,7 @@
 """How often the finder with a geometry was right in rooms that were not used to make it.
 
-The figures are those of docs/where_study.md (`python -m benchmarks.where table`).
+The figures are those of docs/where_study.md (`python -m benchmarks.where table`, and `--rooms earlier`
+for a handbook's).
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ SURFACE = {
     HANDBOOK: {"without level": (2, 2), "with level": (2, 3)},
 }
 """Rooms in which the most probable surface was right, and rooms with an absorber detected."""
+JUDGED = {IN_SITU: "it", HANDBOOK: "an earlier version of it"}
+"""What was judged in rooms of each kind."""
 
 
 def sentence(room: Room, match: Sequence[str]) -> str:
@@ -34,8 +37,8 @@ def sentence(room: Room, match: Sequence[str]) -> str:
     detected, flagged = DETECTED[stated][data], FLAGGED[stated][data]
     right = SURFACE[stated][data]
     return (
-        f"In simulated rooms with coefficients {stated} that were not used to make this finder, it "
-        f"detected {detected[0]} of {detected[1]} hidden effects, flagged {flagged[0]} of "
-        f"{flagged[1]} rooms that lacked nothing, and put {right[0]} of {right[1]} absorbers that it "
-        "detected on the right surface."
+        f"In simulated rooms with coefficients {stated} that were not used to make this finder, "
+        f"{JUDGED[stated]} detected {detected[0]} of {detected[1]} hidden effects, flagged "
+        f"{flagged[0]} of {flagged[1]} rooms that lacked nothing, and put {right[0]} of {right[1]} "
+        "absorbers that it detected on the right surface."
     )
