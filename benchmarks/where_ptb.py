@@ -357,7 +357,7 @@ def table(rows: list[dict[str, Any]]) -> None:
     for row in rows:
         best = row["best"] or {"effect": None, "surface": None, "size": [None] * 3}
         size = best["size"][0]
-        area = "" if size is None else f"{size:.0f} m²"
+        area = f"{size:.0f} m²" if best["surface"] else ""
         gaps = " / ".join(f"{gap:.2f}" for gap in row.get("gaps", {}).values())
         print(
             f"{row['model']:>4} {row['state']:7}{row['verdict']:10}{best['effect']!s:16}"
