@@ -5,6 +5,7 @@
     python -m benchmarks.second_world table --folder out --population 1
     python -m benchmarks.second_world run --folder out --world 1 --population 1
     python -m benchmarks.second_world bound --folder out --population 1      # what any test detects
+    python -m benchmarks.second_world null --folder out --world 1   # is the threshold's rate right?
 
 A case is judged as it is stated ("all": T20, EDT, T30, C80 and G, every second room in two
 configurations) and cut down to T20, EDT and T30 in one configuration ("one"). Rows of the first world
@@ -20,6 +21,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -35,13 +37,21 @@ from benchmarks.judging import (
     print_rates,
     row_of,
 )
-from rtcal.discrepancy import AppliedEffect, Case, find
+from rtcal.discrepancy import AppliedEffect, Case, bootstrap, find, library
+from rtcal.discrepancy.bootstrap import QUANTILE
+from rtcal.discrepancy.coefficients import NULL_POWER, POWER
+from rtcal.discrepancy.engines import ControlRooms
+from rtcal.discrepancy.evidence import evaluate
+from rtcal.discrepancy.features import observe
+from rtcal.discrepancy.hypotheses import predict_hypotheses
+from rtcal.discrepancy.prior import prior_of
 from tests.hidden_world import generate as first_world
 from tests.hidden_world.populations import TOGGLED
 from tests.second_world import generate as second_world
 from tests.second_world.rooms import KINDS
 
 WORLDS = {1: first_world, 2: second_world}
+SEEN = Path(__file__).parent / "judged_before.json"
 DATA = {"one": "T20, EDT, T30; one configuration", "all": "the case as it is stated"}
 
 
@@ -101,25 +111,39 @@ def run(folder: str, world: int, population: int, step: int, label: str) -> None
     print()
 
 
-def judged(folder: str, world: int, population: int, label: str, data: str) -> Iterator[Judged]:
-    """The rooms that were run."""
+def seen_before(world: int, population: int) -> frozenset[int]:
+    """Numbers of the rooms on which earlier versions of this finder were judged."""
+    stored = json.loads(SEEN.read_text(encoding="utf-8"))
+    return frozenset(stored.get(f"world {world}, population {population}", ()))
+
+
+def judged(
+    folder: str, world: int, population: int, label: str, data: str
+) -> Iterator[tuple[int, Judged]]:
+    """The rooms that were run, with their numbers."""
     for index, truth in enumerate(WORLDS[world].read(population, "truth")):
         path = place(folder, world, population, label, index, "json")
         known = truth_of(world, truth)
         if path.exists() and known is not None:
             row = json.loads(path.read_text(encoding="utf-8"))
             if data in row:
-                yield Judged(known[0], row[data], known[1])
+                yield index, Judged(known[0], row[data], known[1])
 
 
 def table(folder: str, world: int, population: int, label: str) -> None:
     names = list(NAMES.values()) if world == 1 else [k for k in KINDS if k != "nothing"]
     names.insert(names.index("audience") + 1, "people")
+    seen = seen_before(world, population)
     for data, words in DATA.items():
         rooms = list(judged(folder, world, population, label, data))
-        print(f"\n== world {world}, population {population}: {words}; {len(rooms)} rooms ==")
-        print_rates(rooms)
-        print_confusion(rooms, [NOTHING, *names])
+        parts = {"": [r for _, r in rooms]}
+        if seen:
+            parts["judged before, "] = [r for i, r in rooms if i in seen]
+            parts["fresh, "] = [r for i, r in rooms if i not in seen]
+        for part, some in parts.items():
+            print(f"\n== world {world}, population {population}: {part}{words}; {len(some)} rooms ==")
+            print_rates(some)
+            print_confusion(some, [NOTHING, *names])
 
 
 def true_effect(world: int, truth: dict[str, Any]) -> AppliedEffect:
@@ -196,9 +220,50 @@ def bound(folder: str, world: int, population: int, step: int, label: str) -> No
         told_test.detections(told[data], said[data])
 
 
+NULL_POWERS = (POWER, 3.0, NULL_POWER, 6.0)
+
+
+def null(folder: str, world: int, population: int, step: int) -> None:
+    """Print where rooms that lack nothing lie among the bootstrap's: 5 % should lie above 95 %.
+
+    For powers with which the coefficients' errors in common fall in the bootstrap's rooms.
+    """
+    warnings.simplefilter("ignore")
+    rooms, truths = (WORLDS[world].read(population, part) for part in ("case", "truth"))
+    above: dict[tuple[str, float], list[float]] = {}
+    limits: dict[tuple[str, float], list[float]] = {}
+    for index in order(len(rooms), step):
+        kept = place(folder, world, population, "controls", index, "npz")
+        known = truth_of(world, truths[index])
+        if not kept.exists() or known is None or NOTHING not in known[0]:
+            continue
+        whole = Case.from_dict(rooms[index])
+        made = kept_controls(whole, kept)
+        for data, case, errors in (("one", one(whole), first_of(made)), ("all", whole, made)):
+            for power in NULL_POWERS:
+                with patch.object(bootstrap, "NULL_POWER", power):
+                    score, scores = scored(case, errors)
+                above.setdefault((data, power), []).append(float(np.mean(scores >= score)))
+                limits.setdefault((data, power), []).append(float(np.quantile(scores, QUANTILE)))
+    for (data, power), shares in above.items():
+        p, limit = np.array(shares), np.median(limits[data, power])
+        parts = "  ".join(f"{level:.2f}: {np.mean(p < level):.2f}" for level in (0.05, 0.1, 0.2, 0.5))
+        print(f"world {world}, {data}, power {power:g}, {len(p)} rooms: {parts}; quantile {limit:.2f}")
+
+
+def scored(case: Case, controls: list[ControlRooms]) -> tuple[float, np.ndarray]:
+    """The measurement's score, and those of the bootstrap's rooms."""
+    observed, _ = observe(case)
+    prior = prior_of(case.room, library(), {})
+    predicted = predict_hypotheses(case, library())
+    drawn = bootstrap.bootstrap_threshold(case, observed, predicted, controls, prior)
+    evidence = evaluate(observed, predicted, drawn.discrepancy, prior.off)
+    return float(bootstrap.score(evidence, prior)), drawn.scores
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("controls", "run", "table", "bound"))
+    parser.add_argument("what", choices=("controls", "run", "table", "bound", "null"))
     parser.add_argument("--folder", required=True)
     parser.add_argument("--world", type=int, choices=tuple(WORLDS), default=2)
     parser.add_argument("--population", type=int, default=0)
@@ -211,6 +276,8 @@ def main() -> None:
         run(given.folder, given.world, given.population, given.step, given.label)
     elif given.what == "bound":
         bound(given.folder, given.world, given.population, given.step, given.label)
+    elif given.what == "null":
+        null(given.folder, given.world, given.population, given.step)
     else:
         table(given.folder, given.world, given.population, given.label)
 

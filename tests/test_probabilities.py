@@ -291,7 +291,30 @@ def test_distances_that_are_not_stated_err_by_configuration_and_in_the_null_room
     assert spread[0] - spread[1] == pytest.approx(distance, rel=0.3)
 
 
-@pytest.mark.parametrize(("stated", "least"), [(True, 0.5), (False, 1.6)])
+def test_null_rooms_take_few_errors_in_common_where_coefficients_are_well_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(  # no error of a coefficient's own
+        bootstrap, "draw_alpha", lambda case, rng, n: np.tile(case.room.alpha, (n, 1, 1, 1))
+    )
+
+    def spread(sigma: float) -> np.ndarray:
+        case = case_of(room(sigma), room(sigma))
+        observed, _ = observe(case)
+        exact = replace(observed, covariance=0 * observed.covariance)
+        applied = predict_hypotheses(case, []).applied
+        rng, errors = np.random.default_rng(1), [np.zeros((20, *observed.used.shape))]
+        values = draw_null_features(case, exact, applied, errors, rng, 500)
+        return np.asarray(values[:, np.nonzero(observed.used)[1] == 0].std(0))
+
+    handbook = spread(HANDBOOK_SIGMA)
+    assert spread(2 * HANDBOOK_SIGMA) == pytest.approx(handbook)
+    # The evidence allows for a fourth of them at half of the sigma.
+    assert (spread(HANDBOOK_SIGMA / 2) < handbook / 10).all()
+    assert (spread(HANDBOOK_SIGMA / 2) > handbook / 30).all()
+
+
+@pytest.mark.parametrize(("stated", "least"), [(True, 0.0), (False, 1.6)])
 def test_levels_without_stated_uncertainty_need_more_evidence(
     stated: bool, least: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,9 +1,10 @@
 """The threshold: the evidence that rooms without a missing effect give by chance.
 
 A parametric bootstrap. Each draw takes alpha from the prior, the model's error from the engines'
-control rooms, and noise from the measurement and from distances that are not stated. The model's bias
-and covariance are estimated from one half of the control rooms, and the draws use the other half. The
-few control rooms of the network are not divided.
+control rooms, and noise from the measurement and from distances that are not stated. The errors that
+coefficients have in common fall faster with the stated sigma than in the evidence
+(`coefficients.NULL_POWER`). The model's bias and covariance are estimated from one half of the control
+rooms, and the draws use the other half. The few control rooms of the network are not divided.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.coefficients import directions, drawn
+from rtcal.discrepancy.coefficients import NULL_POWER, directions, drawn
 from rtcal.discrepancy.engines import (
     ENGINES,
     ControlRooms,
@@ -38,10 +39,8 @@ from rtcal.support.types import Array
 
 QUANTILE = 0.95
 """Quantile of the null rooms' scores that is the threshold: 5 % false alarms."""
-MINIMUM_NATS = 0.5
-"""Smallest threshold in nats: odds of 1.6 to one. Chosen on development rooms, of which 0.5 and 0.9
-flag as many that lack nothing (3 of 57 with T20, EDT and T30; 1 of 32 with all data and a stated
-uncertainty) and 0.5 detects 5 more of 142 and 1 more of 86 effects."""
+MINIMUM_NATS = 0.0
+"""Smallest threshold in nats: below it, "nothing is missing" explains the data better."""
 MINIMUM_UNSTATED = 1.6
 """The same where C80 or G have no stated uncertainty, as it stands for positions too. It is the
 smallest of those tried that flags at most 5 % of 25 development rooms that lack nothing: 0.5 flags 5,
@@ -172,7 +171,7 @@ def draw_null_features(
 
     ``applied`` is the covariance of the effects in the model, and of distances that are not stated.
     """
-    alphas = draw_alpha(case, rng, n) + drawn(directions(case), rng, n)
+    alphas = draw_alpha(case, rng, n) + drawn(directions(case, NULL_POWER), rng, n)
     alphas = np.clip(alphas, 0.001, 0.99)
     rows = [
         predict([state(case, c, a[i]) for a in alphas], distances(case, c)).features
