@@ -141,7 +141,9 @@ def table(folder: str, world: int, population: int, label: str) -> None:
             parts["judged before, "] = [r for i, r in rooms if i in seen]
             parts["fresh, "] = [r for i, r in rooms if i not in seen]
         for part, some in parts.items():
-            print(f"\n== world {world}, population {population}: {part}{words}; {len(some)} rooms ==")
+            print(
+                f"\n== world {world}, population {population}: {part}{words}; {len(some)} rooms =="
+            )
             print_rates(some)
             print_confusion(some, [NOTHING, *names])
 
@@ -247,8 +249,12 @@ def null(folder: str, world: int, population: int, step: int) -> None:
                 limits.setdefault((data, power), []).append(float(np.quantile(scores, QUANTILE)))
     for (data, power), shares in above.items():
         p, limit = np.array(shares), np.median(limits[data, power])
-        parts = "  ".join(f"{level:.2f}: {np.mean(p < level):.2f}" for level in (0.05, 0.1, 0.2, 0.5))
-        print(f"world {world}, {data}, power {power:g}, {len(p)} rooms: {parts}; quantile {limit:.2f}")
+        parts = "  ".join(
+            f"{level:.2f}: {np.mean(p < level):.2f}" for level in (0.05, 0.1, 0.2, 0.5)
+        )
+        print(
+            f"world {world}, {data}, power {power:g}, {len(p)} rooms: {parts}; quantile {limit:.2f}"
+        )
 
 
 def scored(case: Case, controls: list[ControlRooms]) -> tuple[float, np.ndarray]:
