@@ -44,7 +44,12 @@ from rtcal.discrepancy import (
     recalibrate,
     verify,
 )
-from rtcal.discrepancy.bootstrap import MINIMUM_NATS, bootstrap_threshold, draw_null_features, score
+from rtcal.discrepancy.bootstrap import (
+    MINIMUM_LEVELS,
+    bootstrap_threshold,
+    draw_null_features,
+    score,
+)
 from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.effects.people import AT_1_KHZ
 from rtcal.discrepancy.engines import ControlRooms, recentred
@@ -310,7 +315,7 @@ def floors(here: list[Any]) -> None:
     if not none or not some:
         return
     print("\nat another floor in nats: flagged; detected; of these right name, single name")
-    for floor in (MINIMUM_NATS, 3.0, 4.0, 5.0):
+    for floor in (MINIMUM_LEVELS, 3.0, 4.0, 5.0):
 
         def over(x: dict[str, Any], floor: float = floor) -> bool:
             return bool(x["score"] > max(floor, x["threshold"]))

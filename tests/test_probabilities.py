@@ -314,18 +314,29 @@ def test_null_rooms_take_few_errors_in_common_where_coefficients_are_well_known(
     assert (spread(HANDBOOK_SIGMA / 2) > handbook / 30).all()
 
 
-@pytest.mark.parametrize(("stated", "least"), [(True, 0.0), (False, 1.6)])
-def test_levels_without_stated_uncertainty_need_more_evidence(
-    stated: bool, least: float, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("case", "least"),
+    [
+        (case_of(room(0.02), room(0.02)), 0.0),
+        (with_levels(stated=True), 0.5),
+        (with_levels(stated=False), 1.6),
+    ],
+    ids=["no levels", "stated", "not stated"],
+)
+def test_levels_need_more_evidence(
+    case: Case, least: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bootstrap, "QUANTILE", 0.0)  # so that the smallest threshold decides
-    case = with_levels(stated=stated)
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, [Opening()])
     prior = prior_of(case.room, [Opening()], {})
     limit = bootstrap.bootstrap_threshold(case, observed, predicted, controls(case), prior)
     assert limit.value == least
-    assert observed.unstated == (frozenset() if stated else {"t20", "c80"})
+
+
+def test_unstated_uncertainty_is_told_from_a_stated_one() -> None:
+    assert observe(with_levels(stated=True))[0].unstated == frozenset()
+    assert observe(with_levels(stated=False))[0].unstated == {"t20", "c80"}
 
 
 def test_people_are_objects_and_an_audience_covers_floor() -> None:
