@@ -40,7 +40,7 @@ from rtcal.discrepancy import hypotheses as hypotheses_module
 from rtcal.discrepancy.effects import Effect
 from rtcal.discrepancy.effects.air import OmittedAir
 
-NEW = ("curtain", "membrane", "covered surface")
+NEW = ("curtain", "membrane", "covered surface", "people")
 
 
 def same(case: Case) -> Case:
@@ -99,7 +99,7 @@ PARTS = {
         )
     ),
     "4a no family is claimed": Part(single_names_only=True),
-    "4b no curtain, membrane, covered surface": Part(
+    "4b no curtain, membrane, covered surface, people": Part(
         options={"effects": [e for e in library() if e.name not in NEW]}
     ),
     "5 no check of a claim": Part(((search, "doubts", no_doubts),)),

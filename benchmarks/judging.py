@@ -142,21 +142,27 @@ def rate(hits: Iterable[bool]) -> str:
 
 
 def calibration_error(
-    stated: Sequence[float], right: Sequence[bool], bins: int = 10
+    stated: Sequence[float],
+    right: Sequence[bool],
+    bins: int = 10,
+    weights: Sequence[float] | None = None,
 ) -> tuple[float, list[tuple[int, float, float]]]:
     """Return the expected calibration error, and per bin count, mean probability and frequency.
 
     Sum over equal bins of count/total |mean probability - frequency| (Naeini, Cooper, Hauskrecht
-    2015).
+    2015), of counts and means with ``weights``, where they are given.
     """
     p, hit = np.asarray(stated, float), np.asarray(right, float)
+    w = np.ones(len(p)) if weights is None else np.asarray(weights, float)
     which = np.minimum((p * bins).astype(int), bins - 1)
-    rows = [
-        (int((which == b).sum()), float(p[which == b].mean()), float(hit[which == b].mean()))
-        for b in range(bins)
-        if (which == b).any()
-    ]
-    return sum(n * abs(x - y) for n, x, y in rows) / len(p), rows
+    error, rows = 0.0, []
+    for b in range(bins):
+        within = which == b
+        if within.any():
+            x, y = (float(np.average(v[within], weights=w[within])) for v in (p, hit))
+            error += float(w[within].sum() / w.sum()) * abs(x - y)
+            rows.append((int(within.sum()), x, y))
+    return error, rows
 
 
 def stated_probabilities(
@@ -215,24 +221,28 @@ def print_rates(rooms: Sequence[Judged]) -> None:
         print_calibration(rooms, what)
 
 
-def print_calibration(rooms: Sequence[Judged], what: str) -> None:
+def print_calibration(
+    rooms: Sequence[Judged], what: str, weights: Sequence[float] | None = None
+) -> None:
     """Print calibration errors of the most probable answer and of every one, then the former's bins.
 
     Beside them what probabilities that are exactly right would show by chance: in so few rooms the
-    error is not 0 even then.
+    error is not 0 even then. ``weights`` are the rooms'.
     """
+    by_room = np.ones(len(rooms)) if weights is None else np.asarray(weights)
     for label, every in (("most probable", False), ("every one", True)):
-        stated, right = stated_probabilities(rooms, what, every)
-        if not stated:
+        answers = [stated_probabilities([room], what, every) for room in rooms]
+        if not answers:
             return
-        error, bins = calibration_error(stated, right)
+        p, hit = (np.concatenate([a[i] for a in answers]).astype(float) for i in (0, 1))
+        w = np.repeat(by_room, [len(a[0]) for a in answers])
+        error, bins = calibration_error(p, hit, weights=w)
         rng = np.random.default_rng(0)
-        p, hit = np.array(stated), np.array(right)
         picked = rng.integers(len(p), size=(400, len(p)))
         low, high = np.quantile(
-            [calibration_error(p[i], hit[i])[0] for i in picked], [0.025, 0.975]
+            [calibration_error(p[i], hit[i], weights=w[i])[0] for i in picked], [0.025, 0.975]
         )
-        chance = [calibration_error(p, rng.random(len(p)) < p)[0] for _ in range(400)]
+        chance = [calibration_error(p, rng.random(len(p)) < p, weights=w)[0] for _ in range(400)]
         print(
             f"calibration error, {what}, {label}: {error:.3f} [{low:.3f}, {high:.3f}] of {len(p)}; "
             f"by chance {np.mean(chance):.3f} to {np.quantile(chance, 0.95):.3f}"
