@@ -253,7 +253,7 @@ def bound(folder: str, world: int, population: int, step: int, label: str) -> No
         told_test.detections(told[data], said[data])
 
 
-NULL_POWERS = (POWER, 3.0, NULL_POWER)
+NULL_POWERS = (POWER, NULL_POWER)
 
 
 def null(folder: str, world: int, population: int, step: int) -> None:
