@@ -39,7 +39,7 @@ def test_flagged_and_measured_are_those_of_the_page() -> None:
     of, flagged = numbers("nothing hidden; flagged")
     assert "So 40 more of population 1 were run" in PAGE
     assert re.search(r"and T30 one of these 40 is flagged", PAGE)
-    assert track_record.FLAGGED == (flagged + 1, of + 40)
+    assert (flagged + 1, of + 40) == track_record.FLAGGED
     measured = re.search(r"measured rooms: wrong claims \|[^|]+\|[^|]+\| (\d+) of (\d+)", PAGE)
     assert measured is not None
     assert tuple(int(n) for n in measured.groups()) == track_record.MEASURED
