@@ -112,6 +112,36 @@ def test_the_middle_of_a_part_is_on_its_surface() -> None:
     assert max(face_at(solid, np.array(part.middle))[1] for part in made.parts) < 1e-6
 
 
+def test_a_mesh_of_triangles_is_divided_as_its_walls_are() -> None:
+    """The longest edge of a triangle is a diagonal, which is no side of the wall."""
+    whole = box()
+    corners = [whole.vertices[list(face)] for face in whole.faces]
+    halves = [(c[[0, 1, 2]], c[[0, 2, 3]]) for c in corners]
+    mesh = Polyhedron.from_polygons(
+        [
+            (f"{n} {i}", n, t)
+            for n, two in zip(whole.names, halves, strict=True)
+            for i, t in enumerate(two)
+        ]
+    )
+    made = divided(mesh, surfaces.of_geometry(mesh))
+    area = {"south": 18.0, "north": 18.0, "floor": 24.0, "ceiling": 24.0}
+    names = [list(surfaces.of_geometry(mesh))[part.surface].split()[0] for part in made.parts]
+    assert sorted(names) == sorted(w for w in area for _ in range(3))
+    assert [p.area for p in made.parts] == pytest.approx([area[n] for n in names])
+    west = list(surfaces.of_geometry(mesh).values())[SHOEBOX_WALLS.index("west")]
+    patch = patched(mesh, west, 3.0, "hole", "hole")
+    assert patch is not None
+    hole = np.concatenate(
+        [
+            patch.vertices[list(f)]
+            for f, m in zip(patch.faces, patch.materials, strict=True)
+            if m == "hole"
+        ]
+    )
+    assert np.ptp(hole, axis=0) == pytest.approx([0.0, 2.0, 1.5])
+
+
 def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.where.Case) -> None:
     def odds(every: list) -> dict[tuple[str, int | None, str], float]:
         total: dict[tuple[str, int | None, str], float] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -54,8 +55,6 @@ class Case:
     ----------
     faces : dict of str to int array
         Numbers of each surface's faces.
-    divided : Divided
-        The geometry with its long surfaces divided.
 
     Raises
     ------
@@ -72,7 +71,6 @@ class Case:
     surfaces: Mapping[str, Sequence[str]] | None = None
     position_uncertainty: float = POSITION
     faces: dict[str, Faces] = field(init=False)
-    divided: Divided = field(init=False)
 
     def __post_init__(self) -> None:
         checks.instance("simulator", self.simulator, PathTracing)
@@ -100,7 +98,6 @@ class Case:
                 f'room "{self.room.name}" states sigma = 0: every coefficient is exactly known'
             )
         object.__setattr__(self, "faces", of_room.of_geometry(self.geometry, self.surfaces))
-        object.__setattr__(self, "divided", parts.divided(self.geometry, self.faces))
 
     def _check_simulated(self, simulated: Measurement) -> None:
         """Raise DataError unless there is a value for everything that was measured and is used."""
@@ -150,6 +147,11 @@ class Case:
     def geometry(self) -> Polyhedron:
         """The simulator's geometry."""
         return self.simulator.geometry
+
+    @cached_property
+    def divided(self) -> Divided:
+        """The geometry with its long surfaces divided."""
+        return parts.divided(self.geometry, self.faces)
 
     @property
     def areas(self) -> dict[str, float]:

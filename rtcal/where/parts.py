@@ -8,7 +8,7 @@ so the same paths are traced in it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,10 +76,9 @@ def divided(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> Divided:
             planes[j] = plane
     places: list[tuple[int, int]] = []  # surface and quarter of each piece
     for i, (name, material) in enumerate(zip(geometry.names, geometry.materials, strict=True)):
-        corners = geometry.vertices[list(geometry.faces[i])]
-        cut = [(0, corners)]
+        cut = [(0, geometry.vertices[list(geometry.faces[i])])]
         if number[i] in planes:
-            cut = _quarters(planes[int(number[i])], polygons.convex_parts(geometry, i))
+            cut = _quarters(geometry, i, planes[int(number[i])])
         for quarter, piece in cut:
             pieces.append((f"{name} ({len(pieces) + 1})", material, piece))
             places.append((int(number[i]), quarter))
@@ -94,20 +93,24 @@ def divided(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> Divided:
 
 def _plane(geometry: Polyhedron, faces: Faces) -> Plane:
     """Return the plane of a surface's largest face, and the rectangle that bounds the surface."""
-    outlines = [geometry.vertices[list(geometry.faces[i])] for i in faces]
-    largest = faces[int(np.argmax(geometry.face_areas[faces]))]
-    return Plane.of(geometry.normals[largest], outlines)
+    largest_first = np.argsort(-geometry.face_areas[faces], kind="stable")
+    return Plane.of(geometry, faces[largest_first].tolist())
 
 
-def _quarters(plane: Plane, convex: Sequence[Array]) -> list[tuple[int, Array]]:
-    """Return the pieces of convex polygons, and in which quarter of the longer side each lies."""
+def _quarters(geometry: Polyhedron, face: int, plane: Plane) -> list[tuple[int, Array]]:
+    """Return the pieces of a face, and in which quarter of the surface's longer side each lies."""
     side = int(np.argmax(plane.size))
     axis = (plane.along, plane.across)[side]
     start = float(plane.middle @ axis) - plane.size[side] / 2
     ends = start + np.arange(1, QUARTERS + 1) / QUARTERS * plane.size[side]
     ends[-1] = np.inf
+    corners = geometry.vertices[list(geometry.faces[face])]
+    reach = corners @ axis
+    first, last = np.searchsorted(ends, [reach.min() + WELD, reach.max() - WELD]).tolist()
+    if first == last:
+        return [(first, corners)]
     out = []
-    for polygon in convex:
+    for polygon in polygons.convex_parts(geometry, face):
         left = polygon
         for quarter, end in enumerate(ends):
             piece, left = polygons.cut(left, axis, end)
@@ -125,17 +128,19 @@ def _parts(geometry: Polyhedron, surface: int, owner: Faces, quarters: Faces) ->
         inside = (owner == surface) & (quarters >= first) & (quarters <= first + 1)
         faces = np.flatnonzero(inside)
         if len(faces):
-            areas = geometry.face_areas[faces]
-            out.append(Part(surface, faces, float(areas.sum()), _middle(geometry, faces, areas)))
+            area = float(geometry.face_areas[faces].sum())
+            out.append(Part(surface, faces, area, _middle(geometry, faces)))
     return out
 
 
-def _middle(geometry: Polyhedron, faces: Faces, areas: Array) -> tuple[float, float, float]:
-    """Return the middle of some convex faces, or if it is off them that of the largest."""
-    outlines = [geometry.vertices[list(geometry.faces[i])] for i in faces]
-    middles = np.array([outline.mean(axis=0) for outline in outlines])
+def _middle(geometry: Polyhedron, faces: Faces) -> tuple[float, float, float]:
+    """Return the middle of some faces, or if it is off them that of the largest convex piece."""
+    convex = [piece for i in faces.tolist() for piece in polygons.convex_parts(geometry, i)]
+    areas = [polygons.area(piece) for piece in convex]
+    middles = np.array([piece.mean(axis=0) for piece in convex])
     middle = np.average(middles, axis=0, weights=areas)
     largest = int(np.argmax(areas))
-    off = polygons.distance(middle, geometry.normals[faces[largest]], outlines)
+    normal = geometry.normals[faces[np.argmax(geometry.face_areas[faces])]]
+    off = polygons.distance(middle, normal, convex)
     x, y, z = (middle if off < WELD else middles[largest]).tolist()
     return x, y, z

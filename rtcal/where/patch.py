@@ -63,7 +63,7 @@ def patched(
     if area >= LARGEST * sum(map(polygons.area, every)):
         return None
     normal = geometry.normals[flat[0]]
-    plane = Plane.of(normal, every)
+    plane = Plane.of(geometry, flat)
     centre = _middle(plane, normal, every) if at is None else _on(at, normal, every)
     sides = plane.half_planes(centre, _scale(plane, centre, every, area))
     taken = set(geometry.names)

@@ -16,7 +16,8 @@ from rtcal.support.types import Array
 class Plane:
     """Axes in the plane of some faces, and the rectangle that bounds them.
 
-    ``along`` is the direction of the longest edge. ``size`` (2,) are the rectangle's sides in m.
+    ``along`` is the direction of the longest edge of their outline. ``size`` (2,) are the rectangle's
+    sides in m.
     """
 
     along: Array
@@ -25,13 +26,15 @@ class Plane:
     size: Array
 
     @classmethod
-    def of(cls, normal: Array, parts: Sequence[Array]) -> Plane:
-        """Return the plane of some polygons (n, 3) with a common normal."""
-        edges = np.concatenate([np.roll(p, -1, axis=0) - p for p in parts])
+    def of(cls, geometry: Polyhedron, faces: Sequence[int]) -> Plane:
+        """Return the plane of faces, in that of the first of which the axes lie."""
+        normal = geometry.normals[faces[0]]
+        edges = outline(geometry, faces)
+        edges = edges - (edges @ normal)[:, np.newaxis] * normal
         longest = edges[np.argmax(np.linalg.norm(edges, axis=1))]
         along = longest / np.linalg.norm(longest)
         across = np.cross(normal, along)
-        corners = np.concatenate(parts)
+        corners = np.concatenate([geometry.vertices[list(geometry.faces[i])] for i in faces])
         ends = np.array([[f(corners @ axis) for f in (np.min, np.max)] for axis in (along, across)])
         height = float(corners[0] @ normal) * normal
         middle = ends.mean(axis=1) @ np.array([along, across]) + height
@@ -44,6 +47,19 @@ class Plane:
             for axis, side in ((self.along, self.size[0]), (self.across, self.size[1]))
             for sign in (1.0, -1.0)
         ]
+
+
+def outline(geometry: Polyhedron, faces: Sequence[int]) -> Array:
+    """Return the edges (n, 3) of faces that no two of them share; all, where none is left.
+
+    A mesh divides a wall into triangles, whose diagonals are no edges of the wall.
+    """
+    rings = [geometry.faces[i] for i in faces]
+    every = [edge for ring in rings for edge in zip(ring, [*ring[1:], ring[0]], strict=True)]
+    both = set(every)
+    outer = [(a, b) for a, b in every if (b, a) not in both] or every
+    start, end = np.array(outer).T
+    return np.asarray(geometry.vertices[end] - geometry.vertices[start])
 
 
 def convex_parts(geometry: Polyhedron, face: int) -> list[Array]:
