@@ -166,6 +166,9 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     finding = rt.where.find(case, cache=tmp_path)
     assert finding.detected
     assert "east" not in finding.likely_surfaces
+    least = 0.1 * max(finding.surfaces.values())
+    assert all(finding.surfaces[name] > least for group in finding.groups for name in group)
+    assert rt.where.next_position(finding, number=4)[0].nats > 0
     south = next(c for c in finding.candidates if c.title == 'opening on "south"')
     assert south.middle == pytest.approx((3.0, 0.0, 1.5))
     assert 0.9 * south.probability < sum(p for _, p in south.parts) <= south.probability

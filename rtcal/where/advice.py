@@ -62,7 +62,11 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
     rivals = _rivals(finding)
     case = finding.case
     places = _grid(case, number)
-    tracer = replace(case.simulator, receivers={f"place {i + 1}": p for i, p in enumerate(places)})
+    tracer = replace(
+        case.simulator,
+        geometry=case.divided.geometry,
+        receivers={f"place {i + 1}": p for i, p in enumerate(places)},
+    )
     weighing = Weighing(tracer, finding.parameters, seed)
     base = weighing.alpha
     shifts = [
@@ -117,11 +121,17 @@ def _grid(case: Case, number: int) -> Array:
 
 
 def _with(case: Case, alpha: Array, rival: Candidate) -> Array:
-    """Return alpha (n_faces, n_bands) with a candidate spread over its surface."""
-    name = str(rival.surface)
-    share = min(rival.size / case.areas[name], 1.0)
+    """Return alpha (n_faces, n_bands) of the divided geometry with a candidate.
+
+    It is spread over the part that holds at least half of its probability, else over its surface.
+    """
+    divided = case.divided
+    faces = divided.surfaces[list(case.faces).index(str(rival.surface))]
+    if rival.middle is not None:
+        faces = next(part.faces for part in divided.parts if part.middle == rival.middle)
+    share = min(rival.size / float(divided.geometry.face_areas[faces].sum()), 1.0)
     out = alpha.copy()
-    out[case.faces[name]] += share * (rival.spectrum - out[case.faces[name]])
+    out[faces] += share * (rival.spectrum - out[faces])
     return np.clip(out, 0.0, 0.99)
 
 

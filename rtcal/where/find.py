@@ -365,20 +365,27 @@ def _groups(
     """Return the surfaces that the most probable effect, in its size, does not tell apart.
 
     Two surfaces are told apart where the shift of one, on the best size of the other, leaves more than
-    `APART` nats to be expected.
+    `APART` nats to be expected. Those that the data leave less probable than the first by more than
+    that were told apart, too.
     """
     best = next((c for c in summary.candidates if c.surface is not None), None)
     if best is None:
         return ()
     names, vectors = [], []
+    least = np.exp(-APART) * max(summary.surfaces.values())
     for shift in hypotheses.shifts:
         if shift.effect != best.effect or shift.surface is None or shift.part is not None:
+            continue
+        name = list(case.faces)[shift.surface]
+        if summary.surfaces[name] < least:
             continue
         near = np.abs(np.log(np.maximum(shift.sizes, 1e-9) / best.size))
         row = int(np.argmin(near + _unlike(shift, best)))
         nodes = likelihood.nodes[shift.response]
-        names.append(list(case.faces)[shift.surface])
+        names.append(name)
         vectors.append(np.einsum("kn,krn->kr", shift.weights[row], nodes).ravel())
+    if not vectors:
+        return ()
     every = np.array(vectors).T
     gram = every.T @ likelihood.inverse @ every
     size = np.maximum(np.diag(gram), 1e-12)
