@@ -4,7 +4,8 @@
     python -m benchmarks.several_effects_choices parameters --folder out     # `set_posterior.KEPT`
     python -m benchmarks.several_effects_choices speed --folder out
 
-``claim`` reads what `benchmarks.several_effects run` said of population 0.
+``claim`` reads what `benchmarks.several_effects run` said: of population 0 what was chosen from, of
+population 1 what became of it.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from rtcal.discrepancy.several import NOT_OF_THE_ROOM
 POPULATION = 0
 
 
-def claim(folder: str) -> None:
+def claim(folder: str, population: int, label: str) -> None:
     """Print what a claim of two costs where one is hidden, by the probability that it asks for."""
-    stored = sorted(place(folder, 1, POPULATION, "several", 0, "json").parent.glob("*.json"))
+    stored = sorted(place(folder, 1, population, label, 0, "json").parent.glob("*.json"))
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in stored]
     every = [
         Searched([NAMES[e["kind"]] for e in row["truth"]], row["all"])
@@ -100,11 +101,15 @@ def speed(folder: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    what = {f.__name__: f for f in (claim, parameters, speed)}
-    parser.add_argument("what", choices=tuple(what))
+    parser.add_argument("what", choices=("claim", "parameters", "speed"))
     parser.add_argument("--folder", required=True)
+    parser.add_argument("--population", type=int, default=POPULATION, help="claim: of which rooms")
+    parser.add_argument("--label", default="several", help="claim: folder of the run's rows")
     given = parser.parse_args()
-    what[given.what](given.folder)
+    if given.what == "claim":
+        claim(given.folder, given.population, given.label)
+    else:
+        {"parameters": parameters, "speed": speed}[given.what](given.folder)
 
 
 if __name__ == "__main__":
