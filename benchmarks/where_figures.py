@@ -114,7 +114,10 @@ def places(rows: Rows) -> dict[str, Line]:
     caught = rows.only(ABSORBERS, True)
     walls = [(t, r) for t, r in caught if t["kind"] not in WHOLE_PLACES]
     claimed = [r for _, r in rows.all if r["surface"] is not None and r["verdict"] in FLAGS]
-    sized = [(t["size"], r["best"]["size"]) for t, r in caught if r["best"]]
+    # Other sizes are no areas: a distance, or a factor of coefficients.
+    sized = [
+        (t["size"], r["best"]["size"]) for t, r in caught if r["best"] and r["best"]["surface"]
+    ]
     return {
         "right surface, of absorbers detected": portion(is_first(r) for _, r in caught),
         "the same without audiences": portion(is_first(r) for _, r in walls),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -74,6 +76,28 @@ def test_an_aperture_is_named_and_not_added() -> None:
     aperture = Candidate(effect="coupled room", spectrum=np.ones(2), **common, **sizes)  # type: ignore[arg-type]
     assert not aperture.can_be_added
     assert replace(aperture, effect="opening").can_be_added
+
+
+def test_the_surface_of_an_aperture_is_not_claimed() -> None:
+    find = importlib.import_module("rtcal.where.find")
+    aperture = Candidate(
+        effect="coupled room",
+        family="field",
+        surface="north",
+        place="north",
+        probability=1.0,
+        size=4.0,
+        low=2.0,
+        high=8.0,
+        unit="m²",
+        parameters={},
+        spectrum=np.ones(2),
+    )
+    shifts = [SimpleNamespace(effect="coupled room", sizes=np.array([2.0, 4.0, 80.0]))]
+    reasons = find._reasons(
+        SimpleNamespace(shifts=shifts), SimpleNamespace(candidates=(aperture,)), "named"
+    )
+    assert "second room" in reasons[0]
 
 
 def shift(uneven: float) -> tuple[Shift, np.ndarray]:

@@ -52,6 +52,11 @@ CLAIMED = 0.9
 """Probability from which an effect, a family or a surface is claimed."""
 APART = 2.3
 """Nats below which two surfaces are not told apart: odds of ten to one."""
+_ANYWHERE = (
+    "A second room gives its energy back to all positions alike. In both judged rooms in which "
+    "one was detected, its aperture was on another surface than the most probable one."
+)
+"""Why the surface of an aperture is not claimed (docs/where_study.md)."""
 _SPACING = 0.1
 """Standard deviation of ln size within the grid's distance, which is 0.26."""
 _ADDED = "added absorption"
@@ -342,6 +347,8 @@ def _reasons(hypotheses: Hypotheses, summary: _Posterior, verdict: str) -> tuple
     best = next((c for c in summary.candidates if c.surface is not None), None)
     if best is None or best is not summary.candidates[0]:
         return ()
+    if best.effect == COUPLED.name:
+        return (_ANYWHERE,)
     sizes = [s.sizes.max() for s in hypotheses.shifts if s.effect == best.effect]
     if best.size > 0.9 * max(sizes):
         return (f"The size of {best.title} stands at the end of what is tried.",)
