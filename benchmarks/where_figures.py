@@ -98,10 +98,14 @@ def common(rows: Rows) -> dict[str, Line]:
     """Return the lines that a finder without a geometry has as well."""
     caught = rows.only(HIDDEN, True)
     right = [(r, family_of(r) in right_families(t["kind"])) for t, r in caught]
+    empty = sorted((r["score"] for _, r in rows.only((rooms.NOTHING,))), reverse=True)[1:2]
     return {
         "flagged with nothing hidden": portion(flags(rows, (rooms.NOTHING,))),
         "detected": portion(flags(rows, HIDDEN)),
         "detected, absorbers alone": portion(flags(rows, ABSORBERS)),
+        "detected where one empty room is flagged": portion(
+            r["score"] > limit for limit in empty for _, r in rows.only(HIDDEN)
+        ),
         "right family, of the detected": portion(hit for _, hit in right),
         "the same, where one is claimed": portion(
             hit for r, hit in right if r["verdict"] in ("named", "family")

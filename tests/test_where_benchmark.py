@@ -33,6 +33,7 @@ def row(index: int, **changed: Any) -> dict[str, Any]:
         "surfaces": {"face 1": 0.7, "face 2": 0.3},
         "likely": ["face 1", "face 2"],
         "best": None,
+        "score": 0.0,
         "families": {"none": 0.9, "scale": 0.1},
         "processor": 2.0,
     }
@@ -53,11 +54,11 @@ def test_every_line_counts_the_rooms_that_it_is_about() -> None:
     flat = {"none": 0.05, "added absorption, flat": 0.9, "added absorption": 0.92}
     size = truth(0, opening)["size"]
     found = [
-        row(opening, verdict="named", effect="opening", surface="face 1", families=flat,
+        row(opening, score=4.0, verdict="named", effect="opening", surface="face 1", families=flat,
             best=best("opening", size)),
         row(curtain, verdict="ambiguous", surfaces={"face 2": 0.6, "face 1": 0.4}, families=flat,
             best=best("opening", 3 * truth(0, curtain)["size"])),
-        row(nothing[0], verdict="unknown", true_surface=None),
+        row(nothing[0], score=5.0, verdict="unknown", true_surface=None),
         *(row(i, true_surface=None) for i in nothing[1:]),
     ]  # fmt: skip
     means = [row(i, verdict="none") for i in (opening, curtain, nothing[0])]
@@ -65,6 +66,7 @@ def test_every_line_counts_the_rooms_that_it_is_about() -> None:
     shares = {
         "flagged with nothing hidden": (0.25, 4),
         "detected": (1.0, 2),
+        "detected where one empty room is flagged": (0.5, 2),
         "right family, of the detected": (0.5, 2),
         "right surface, of absorbers detected": (0.5, 2),
         "right surface among the candidates": (1.0, 2),

@@ -12,17 +12,17 @@ from rtcal.acoustics.room import Room
 from rtcal.where.prior import HANDBOOK, IN_SITU, statement
 
 DETECTED = {
-    IN_SITU: {"without level": (7, 17), "with level": (10, 17)},
+    IN_SITU: {"without level": (11, 26), "with level": (14, 26)},
     HANDBOOK: {"without level": (2, 12), "with level": (3, 12)},
 }
 """Rooms in which something was detected, and rooms in which something was hidden."""
 FLAGGED = {
-    IN_SITU: {"without level": (1, 12), "with level": (1, 12)},
+    IN_SITU: {"without level": (0, 16), "with level": (1, 16)},
     HANDBOOK: {"without level": (1, 8), "with level": (1, 8)},
 }
 """Rooms in which something was detected, and rooms in which nothing was hidden."""
 SURFACE = {
-    IN_SITU: {"without level": (4, 6), "with level": (6, 9)},
+    IN_SITU: {"without level": (6, 8), "with level": (7, 11)},
     HANDBOOK: {"without level": (2, 2), "with level": (2, 3)},
 }
 """Rooms in which the most probable surface was right, and rooms with an absorber detected."""
