@@ -33,7 +33,7 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import measured_pairs
-from rtcal.loop.positions import prior_covariance
+from rtcal.loop.positions import MORE_PATHS, prior_covariance
 from rtcal.simulators import PathTracing, paths
 from rtcal.simulators.observations import Observations
 from tests.position_rooms.generate import HERE, order
@@ -44,6 +44,10 @@ MATCH = ("t20", "edt", "c80", "ts", "level")
 FITTED, HELD_OUT = ("R1", "R2", "R3"), ("R4", "R5", "R6")
 GAPS = ("edt", "c80", "g")
 PATHS = 8000
+"""Of the simulator that is calibrated to every position, which weighs `MORE_PATHS` times as many. The
+loop on T20 alone gets as many as are weighed."""
+JUDGING_PATHS = 32000
+"""Of the simulations that judge. With 8000, EDT of a pair has a noise of some 6 %: more than a JND."""
 SEED = 100
 """Of the simulations that judge; a calibration uses others."""
 STORED = HERE / "population_1_results.jsonl"
@@ -79,6 +83,35 @@ class Traces:
         paths.trace = self._trace
 
 
+class KeptTraces:
+    """Keeps a method's traces while it is entered: they do not depend on alpha, nor on its prior."""
+
+    def __enter__(self) -> KeptTraces:
+        self.method = ""
+        self._trace, self._kept = paths.trace, dict[tuple[Any, ...], paths.Paths]()
+
+        def kept(geometry: Any, *points: np.ndarray, **options: Any) -> paths.Paths:
+            key = (
+                self.method,
+                geometry.vertices.tobytes(),
+                *(x.tobytes() for x in points),
+                *(
+                    x.tobytes() if isinstance(x, np.ndarray) else x
+                    for name, x in sorted(options.items())
+                    if name not in ("longest", "workers")
+                ),
+            )
+            if key not in self._kept or self._kept[key].longest < options["longest"]:
+                self._kept[key] = self._trace(geometry, *points, **options)
+            return self._kept[key]
+
+        paths.trace = kept
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        paths.trace = self._trace
+
+
 def calibrate(
     method: str,
     simulator: PathTracing,
@@ -94,21 +127,13 @@ def calibrate(
         return rt.calibrate_simulator(simulator, room, measured, match=MATCH, controls=controls)
 
 
-def simulated(simulator: PathTracing, alpha: np.ndarray) -> Measurement:
-    """Return what a tracer hears, and G: a source of unit energy has 1 / (400 pi) at 10 m."""
-    values = simulator.simulate(alpha, seed=SEED)
-    longest = 1.2 * float(np.nanmax(values.values["t20"]))
-    energy = simulator.energy(alpha, longest, seed=SEED).mean(0).sum(-1)
-    g = 10 * np.log10(400 * np.pi * energy.reshape(len(values.pairs), -1))
-    return Measurement(
-        centre_frequencies=values.centre_frequencies,
-        values={**values.values, "g": g},
-        pairs=values.pairs,
-    )
+def simulated(simulator: PathTracing, alpha: np.ndarray, like: Measurement) -> Measurement:
+    """Return what a tracer hears at the pairs of a measurement; G is that of a source of unit power."""
+    return predicted(simulator.observe(alpha, ("edt", "c80", "level"), seed=SEED), like)
 
 
 def predicted(observations: Observations, like: Measurement) -> Measurement:
-    """Return what a calibration predicts at the pairs of a measurement."""
+    """Return what is heard at the pairs of a measurement."""
     rows = [observations.pairs.index(pair) for pair in like.pairs]
     return Measurement(
         centre_frequencies=like.centre_frequencies,
@@ -129,12 +154,14 @@ def error(room: rt.Room, alpha: np.ndarray, truth: np.ndarray) -> float:
     return float(np.sqrt(np.average(((alpha - truth) ** 2).mean(1), weights=room.areas)))
 
 
-def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> list[dict[str, Any]]:
+def judged(
+    population: int, index: int, prior: str, methods: Sequence[str], kept: KeptTraces
+) -> list[dict[str, Any]]:
     """Return a row per method for one room and prior."""
     case = load(population, index, prior)
     truth = true_alpha(population, index, prior)
     held_out = case.measured_at(HELD_OUT), at(without_noise(population, index, prior), HELD_OUT)
-    judge = case.simulator(HELD_OUT, n_paths=PATHS, workers=1)
+    judge = case.simulator(HELD_OUT, n_paths=JUDGING_PATHS, workers=1)
     rows = []
     for method in methods:
         row: dict[str, Any] = {
@@ -148,6 +175,7 @@ def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> l
         }
         tracer = judge
         if method in FITTING:
+            kept.method = method
             figures, half = fitted(method, case, truth)
             row |= figures
             alpha = half.alpha
@@ -155,7 +183,8 @@ def judged(population: int, index: int, prior: str, methods: Sequence[str]) -> l
         else:
             alpha = case.room.alpha if method == "stated" else truth
             tracer = knowing(judge, population, index) if method == "perfect" else judge
-        heard = simulated(tracer, alpha)
+        kept.method = "judge"
+        heard = simulated(tracer, alpha, held_out[0])
         row["gap"], row["gap_without_noise"] = (mean_gaps(heard, m) for m in held_out)
         if method == "positions":
             foretold = predicted(half.predicted, held_out[0])
@@ -181,7 +210,8 @@ def calibrated(judge: PathTracing, result: Any) -> PathTracing:
 
 def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> tuple[dict[str, Any], Any]:
     """Return the figures of a fit to all pairs, and the result of a fit to half of them."""
-    simulator = case.simulator(n_paths=PATHS)
+    n_paths = PATHS if method == "positions" else MORE_PATHS * PATHS
+    simulator = case.simulator(n_paths=n_paths)
     with Traces() as traces:
         clock, processor = time.perf_counter(), time.process_time()
         result = calibrate(method, simulator, case.room, case.measured)
@@ -192,7 +222,7 @@ def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> tuple[dict[str
             "error": error(case.room, result.alpha, truth),
         }
     if method == "t20":  # it takes the mean over all of the simulator's pairs
-        simulator = case.simulator(FITTED, n_paths=PATHS)
+        simulator = case.simulator(FITTED, n_paths=n_paths)
     controls = getattr(result, "controls", None)
     half = calibrate(method, simulator, case.room, case.measured_at(FITTED), controls)
     if method == "positions" and result.interval is not None:
@@ -208,16 +238,16 @@ def run(folder: Path, population: int, indices: Sequence[int], methods: Sequence
     target = folder / "results.jsonl"
     done = {(r["index"], r["prior"], r["method"]) for r in read(target)}
     for index in indices:
-        for prior in PRIORS:
-            missing = [m for m in methods if (index, prior, m) not in done]
-            if not missing:
-                continue
-            rows = judged(population, index, prior, missing)
-            with target.open("a", encoding="utf-8") as file:
-                file.writelines(json.dumps(rounded(row)) + "\n" for row in rows)
-            print(
-                index, prior, *(f"{r['method']} {r.get('error', 0):.4f}" for r in rows), flush=True
-            )
+        with KeptTraces() as kept:
+            for prior in PRIORS:
+                missing = [m for m in methods if (index, prior, m) not in done]
+                if not missing:
+                    continue
+                rows = judged(population, index, prior, missing, kept)
+                with target.open("a", encoding="utf-8") as file:
+                    file.writelines(json.dumps(rounded(row)) + "\n" for row in rows)
+                errors = (f"{r['method']} {r.get('error', 0):.4f}" for r in rows)
+                print(index, prior, *errors, flush=True)
 
 
 def rounded(value: Any) -> Any:

@@ -130,6 +130,41 @@ class ControlRuns:
         alike = _exchangeable(self.errors)
         return np.asarray(_SHRINKAGE * alike + (1 - _SHRINKAGE) * rows.T @ rows / len(rows))
 
+    def without_noise(self, noise: Array) -> ControlRuns:
+        """Return the errors scaled to the variance that they have without the runs' own noise.
+
+        Parameters
+        ----------
+        noise : array (n_parameters, n_bands)
+            Variance of one pair of one run by its finite number of paths. Each pair has its own.
+        """
+        n_pairs = self.errors.shape[2]
+        common = self.errors.mean(axis=2)
+        own = self.errors - common[:, :, np.newaxis]
+        of_common = _share_left((common**2).mean(axis=0), noise / n_pairs)
+        of_own = _share_left((own**2).mean(axis=(0, 2)), noise * (1 - 1 / n_pairs))
+        errors = common * np.sqrt(of_common)
+        return replace(self, errors=errors[:, :, np.newaxis] + own * np.sqrt(of_own)[:, np.newaxis])
+
+    def with_own(self, factor: Array) -> ControlRuns:
+        """Return the errors with each pair's difference from the mean over pairs times a factor.
+
+        ``factor`` (n_parameters,).
+        """
+        common = self.errors.mean(axis=2, keepdims=True)
+        own = (self.errors - common) * factor[:, np.newaxis, np.newaxis]
+        return replace(self, errors=common + own)
+
+
+_LEAST = 0.1
+"""Share of a variance that is left at least where noise is taken off."""
+
+
+def _share_left(variance: Array, noise: Array) -> Array:
+    """Return which share of a variance is not noise, at least `_LEAST`."""
+    share = np.divide(noise, variance, out=np.zeros_like(variance), where=variance > 0)
+    return np.asarray(np.clip(1 - share, _LEAST, 1.0))
+
 
 _SHRINKAGE = 0.7
 """Share of the covariance in which all pairs are alike. From 0.5 to 1 the median error of alpha in
@@ -292,8 +327,13 @@ def _varied(
         scattering_model=MODELS[run % 2],
         sources=moved[0],
         receivers=moved[1],
-        n_paths=min(_PATHS, base.n_paths),
+        n_paths=paths_of_a_run(base),
     )
+
+
+def paths_of_a_run(tracer: PathTracing) -> int:
+    """Return the number of paths per source of the control runs of a tracing."""
+    return min(_PATHS, tracer.n_paths)
 
 
 def level(scattering: Array, areas: Array) -> float:

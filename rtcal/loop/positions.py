@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -25,7 +25,13 @@ from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
 from rtcal.errors import DataError, SimulatorError
-from rtcal.loop.control_runs import POSITION, ControlRuns, Report, control_runs
+from rtcal.loop.control_runs import (
+    POSITION,
+    ControlRuns,
+    Report,
+    control_runs,
+    paths_of_a_run,
+)
 from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, measured_pairs
 from rtcal.loop.positions_result import PositionsResult, Step
@@ -50,6 +56,13 @@ _AHEAD = 2.0
 """How many times Eyring's T of the prior the paths are followed: in ten development rooms, T20 of the
 draws of the control runs needed up to 2.2 times as much."""
 
+MORE_PATHS = 4
+"""Factor of the number of paths that are weighed."""
+_GROUPS = 4
+"""Groups of paths whose differences tell the noise of a control run."""
+_BATCHES = 16
+"""Batches of the paths that are weighed; a multiple of `_GROUPS`."""
+
 _LARGEST_SCALE = 1000.0
 """Largest factor of the simulator's error: then it is some 30 times as large as in the control runs."""
 
@@ -73,6 +86,8 @@ def calibrate_positions(
 ) -> PositionsResult:
     """Calibrate to every position; see `rtcal.calibrate_simulator`."""
     checks.positive("position_uncertainty", position_uncertainty, "m")
+    tracer = simulator
+    simulator = _precise(simulator)
     _trace_ahead(simulator, room.alpha, seed)
     wanted = _with_t30(match, measured)
     replaced = wanted != tuple(match)
@@ -99,9 +114,8 @@ def calibrate_positions(
     scattering = None if fit is None else fit.scattering
     if fit is not None:
         listener.shift = fit.shift
-    tracer = simulator
-    if scattering is not None and isinstance(simulator, PathTracing):
-        tracer = with_scattering(simulator, scattering)
+    if scattering is not None and isinstance(tracer, PathTracing):
+        tracer = with_scattering(tracer, scattering)
     path = _gauss_newton(listener, calibration, measured, prior, room, error)
     pull = np.asarray(path.scale * np.linalg.solve(path.covariance, listener.residual()))
     return PositionsResult(
@@ -228,12 +242,23 @@ def _simulator_error(
         shape = (len(parameters), *heard.values.shape[1:])
         return None, np.diag(np.broadcast_to(variance, shape).ravel())
     controls = controls.at(parameters, heard.pairs)
+    noise = _noise(listener)
     if fit_scattering and isinstance(listener.simulator, PathTracing):
         matrix = listener.linearised()
         expected = matrix @ prior @ matrix.T + listener.data.covariance
-        if fit := fitted(controls, listener.residual(), expected, listener.used):
+        if fit := fitted(controls, listener.residual(), expected, listener.used, noise):
             return fit, fit.covariance
-    return None, controls.covariance()
+    return None, controls.without_noise(noise).covariance()
+
+
+def _noise(listener: Listener) -> Array:
+    """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands)."""
+    tracer, parameters = listener.simulator, listener.data.observations.parameters
+    if not isinstance(tracer, PathTracing):
+        return np.zeros((len(parameters), listener.heard.values.shape[-1]))
+    groups = tracer.observe_in_groups(listener.alpha, _GROUPS, parameters, seed=listener.seed)
+    of_group = groups.var(axis=0, ddof=1).mean(axis=1)
+    return np.asarray(of_group * tracer.n_paths / _GROUPS / paths_of_a_run(tracer))
 
 
 def _predicted(listener: Listener, error: Array | None, pull: Array) -> Observations:
@@ -327,6 +352,13 @@ def _plain(room: Room) -> Calibration:
         ),
         [],
     )
+
+
+def _precise(simulator: Simulator) -> Simulator:
+    """Return a path tracing with `MORE_PATHS` times its paths, any other simulator as it is."""
+    if not isinstance(simulator, PathTracing):
+        return simulator
+    return replace(simulator, n_paths=MORE_PATHS * simulator.n_paths, n_batches=_BATCHES)
 
 
 def _trace_ahead(simulator: Simulator, alpha: Array, seed: int) -> None:

@@ -65,7 +65,11 @@ class ScatteringFit:
 
 
 def fitted(
-    controls: ControlRuns, innovation: Array, expected: Array, used: NDArray[np.int64]
+    controls: ControlRuns,
+    innovation: Array,
+    expected: Array,
+    used: NDArray[np.int64],
+    noise: Array,
 ) -> ScatteringFit | None:
     """Return what the scattering explains of the difference from what was measured.
 
@@ -81,26 +85,41 @@ def fitted(
         Its covariance without the simulator's error.
     used : int array (n_used,)
         Which of all n values of the control runs were measured.
+    noise : array (n_parameters, n_bands)
+        Variance of a run's values by its finite number of paths.
     """
     runs = len(controls.errors)
     if controls.levels is None or runs < 4 * _COEFFICIENTS:
         return None
     columns = basis(controls.levels, [MODELS.index(m) for m in controls.models])
     errors = controls.errors.reshape(runs, -1)
-    coefficients, _, rank, _ = np.linalg.lstsq(columns, errors, rcond=None)
+    solved, _, rank, _ = np.linalg.lstsq(columns, errors, rcond=None)
+    coefficients = np.asarray(solved, dtype=float)
     if rank < _COEFFICIENTS:
         return None
     left = (errors - columns @ coefficients) * np.sqrt(runs / (runs - rank))
-    covariance = replace(controls, errors=left.reshape(controls.errors.shape)).covariance()
+    residual = replace(controls, errors=left.reshape(controls.errors.shape))
+    covariance = residual.without_noise(noise).covariance()
+    spread = np.asarray(np.linalg.inv(columns.T @ columns))
+    pooled, share = _pooled(
+        coefficients.reshape(-1, *residual.errors.shape[1:]),
+        residual.errors,
+        np.array(np.diag(spread)),
+    )
+    coefficients = pooled.reshape(coefficients.shape)
+    of_coefficients = residual.with_own(np.sqrt(share.mean(axis=0))).covariance()
     levels = np.tile(np.linspace(*SCATTERING, _GRID), len(MODELS))
     models = np.repeat(np.arange(len(MODELS)), _GRID)
     rows = basis(levels, models)
     shifts = rows @ coefficients
     # What a few runs leave uncertain of the coefficients: the leverage of the level.
-    leverage = np.sum(rows @ np.linalg.inv(columns.T @ columns) * rows, axis=1)
+    leverage = np.sum(rows @ spread * rows, axis=1)
     log_likelihood = np.array(
         [
-            _log_likelihood(innovation - shift, expected + (1 + h) * covariance[np.ix_(used, used)])
+            _log_likelihood(
+                innovation - shift,
+                expected + (covariance + h * of_coefficients)[np.ix_(used, used)],
+            )
             for shift, h in zip(shifts[:, used], leverage, strict=True)
         ]
     )
@@ -113,12 +132,41 @@ def fitted(
     scattering = Scattering(model=MODELS[model], level=level)
     shift = basis([level], [model])[0] @ coefficients
     away = shifts - shift
-    uncertain = (1 + leverage @ probability) * covariance + (away.T * probability) @ away
+    uncertain = (
+        covariance + (leverage @ probability) * of_coefficients + (away.T * probability) @ away
+    )
     return ScatteringFit(
         scattering=scattering,
         shift=shift.reshape(controls.errors.shape[1:]),
         covariance=np.asarray(uncertain),
     )
+
+
+def _pooled(coefficients: Array, left: Array, spread: Array) -> tuple[Array, Array]:
+    """Draw the coefficients of all pairs towards their mean, as far as noise makes them differ.
+
+    Parameters
+    ----------
+    coefficients : array (3, n_parameters, n_pairs, n_bands)
+    left : array (n_runs, n_parameters, n_pairs, n_bands)
+        What the coefficients leave of the errors.
+    spread : array (3,)
+        Variance of each coefficient over that of what is left.
+
+    Returns
+    -------
+    coefficients : array (3, n_parameters, n_pairs, n_bands)
+    share : array (3, n_parameters)
+        Of the differences between pairs that is kept: signal over signal and noise (James & Stein
+        1961, with the variances estimated).
+    """
+    common = coefficients.mean(axis=2, keepdims=True)
+    noise = ((left - left.mean(axis=2, keepdims=True)) ** 2).mean(axis=0).sum(axis=(1, 2))
+    noise = spread[:, np.newaxis] * noise
+    differences = ((coefficients - common) ** 2).sum(axis=(2, 3))
+    share = np.divide(noise, differences, out=np.ones_like(noise), where=differences > noise)
+    share = 1 - share
+    return common + share[..., np.newaxis, np.newaxis] * (coefficients - common), share
 
 
 def _log_likelihood(residual: Array, covariance: Array) -> float:
@@ -135,6 +183,6 @@ def with_scattering(tracer: PathTracing, scattering: Scattering) -> PathTracing:
 
 
 def basis(levels: ArrayLike, models: ArrayLike) -> Array:
-    """Return the columns that a value depends on, (n, 3)."""
+    """Return the columns that a value depends on, (n, 3): nearly orthogonal over the control runs."""
     level, model = np.asarray(levels, dtype=float), np.asarray(models, dtype=float)
-    return np.stack([np.ones_like(level), model, level - np.mean(SCATTERING)], axis=1)
+    return np.stack([np.ones_like(level), model - 0.5, level - np.mean(SCATTERING)], axis=1)

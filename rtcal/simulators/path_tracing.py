@@ -159,6 +159,39 @@ class PathTracing(Tracer):
             energy, self.bin_width, match, self.pairs, self.centre_frequencies
         )
 
+    def observe_in_groups(
+        self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
+    ) -> Array:
+        """Return what groups of the paths hear, (number, n_parameters, n_pairs, n_bands).
+
+        Their differences are the noise of as many paths. ``number`` divides ``n_batches``.
+        """
+        alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        if self.n_batches % checks.whole("number", number, 1):
+            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
+        energy = decay_long_enough(
+            lambda seconds: self._in_groups(alpha, seconds, number, seed),
+            self.room,
+            alpha,
+            _longest(match),
+        )
+        return np.array(
+            [
+                observations.of_decays(
+                    group.reshape(len(self.pairs), *group.shape[2:]),
+                    self.bin_width,
+                    match,
+                    self.pairs,
+                    self.centre_frequencies,
+                ).values
+                for group in energy
+            ]
+        )
+
+    def _in_groups(self, alpha: Array, seconds: float, number: int, seed: int) -> Array:
+        energy = self.energy(alpha, seconds, seed=seed)
+        return np.asarray(energy.reshape(number, -1, *energy.shape[1:]).mean(axis=1))
+
     def jacobian(
         self,
         alpha: Array,

@@ -1,0 +1,103 @@
+"""The simulator's error without the noise that the control runs' finite paths make."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rtcal.datasets import halls
+from rtcal.errors import DataError
+from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.scattering import basis, fitted
+from rtcal.simulators import PathTracing
+
+PAIRS = tuple(("S", f"R{i}") for i in range(6))
+RUNS = 400
+"""Far more than in use, so that the variances are known to some per cent."""
+
+
+def runs(rng, noise, common=0.03, own=0.02):
+    """Return control runs with a known error, and the noise of their paths on top."""
+    shape = (RUNS, 2, len(PAIRS), 3)
+    errors = common * rng.standard_normal((RUNS, 2, 1, 3)) + own * rng.standard_normal(shape)
+    return ControlRuns(
+        parameters=("t20", "edt"),
+        pairs=PAIRS,
+        errors=errors + noise * rng.standard_normal(shape),
+        levels=rng.uniform(0.1, 0.85, RUNS),
+        models=tuple(np.where(np.arange(RUNS) % 2, "vector", "random").tolist()),
+    )
+
+
+def test_the_errors_keep_the_variance_that_is_not_noise():
+    made = runs(np.random.default_rng(1), noise=0.07)
+    left = made.without_noise(np.full((2, 3), 0.07**2)).errors
+    common = left.mean(axis=2)
+    own = left - common[:, :, np.newaxis]
+    assert common.std() == pytest.approx(np.hypot(0.03, 0.02 / np.sqrt(6)), rel=0.1)
+    assert own.std() == pytest.approx(0.02 * np.sqrt(5 / 6), rel=0.25)
+    assert made.without_noise(np.zeros((2, 3))).errors == pytest.approx(made.errors, abs=1e-15)
+
+
+def test_a_tenth_of_the_variance_is_left_where_all_of_it_may_be_noise():
+    made = runs(np.random.default_rng(2), noise=0.0)
+    left = made.without_noise(np.ones((2, 3))).errors
+    assert left.var() == pytest.approx(0.1 * made.errors.var(), rel=1e-9)
+
+
+def test_noise_of_the_control_runs_does_not_count_as_the_simulators_error():
+    rng = np.random.default_rng(3)
+    made = runs(rng, noise=0.07)
+    n = made.errors[0].size
+    fits = [
+        fitted(made, np.zeros(n), 1e-4 * np.eye(n), np.arange(n), np.full((2, 3), v))
+        for v in (0.0, 0.07**2)
+    ]
+    counted, taken_off = (np.diag(fit.covariance).mean() for fit in fits)
+    assert counted == pytest.approx(0.03**2 + 0.02**2 + 0.07**2, rel=0.1)
+    assert taken_off == pytest.approx(0.03**2 + 0.02**2, rel=0.2)
+
+
+def test_pairs_that_differ_by_noise_alone_share_what_the_scattering_adds():
+    rng = np.random.default_rng(4)
+    made = runs(rng, noise=0.2)
+    columns = basis(made.levels, [m == "vector" for m in made.models])
+    slope = 0.4 * columns[:, 2, np.newaxis, np.newaxis, np.newaxis]
+    of_pair = np.linspace(-1, 1, len(PAIRS))[:, np.newaxis]
+    n = made.errors[0].size
+    spread = []
+    for factor in (0.0, 1.0):
+        errors = made.errors + slope * (1 + factor * of_pair)
+        moved = ControlRuns(
+            parameters=made.parameters,
+            pairs=PAIRS,
+            errors=errors,
+            levels=made.levels,
+            models=made.models,
+        )
+        measured = np.zeros_like(errors[0]) + 0.4 * 0.3 * (1 + factor * of_pair)
+        noise = np.full((2, 3), 0.2**2)
+        fit = fitted(moved, measured.ravel(), 1e-4 * np.eye(n), np.arange(n), noise)
+        spread.append(np.ptp(fit.shift.mean(axis=(0, 2))))
+        assert fit.scattering.level == pytest.approx(0.475 + 0.3, abs=0.05)
+    assert spread[0] < 0.012  # 0.028 if every pair had its own
+    assert spread[1] == pytest.approx(2 * 0.4 * 0.3, rel=0.15)
+
+
+def test_groups_of_paths_have_the_mean_of_all_and_their_noise():
+    hall = halls.corridor()
+    tracer = PathTracing(
+        geometry=hall.geometry,
+        room=hall.room,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=1600,
+        n_batches=16,
+    )
+    groups = tracer.observe_in_groups(hall.room.alpha, 4, ("level",))
+    every = tracer.observe(hall.room.alpha, ("level",)).values
+    energy = (10 ** (groups / 10)).mean(axis=0)
+    np.testing.assert_allclose(10 * np.log10(energy), every, rtol=0, atol=1e-6)
+    assert groups.std(axis=0).min() > 0
+    with pytest.raises(DataError, match="number = 5 does not divide n_batches = 16"):
+        tracer.observe_in_groups(hall.room.alpha, 5)
