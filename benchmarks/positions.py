@@ -30,10 +30,10 @@ from scipy.stats import beta
 import rtcal as rt
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.control_runs import ControlRuns, control_runs
 from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import measured_pairs
-from rtcal.loop.positions import MORE_PATHS, prior_covariance
+from rtcal.loop.positions import AHEAD, MORE_PATHS, precise, prior_covariance
 from rtcal.simulators import PathTracing, paths
 from rtcal.simulators.observations import Observations
 from tests.position_rooms.generate import HERE, order
@@ -84,15 +84,13 @@ class Traces:
 
 
 class KeptTraces:
-    """Keeps a method's traces while it is entered: they do not depend on alpha, nor on its prior."""
+    """Keeps a room's traces while it is entered: they do not depend on alpha, nor on its prior."""
 
     def __enter__(self) -> KeptTraces:
-        self.method = ""
         self._trace, self._kept = paths.trace, dict[tuple[Any, ...], paths.Paths]()
 
         def kept(geometry: Any, *points: np.ndarray, **options: Any) -> paths.Paths:
             key = (
-                self.method,
                 geometry.vertices.tobytes(),
                 *(x.tobytes() for x in points),
                 *(
@@ -118,13 +116,16 @@ def calibrate(
     room: rt.Room,
     measured: Measurement,
     controls: ControlRuns | None = None,
+    cache: Path | None = None,
 ) -> Any:
     """Return the result of "t20" or "positions", which may have its control runs already."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if method == "t20":
             return rt.calibrate_simulator(simulator, room, measured)
-        return rt.calibrate_simulator(simulator, room, measured, match=MATCH, controls=controls)
+        return rt.calibrate_simulator(
+            simulator, room, measured, match=MATCH, controls=controls, cache=cache
+        )
 
 
 def simulated(simulator: PathTracing, alpha: np.ndarray, like: Measurement) -> Measurement:
@@ -155,7 +156,7 @@ def error(room: rt.Room, alpha: np.ndarray, truth: np.ndarray) -> float:
 
 
 def judged(
-    population: int, index: int, prior: str, methods: Sequence[str], kept: KeptTraces
+    population: int, index: int, prior: str, methods: Sequence[str], folder: Path
 ) -> list[dict[str, Any]]:
     """Return a row per method for one room and prior."""
     case = load(population, index, prior)
@@ -175,15 +176,13 @@ def judged(
         }
         tracer = judge
         if method in FITTING:
-            kept.method = method
-            figures, half = fitted(method, case, truth)
+            figures, half = fitted(method, case, truth, folder / "controls")
             row |= figures
             alpha = half.alpha
             tracer = calibrated(judge, half) if method == "positions" else judge
         else:
             alpha = case.room.alpha if method == "stated" else truth
             tracer = knowing(judge, population, index) if method == "perfect" else judge
-        kept.method = "judge"
         heard = simulated(tracer, alpha, held_out[0])
         row["gap"], row["gap_without_noise"] = (mean_gaps(heard, m) for m in held_out)
         if method == "positions":
@@ -208,13 +207,18 @@ def calibrated(judge: PathTracing, result: Any) -> PathTracing:
     return replace(judge, scattering=tracer.scattering, scattering_model=tracer.scattering_model)
 
 
-def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> tuple[dict[str, Any], Any]:
-    """Return the figures of a fit to all pairs, and the result of a fit to half of them."""
+def fitted(
+    method: str, case: PositionRoom, truth: np.ndarray, cache: Path
+) -> tuple[dict[str, Any], Any]:
+    """Return the figures of a fit to all pairs, and the result of a fit to half of them.
+
+    Processor time and traces are without those of the control runs, which ``cache`` has.
+    """
     n_paths = PATHS if method == "positions" else MORE_PATHS * PATHS
     simulator = case.simulator(n_paths=n_paths)
     with Traces() as traces:
         clock, processor = time.perf_counter(), time.process_time()
-        result = calibrate(method, simulator, case.room, case.measured)
+        result = calibrate(method, simulator, case.room, case.measured, cache=cache)
         row: dict[str, Any] = {
             "seconds": time.perf_counter() - clock,
             "processor": time.process_time() - processor,
@@ -232,18 +236,47 @@ def fitted(method: str, case: PositionRoom, truth: np.ndarray) -> tuple[dict[str
     return row, half
 
 
+def make_controls(folder: Path, population: int, index: int) -> None:
+    """Make the control runs of a room for both priors, and write how long those of the first took.
+
+    They do not depend on how a calibration uses them.
+    """
+    target = folder / "controls.jsonl"
+    if index in {r["index"] for r in read(target)}:
+        return
+    rows = []
+    for prior in PRIORS:
+        case = load(population, index, prior)
+        simulator = precise(case.simulator(n_paths=PATHS))
+        simulator.trace_ahead(case.room.alpha, AHEAD)
+        clock, processor = time.perf_counter(), time.process_time()
+        with Traces() as traces:
+            control_runs(simulator, case.room, MATCH, cache=folder / "controls")
+        rows.append(
+            {
+                "index": index,
+                "seconds": time.perf_counter() - clock,
+                "processor": time.process_time() - processor,
+                "traces": traces.number,
+            }
+        )
+    with target.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(rounded(rows[0])) + "\n")
+
+
 def run(folder: Path, population: int, indices: Sequence[int], methods: Sequence[str]) -> None:
     """Judge the rooms that are not in the folder's results yet; written after each."""
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / "results.jsonl"
     done = {(r["index"], r["prior"], r["method"]) for r in read(target)}
     for index in indices:
-        with KeptTraces() as kept:
+        with KeptTraces():
+            make_controls(folder, population, index)
             for prior in PRIORS:
                 missing = [m for m in methods if (index, prior, m) not in done]
                 if not missing:
                     continue
-                rows = judged(population, index, prior, missing, kept)
+                rows = judged(population, index, prior, missing, folder)
                 with target.open("a", encoding="utf-8") as file:
                     file.writelines(json.dumps(rounded(row)) + "\n" for row in rows)
                 errors = (f"{r['method']} {r.get('error', 0):.4f}" for r in rows)

@@ -52,7 +52,7 @@ _SETTLED = 0.05
 _UNKNOWN_ERROR = 0.05
 """Standard deviation of a simulator's error that no control run tells: one JND of T, and 0.5 dB."""
 
-_AHEAD = 2.0
+AHEAD = 2.0
 """How many times Eyring's T of the prior the paths are followed: in ten development rooms, T20 of the
 draws of the control runs needed up to 2.2 times as much."""
 
@@ -87,7 +87,7 @@ def calibrate_positions(
     """Calibrate to every position; see `rtcal.calibrate_simulator`."""
     checks.positive("position_uncertainty", position_uncertainty, "m")
     tracer = simulator
-    simulator = _precise(simulator)
+    simulator = precise(simulator)
     _trace_ahead(simulator, room.alpha, seed)
     wanted = _with_t30(match, measured)
     replaced = wanted != tuple(match)
@@ -354,7 +354,7 @@ def _plain(room: Room) -> Calibration:
     )
 
 
-def _precise(simulator: Simulator) -> Simulator:
+def precise(simulator: Simulator) -> Simulator:
     """Return a path tracing with `MORE_PATHS` times its paths, any other simulator as it is."""
     if not isinstance(simulator, PathTracing):
         return simulator
@@ -364,7 +364,7 @@ def _precise(simulator: Simulator) -> Simulator:
 def _trace_ahead(simulator: Simulator, alpha: Array, seed: int) -> None:
     """Trace paths that are long enough for other draws of alpha, too."""
     if isinstance(simulator, PathTracing):
-        simulator.trace_ahead(alpha, _AHEAD, seed=seed)
+        simulator.trace_ahead(alpha, AHEAD, seed=seed)
 
 
 def _named(simulator: Simulator, scattering: Scattering | None) -> str:
