@@ -8,6 +8,7 @@ import pytest
 from rtcal.datasets import halls
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.positions import error_scale
 from rtcal.loop.scattering import basis, fitted
 from rtcal.simulators import PathTracing
 
@@ -101,3 +102,16 @@ def test_groups_of_paths_have_the_mean_of_all_and_their_noise():
     assert groups.std(axis=0).min() > 0
     with pytest.raises(DataError, match="number = 5 does not divide n_batches = 16"):
         tracer.observe_in_groups(hall.room.alpha, 5)
+
+
+def test_the_simulators_error_is_scaled_to_what_is_likeliest():
+    rng = np.random.default_rng(5)
+    n = 300
+    factor = rng.standard_normal((n, 20)) / np.sqrt(20)
+    error, expected = factor @ factor.T, np.diag(rng.uniform(0.1, 1.0, n))
+    for scale in (1.0, 5.0):
+        drawn = rng.multivariate_normal(np.zeros(n), expected + scale * error, 15)
+        found = np.array([error_scale(x, expected, error) for x in drawn])
+        assert np.median(found) == pytest.approx(scale, rel=0.2)
+        # Chi-square's scatter over all 300 values would make it 4 where it is 1.
+        assert np.quantile(found, 0.9) < 2 * scale

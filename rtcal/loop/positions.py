@@ -14,8 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.optimize import brentq
+from scipy.linalg import eigh, solve_triangular
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import CalibrationRecord
@@ -63,6 +62,8 @@ _GROUPS = 4
 _BATCHES = 16
 """Batches of the paths that are weighed; a multiple of `_GROUPS`."""
 
+_SCALES = 139
+"""Factors of the simulator's error that are tried: neighbours differ by 5 %."""
 _LARGEST_SCALE = 1000.0
 """Largest factor of the simulator's error: then it is some 30 times as large as in the control runs."""
 
@@ -196,22 +197,23 @@ def _gauss_newton(
 
 
 def error_scale(innovation: Array, expected: Array, error: Array) -> float:
-    """Return the factor of the simulator's error with which chi-square is its degrees of freedom.
+    """Return the factor of the simulator's error under which what was measured is likeliest.
 
     At least 1, and at most `_LARGEST_SCALE`. ``innovation`` (n,) is what was measured less what the
     simulator hears with the prior, ``expected`` (n, n) its covariance without the simulator's error,
     ``error`` (n, n) that of the simulator's error.
     """
+    # In the eigenvectors of both covariances the factor changes variances only.
+    variance, vectors = eigh(error, expected)
+    variance = np.maximum(variance, 0.0)
+    square = (vectors.T @ innovation) ** 2
 
-    def excess(scale: float) -> float:
-        white = np.linalg.solve(expected + scale * error, innovation)
-        return float(innovation @ white) - len(innovation)
+    def loss(log_scale: float) -> float:
+        of_sum = 1 + np.exp(log_scale) * variance
+        return float(np.sum(square / of_sum + np.log(of_sum)))
 
-    if excess(1.0) <= 0:
-        return 1.0
-    if excess(_LARGEST_SCALE) >= 0:
-        return _LARGEST_SCALE
-    return float(brentq(excess, 1.0, _LARGEST_SCALE, rtol=1e-3))
+    tried = np.linspace(0.0, np.log(_LARGEST_SCALE), _SCALES)
+    return float(np.exp(tried[np.argmin([loss(x) for x in tried])]))
 
 
 def prior_covariance(room: Room) -> Array:
