@@ -18,16 +18,15 @@ import argparse
 import json
 import time
 import warnings
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
 
 import rtcal as rt
+from benchmarks.positions_table import FITTING, GAPS, STORED, fresh, median_ratio, read, table
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop.control_runs import ControlRuns, control_runs
@@ -36,13 +35,12 @@ from rtcal.loop.measured_pairs import measured_pairs
 from rtcal.loop.positions import AHEAD, MORE_PATHS, precise, prior_covariance
 from rtcal.simulators import PathTracing, paths
 from rtcal.simulators.observations import Observations
-from tests.position_rooms.generate import HERE, order
+from tests.position_rooms.generate import order
 from tests.position_rooms.load import PositionRoom, at, load, stored, true_alpha, without_noise
 from tests.position_rooms.rooms import PRIORS
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
 FITTED, HELD_OUT = ("R1", "R2", "R3"), ("R4", "R5", "R6")
-GAPS = ("edt", "c80", "g")
 PATHS = 8000
 """Of the simulator that is calibrated to every position, which weighs `MORE_PATHS` times as many. The
 loop on T20 alone gets as many as are weighed."""
@@ -50,20 +48,6 @@ JUDGING_PATHS = 32000
 """Of the simulations that judge. With 8000, EDT of a pair has a noise of some 6 %: more than a JND."""
 SEED = 100
 """Of the simulations that judge; a calibration uses others."""
-STORED = HERE / "population_1_results.jsonl"
-RNG = 20261122
-ALLOWED = 0.05
-"""An error of alpha that is at most so much larger than the prior's counts as no worse."""
-FITTING = {"t20": "T20 alone", "positions": "every position"}
-METHODS = {
-    **FITTING,
-    "perfect": "true alpha and scattering",
-    "truth": "true alpha",
-    "stated": "stated alpha",
-}
-GAP_KINDS = {"gap_without_noise": "to what is heard", "gap": "to what was measured"}
-"""At the held-out pairs. What is heard has no noise. What was measured has it, and with it a gap that
-no alpha closes: that of the true one."""
 
 
 class Traces:
@@ -212,7 +196,7 @@ def fitted(
 ) -> tuple[dict[str, Any], Any]:
     """Return the figures of a fit to all pairs, and the result of a fit to half of them.
 
-    Processor time and traces are without those of the control runs, which ``cache`` has.
+    Times and traces are without those of the control runs, which ``cache`` has; see `charged`.
     """
     n_paths = PATHS if method == "positions" else MORE_PATHS * PATHS
     simulator = case.simulator(n_paths=n_paths)
@@ -264,6 +248,18 @@ def make_controls(folder: Path, population: int, index: int) -> None:
         file.write(json.dumps(rounded(rows[0])) + "\n")
 
 
+def charged(rows: list[dict[str, Any]], controls: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows; those of every position with times and traces of the control runs, too."""
+    of_room = {r["index"]: r for r in controls}
+    costs = ("seconds", "processor", "traces")
+    return [
+        row | {c: row[c] + of_room[row["index"]][c] for c in costs}
+        if row["method"] == "positions"
+        else row
+        for row in rows
+    ]
+
+
 def run(folder: Path, population: int, indices: Sequence[int], methods: Sequence[str]) -> None:
     """Judge the rooms that are not in the folder's results yet; written after each."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -277,6 +273,7 @@ def run(folder: Path, population: int, indices: Sequence[int], methods: Sequence
                 if not missing:
                     continue
                 rows = judged(population, index, prior, missing, folder)
+                rows = charged(rows, read(folder / "controls.jsonl"))
                 with target.open("a", encoding="utf-8") as file:
                     file.writelines(json.dumps(rounded(row)) + "\n" for row in rows)
                 errors = (f"{r['method']} {r.get('error', 0):.4f}" for r in rows)
@@ -287,111 +284,6 @@ def rounded(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: rounded(v) for k, v in value.items()}
     return float(f"{value:.4g}") if isinstance(value, float) else value
-
-
-def read(path: Path) -> list[dict[str, Any]]:
-    return (
-        [json.loads(line) for line in path.read_text("utf-8").splitlines()] if path.exists() else []
-    )
-
-
-def bootstrap(
-    statistic: Callable[[np.ndarray], float], n: int, draws: int = 4000
-) -> tuple[float, float, float]:
-    """Return a statistic of rooms' numbers 0 to n - 1 with its 95 % interval over rooms."""
-    rng = np.random.default_rng(RNG)
-    values = [statistic(rng.integers(n, size=n)) for _ in range(draws)]
-    low, high = np.quantile(values, [0.025, 0.975])
-    return statistic(np.arange(n)), float(low), float(high)
-
-
-def share(hits: int, n: int) -> tuple[float, float, float]:
-    """Return a share with its 95 % interval (Clopper & Pearson 1934)."""
-    low = beta.ppf(0.025, hits, n - hits + 1) if hits else 0.0
-    high = beta.ppf(0.975, hits + 1, n - hits) if hits < n else 1.0
-    return hits / n, float(low), float(high)
-
-
-def median_ratio(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
-    return bootstrap(lambda i: float(np.median((a / b)[i])), len(a))
-
-
-def ratio_of_sums(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
-    return bootstrap(lambda i: float(a[i].sum() / b[i].sum()), len(a))
-
-
-def no_worse(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
-    return share(int((a <= (1 + ALLOWED) * b).sum()), len(a))
-
-
-def over_parameters(rows: list[dict[str, Any]], kind: str) -> np.ndarray:
-    """Return each room's gap, the mean over the parameters, in JND."""
-    return np.array([np.mean([row[kind][p] for p in GAPS]) for row in rows])
-
-
-def complete(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows of the rooms that have one of every method and prior there is."""
-    methods = {r["method"] for r in rows}
-    number = Counter(r["index"] for r in rows)
-    return [r for r in rows if number[r["index"]] == len(methods) * len(PRIORS)]
-
-
-def summary(rows: Sequence[dict[str, Any]]) -> dict[str, tuple[float, float, float]]:
-    """Return the figures of complete rooms by name, each with its 95 % interval."""
-    rows = complete(rows)
-    found: dict[str, tuple[float, float, float]] = {}
-    for prior in PRIORS:
-        of = {
-            method: sorted(
-                (r for r in rows if r["prior"] == prior and r["method"] == method),
-                key=lambda r: int(r["index"]),
-            )
-            for method in METHODS
-        }
-        base = np.array([r["prior_error"] for r in of["t20"]])
-        errors = {m: np.array([r["error"] for r in of[m]]) for m in FITTING if of[m]}
-        every = errors.get("positions")
-        if every is not None:
-            found[f"{prior}: error, every position / T20 alone"] = median_ratio(
-                every, errors["t20"]
-            )
-        for method, name in FITTING.items():
-            if method in errors:
-                found[f"{prior}: error, {name} / prior"] = median_ratio(errors[method], base)
-                found[f"{prior}: {name} no worse than the prior"] = no_worse(errors[method], base)
-        if stating := [r for r in of["positions"] if "covered" in r]:
-            found[f"{prior}: coverage of 90 % intervals"] = ratio_of_sums(
-                *(np.array([r[n] for r in stating]) for n in ("covered", "coefficients"))
-            )
-        for kind, name in GAP_KINDS.items():
-            gaps = {m: over_parameters(of[m], kind) for m in METHODS if of[m]}
-            for method in ("positions", "perfect", "truth", "stated"):
-                if method in gaps:
-                    label = f"{prior}: gap {name}, {METHODS[method]} / T20 alone"
-                    found[label] = ratio_of_sums(gaps[method], gaps["t20"])
-            if "positions" in gaps:
-                foretold = over_parameters(of["positions"], kind.replace("gap", "predicted"))
-                label = f"{prior}: gap {name}, predicted by every position / T20 alone"
-                found[label] = ratio_of_sums(foretold, gaps["t20"])
-    return found
-
-
-def table(rows: Sequence[dict[str, Any]]) -> None:
-    rows = complete(rows)
-    rooms = sorted({r["index"] for r in rows})
-    boxes = sum(i % 2 == 0 for i in rooms)
-    print(f"{len(rooms)} rooms, {boxes} boxes; 95 % intervals over rooms")
-    for name, (value, low, high) in summary(rows).items():
-        print(f"{name:67} {value:6.3f}  {low:.3f} to {high:.3f}")
-    for method in ("t20", "positions"):
-        chosen = [r for r in rows if r["method"] == method]
-        if chosen:
-            seconds, processor, traces = (
-                np.median([r[k] for r in chosen]) for k in ("seconds", "processor", "traces")
-            )
-            print(
-                f"{method}: median {seconds:.1f} s, {processor:.1f} s of processor, {traces:.0f} traces"
-            )
 
 
 def speed(population: int) -> None:
@@ -433,7 +325,7 @@ def bound(population: int, indices: Sequence[int], rows: Sequence[dict[str, Any]
             if (index, prior) not in t20:
                 continue
             case = load(population, index, prior)
-            tracer = knowing(case.simulator(n_paths=PATHS), population, index)
+            tracer = knowing(case.simulator(n_paths=MORE_PATHS * PATHS), population, index)
             heard = tracer.observe(case.room.alpha, MATCH)
             data = measured_pairs(case.room, case.measured, MATCH, heard)
             matrix = Listener(tracer, data, heard, case.room.alpha, 0).linearised()
@@ -463,7 +355,10 @@ def main() -> None:
         folder = arguments.folder or Path("positions_run")
         run(folder, arguments.population, indices, arguments.methods.split(","))
     elif arguments.command == "table":
-        table(read(results))
+        rows = read(results)
+        for name, chosen in (("all", rows), ("not judged before", fresh(rows))):
+            print(f"\n{name}:")
+            table(chosen)
     elif arguments.command == "bound":
         bound(arguments.population, order(arguments.population)[: arguments.number], read(results))
     else:

@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.positions import STORED as RESULTS
-from benchmarks.positions import error, median_ratio, read, rounded, share
+from benchmarks.positions import error, rounded
+from benchmarks.positions_table import STORED as RESULTS
+from benchmarks.positions_table import median_ratio, read, share
 from tests.position_rooms.generate import HERE, order
 from tests.position_rooms.load import SCATTERING, PositionRoom, load, stored, true_alpha
 from tests.position_rooms.parameters import OCTAVES

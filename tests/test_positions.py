@@ -19,7 +19,7 @@ HALL = halls.lecture_hall()
 
 
 def tracing(room, **options):
-    settings = {"n_paths": 1600, "scattering": 0.5} | options
+    settings = {"n_paths": 1200, "scattering": 0.5} | options
     return PathTracing(
         geometry=HALL.geometry,
         room=room,
