@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.positions_table import FITTING, GAPS, STORED, fresh, median_ratio, read, table
+from benchmarks.positions_table import FITTING, GAPS, STORED, median_ratio, print_tables, read
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop.control_runs import ControlRuns, control_runs
@@ -355,10 +355,7 @@ def main() -> None:
         folder = arguments.folder or Path("positions_run")
         run(folder, arguments.population, indices, arguments.methods.split(","))
     elif arguments.command == "table":
-        rows = read(results)
-        for name, chosen in (("all", rows), ("not judged before", fresh(rows))):
-            print(f"\n{name}:")
-            table(chosen)
+        print_tables(read(results))
     elif arguments.command == "bound":
         bound(arguments.population, order(arguments.population)[: arguments.number], read(results))
     else:

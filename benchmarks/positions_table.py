@@ -145,3 +145,10 @@ def table(rows: Sequence[dict[str, Any]]) -> None:
             print(
                 f"{method}: median {seconds:.1f} s, {processor:.1f} s of processor, {traces:.0f} traces"
             )
+
+
+def print_tables(rows: Sequence[dict[str, Any]]) -> None:
+    """Print the table of all rooms, and that of the rooms that no earlier version was judged on."""
+    for name, chosen in (("all", rows), ("not judged before", fresh(rows))):
+        print(f"\n{name}:")
+        table(chosen)

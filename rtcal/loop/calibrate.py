@@ -100,6 +100,7 @@ def calibrate_simulator(
     Parameters
     ----------
     simulator : Simulator
+        For every position, a `PathTracing` is followed with four times its paths.
     room : Room
         Its alpha and sigma are the prior. In large rooms with hard walls, sigma should be
         proportional to alpha: equal sigmas drive large hard walls to alpha = 0.

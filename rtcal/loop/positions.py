@@ -56,7 +56,9 @@ AHEAD = 2.0
 draws of the control runs needed up to 2.2 times as much."""
 
 MORE_PATHS = 4
-"""Factor of the number of paths that are weighed."""
+"""Factor of the number of paths that are weighed: EDT of a pair has a noise of 2 to 9 % with 6000. In a
+development room with 26 surfaces the error of alpha was 1.00 times that of T20 alone with 8000 paths,
+and 0.95 times with 32,000."""
 _GROUPS = 4
 """Groups of paths whose differences tell the noise of a control run."""
 _BATCHES = 16

@@ -82,8 +82,8 @@ class PositionsResult:
     controls : ControlRuns or None
         The simulator's error, to be given to a second calibration. None if it is not known.
     error_scale : float
-        Factor of the error's variance: above 1 where simulator and prior miss what was measured by
-        more than they should.
+        Factor of the error's variance under which what was measured is likeliest, at least 1. It is
+        above 1 where simulator and prior miss what was measured by more than they should.
     innovation, covariance : array (n_used,), (n_used, n_used)
         What was measured less what the simulator hears at ``steps[-1].alpha``, linearly
         extrapolated to the prior; covariance of the errors of measurement and simulator.

@@ -4,7 +4,11 @@ Nobody states how a room scatters as a tracer takes it. Control runs differ in i
 every observation depends on the level of scattering, under both meanings of the coefficient. What was
 measured then tells which level is likely. What it changes is added to what the simulator hears. It is
 the mean over control runs, so it has less noise than another trace. What is left of the simulator's
-error is what the level does not explain, and how uncertain the level is.
+error is what the level does not explain, and how uncertain the level is. The noise of the control runs
+is no part of it.
+
+In five development rooms the log-likelihood of what was measured was 9 to 21 nats higher without that
+noise, with `_pooled` coefficients, and with the likeliest scale of the error.
 """
 
 from __future__ import annotations
