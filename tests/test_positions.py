@@ -209,7 +209,7 @@ def replaced(measured, parameter, values):
 
 
 def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, result):
-    room, truth, measured = case
+    room, _, measured = case
     wrong = measured.values["c80"].copy()
     wrong[2] += 6.0
     broken = replaced(measured, "c80", wrong)
@@ -222,7 +222,8 @@ def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, r
     )
     assert without.contradictions == ()
     assert measured.pairs[2] not in without.pairs
-    assert error(room, without.alpha, truth) < error(room, found.alpha, truth)
+    right = result.alpha
+    assert error(room, without.alpha, right) < 0.8 * error(room, found.alpha, right)
 
 
 def test_relative_levels_do_not_depend_on_a_sources_power(case, result):
