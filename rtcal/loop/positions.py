@@ -84,13 +84,17 @@ def calibrate_positions(
     cache: str | os.PathLike[str] | None = None,
     position_uncertainty: float = POSITION,
     fit_scattering: bool = True,
+    more_paths: int = MORE_PATHS,
     seed: int = 0,
     report: Report | None = None,
 ) -> PositionsResult:
-    """Calibrate to every position; see `rtcal.calibrate_simulator`."""
+    """Calibrate to every position; see `rtcal.calibrate_simulator`.
+
+    ``more_paths`` is the factor of the number of paths of a `PathTracing` that are weighed.
+    """
     checks.positive("position_uncertainty", position_uncertainty, "m")
     tracer = simulator
-    simulator = precise(simulator)
+    simulator = precise(simulator, more_paths)
     _trace_ahead(simulator, room.alpha, seed)
     wanted = _with_t30(match, measured)
     replaced = wanted != tuple(match)
@@ -358,11 +362,13 @@ def _plain(room: Room) -> Calibration:
     )
 
 
-def precise(simulator: Simulator) -> Simulator:
-    """Return a path tracing with `MORE_PATHS` times its paths, any other simulator as it is."""
+def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator:
+    """Return a path tracing with more paths in `_BATCHES`, any other simulator as it is."""
     if not isinstance(simulator, PathTracing):
         return simulator
-    return replace(simulator, n_paths=MORE_PATHS * simulator.n_paths, n_batches=_BATCHES)
+    if more_paths == 1 and simulator.n_batches == _BATCHES:
+        return simulator  # with the paths that it has already
+    return replace(simulator, n_paths=more_paths * simulator.n_paths, n_batches=_BATCHES)
 
 
 def _trace_ahead(simulator: Simulator, alpha: Array, seed: int) -> None:

@@ -346,6 +346,7 @@ def heard_calibrated(
         finding.parameters,
         exclude=fitted.exclude,
         controls=finding.controls,
+        more_paths=1,  # `precisely` gave it more
         seed=seed,
     )
     # Its tracer scatters as fitted, with which alpha was calibrated.
