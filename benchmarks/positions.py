@@ -319,24 +319,31 @@ def bound(population: int, indices: Sequence[int], rows: Sequence[dict[str, Any]
     there is: prior and the measurement's noise alone limit it.
     """
     t20 = {(r["index"], r["prior"]): r for r in rows if r["method"] == "t20"}
+    expected: dict[str, list[float]] = {prior: [] for prior in PRIORS}
+    base: dict[str, list[float]] = {prior: [] for prior in PRIORS}
+    for index in indices:
+        with KeptTraces():
+            for prior in PRIORS:
+                if (index, prior) in t20:
+                    expected[prior].append(least_error(population, index, prior))
+                    base[prior].append(t20[index, prior]["error"])
     for prior in PRIORS:
-        expected, base = [], []
-        for index in indices:
-            if (index, prior) not in t20:
-                continue
-            case = load(population, index, prior)
-            tracer = knowing(case.simulator(n_paths=MORE_PATHS * PATHS), population, index)
-            heard = tracer.observe(case.room.alpha, MATCH)
-            data = measured_pairs(case.room, case.measured, MATCH, heard)
-            matrix = Listener(tracer, data, heard, case.room.alpha, 0).linearised()
-            before = prior_covariance(case.room)
-            across = before @ matrix.T
-            gain = np.linalg.solve(matrix @ across + data.covariance, across.T)
-            variance = np.diag(before - across @ gain).reshape(case.room.alpha.shape)
-            expected.append(error(case.room, np.sqrt(variance), np.zeros_like(variance)))
-            base.append(t20[index, prior]["error"])
-        value, low, high = median_ratio(np.array(expected), np.array(base))
-        print(f"{prior}: {len(base)} rooms, {value:.3f}  {low:.3f} to {high:.3f}", flush=True)
+        value, low, high = median_ratio(np.array(expected[prior]), np.array(base[prior]))
+        print(f"{prior}: {len(base[prior])} rooms, {value:.3f}  {low:.3f} to {high:.3f}")
+
+
+def least_error(population: int, index: int, prior: str) -> float:
+    """Return the error of alpha that the measurement's noise leaves a perfect simulator."""
+    case = load(population, index, prior)
+    tracer = knowing(case.simulator(n_paths=MORE_PATHS * PATHS), population, index)
+    heard = tracer.observe(case.room.alpha, MATCH)
+    data = measured_pairs(case.room, case.measured, MATCH, heard)
+    matrix = Listener(tracer, data, heard, case.room.alpha, 0).linearised()
+    before = prior_covariance(case.room)
+    across = before @ matrix.T
+    gain = np.linalg.solve(matrix @ across + data.covariance, across.T)
+    variance = np.diag(before - across @ gain).reshape(case.room.alpha.shape)
+    return error(case.room, np.sqrt(variance), np.zeros_like(variance))
 
 
 def main() -> None:
