@@ -20,9 +20,10 @@ from pathlib import Path
 import numpy as np
 
 import rtcal as rt
-from benchmarks.positions import calibrated
+from benchmarks.positions import JUDGING_PATHS, PATHS, calibrated
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
+from rtcal.loop.positions import precise
 from rtcal.simulators import PathTracing, Polyhedron
 
 MATCH = ("t20", "edt", "c80", "ts")
@@ -120,8 +121,14 @@ def main() -> None:
     total: dict[str, list[np.ndarray]] = {}
     for fitted, predicted in (("LS1", "LS2"), ("LS2", "LS1")):
         tracer, judge = (
-            PathTracing(geometry=geometry, room=room, sources={s: SOURCES[s]}, receivers=RECEIVERS)
-            for s in (fitted, predicted)
+            PathTracing(
+                geometry=geometry,
+                room=room,
+                sources={s: SOURCES[s]},
+                receivers=RECEIVERS,
+                n_paths=n_paths,
+            )
+            for s, n_paths in ((fitted, PATHS), (predicted, JUDGING_PATHS))
         )
         data, other = (
             measured_pairs(folder / "measured.json", room.centre_frequencies, s)
@@ -129,7 +136,7 @@ def main() -> None:
         )
         alphas = {"stated": room.alpha}
         clock = time.process_time()
-        alphas["T20 alone"] = rt.calibrate_simulator(tracer, room, data).alpha
+        alphas["T20 alone"] = rt.calibrate_simulator(precise(tracer), room, data).alpha
         print(f"T20 alone, fitted on {fitted}: {time.process_time() - clock:.0f} s of processor")
         clock = time.process_time()
         every = rt.calibrate_simulator(tracer, room, data, match=MATCH)
