@@ -137,13 +137,13 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
 
 def test_t20_alone_stays_the_default(case):
     room, _, measured = case
-    default = rt.calibrate_simulator(tracing(room), room, measured)
-    stated = rt.calibrate_simulator(tracing(room), room, measured, match=("t20",))
+    default = rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured)
+    stated = rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured, match=("t20",))
     np.testing.assert_array_equal(default.alpha, stated.alpha)
     with pytest.raises(DataError, match="exclude does not go with match"):
-        rt.calibrate_simulator(tracing(room), room, measured, exclude=[("S", "R1")])
+        rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured, exclude=[("S", "R1")])
     with pytest.raises(DataError, match="rule does not go with match"):
-        rt.calibrate_simulator(tracing(room), room, measured, rule="secant", match=MATCH)
+        rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured, rule="secant", match=MATCH)
 
 
 def test_a_second_calibration_traces_no_control_run(case, result, tmp_path):
