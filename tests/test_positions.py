@@ -143,7 +143,9 @@ def test_t20_alone_stays_the_default(case):
     with pytest.raises(DataError, match="exclude does not go with match"):
         rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured, exclude=[("S", "R1")])
     with pytest.raises(DataError, match="rule does not go with match"):
-        rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured, rule="secant", match=MATCH)
+        rt.calibrate_simulator(
+            tracing(room, n_paths=1600), room, measured, rule="secant", match=MATCH
+        )
 
 
 def test_a_second_calibration_traces_no_control_run(case, result, tmp_path):
