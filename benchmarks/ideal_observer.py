@@ -26,7 +26,7 @@ from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import UNKNOWN, Prior, prior_of
 from rtcal.discrepancy.set_posterior import families_of, set_posterior
 from rtcal.discrepancy.sets import Comparison, Rows, acting_order, compare, moments, shapes
-from rtcal.discrepancy.several import claimed_from
+from rtcal.discrepancy.several import TWO
 
 
 def drawn(compared: Comparison, prior: Prior, number: int, rng: np.random.Generator) -> Rows:
@@ -75,7 +75,7 @@ def examined(
     sets = posterior.by_families(predicted.effects)
     likeliest = next(s for s in sets if len(s) == 2 and UNKNOWN not in s)
     less, more = sum(posterior.numbers()[:2]), sum(posterior.numbers()[2:])
-    claimed = more >= claimed_from(likeliest)
+    claimed = more >= TWO
     return float(np.log(more / less)), likeliest == truth, claimed
 
 

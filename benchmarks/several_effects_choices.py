@@ -1,6 +1,6 @@
 """What decides numbers of the search for several effects, on development rooms.
 
-    python -m benchmarks.several_effects_choices claim --folder out    # `several.claimed_from`
+    python -m benchmarks.several_effects_choices claim --folder out    # `several.TWO`
     python -m benchmarks.several_effects_choices parameters --folder out     # `set_posterior.KEPT`
     python -m benchmarks.several_effects_choices speed --folder out
 
@@ -28,9 +28,10 @@ from rtcal.discrepancy.model_error import estimate_discrepancy
 from rtcal.discrepancy.prior import prior_of
 from rtcal.discrepancy.set_posterior import Kept
 from rtcal.discrepancy.sets import compare
-from rtcal.discrepancy.several import NOT_OF_THE_ROOM
 
 POPULATION = 0
+NOT_OF_THE_ROOM = frozenset({"climate", "measurement"})
+"""Families that neither absorb nor shape the field: a limit of their own for them was tried."""
 
 
 def claim(folder: str, population: int, label: str) -> None:

@@ -29,13 +29,8 @@ from rtcal.support.threads import single_threaded_blas
 TWO = 0.98
 """Probability of two or more effects from which more than one family is claimed. An absorber hides the
 wall behind it and makes the field less even, and a formula knows neither. So one effect of the room
-leaves what a second one explains."""
-TWO_OF_OTHER_KINDS = 0.6
-"""The same where a family of `NOT_OF_THE_ROOM` is among the most probable: what an effect of the room
-leaves looks like no noise floor and no air. Both were chosen on development rooms of the first hidden
-world (`benchmarks.several_effects_choices claim`)."""
-NOT_OF_THE_ROOM = frozenset({"climate", "measurement"})
-"""Families that neither absorb nor shape the field."""
+leaves what a second one explains. Chosen on development rooms of the first hidden world
+(`benchmarks.several_effects_choices claim`)."""
 
 
 @single_threaded_blas()
@@ -206,12 +201,7 @@ def _fitted(
 def _together(family_sets: Mapping[Names, float], numbers: Sequence[float]) -> Names:
     """Return the most probable families of two or more effects; () where these are not probable."""
     several = next((s for s in family_sets if len(s) > 1 and UNKNOWN not in s), ())
-    return several if several and sum(numbers[2:]) >= claimed_from(several) else ()
-
-
-def claimed_from(families: Names) -> float:
-    """Return the probability of two or more effects from which these families are claimed together."""
-    return TWO if NOT_OF_THE_ROOM.isdisjoint(families) else TWO_OF_OTHER_KINDS
+    return several if several and sum(numbers[2:]) >= TWO else ()
 
 
 def _claims(

@@ -68,7 +68,7 @@ class SeveralFinding:
         The families that are claimed; those of ``named`` among them.
     named_set : tuple of str
         The families of two or three effects that are claimed together: the most probable ones, where
-        two or more effects are probable enough (`several.claimed_from`) and pass every check; else ().
+        two or more effects are probable enough (`several.TWO`) and pass every check; else ().
     probabilities : mapping of str to float
         Of each effect, "coefficients" and "unknown" that it is there at all, the most probable first.
         They do not sum to 1.

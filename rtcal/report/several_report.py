@@ -9,7 +9,7 @@ import numpy as np
 
 from rtcal.discrepancy.probabilities import family_of
 from rtcal.discrepancy.recalibration import recalibrate
-from rtcal.discrepancy.several import TWO, TWO_OF_OTHER_KINDS
+from rtcal.discrepancy.several import TWO
 from rtcal.discrepancy.several_finding import SeveralFinding
 from rtcal.discrepancy.wording import listed
 from rtcal.report import gap_figures, gap_words
@@ -119,8 +119,7 @@ def _rests_on(finding: SeveralFinding) -> list[str]:
         _sentence(finding.numbers_in_words),
         f"An effect or a family is claimed if the probability that it is there is at least "
         f"{100 * CLAIMED:.0f} %, and if it passes the checks of a single finding. More than one is "
-        f"claimed from {100 * TWO:.0f} % for more than one effect, with climate or measurement among "
-        f"them from {100 * TWO_OF_OTHER_KINDS:.0f} %.",
+        f"claimed from {100 * TWO:.0f} % for more than one effect.",
     ]
     if finding.coefficients is not None:
         words = finding.coefficients.words(finding.case.room.centre_frequencies)
