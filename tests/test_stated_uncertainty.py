@@ -76,8 +76,12 @@ def test_uncertainties_survive_their_file(tmp_path: Path) -> None:
 def test_an_uncertainty_above_the_value_is_refused(name: str, parameter: str, value: float) -> None:
     m = measured()
     shape = (4, 6) if name == "uncertainty" else (6,)
-    with pytest.raises(DataError, match=rf"{name}\[{parameter}, 125 Hz\] = .* is larger than"):
-        replace(m, **{name: {parameter: np.full(shape, value)}})
+    stated = replace(m, **{name: {parameter: np.full(shape, value)}})
+    said = rf"{name}\[{parameter}, 125 Hz\] = .* is larger than"
+    with pytest.raises(DataError, match=said):
+        Configuration(name="measured", measured=stated)
+    with pytest.raises(DataError, match=said):
+        rt.calibrate(hall(), stated)
 
 
 def test_a_part_in_common_that_stands_alone_is_taken() -> None:

@@ -121,9 +121,6 @@ class Measurement:
         ):
             checked = {p: self._checked(name, p, v, shape) for p, v in getattr(self, name).items()}
             put(name, checked)
-        for name in ("uncertainty", "common_uncertainty"):
-            for parameter in getattr(self, name):
-                self._check_uncertainty(name, parameter)
         self._check_summary()
 
     def _checked_pairs(self) -> tuple[tuple[str, str], ...]:
@@ -159,23 +156,6 @@ class Measurement:
             for parameter in getattr(self, name):
                 if parameter not in self.values:
                     raise DataError(f"measurement {name}[{parameter}] has no values beside it")
-
-    def _check_uncertainty(self, name: str, parameter: str) -> None:
-        """Refuse an uncertainty that is larger than the value itself, or than its whole range."""
-        stated = np.atleast_2d(getattr(self, name)[parameter])
-        if parameter in DECAY_TIMES:
-            most, rule = self.values[parameter], "the value itself"
-        else:
-            low, high, _ = LIMITS[parameter]
-            most, rule = np.array(high - low), "the parameter's range"
-        if (bad := stated > most).any():
-            pair, band = (int(i) for i in np.argwhere(bad)[0])
-            row = 0 if name == "common_uncertainty" else pair
-            raise DataError(
-                f"measurement {name}[{parameter}, {bands.label(self.centre_frequencies[band])}] = "
-                f"{stated[row, band]:g}{f' {UNITS[parameter]}'.rstrip()} is larger than {rule}: is it "
-                "in percent?"
-            )
 
     def _checked(self, name: str, parameter: str, value: Any, shape: tuple[int, ...]) -> Array:
         if parameter not in UNITS:
@@ -215,6 +195,29 @@ class Measurement:
             rows.append([parameter.upper() + unit, *(_mean_text(m, u) for m, u in means)])
         labels = [bands.label(f) for f in self.centre_frequencies]
         return html.table(self._description, ["mean ± u", *labels], rows)
+
+    def refuse_large_uncertainty(self) -> None:
+        """Raise DataError if a stated uncertainty is larger than the value, or than its whole range.
+
+        Whoever takes a measurement for what was heard calls it. A simulation with few paths may be
+        so uncertain, and is not refused.
+        """
+        for name in ("uncertainty", "common_uncertainty"):
+            for parameter, array in getattr(self, name).items():
+                stated = np.atleast_2d(array)
+                if parameter in DECAY_TIMES:
+                    most, rule = self.values[parameter], "the value itself"
+                else:
+                    low, high, _ = LIMITS[parameter]
+                    most, rule = np.array(high - low), "the parameter's range"
+                if (bad := stated > most).any():
+                    pair, band = (int(i) for i in np.argwhere(bad)[0])
+                    row = 0 if name == "common_uncertainty" else pair
+                    raise DataError(
+                        f"measurement {name}[{parameter}, "
+                        f"{bands.label(self.centre_frequencies[band])}] = {stated[row, band]:g}"
+                        f"{f' {UNITS[parameter]}'.rstrip()} is larger than {rule}: is it in percent?"
+                    )
 
     @property
     def _description(self) -> str:

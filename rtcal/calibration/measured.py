@@ -47,9 +47,11 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
     Raises
     ------
     DataError
-        For a wrong shape, a T that is not above 0, or no band in common.
+        For a wrong shape, a T that is not above 0, an uncertainty above the value, or no band in
+        common.
     """
     if isinstance(measured, Measurement):
+        measured.refuse_large_uncertainty()
         in_room = band_conversion.measurement_in_room_bands(measured, room.centre_frequencies)
         decay = in_room.decay_time()
         mean = decay.mean

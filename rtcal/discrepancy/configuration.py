@@ -88,6 +88,7 @@ class Configuration:
     def __post_init__(self) -> None:
         where = f'configuration "{text_name("configuration: name", self.name)}"'
         checks.instance(f"{where}: measured", self.measured, Measurement)
+        self.measured.refuse_large_uncertainty()
         changes = checks.mapped(f"{where}: changes", self.changes)
         for material, change in changes.items():
             text_name(f"{where}: changes: material", material)

@@ -99,6 +99,7 @@ def measured_pairs(
             "the measurement is a mean over pairs; to match every position it needs a row for each "
             'source and receiver. match=("t20",) matches the mean'
         )
+    measured.refuse_large_uncertainty()
     notes, pairs = [], simulated.pairs
     for pair in exclude:
         if pair not in measured.pairs:
