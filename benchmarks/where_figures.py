@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.judging import FLAGS, NOTHING, families_of
-from benchmarks.positions import bootstrap, share
+from benchmarks.positions_table import bootstrap, share
 from tests.geometric_world import rooms
 from tests.geometric_world.load import truth
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.errors import DataError
-from rtcal.simulators import path_numpy
+from rtcal.simulators import path_numpy, rays
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import jit
 from rtcal.support.threads import thread_pool
@@ -379,7 +379,7 @@ def trace(
     DataError
         If more than `MOST_LOST` of the paths hit no wall: the faces leave gaps or cut each other.
     """
-    planes, sides = _planes(geometry)
+    planes, sides = rays.planes(geometry)
     by_face = np.ascontiguousarray(np.asarray(scattering, dtype=float)[materials])
     per_batch = -(-n_paths // n_batches)
     run = kernels().trace
@@ -388,7 +388,7 @@ def trace(
         s, b = job
         sequence = np.random.SeedSequence([seed, s, b])
         seeds = sequence.generate_state(per_batch, np.uint64)
-        directions = _sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
+        directions = rays.sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
         events, starts, lengths, weights, counts = run(
             sources[s],
             directions,
@@ -415,7 +415,7 @@ def trace(
             "the room's faces leave gaps or cut through each other"
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
-    direct = direct_lengths(geometry, sources, receivers)
+    direct = rays.direct_lengths(geometry, sources, receivers)
     return Paths(
         batches=batches,
         materials=materials.copy(),
@@ -425,49 +425,6 @@ def trace(
         direct=direct,
         first=_first(batches, direct, len(materials), longest),
     )
-
-
-def _planes(geometry: Polyhedron) -> tuple[Array, Array]:
-    """Return each triangle's plane (inward normal, offset) and its two barycentric functions.
-
-    A point x of the plane lies in the triangle where n·x - d is 0 or more for both rows of
-    ``sides`` (n_triangles, 2, 4), and their sum at most 1 (Havel & Herout 2010).
-    """
-    a, b, c = np.moveaxis(geometry.triangles, 1, 0)
-    u, v = b - a, c - a
-    normal = np.cross(u, v)
-    square = np.sum(normal**2, axis=1, keepdims=True)
-    rows = np.stack([np.cross(v, normal) / square, np.cross(normal, u) / square], axis=1)
-    offsets = np.einsum("tij,tj->ti", rows, a)[..., np.newaxis]
-    inward = -normal / np.sqrt(square)
-    planes = np.hstack([inward, np.sum(inward * a, axis=1, keepdims=True)])
-    return planes, np.ascontiguousarray(np.concatenate([rows, offsets], axis=2))
-
-
-def _sphere(n: int, rng: np.random.Generator) -> Array:
-    """Return n directions of a Fibonacci lattice on the sphere, rotated at random."""
-    height = 1 - (2 * np.arange(n) + 1) / n
-    turn = np.pi * (1 + np.sqrt(5)) * np.arange(n)
-    across = np.sqrt(1 - height**2)
-    lattice = np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
-    rotation, upper = np.linalg.qr(rng.standard_normal((3, 3)))
-    return np.ascontiguousarray(lattice @ (rotation * np.sign(np.diag(upper))))
-
-
-def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Array:
-    """Return the lengths of the direct sounds in m, (n_sources, n_receivers), NaN where hidden."""
-    planes, sides = _planes(geometry)
-    lengths = np.empty((len(sources), len(receivers)))
-    for s, source in enumerate(sources):
-        vectors = receivers - source
-        lengths[s] = np.linalg.norm(vectors, axis=1)
-        if not lengths[s].all():
-            raise DataError("a source and a receiver are at the same place")
-        directions = vectors / lengths[s][:, np.newaxis]
-        origins = np.tile(source, (len(vectors), 1))
-        _, t = path_numpy.nearest(origins, directions, planes, sides)
-        lengths[s, t < lengths[s]] = np.nan
-    return lengths
 
 
 def _first(
