@@ -302,6 +302,7 @@ def test_three_effects_are_tried_where_two_do_not_explain_the_measurement() -> N
     ("argument", "value", "words"),
     [
         ("expected", 0.0, "expected = 0"),
+        ("expected", 1e300, "expected = 1e\\+300 effects is not from 0.01 to 10"),
         ("expected", float("nan"), "expected"),
         ("most", 4, "most = 4 is not from 1 to 3"),
         ("most", 0, "most = 0"),

@@ -96,6 +96,16 @@ def test_a_part_in_common_that_stands_alone_is_taken() -> None:
     assert own == pytest.approx(_uncertainty(m, "t20")[0])
 
 
+def test_where_one_pair_states_none_the_scatter_is_taken() -> None:
+    m = replace(measured(), values={"t20": np.tile([1.4, 1.3, 1.2, 1.1, 1.0, 0.8], (4, 1))})
+    own, common = np.full((4, 6), 0.05), {"t20": np.full(6, 0.02)}
+    own[0, 2] = np.nan
+    stated = replace(m, uncertainty={"t20": own}, common_uncertainty=common)
+    by_theory = m.mean_uncertainty("t20")
+    assert stated.mean_uncertainty("t20")[2] == pytest.approx(np.hypot(by_theory[2], 0.02))
+    assert stated.mean_uncertainty("t20")[3] == pytest.approx(np.hypot(0.05 / 2, 0.02))
+
+
 def test_a_common_uncertainty_has_one_value_in_a_band(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text(

@@ -284,6 +284,8 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     [
         ('geometry = "nowhere.obj"', "nowhere.obj"),
         ("paths = 0", "paths = 0"),
+        ("paths = 1000000000000", "paths = 1000000000000 is above 10000000"),
+        ("position_uncertainty = 50.0", "position_uncertainty = 50 m is above 1 m"),
         ('geometri = "room.obj"', "geometri"),
         ("exclude = 3", "exclude"),
     ],

@@ -303,7 +303,7 @@ class Measurement:
                 scattered = np.where(
                     n_effective > 1, spread / np.sqrt(np.maximum(n_effective, 1)), 0
                 )
-                of_mean = np.fmax(of_mean, scattered)
+                of_mean = np.maximum(of_mean, scattered)  # NaN where a pair states none
             uncertainty = np.where((count > 0) & np.isfinite(of_mean), of_mean, uncertainty)
         if common is not None:
             uncertainty = np.hypot(uncertainty, np.nan_to_num(common))

@@ -26,6 +26,8 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 
+LEAST_EXPECTED, MOST_EXPECTED = 0.01, 10.0
+"""Numbers of effects that may be expected: beyond, nothing measured would change the answer."""
 TWO = 0.98
 """Probability of two or more effects from which more than one family is claimed. An absorber hides the
 wall behind it and makes the field less even, and a formula knows neither. So one effect of the room
@@ -84,6 +86,10 @@ def find_several(
     >>> print(rt.discrepancy.find_several(case))  # doctest: +SKIP
     """
     expected = checks.positive("expected", expected)
+    if not LEAST_EXPECTED <= expected <= MOST_EXPECTED:
+        raise DataError(
+            f"expected = {expected:g} effects is not from {LEAST_EXPECTED:g} to {MOST_EXPECTED:g}"
+        )
     most = checks.whole("most", most, 1)
     if most > MOST:
         raise DataError(f"most = {most} is not from 1 to {MOST}")

@@ -25,6 +25,9 @@ from rtcal.where import surfaces as of_room
 from rtcal.where.parts import Divided
 from rtcal.where.surfaces import Faces
 
+MOST_OFF = 1.0
+"""Largest standard deviation in m of sources' and receivers' places."""
+
 
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,6 +79,11 @@ class Case:
         checks.instance("simulator", self.simulator, PathTracing)
         checks.instance("measured", self.measured, Measurement)
         checks.positive("position_uncertainty", self.position_uncertainty, "m")
+        if self.position_uncertainty > MOST_OFF:
+            raise DataError(
+                f"position_uncertainty = {self.position_uncertainty:g} m is above {MOST_OFF:g} m: "
+                "such a position says nothing"
+            )
         object.__setattr__(self, "match", checked_parameters(self.match))
         pairs = tuple((str(s), str(r)) for s, r in checks.listed("exclude", self.exclude))
         object.__setattr__(self, "exclude", pairs)

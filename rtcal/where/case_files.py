@@ -37,6 +37,8 @@ from rtcal.support.files import read_text
 from rtcal.where.case import Case
 
 MAX_BYTES = 50_000_000
+LEAST_PATHS, MOST_PATHS = 100, 10_000_000
+"""Fewer paths leave decays without a T; more do not fit into memory."""
 BOX = "box"
 """Value of ``geometry`` for the box of the room's dimensions."""
 _NEEDED = ("room", "geometry", "positions", "measured")
@@ -93,7 +95,9 @@ def _case(folder: Path, file: Entries) -> Case:
     sources, receivers = position_files.read(folder / file.text("positions"))
     optional: dict[str, Any] = {}
     if "paths" in file:
-        optional["n_paths"] = file.whole("paths", 1)
+        optional["n_paths"] = file.whole("paths", LEAST_PATHS)
+        if optional["n_paths"] > MOST_PATHS:
+            raise DataError(f"{file.place}paths = {optional['n_paths']} is above {MOST_PATHS}")
     simulator = PathTracing(
         geometry=geometry,
         room=room,

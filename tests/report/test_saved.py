@@ -86,7 +86,7 @@ def test_what_is_no_result_is_refused(tmp_path) -> None:
         path.write_text(content)
         with pytest.raises(DataError, match=said):
             page.page_of(path)
-    with pytest.raises(DataError, match=r"result\.json: No such file"):
+    with pytest.raises(DataError, match=r"has no result\.json"):
         page.page_of(tmp_path)
 
 
