@@ -225,6 +225,12 @@ def test_a_calibrated_room_is_refused() -> None:
         rt.where.Case(simulator=tracing(result.room), measured=data)
 
 
+def test_effects_that_were_not_tried_are_said(finding: rt.where.Finding) -> None:
+    limited = rt.where.find(finding.case, controls=finding.controls, only=["curtain"])
+    assert "whole library" in str(limited)
+    assert "whole library" not in str(finding)
+
+
 def test_an_unknown_effect_is_refused(finding: rt.where.Finding) -> None:
     with pytest.raises(DataError, match='only has "door"'):
         rt.where.find(finding.case, controls=finding.controls, only=["door"])

@@ -103,7 +103,7 @@ def find(
     effects, left_out = effects_to_try(effects, without, only)
     observed, notes = observe(case)
     if without or only or prior:
-        notes = [*notes, _CHOSEN]
+        notes = [*notes, CHOSEN]
     before = prior_of(case.room, effects, checked_odds(effects, prior), left_out)
     predicted = predict_hypotheses(case, effects)
     if not isinstance(threshold, Threshold):
@@ -132,10 +132,11 @@ def effects_to_try(
     return chosen_effects(library() if effects is None else checked_effects(effects), without, only)
 
 
-_CHOSEN = (
+CHOSEN = (
     "effects were left out or weighted by hand: the probabilities are among those that were tried, and "
     "how often such findings were right was measured with the whole library"
 )
+"""What a finding says of effects that were not tried."""
 
 
 def _conclude(

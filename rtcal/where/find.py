@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rtcal.discrepancy.prior import COEFFICIENTS, NONE
+from rtcal.discrepancy.search import CHOSEN
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns, control_runs
 from rtcal.support import checks
@@ -121,7 +122,8 @@ def find(
     likelihoods = numbers.likelihoods()
     evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
     posterior = weights(evidence, hypotheses)
-    return _finding(case, numbers, hypotheses, posterior, likelihoods[0])
+    finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0])
+    return replace(finding, notes=(*finding.notes, CHOSEN)) if left_out else finding
 
 
 def every_hypothesis(
