@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,13 +64,18 @@ class Batch:
     free_paths: tuple[float, float, float]  # number, sum in m, sum of squares in m²
 
     def __post_init__(self) -> None:
-        for values in (self.events, self.starts, self.lengths, self.weights):
+        for values in self.arrays:
             values.setflags(write=False)
+
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """Events, starts, lengths and weights, as the kernels take them."""
+        return self.events, self.starts, self.lengths, self.weights
 
     @property
     def nbytes(self) -> int:
         """Memory in bytes."""
-        return sum(x.nbytes for x in (self.events, self.starts, self.lengths, self.weights))
+        return sum(x.nbytes for x in self.arrays)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,10 +172,7 @@ class Paths:
         for s, source in enumerate(self.batches):
             for b, batch in enumerate(source):
                 histogram(
-                    batch.events,
-                    batch.starts,
-                    batch.lengths,
-                    batch.weights,
+                    *batch.arrays,
                     log_reflection,
                     attenuation,
                     self.first[s],
@@ -213,10 +215,7 @@ class Paths:
         gradient = np.zeros((n_receivers, n_bins, n_groups, n_bands))
         for batch in self.batches[source]:
             kernels().histogram_gradient(
-                batch.events,
-                batch.starts,
-                batch.lengths,
-                batch.weights,
+                *batch.arrays,
                 log_reflection,
                 attenuation,
                 self.first[source],
@@ -280,10 +279,7 @@ class Paths:
             heard = np.zeros(shape)
             for batch in source:
                 kernels().histogram_changed(
-                    batch.events,
-                    batch.starts,
-                    batch.lengths,
-                    batch.weights,
+                    *batch.arrays,
                     log_reflection,
                     attenuation,
                     self.first[s],
