@@ -409,6 +409,8 @@ def test_bad_composition_is_refused() -> None:
         build(terms.Shared("m2", "m3"), terms.GroupAbsorption(["m2"], most=5)).solve(t)
     with pytest.raises(data, match=r"u_T\[63 Hz\] is unknown or 0"):
         build(objective=PRIOR + terms.SoftMatch()).solve(t)
+    with pytest.raises(data, match=r"u_T\[63 Hz\] is below a millionth of T"):
+        build(objective=PRIOR + terms.SoftMatch(relative=1e-9)).solve(t)
     with pytest.raises(model, match="two further unknowns"):
         effect = terms.AddedAbsorption("x", [1, 1, 1], 1.0)
         build(objective=PRIOR + effect + terms.AddedAbsorption("x", [2, 1, 1], 1.0))

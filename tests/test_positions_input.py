@@ -405,6 +405,12 @@ def test_wrong_positions_are_named(tmp_path, content, said):
         position_files.read(path)
 
 
+def test_what_is_missing_is_asked_for_by_its_option(folder):
+    ROOM.replace(scattering=None).save(str(folder / "room.toml"))
+    done = fit(folder)
+    assert "states no scattering coefficients; give --scattering NUMBER" in str(done.exception)
+
+
 def test_without_a_mesh_the_room_is_a_box_or_refused(folder):
     shutil.copy(folder / "room.toml", folder / "other.toml")
     files = [str(folder / name) for name in ("other.toml", "pairs.csv")]

@@ -132,6 +132,10 @@ def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
     assert kinds() == base
     assert kinds(z=np.array([0, -2.5, 1.9, np.nan])) == base | {("implausible", 500)}
     assert kinds(uncertainty=np.array([np.nan, 0.061, 0.049, 1])) == base | {("uncertain", 500)}
+    odd = trust_marks(room, **{**quiet, "uncertainty": np.array([0.1, 1.0, 0.1, np.nan])})
+    uncertain = {m.frequency: m.text for m in odd if m.kind == "uncertain"}
+    assert "is it stated in percent, not s?" in uncertain[500]  # 1 for 1 %
+    assert uncertain[63] == uncertain[4000] == "T is uncertain by more than one JND"
     assert kinds(air_share=np.array([0, 0.49, 0.51, 0.2])) == base | {("air", 4000)}
     active = np.array([[0, -1, 0, 0], [0, 0, 1, 0]])
     assert kinds(active=active) == base | {("at_bound", 500), ("at_bound", 4000)}

@@ -99,6 +99,7 @@ def test_nothing_found_is_said_and_nothing_is_written(
         (("--at", "6,2,0", "--form", "material"), "at is the middle of a patch"),
         (("--form", "hole"), "'hole' is not one of"),
         (("--room", "x.toml"), "--room: with a geometry"),
+        (("--out", "case.toml"), "--out case.toml is a file; with a geometry it is a folder"),
     ],
 )
 def test_a_wrong_option_is_refused(

@@ -185,6 +185,8 @@ def apply(
         _refuse_several(expected)
         if room is not None:
             raise DataError("--room: with a geometry the room is written into the folder of --out")
+        if os.path.isfile(out):
+            raise DataError(f"--out {out} is a file; with a geometry it is a folder")
         patch = gap_where.Patch(form or "patch", _place(at))
         if not gap_where.apply(case, search, out, patch, quiet=quiet, as_json=as_json):
             raise click.exceptions.Exit(NOTHING_TO_ADD)

@@ -114,8 +114,7 @@ def several_options(command: Any) -> Any:
         click.option(
             "--expected",
             type=float,
-            show_default=f"{_EXPECTED:g}",
-            help="Expected number of missing effects, with --several.",
+            help=f"Expected number of missing effects, with --several; {_EXPECTED:g} unless stated.",
         ),
         click.option("--several", is_flag=True, help="Several effects may be missing at once."),
     ):

@@ -157,7 +157,7 @@ def scattering_coefficients(room: Room, scattering: Any) -> Array:
     if scattering is None:
         if room.scattering is None:
             raise DataError(
-                f'room "{room.name}" states no scattering coefficients; pass scattering'
+                f'room "{room.name}" states no scattering coefficients; give scattering=NUMBER'
             )
         return room.scattering
     values = checks.array("scattering", scattering)

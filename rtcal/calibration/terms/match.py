@@ -20,6 +20,9 @@ from rtcal.support.arguments import checked
 from rtcal.support.hessian import Squares
 from rtcal.support.types import Array
 
+SMALLEST_UNCERTAINTY = 1e-6
+"""Of T, relative. Below it the soft match dwarfs the prior, and rounding decides alpha."""
+
 
 @dataclass(frozen=True)
 class ExactMatch:
@@ -179,6 +182,13 @@ class SoftMatch(BaseTerm):
             raise DataError(
                 f"u_T[{data.layout.band_label(row)}] is unknown or 0, and a soft match weighs "
                 "by it: state it in the measurement, or give SoftMatch(relative=...)"
+            )
+        exact = data.matched & (u < SMALLEST_UNCERTAINTY * np.abs(data.target))
+        if exact.any():
+            row = int(np.flatnonzero(exact.ravel())[0])
+            raise DataError(
+                f"u_T[{data.layout.band_label(row)}] is below a millionth of T, which no measurement "
+                "reaches: state it as measured, or match T exactly (method mle)"
             )
         return np.where(data.matched, u, np.nan)
 
