@@ -210,6 +210,8 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
         ({"position_uncertainty": 0.0}, "position_uncertainty = 0"),
         ({"measured": rt.Measurement.from_values(BANDS, t20=[1, 1, 1])}, "means over pairs"),
         ({"exclude": [("S1", "R9")]}, "exclude has S1 to R9"),
+        ({"exclude": ["S1", "R1"]}, "exclude has 'S1', which is no pair"),
+        ({"exclude": [("S1", "R1", "R2")]}, "which is no pair of a source and a receiver"),
     ],
 )
 def test_a_wrong_case_is_refused(changes: dict[str, object], message: str, cache: Path) -> None:
@@ -294,6 +296,7 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
         ("position_uncertainty = 50.0", "position_uncertainty = 50 m is above 1 m"),
         ('geometri = "room.obj"', "geometri"),
         ("exclude = 3", "exclude"),
+        ('exclude = ["S1", "R1"]', "which is no pair of a source and a receiver"),
     ],
 )
 def test_a_wrong_file_is_refused(folder: Path, tmp_path: Path, line: str, message: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ WIDTHS = (40, 60, 80, 120)
 CASE = 'room = "room.toml"\ngeometry = "room.obj"\npositions = "p.toml"\nmeasured = "pairs.csv"\n'
 COMMANDS = [
     ("find",),
+    ("plan",),
     ("verify",),
     ("report", "--out", "a-folder"),
     ("apply", "--out", "a-folder", "--at", "6,2,0"),
@@ -72,6 +74,29 @@ def test_no_line_is_longer_than_the_terminal(
         assert len(line) <= columns, f"rtcal gap {command}: {line}"
     assert run("apply", "case.toml", "--out", "x", "--at", "3,2,1.5") == 2
     assert len(longest(capsys.readouterr().err)) <= columns
+
+
+def test_the_next_position_is_proposed(
+    found: Finding, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("plan", "case.toml", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["places"] == [
+        {"point": list(PLACE.point), "source": PLACE.source, "nats": PLACE.nats}
+    ]
+    claimed = replace(found, surface="floor")
+    monkeypatch.setattr(gap_where, "find", lambda *_, **__: claimed)
+    assert run("plan", "case.toml") == 0
+    assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.usefixtures("found")
+@pytest.mark.parametrize("option", ["--change=0.3", "--cost=G=0.5"])
+def test_options_of_a_plan_with_means_are_refused(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("plan", "case.toml", option) == 2
+    assert f"{option.split('=')[0]}: with a geometry" in capsys.readouterr().err
 
 
 def test_nothing_found_is_said_and_nothing_is_written(

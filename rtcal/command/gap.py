@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from rtcal.discrepancy import Case, Finding, SeveralFinding
     from rtcal.report.document import Heading
 
+CHANGE = 0.2
+"""Relative change of T by each effect for which ``rtcal gap plan`` plans, where none is stated."""
 NOTHING_TO_ADD = 6
 """Exit code of ``rtcal gap apply`` if the finding names nothing to add to the model."""
 
@@ -56,8 +58,8 @@ def gap() -> None:
 @click.argument("case", type=click.Path())
 @click.option(
     "--change",
-    default=0.2,
-    show_default=True,
+    type=float,
+    show_default=f"{CHANGE:g}",
     help="Relative change of T by each effect, in the band that changes most.",
 )
 @click.option(
@@ -75,7 +77,7 @@ def gap() -> None:
 @quiet_option
 def plan(
     case: str,
-    change: float,
+    change: float | None,
     after: bool,
     costs: tuple[str, ...],
     seed: int,
@@ -88,8 +90,18 @@ def plan(
     it is among what could be measured next. Each proposal has the information to expect about which
     effects are there, and its hours. With --next the proposals go on from what has been measured.
 
+    With a geometry CASE is searched first. Where several surfaces are in question, places for a further
+    receiver are proposed, with the evidence that is to be expected of them.
+
     Example: rtcal gap plan case.toml
     """
+    search = Search(ENGINES, seed, (), (), {})
+    if has_geometry(case):
+        for option, stated in (("--change", change is not None), ("--cost", bool(costs))):
+            if stated:
+                raise DataError(f"{option}: with a geometry a place for a receiver is proposed")
+        gap_where.plan(case, search, quiet=quiet, as_json=as_json)
+        return
     from rtcal.discrepancy import plan as planned_with
     from rtcal.discrepancy.set_posterior import EXPECTED
 
@@ -102,10 +114,15 @@ def plan(
         planned = []
     finding = None
     if after:
-        search = Search(ENGINES, seed, (), (), {})
         finding = _find_several(case, read, search, quiet, EXPECTED)
     hours = numbers("--cost", "MEASUREMENT=HOURS, such as G=0.5", costs)
-    result = planned_with(read, change=change, finding=finding, costs=hours, planned=planned)
+    result = planned_with(
+        read,
+        change=CHANGE if change is None else change,
+        finding=finding,
+        costs=hours,
+        planned=planned,
+    )
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap is said."""
 
+PROPOSED = 3
+"""Places for a further receiver that are printed."""
+
 
 @dataclass(frozen=True)
 class Patch:
@@ -139,16 +142,50 @@ def _verified(path: str, finding: Finding, search: Any, quiet: bool) -> Verifica
         )
 
 
-def _next(finding: Finding) -> Place | None:
-    """Return the place for a further receiver that tells most; None where nothing is in question."""
+def plan(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
+    """Print where a further receiver would tell the surfaces apart that are in question."""
+    from rtcal.support import text
+
+    finding = find(path, search, quiet)
+    places = _places(finding)[:PROPOSED]
+    lines = [*text.wrapped(finding.headline), ""]
+    if places:
+        names = [f'"{name}"' for name in finding.likely_surfaces]
+        lines += text.wrapped(
+            "A further receiver is expected to tell these surfaces apart with so many nats of "
+            f"evidence (2.3 are odds of ten to one): {', '.join(names)}."
+        )
+        rows = [
+            (f"{', '.join(f'{x:.2f}' for x in place.point)} m", [place.source, f"{place.nats:.1f}"])
+            for place in places
+        ]
+        lines += text.table(rows, header=("receiver", ["source", "nats"]))
+    else:
+        lines += text.wrapped(
+            "No surfaces are in question that a further receiver would tell apart. Which other "
+            "measurement would tell most is planned with means over positions: leave geometry and "
+            "positions out of the case."
+        )
+    record = {
+        "places": [
+            {"point": list(place.point), "source": place.source, "nats": place.nats}
+            for place in places
+        ],
+        "finding": finding.to_dict(),
+    }
+    tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
+
+
+def _places(finding: Finding) -> tuple[Place, ...]:
+    """Return places for a further receiver, the one that tells most first; none without a question."""
     from rtcal import where
 
     if not finding.can_be_added or finding.surface is not None:
-        return None
+        return ()
     try:
-        return where.next_position(finding)[0]
+        return where.next_position(finding)
     except DataError:  # at most one surface is in question, or the room is too small for a grid
-        return None
+        return ()
 
 
 def report(
@@ -166,7 +203,7 @@ def report(
     command = shlex.join(
         ["rtcal", "gap", "report", path, *replace(search, engines=()).arguments(), "--out", out]
     )
-    place = _next(finding)
+    place = next(iter(_places(finding)), None)
     paths = where_folder.write(finding, verification, folder, heading, command, place)
     first = [] if verification is None else [verification.sentence]
     text = "\n".join([*first, str(finding), written(paths)])

@@ -99,6 +99,22 @@ def listed(place: str, value: object) -> tuple[Any, ...]:
     return tuple(value)
 
 
+def pairs(place: str, value: object) -> tuple[tuple[str, str], ...]:
+    """Return pairs of a source and a receiver; DataError for a single pair and for anything else."""
+    every = listed(place, value)
+    for pair in every:
+        if not (
+            isinstance(pair, list | tuple)
+            and len(pair) == 2
+            and all(isinstance(name, str) for name in pair)
+        ):
+            raise DataError(
+                f"{place} has {shown(pair)}, which is no pair of a source and a receiver; "
+                f'{place} = [["S1", "R3"]] has one'
+            )
+    return tuple((source, receiver) for source, receiver in every)
+
+
 def mapped(place: str, value: object) -> dict[Any, Any]:
     """Return a mapping as a dict; DataError for anything else."""
     if not isinstance(value, Mapping):

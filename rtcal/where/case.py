@@ -85,8 +85,7 @@ class Case:
                 "such a position says nothing"
             )
         object.__setattr__(self, "match", checked_parameters(self.match))
-        pairs = tuple((str(s), str(r)) for s, r in checks.listed("exclude", self.exclude))
-        object.__setattr__(self, "exclude", pairs)
+        object.__setattr__(self, "exclude", checks.pairs("exclude", self.exclude))
         for name in ("measured", "simulated"):
             values = getattr(self, name)
             if values is not None and values.is_summary:
@@ -176,7 +175,7 @@ class Case:
     @checked
     def only(self, pairs: Sequence[Pair]) -> Case:
         """Return the case with these measured pairs alone; DataError for one that it lacks."""
-        wanted = [tuple(pair) for pair in checks.listed("pairs", pairs)]
+        wanted = checks.pairs("pairs", pairs)
         if lacking := [p for p in wanted if p not in self.pairs]:
             raise DataError(f"pairs has {' to '.join(lacking[0])}, which the case lacks")
         left = tuple(p for p in self.measured.pairs if p not in wanted)
