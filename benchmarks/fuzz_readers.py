@@ -1,18 +1,22 @@
-"""Coverage-guided fuzzing of every reader: `python benchmarks/fuzz_readers.py [SECONDS] [READER...]`.
+"""Coverage-guided fuzzing of every reader: `python benchmarks/fuzz_readers.py [SECONDS] [READER ...]`.
 
 libFuzzer by way of atheris (`pip install atheris`) changes files so that they reach new lines of
 rtcal. It keeps those that do in `.fuzz/READER`, from where the next run goes on, and the smallest of
 them in `tests/fuzz_corpus`. It starts from those, and from the files of `tests/fuzz.py` and
 `tests/corpus.py`. A reader passes if every file is read or refused as `fuzz.check` asks, within 10 s
-and 1 GB. Prints the files tried and kept; ends with 1 if a reader fell, beside the file that did it.
-SECONDS, 60 if not said, are those of each reader.
+and 1 GB. Prints per reader the files tried and kept, the places of rtcal's code that were reached,
+the processor time in s and the memory in MB. Ends with 1 if a reader fell, beside the file that did it.
+SECONDS, 60 if not said, are those of each reader, by the clock. As many readers run at a time as there
+are processors (``--jobs``).
 """
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import os
 import re
+import resource
 import sys
 import tempfile
 import traceback
@@ -84,19 +88,23 @@ def escaped(token: bytes) -> str:
     return "".join(f"\\x{byte:02x}" for byte in token)
 
 
-def forked(name: str, seconds: int) -> tuple[bool, str]:
-    """Fuzz a reader in a child, which has all modules already; whether it passed, and what it said."""
+def warm(name: str) -> None:
+    """Read the reader's good files: what reading imports is then imported once, here."""
     from tests import fuzz
 
-    said = FOLDER / f"{name}.log"
-    said.unlink(missing_ok=True)
-    with tempfile.TemporaryDirectory() as folder:  # what reading imports is imported here
+    with tempfile.TemporaryDirectory() as folder:
         for content in fuzz.READERS[name].seeds:
             fuzz.check(name, content, Path(folder))
+
+
+def forked(name: str, seconds: int) -> int:
+    """Fuzz a reader in a child, which has all modules already; return its process number."""
+    (FOLDER / name).mkdir(parents=True, exist_ok=True)
+    said_in(name).unlink(missing_ok=True)
     child = os.fork()
     if child == 0:
         for stream in (sys.stdout, sys.stderr):  # a traceback goes to the one, figures to the other
-            os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_APPEND), stream.fileno())
+            os.dup2(os.open(said_in(name), os.O_WRONLY | os.O_CREAT | os.O_APPEND), stream.fileno())
         try:
             fuzz_one(name, seconds)
         except Exception:
@@ -104,30 +112,59 @@ def forked(name: str, seconds: int) -> tuple[bool, str]:
         finally:
             sys.stdout.flush()
             os._exit(1)
-    passed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-    return passed, said.read_text(errors="replace")
+    return child
 
 
-def main(seconds: int, names: list[str]) -> int:
+def said_in(name: str) -> Path:
+    """The file with what a reader's fuzzing printed."""
+    return FOLDER / f"{name}.log"
+
+
+def report(name: str, status: int, used: resource.struct_rusage) -> bool:
+    """Print a reader's figures, and what it said if it fell; whether it passed."""
+    from tests import fuzz
+
+    said = said_in(name).read_text(errors="replace")
+    tried = re.search(r"number_of_executed_units: (\d+)", said)
+    lines = re.findall(r"cov: (\d+)", said)
+    fuzz.keep(name, smallest(name))
+    kept = len(list((FOLDER / name).iterdir()))
+    print(
+        f"{name:16} {tried[1] if tried else '-':>9} {kept:6} {lines[-1] if lines else '-':>6} "
+        f"{used.ru_utime + used.ru_stime:7.0f} {used.ru_maxrss / 1024:5.0f}",
+        flush=True,
+    )
+    passed = os.waitstatus_to_exitcode(status) == 0
+    if not passed:
+        print("\n".join(said.splitlines()[-30:]), flush=True)
+    return passed
+
+
+def main(seconds: int, names: list[str], jobs: int) -> int:
     import atheris
 
     with atheris.instrument_imports(include=["rtcal"], exclude=KERNELS):
         from tests import fuzz
 
     fell = 0
-    print(f"{'reader':16} {'tried':>9} {'kept':>6}", flush=True)
-    for name in names or sorted(fuzz.READERS):
-        (FOLDER / name).mkdir(parents=True, exist_ok=True)
-        passed, said = forked(name, seconds)
-        tried = re.search(r"number_of_executed_units: (\d+)", said)
-        fuzz.keep(name, smallest(name))
-        kept = len(list((FOLDER / name).iterdir()))
-        print(f"{name:16} {tried[1] if tried else '-':>9} {kept:6}", flush=True)
-        if not passed:
-            fell += 1
-            print("\n".join(said.splitlines()[-30:]), flush=True)
+    print(f"{'reader':16} {'tried':>9} {'kept':>6} {'lines':>6} {'s':>7} {'MB':>5}", flush=True)
+    waiting = names or sorted(fuzz.READERS)
+    for name in waiting:
+        warm(name)
+    running: dict[int, str] = {}
+    while waiting or running:
+        while waiting and len(running) < jobs:
+            name, *waiting = waiting
+            running[forked(name, seconds)] = name
+        child, status, used = os.wait4(-1, 0)
+        fell += not report(running.pop(child), status, used)
     return min(fell, 1)
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 60, sys.argv[2:]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("seconds", type=int, nargs="?", default=60)
+    parser.add_argument("readers", nargs="*")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="readers at a time")
+    chosen = parser.parse_args()
+    sys.exit(main(chosen.seconds, chosen.readers, chosen.jobs))
