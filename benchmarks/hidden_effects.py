@@ -2,11 +2,6 @@
 
     python -m benchmarks.hidden_effects run --folder out      # an hour or so; can be resumed
     python -m benchmarks.hidden_effects table                 # of the stored run, or --folder out
-    python -m benchmarks.hidden_effects engines --rooms 40    # leave one engine out
-    python -m benchmarks.hidden_effects numbers --folder out --step 4   # other numbers that decide
-    python -m benchmarks.hidden_effects speed --rooms 20      # processor time of each step
-    python -m benchmarks.hidden_effects alpha --folder out --rooms 30   # do alpha's intervals hold it?
-    python -m benchmarks.hidden_effects bras ../shared/data/bras
 
 "one": T20, EDT and T30 in one configuration; "all": two configurations, C80 and G as well.
 """
@@ -14,52 +9,28 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import gzip
 import json
 import multiprocessing
-import time
 import warnings
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import rtcal as rt
 from benchmarks.judging import FLAGS, NOTHING, first_of, kept_controls, one, rate, row_of
 from rtcal.discrepancy import (
     Case,
-    Configuration,
-    Effect,
-    Finding,
-    control_rooms,
-    evidence,
     find,
-    hypotheses,
-    library,
-    model_error,
-    recalibrate,
     verify,
 )
 from rtcal.discrepancy.bootstrap import (
     MINIMUM_LEVELS,
-    bootstrap_threshold,
-    draw_null_features,
-    score,
 )
-from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.effects.people import AT_1_KHZ
-from rtcal.discrepancy.engines import ControlRooms, recentred
-from rtcal.discrepancy.evidence import evaluate
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.model_error import estimate_discrepancy
-from rtcal.discrepancy.prior import prior_of
-from rtcal.discrepancy.probabilities import credible_set, posterior
-from rtcal.discrepancy.recalibration import plain
+from rtcal.discrepancy.engines import ControlRooms
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 
@@ -104,6 +75,34 @@ def name_of(hidden: dict[str, Any]) -> str:
 def hidden_in(row: dict[str, Any]) -> str:
     """The name of the effect that is hidden in a stored room."""
     return name_of(row["truth"][0]) if row["kind"] in NAMES else NOTHING
+
+
+def parameters_of(effect: dict[str, Any]) -> dict[str, float]:
+    """The library's parameters of a truth."""
+    kind = effect["kind"]
+    if kind == 1:
+        return {"temperature": effect["temperature"], "humidity": effect["humidity"]}
+    if kind == 3:
+        seated = "size" in effect
+        area = 0.86 * effect["size"] if seated else 0.51 * effect["persons"]
+        return {"absorption_area": area} if seated else {"persons": area / AT_1_KHZ}
+    if kind == 10:
+        return {"aperture": effect["size"], "volume": effect["volume"], "alpha": effect["alpha"]}
+    return {
+        2: lambda: {"area": effect["size"]},
+        4: lambda: {"absorption_area": effect["size"]},
+        5: lambda: {
+            "area": effect["size"],
+            "thickness": effect["depth"],
+            "flow_resistivity": 1e3 * effect["flow"],
+        },
+        6: lambda: {"area": effect["size"], "resonance": effect["f0"], "quality": effect["q"]},
+        7: lambda: {"material": effect["material"], "ratio": effect["ratio"]},
+        8: lambda: {"ratio": effect["ratio"]},
+        9: lambda: {"equation": 1.0},
+        11: lambda: {"scattering": effect["scattering"]},
+        12: lambda: {"level": effect["level"], "record": 2.0},
+    }[kind]()
 
 
 def rmse(alpha: Any, truth: dict[str, Any]) -> float:
@@ -406,301 +405,21 @@ def inside(right: list[Any]) -> list[bool]:
     return out
 
 
-def engines(first: int, rooms: int) -> None:
-    """Leave one engine out: rooms of each, judged by a threshold from the other two."""
-    load(1)
-    alarms: dict[str, list[bool]] = {}
-    between = []
-    for index in range(first, first + rooms):
-        case = one(Case.from_dict(ROOMS[1][index]))
-        controls = control_rooms(case, engines=("path tracing", "network", "rays"))
-        tracing, _, traced = controls
-        between.append(np.nanmean(tracing.errors - traced.errors.mean(0), axis=(0, 1, 3)))
-        observed, _ = observe(case)
-        predicted = predict_hypotheses(case, library())
-        for left in controls:
-            others = [c for c in controls if c is not left]
-            prior = prior_of(case.room, library(), {})
-            limit = bootstrap_threshold(case, observed, predicted, others, prior)
-            rng = np.random.default_rng([index, 5])
-            judged = recentred([*others, left])[-1]
-            values = draw_null_features(case, observed, predicted.applied, [judged.errors], rng, 20)
-            error = estimate_discrepancy(case, others)
-            scores = score(evaluate(observed, predicted, error, prior.off, values), prior)
-            alarms.setdefault(left.engine, []).extend((scores > limit.value).tolist())
-        print(f"\r{index + 1 - first}/{rooms}", end="", flush=True)
-    apart = np.sqrt(np.mean(np.square(between), axis=0))
-    print(
-        "\nbetween the means of path tracing and of rays, root mean square over rooms: "
-        f"T20 {apart[0]:.3f}, EDT/T20 {apart[1]:.3f}, T30/T20 {apart[2]:.3f} (ln), "
-        f"C80 {apart[3]:.2f} dB"
-    )
-    print("false alarms in control rooms of an engine that the threshold was not learnt from")
-    for name, flags in alarms.items():
-        print(f"  {name:14} {rate(flags)}")
-
-
-def numbers(folder: str, step: int) -> None:
-    """What becomes of development rooms where a number that decides is another one.
-
-    Every so many rooms of population 0, T20, EDT and T30 in one configuration.
-    """
-    load(0)
-    common = model_error.COMMON_UNCERTAINTY
-    settings: list[tuple[Any, str, Any]] = [(model_error, "INFLATION", model_error.INFLATION)]
-    settings += [(model_error, "SHRINKAGE", x) for x in (0.2, 0.8)]
-    settings += [(model_error, "INFLATION", x) for x in (1.0, 1.5)]
-    settings += [(Effect, "formula_error", Effect.formula_error * x) for x in (0.5, 2.0)]
-    settings += [
-        (hypotheses, "SHAPE_CHANGE", tuple((f, x * s) for f, s in hypotheses.SHAPE_CHANGE))
-        for x in (0.5, 2.0)
-    ]
-    settings += [
-        (model_error, "COMMON_UNCERTAINTY", {k: x * v for k, v in common.items()})
-        for x in (0.5, 2.0)
-    ]
-    settings += [
-        (evidence, "UNKNOWN_SIZES", tuple(x * s for s in evidence.UNKNOWN_SIZES))
-        for x in (0.5, 2.0)
-    ]
-    settings += [
-        (evidence, "UNKNOWN_FEATURES", (1.0, *(x * s for s in evidence.UNKNOWN_FEATURES[1:])))
-        for x in (0.5, 2.0)
-    ]
-    settings += [(evidence, "UNKNOWN_SMOOTH", x) for x in (0.3, 0.9)]
-    settings += [(evidence, "UNKNOWN_CORRELATION", x) for x in (0.5, 0.9)]
-    rooms = []
-    for index in range(0, len(ROOMS[0]), step):
-        case = Case.from_dict(ROOMS[0][index])
-        controls = first_of(kept_controls(case, Path(folder) / "controls_0" / f"{index}.npz"))
-        rooms.append((TRUTHS[0][index]["seed"][1], one(case), controls))
-        print(f"\r{index}/{len(ROOMS[0])}", end="", flush=True)
-    print(
-        "\n                                flagged  detected  right name  among candidates  unknown"
-    )
-    for module, name, value in settings:
-        chosen = getattr(module, name)
-        setattr(module, name, value)
-        count: Counter[str] = Counter()
-        for kind, case, controls in rooms:
-            observed, _ = observe(case)
-            predicted = predict_hypotheses(case, library())
-            prior = prior_of(case.room, library(), {})
-            limit = bootstrap_threshold(case, observed, predicted, controls, prior)
-            weighed = evaluate(observed, predicted, limit.discrepancy, prior.off)
-            nats = {k: float(v) for k, v in weighed.by_effect().items()}
-            among = credible_set(posterior(nats, prior))
-            group = "none" if kind == 0 else "unknown" if kind == 13 else "hidden"
-            group = group if kind <= 13 else "other"
-            count[group] += 1
-            if float(score(weighed, prior)) > limit.value:
-                count[f"{group} found"] += 1
-                count["right"] += group == "hidden" and among[0] == NAMES[kind]
-                count["among"] += group == "hidden" and NAMES[kind] in among
-        setattr(module, name, chosen)
-        cells = (
-            f"{count['none found']}/{count['none']}",
-            f"{count['hidden found']}/{count['hidden']}",
-            f"{count['right']}",
-            f"{count['among']}",
-            f"{count['unknown found']}/{count['unknown']}",
-        )
-        changed = "as chosen" if value == chosen else f"{name} = {value}"
-        print(f"{changed[:60]:60}" + "".join(f"{c:>9}" for c in cells), flush=True)
-
-
-def speed(first: int, rooms: int) -> None:
-    """Processor time of each step, rooms with two configurations."""
-    load(1)
-    times: dict[str, list[float]] = {}
-
-    def timed(label: str, call: Callable[[], Any]) -> Any:
-        start = time.process_time()
-        out = call()
-        times.setdefault(label, []).append(time.process_time() - start)
-        return out
-
-    cases = [Case.from_dict(room) for room in ROOMS[1][first:]]
-    for case in [c for c in cases if len(c.configurations) == 2][:rooms]:
-        controls = timed("control rooms", lambda c=case: control_rooms(c))
-        for label, data, rooms_of in (
-            ("one configuration", one(case), first_of(controls)),
-            ("all data", case, controls),
-        ):
-            observed, _ = observe(data)
-            predicted = predict_hypotheses(data, library())
-            limit = timed(
-                f"threshold, {label}",
-                lambda d=data, o=observed, p=predicted, c=rooms_of: bootstrap_threshold(
-                    d, o, p, c, prior_of(d.room, library(), {})
-                ),
-            )
-            timed(f"find, {label}", lambda d=data, t=limit: find(d, threshold=t))
-    for label, taken in times.items():
-        print(f"  {label:30} median {np.median(taken):6.2f} s, most {max(taken):6.2f} s")
-
-
-def alpha(folder: str, rooms: int) -> None:
-    """How often alpha's 90 % intervals hold the truth, in detected rooms of the stored run."""
-    warnings.simplefilter("ignore")
-    load(1)
-    stored = rows_of(None)
-    for data in ("one", "all"):
-        seen = [
-            r["index"]
-            for r in stored
-            if 1 <= r["kind"] <= 12 and r.get(data, {}).get("verdict") in ("named", "ambiguous")
-        ]
-        shares: dict[bool, list[list[float]]] = {True: [], False: []}
-        for index in np.random.default_rng(0).permutation(seen)[:rooms]:
-            truth = TRUTHS[1][index]
-            case = Case.from_dict(ROOMS[1][index])
-            controls = kept_controls(case, Path(folder) / "controls" / f"{index}.npz")
-            if data == "one":
-                case, controls = one(case), first_of(controls)
-            finding = find(case, controls=controls)
-            if finding.can_be_added:
-                right = finding.effect == name_of(truth["effects"][0])
-                shares[right].append(held(finding, np.array(truth["alpha"])))
-        for right, table in shares.items():
-            if len(table) > 1:
-                mean, error = np.mean(table, axis=0), np.std(table, axis=0) / len(table) ** 0.5
-                cells = "  ".join(
-                    f"{name} {m:.3f} ± {e:.3f}"
-                    for name, m, e in zip(("prior", "plain", "corrected"), mean, error, strict=True)
-                )
-                print(
-                    f"{data}, {len(table)} rooms {'rightly' if right else 'wrongly'} named: {cells}"
-                )
-
-
-def held(finding: Finding, truth: Any) -> list[float]:
-    """Share of the coefficients within the 90 % intervals: the prior's, plain's, the corrected's."""
-    room = finding.case.room
-    wide = NORMAL_90 * room.sigma
-    ends = [(np.clip(room.alpha - wide, 0, 1), np.clip(room.alpha + wide, 0, 1))]
-    ends += [
-        c.interval for c in (plain(finding.case), recalibrate(finding.apply(), finding.discrepancy))
-    ]
-    return [float(np.mean((low <= truth) & (truth <= high))) for low, high in ends]
-
-
-def parameters_of(effect: dict[str, Any]) -> dict[str, float]:
-    """The library's parameters of a truth."""
-    kind = effect["kind"]
-    if kind == 1:
-        return {"temperature": effect["temperature"], "humidity": effect["humidity"]}
-    if kind == 3:
-        seated = "size" in effect
-        area = 0.86 * effect["size"] if seated else 0.51 * effect["persons"]
-        return {"absorption_area": area} if seated else {"persons": area / AT_1_KHZ}
-    if kind == 10:
-        return {"aperture": effect["size"], "volume": effect["volume"], "alpha": effect["alpha"]}
-    return {
-        2: lambda: {"area": effect["size"]},
-        4: lambda: {"absorption_area": effect["size"]},
-        5: lambda: {
-            "area": effect["size"],
-            "thickness": effect["depth"],
-            "flow_resistivity": 1e3 * effect["flow"],
-        },
-        6: lambda: {"area": effect["size"], "resonance": effect["f0"], "quality": effect["q"]},
-        7: lambda: {"material": effect["material"], "ratio": effect["ratio"]},
-        8: lambda: {"ratio": effect["ratio"]},
-        9: lambda: {"equation": 1.0},
-        11: lambda: {"scattering": effect["scattering"]},
-        12: lambda: {"level": effect["level"], "record": 2.0},
-    }[kind]()
-
-
-def bras(folder: str) -> None:
-    """CR2 and CR3 from the published initial alpha, without air and with it."""
-    warnings.simplefilter("ignore")
-
-    def lines(name: str) -> list[dict[str, str]]:
-        with (Path(folder) / name).open(newline="", encoding="utf-8") as stream:
-            return list(csv.DictReader(stream))
-
-    for name in ("CR2", "CR3"):
-        facts = next(r for r in lines("rooms.csv") if r["room"] == name)
-        measured = {
-            r["parameter"]: r for r in lines("measured_third_octave.csv") if r["room"] == name
-        }
-        bands = [k for k in measured["T20"] if k.isdigit()]
-        areas = {
-            r["material"]: float(r["area_m2"]) for r in lines("surfaces.csv") if r["room"] == name
-        }
-        alpha = {
-            r["material"]: [float(r[b]) for b in bands]
-            for r in lines("absorption_third_octave.csv")
-            if r["room"] == name and r["set"] == "initial"
-        }
-        values = np.array([alpha[m] for m in areas])
-        climate = rt.Air(float(facts["temperature_C"]), float(facts["rel_humidity_pct"]))
-        t20, edt = (np.array([[float(measured[p][b]) for b in bands]]) for p in ("T20", "EDT"))
-        for air in (None, climate):
-            room = rt.Room(
-                name=name,
-                volume=float(facts["volume_m3"]),
-                materials=list(areas),
-                areas=list(areas.values()),
-                alpha=values,
-                band_correlation=0.7,
-                air=air,
-                sigma=np.maximum(0.3 * values, 0.02),
-                centre_frequencies=[float(b) for b in bands],
-            )
-            case = Case(
-                room=room,
-                configurations=[
-                    Configuration(
-                        name="measured",
-                        measured=rt.Measurement(
-                            centre_frequencies=room.centre_frequencies,
-                            values={"t20": t20, "edt": edt},
-                            uncertainty={"t20": 0.05 * t20, "edt": 0.05 * edt},
-                        ),
-                    )
-                ],
-            )
-            print(f"\n{name}, {'no air stated' if air is None else 'with air'}:")
-            finding = find(case)
-            print(finding)
-            if finding.can_be_added:
-                print(verify(finding))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "what",
-        choices=("run", "table", "store", "engines", "numbers", "speed", "alpha", "bras"),
-    )
-    parser.add_argument("data", nargs="?", help="the folder of BRAS' tables")
+    parser.add_argument("what", choices=("run", "table", "store"))
     parser.add_argument("--folder")
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument("--step", type=int, default=1, help="every so many rooms")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--kept", action="store_true", help="rooms whose control rooms stand")
-    parser.add_argument("--first", type=int, default=0, help="room to begin with")
-    parser.add_argument("--rooms", type=int, default=40)
-    given = parser.parse_args()
-    if given.what == "run":
-        run(given.population, given.folder, given.step, given.workers, given.kept)
-    elif given.what == "store":
-        store(given.folder)
-    elif given.what == "table":
-        table(given.folder)
-    elif given.what == "alpha":
-        alpha(given.folder, given.rooms)
-    elif given.what == "engines":
-        engines(given.first, given.rooms)
-    elif given.what == "numbers":
-        numbers(given.folder, given.step)
-    elif given.what == "speed":
-        speed(given.first, given.rooms)
+    chosen = parser.parse_args()
+    if chosen.what == "run":
+        run(chosen.population, chosen.folder, chosen.step, chosen.workers, chosen.kept)
+    elif chosen.what == "store":
+        store(chosen.folder)
     else:
-        bras(given.data)
+        table(chosen.folder)
 
 
 if __name__ == "__main__":

@@ -29,8 +29,8 @@ from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.support.types import Array
 
 # Numbers without a study of their own date from the first version of the finder. Others are tried by
-# `python -m benchmarks.hidden_effects numbers`, on every eighth development room (population 0: 10
-# rooms that lack nothing, 15 with an effect, 2 with an unknown one; T20, EDT and T30 in one
+# `python -m benchmarks.hidden_effects_choices numbers`, on every eighth development room (population
+# 0: 10 rooms that lack nothing, 15 with an effect, 2 with an unknown one; T20, EDT and T30 in one
 # configuration). As chosen, 0 of 10 are flagged, 12 of 15 detected, 10 of these named rightly, and 2
 # of 2 unknown effects detected.
 UNKNOWN_SIZES = (0.03, 0.08, 0.2)
