@@ -11,6 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.errors import DataError
+from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.simulators import PathTracing
 
@@ -105,6 +106,16 @@ def test_positions_that_were_not_measured_are_predicted(case, result):
         off = np.log(heard.natural("edt") / measured.values["edt"])[rows]
         gaps[name] = np.abs(off).mean()
     assert gaps["predicted"] < gaps["stated scattering"] < gaps["prior"]
+
+
+def test_what_the_fitted_scattering_changes_is_what_a_tracer_with_it_hears(case, result):
+    """So the coefficients belong to that tracer, not to a straight line through control runs."""
+    room = case[0]
+    stated, scattered = precise(tracing(room)), precise(result.tracer)
+    change = scattered.observe(room.alpha, MATCH).values - stated.observe(room.alpha, MATCH).values
+    added = result.after.values - stated.observe(result.alpha, MATCH).values
+    assert added.mean(axis=1) == pytest.approx(change.mean(axis=1), abs=2e-3)
+    assert np.abs(added.mean(axis=1)).max() > 0.01
 
 
 def test_the_scattering_is_fitted_to_what_was_measured(case, result):

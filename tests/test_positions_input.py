@@ -52,6 +52,15 @@ def few_runs(monkeypatch):
     monkeypatch.setattr(control_runs, "RUNS", 2)
 
 
+def test_too_few_paths_are_not_taken_for_too_much_absorption(measured):
+    few = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=16, scattering=0.5)
+    with pytest.raises(DataError, match="paths per source are too few. Take a larger n_paths"):
+        rt.calibrate_simulator(few, ROOM, measured, match=("t20", "edt"))
+    black = np.full(ROOM.alpha.shape, 0.999)
+    with pytest.raises(DataError, match="too little is reflected"):
+        few.observe(black, ("t20",))
+
+
 def kept(measured, rows, pairs=None, **values):
     return rt.Measurement(
         centre_frequencies=measured.centre_frequencies,

@@ -44,9 +44,9 @@ _BETWEEN_MATERIALS = 0.12
 _PATHS = 6000
 """Most paths of a control run, per source: T20 of a pair then has a noise of some 2 %."""
 
-_FIRST = 2.0
+_FIRST = 4.0
 """How many times Eyring's T the first runs follow the decays. They scatter least. The others, which
-scatter more and more, follow them for as long as the four before needed."""
+scatter more and more, follow them for as long as the four before needed, so that none is traced twice."""
 _SPARE = 1.3
 """By how much longer, since T differs between runs."""
 
@@ -251,9 +251,10 @@ def control_runs(
     if kept is not None and kept.shape[-1:] == (base.room.n_bands,):
         with suppress(RtcalError):  # another's file
             return runs(kept)
-    errors, factors = [], [_FIRST]
+    errors, factors = [], list[float]()
     for run, (control, alpha) in enumerate(drawn):
-        control.trace_ahead(alpha, max(factors[-4:]), seed=seed + 1 + run)
+        ahead = _FIRST if run < len(MODELS) else max(factors[-4:])
+        control.trace_ahead(alpha, ahead, seed=seed + 1 + run)
 
         def error(
             alpha: Array, control: PathTracing = control, run: int = run
@@ -267,7 +268,7 @@ def control_runs(
             alpha = room.alpha
             heard, difference = error(alpha)
         errors.append(difference)
-        factors.append(_needed(heard, control, alpha))
+        factors.append(ahead_factor(heard, control, alpha))
         if report is not None:
             report(run + 1, RUNS)
     made = runs(np.array(errors))
@@ -276,14 +277,14 @@ def control_runs(
     return made
 
 
-def _needed(heard: Observations, control: PathTracing, alpha: Array) -> float:
-    """Return how many times Eyring's T the decays must be followed, at least once."""
+def ahead_factor(heard: Observations, tracer: PathTracing, alpha: Array) -> float:
+    """Return how many times Eyring's T the decays are followed, so that they hold T20 or T30."""
     times = [
         heard.natural(name).max() * (decay.MARGIN_DB - decay.RANGES[name][1]) / 60
         for name in ("t20", "t30")
         if name in heard.parameters
     ]
-    return max(_SPARE * max(times, default=0.0) / eyring_seconds(control.room, alpha), 1.0)
+    return max(_SPARE * max(times, default=0.0) / eyring_seconds(tracer.room, alpha), 1.0)
 
 
 def _tracing(simulator: Simulator) -> PathTracing | None:

@@ -7,10 +7,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.loop.control_runs import ahead_factor
 from rtcal.loop.measured_pairs import MeasuredPairs
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, jacobian, observe
+from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
+
+
+_OF_CONTROLS = 0.5
+"""Share of the control runs in how a pair differs from the mean over pairs. They have fewer paths, but
+their positions differ, as the true ones do. In six development rooms the log-likelihood of what was
+measured was 5.2 nats higher with 0.5 than with 0, and 1.3 higher than with 1."""
 
 
 @dataclass
@@ -26,7 +34,7 @@ class Listener:
     alpha : array (n_materials, n_bands)
     seed, calls : int
     shift : array (n_parameters, n_pairs, n_bands)
-        What other scattering adds to every value.
+        What is added to every value; see `scatter`.
     used : int array (n_used,)
         Which of the values were measured, counted over the measured parameters at all pairs.
     """
@@ -59,6 +67,27 @@ class Listener:
         parameters = self.heard.parameters
         self.heard = observe(self.simulator, alpha, parameters, seed=self.seed)
         self.alpha = alpha
+
+    def scatter(self, tracer: PathTracing, expected: Array) -> None:
+        """Add what another scattering changes at this alpha.
+
+        The mean over pairs is what ``tracer`` hears, which has that scattering. Each pair's
+        difference from it is the mean of the tracer's and of that expected after the control runs.
+
+        ``expected`` (n_parameters, n_pairs, n_bands) is the change of every value.
+        """
+        self.calls += 1
+        values = self.heard.values[self._rows]
+        likely = Observations(
+            parameters=self.data.observations.parameters,
+            pairs=self.heard.pairs,
+            centre_frequencies=self.heard.centre_frequencies,
+            values=values + expected,
+        )
+        tracer.trace_ahead(self.alpha, ahead_factor(likely, tracer, self.alpha), seed=self.seed)
+        change = tracer.observe(self.alpha, likely.parameters, seed=self.seed).values - values
+        off = expected - change
+        self.shift = change + _OF_CONTROLS * (off - off.mean(axis=1, keepdims=True))
 
     def everywhere(self) -> Array:
         """Return the values at all pairs of the simulator, (n_parameters, n_all_pairs, n_bands)."""

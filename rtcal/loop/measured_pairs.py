@@ -19,6 +19,7 @@ from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.decay_gradients import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.uncertainty import between_teams
 from rtcal.calibration.measured import times_in_room
 from rtcal.errors import DataError
 from rtcal.simulators.observations import LOGARITHMIC, Observations
@@ -26,20 +27,11 @@ from rtcal.support.types import Array
 
 Pair = tuple[str, str]
 
-_BETWEEN_TEAMS = {
-    "t20": (0.046, 0.013),
-    "t30": (0.046, 0.013),
-    "edt": (0.10, 0.033),
-    "ts": (0.10, 0.033),
-    "c50": (0.83, 0.35),
-    "c80": (0.83, 0.35),
-    "level": (2.0, 0.55),
-}
-"""Standard deviations between teams at one pair, at 125 Hz and 4 kHz: relative, or in dB (I. Bork,
-Report on the 3rd round robin on room acoustical computer simulation, Part I, Acta Acustica united with
-Acustica 91, 740-752, 2005). C50 is taken as C80, Ts as EDT."""
+_AS = {"ts": "edt", "c50": "c80", "level": "g"}
+"""Parameters whose standard deviation between teams is that of another one."""
 _COMMON = 0.5
-"""Share of it that all pairs of a team have in common. Positions differed between teams, too."""
+"""Share of what teams differ by (`rtcal.acoustics.uncertainty.REPRODUCIBILITY`) that all pairs of a team
+have in common. Positions differed between teams, too."""
 _OFFSET = 100.0
 """Standard deviation in dB of a source's unknown power: far more than any, so that it says nothing."""
 _BINS = 4000
@@ -178,7 +170,7 @@ def _covariance(
     _, n_pairs, n_bands = shape
     full = np.zeros((*shape, *shape))
     times = _decay_times(observations, measured)
-    assumed = _between_teams(parameters, frequencies) * _COMMON
+    assumed = _COMMON * np.array([between_teams(_AS.get(p, p), frequencies) for p in parameters])
     alone = _stated(observations, measured, measured.uncertainty)
     common = _stated(observations, measured, measured.common_uncertainty)
     of_team = np.where(np.isfinite(alone), 0.0, assumed[:, np.newaxis])
@@ -230,13 +222,6 @@ def _decay_times(observations: Observations, measured: Measurement) -> Array:
         mean = measured.mean(name) * factor
         times = np.where(np.isfinite(times), times, mean)
     return np.where(np.isfinite(times), times, 1.0)
-
-
-def _between_teams(parameters: Sequence[str], frequencies: Array) -> Array:
-    """Return standard deviations, (n_parameters, n_bands), log-linear between 125 Hz and 4 kHz."""
-    position = np.clip(np.log2(frequencies / 125) / 5, 0, 1)
-    ends = np.array([_BETWEEN_TEAMS[p] for p in parameters])
-    return np.asarray(np.exp(np.log(ends[:, :1]) * (1 - position) + np.log(ends[:, 1:]) * position))
 
 
 def response_noise(

@@ -51,7 +51,7 @@ _SETTLED = 0.05
 _UNKNOWN_ERROR = 0.05
 """Standard deviation of a simulator's error that no control run tells: one JND of T, and 0.5 dB."""
 
-AHEAD = 2.0
+AHEAD = 3.0
 """How many times Eyring's T of the prior the paths are followed: in ten development rooms, T20 of the
 draws of the control runs needed up to 2.2 times as much."""
 
@@ -119,10 +119,9 @@ def calibrate_positions(
     prior = prior_covariance(room)
     fit, error = _simulator_error(listener, controls, prior, fit_scattering)
     scattering = None if fit is None else fit.scattering
-    if fit is not None:
-        listener.shift = fit.shift
-    if scattering is not None and isinstance(tracer, PathTracing):
-        tracer = with_scattering(tracer, scattering)
+    if fit is not None and isinstance(tracer, PathTracing):
+        tracer = with_scattering(tracer, fit.scattering)
+        listener.scatter(precise(tracer, more_paths), fit.shift)
     path = _gauss_newton(listener, calibration, measured, prior, room, error)
     pull = np.asarray(path.scale * np.linalg.solve(path.covariance, listener.residual()))
     return PositionsResult(

@@ -2,10 +2,9 @@
 
 Nobody states how a room scatters as a tracer takes it. Control runs differ in it, so they tell how
 every observation depends on the level of scattering, under both meanings of the coefficient. What was
-measured then tells which level is likely. What it changes is added to what the simulator hears. It is
-the mean over control runs, so it has less noise than another trace. What is left of the simulator's
-error is what the level does not explain, and how uncertain the level is. The noise of the control runs
-is no part of it.
+measured then tells which level is likely, and the room is traced once more with it. What is left of
+the simulator's error is what the level does not explain, and how uncertain the level is. The noise of
+the control runs is no part of it.
 
 In five development rooms the log-likelihood of what was measured was 9 to 21 nats higher without that
 noise, with `_pooled` coefficients, and with the likeliest scale of the error.
@@ -28,7 +27,8 @@ _COEFFICIENTS = 3
 """Of every value's dependence on scattering: a constant, one for the other model, and a slope. In ten
 development rooms polynomials of degree 2 for each model predicted unfitted pairs less well."""
 _GRID = 31
-"""Levels tried, from 0.1 to 0.85."""
+"""Levels tried, from 0.1 to 0.85. Their mean is rounded to one of them: nearly the same data then have
+the same paths."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +132,7 @@ def fitted(
     model = int(np.argmax(np.bincount(models, probability)))
     within = np.where(models == model, probability, 0.0)
     within /= within.sum()
-    level = float(within @ levels)
+    level = float(levels[np.argmin(np.abs(levels - within @ levels))])
     scattering = Scattering(model=MODELS[model], level=level)
     shift = basis([level], [model])[0] @ coefficients
     away = shifts - shift

@@ -226,17 +226,19 @@ def of_decays(
     match: Sequence[str],
     pairs: Sequence[tuple[str, str]],
     centre_frequencies: Array,
+    cause: str = "too little is reflected",
 ) -> Observations:
     """Return the observations of energy decays, (n_pairs, n_bands, n_bins) in 1/m².
 
-    The level is that of a source of unit energy, relative to 10 m in the free field: G.
+    The level is that of a source of unit energy, relative to 10 m in the free field: G. ``cause`` is
+    why a decay may lack a parameter.
 
     Raises
     ------
     TooShortError
         If a decay is cut off before it holds a decay time.
     DataError
-        If a decay lacks a parameter, since too little is reflected.
+        If a decay lacks a parameter.
     """
     values = np.empty((len(match), *energy.shape[:-1]))
     for row, name in zip(values, match, strict=True):
@@ -256,9 +258,7 @@ def of_decays(
             place = f"{' to '.join(pairs[pair])}, {bands.label(centre_frequencies[band])}"
             if name in DECAY_TIMES and decay.too_short(energy, name)[pair, band]:
                 raise TooShortError(f"the decay from {place} is too short to hold {name.upper()}")
-            raise DataError(
-                f"the decay from {place} has no {name.upper()}: too little is reflected"
-            )
+            raise DataError(f"the decay from {place} has no {name.upper()}: {cause}")
     return Observations(
         parameters=tuple(match),
         pairs=tuple(pairs),

@@ -24,6 +24,9 @@ from rtcal.simulators.tracer import (
 from rtcal.support import checks
 from rtcal.support.types import Array
 
+_REFLECTING = 0.7
+"""Mean alpha below which enough is reflected for every parameter: a decay of 25 dB has five reflections."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PathTracing(Tracer):
@@ -154,10 +157,7 @@ class PathTracing(Tracer):
             alpha,
             _longest(match),
         ).mean(axis=0)
-        energy = energy.reshape(len(self.pairs), *energy.shape[2:])
-        return observations.of_decays(
-            energy, self.bin_width, match, self.pairs, self.centre_frequencies
-        )
+        return self._observed(energy, alpha, match)
 
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
@@ -175,17 +175,20 @@ class PathTracing(Tracer):
             alpha,
             _longest(match),
         )
-        return np.array(
-            [
-                observations.of_decays(
-                    group.reshape(len(self.pairs), *group.shape[2:]),
-                    self.bin_width,
-                    match,
-                    self.pairs,
-                    self.centre_frequencies,
-                ).values
-                for group in energy
-            ]
+        return np.array([self._observed(group, alpha, match).values for group in energy])
+
+    def _observed(self, energy: Array, alpha: Array, match: Sequence[str]) -> Observations:
+        """Return the observations of energy (n_sources, n_receivers, n_bands, n_bins)."""
+        cause = "too little is reflected"
+        if np.max(self.room.areas @ alpha) < _REFLECTING * self.room.areas.sum():
+            cause = f"{self.n_paths} paths per source are too few. Take a larger n_paths"
+        return observations.of_decays(
+            energy.reshape(len(self.pairs), *energy.shape[2:]),
+            self.bin_width,
+            match,
+            self.pairs,
+            self.centre_frequencies,
+            cause,
         )
 
     def _in_groups(self, alpha: Array, seconds: float, number: int, seed: int) -> Array:
