@@ -45,8 +45,9 @@ _PATHS = 6000
 """Most paths of a control run, per source: T20 of a pair then has a noise of some 2 %."""
 
 _FIRST = 4.0
-"""How many times Eyring's T the first runs follow the decays. They scatter least. The others, which
-scatter more and more, follow them for as long as the four before needed, so that none is traced twice."""
+"""How many times Eyring's T the first run of each model follows the decays; it scatters least. The
+others scatter more and more, and follow them for as long as the four before needed. So none is traced
+twice."""
 _SPARE = 1.3
 """By how much longer, since T differs between runs."""
 

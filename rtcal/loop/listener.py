@@ -14,11 +14,10 @@ from rtcal.simulators.observations import Observations, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
 
-
 _OF_CONTROLS = 0.5
 """Share of the control runs in how a pair differs from the mean over pairs. They have fewer paths, but
-their positions differ, as the true ones do. In six development rooms the log-likelihood of what was
-measured was 5.2 nats higher with 0.5 than with 0, and 1.3 higher than with 1."""
+their positions differ, as the true ones do. In the mean of six development rooms the log-likelihood of
+what was measured was 5.2 nats higher with 0.5 than with 0, and 1.3 higher than with 1."""
 
 
 @dataclass
@@ -73,6 +72,8 @@ class Listener:
 
         The mean over pairs is what ``tracer`` hears, which has that scattering. Each pair's
         difference from it is the mean of the tracer's and of that expected after the control runs.
+        A straight line through control runs is no tracer: in a development room with little
+        scattering it raised T20 at 4 kHz by 10 %, the tracer by 28 %.
 
         ``expected`` (n_parameters, n_pairs, n_bands) is the change of every value.
         """

@@ -30,8 +30,8 @@ Pair = tuple[str, str]
 _AS = {"ts": "edt", "c50": "c80", "level": "g"}
 """Parameters whose standard deviation between teams is that of another one."""
 _COMMON = 0.5
-"""Share of what teams differ by (`rtcal.acoustics.uncertainty.REPRODUCIBILITY`) that all pairs of a team
-have in common. Positions differed between teams, too."""
+"""Share that all pairs of a team have in common, of what teams differ by at one pair
+(`rtcal.acoustics.uncertainty.REPRODUCIBILITY`). Positions differed between teams, too."""
 _OFFSET = 100.0
 """Standard deviation in dB of a source's unknown power: far more than any, so that it says nothing."""
 _BINS = 4000

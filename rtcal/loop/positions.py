@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
@@ -361,6 +362,10 @@ def _plain(room: Room) -> Calibration:
     )
 
 
+@overload
+def precise(simulator: PathTracing, more_paths: int = MORE_PATHS) -> PathTracing: ...
+@overload
+def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator: ...
 def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator:
     """Return a path tracing with more paths in `_BATCHES`, any other simulator as it is."""
     if not isinstance(simulator, PathTracing):

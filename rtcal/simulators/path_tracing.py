@@ -25,7 +25,7 @@ from rtcal.support import checks
 from rtcal.support.types import Array
 
 _REFLECTING = 0.7
-"""Mean alpha below which enough is reflected for every parameter: a decay of 25 dB has five reflections."""
+"""Mean alpha below which enough is reflected for every parameter: 25 dB take five reflections."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
