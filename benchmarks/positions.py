@@ -2,7 +2,7 @@
 
     python -m benchmarks.positions run --folder out --number 20     # can be resumed
     python -m benchmarks.positions table                            # of the stored run, or --folder out
-    python -m benchmarks.positions bound --number 10                # what a perfect simulator reaches
+    python -m benchmarks.positions bound                            # what a perfect simulator reaches
     python -m benchmarks.positions speed --folder out               # traces and seconds
 
 tests/position_rooms describes the rooms. `run` fits all pairs for alpha, and those of three receivers
@@ -26,7 +26,15 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.positions_table import FITTING, GAPS, STORED, median_ratio, print_tables, read
+from benchmarks.positions_table import (
+    FITTING,
+    GAPS,
+    STORED,
+    STORED_BOUND,
+    print_bound,
+    print_tables,
+    read,
+)
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop.control_runs import ControlRuns, control_runs
@@ -312,24 +320,21 @@ def speed(population: int) -> None:
             controls = getattr(result, "controls", None)
 
 
-def bound(population: int, indices: Sequence[int], rows: Sequence[dict[str, Any]]) -> None:
-    """Print the expected error of alpha with a perfect simulator, over that of T20 alone.
+def bound(population: int, indices: Sequence[int], target: Path) -> None:
+    """Write the expected error of alpha with a perfect simulator, for the rooms that have none yet.
 
     The simulator knows how the room scatters and has no error. The linear estimate is then the best
     there is: prior and the measurement's noise alone limit it.
     """
-    t20 = {(r["index"], r["prior"]): r for r in rows if r["method"] == "t20"}
-    expected: dict[str, list[float]] = {prior: [] for prior in PRIORS}
-    base: dict[str, list[float]] = {prior: [] for prior in PRIORS}
+    done = {(r["index"], r["prior"]) for r in read(target)}
     for index in indices:
         with KeptTraces():
             for prior in PRIORS:
-                if (index, prior) in t20:
-                    expected[prior].append(least_error(population, index, prior))
-                    base[prior].append(t20[index, prior]["error"])
-    for prior in PRIORS:
-        value, low, high = median_ratio(np.array(expected[prior]), np.array(base[prior]))
-        print(f"{prior}: {len(base[prior])} rooms, {value:.3f}  {low:.3f} to {high:.3f}")
+                if (index, prior) not in done:
+                    least = least_error(population, index, prior)
+                    row = rounded({"index": index, "prior": prior, "least_error": least})
+                    with target.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(row) + "\n")
 
 
 def least_error(population: int, index: int, prior: str) -> float:
@@ -364,7 +369,9 @@ def main() -> None:
     elif arguments.command == "table":
         print_tables(read(results))
     elif arguments.command == "bound":
-        bound(arguments.population, order(arguments.population)[: arguments.number], read(results))
+        target = arguments.folder / "bound.jsonl" if arguments.folder else STORED_BOUND
+        bound(arguments.population, order(arguments.population)[: arguments.number], target)
+        print_bound(read(target), read(results))
     else:
         speed(arguments.population)
 

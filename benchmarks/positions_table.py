@@ -16,7 +16,10 @@ from tests.position_rooms.rooms import PRIORS
 
 GAPS = ("edt", "c80", "g")
 STORED = HERE / "population_1_results.jsonl"
-EARLIER = (0, 1, 10, 11, 20, 21, 30, 31, 40, 41)
+STORED_BOUND = HERE / "population_1_bound.jsonl"
+_TENS = {0: (0, 1, 2, 3, 6, 7), 1: (0, 1, 2, 3, 6, 7), 2: (0, 1, 2, 6, 7), 3: (0, 1, 6, 7)}
+_TENS |= {4: (0, 1, 6, 7), 5: (0, 1, 6, 7)}
+EARLIER = frozenset(10 * ten + unit for ten, units in _TENS.items() for unit in units)
 """Rooms that earlier versions of the calibration were judged on; the others were not looked at."""
 RNG = 20261122
 ALLOWED = 0.05
@@ -126,6 +129,28 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, tuple[float, float, flo
     return found
 
 
+def bound_ratios(
+    bounds: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]], prior: str
+) -> tuple[np.ndarray, np.ndarray, list[int]]:
+    """Return the least expected errors, those of T20 alone, and the rooms that have both."""
+    t20 = {r["index"]: r["error"] for r in rows if (r["method"], r["prior"]) == ("t20", prior)}
+    least = {r["index"]: r["least_error"] for r in bounds if r["prior"] == prior}
+    rooms = sorted(least.keys() & t20.keys())
+    return np.array([least[i] for i in rooms]), np.array([t20[i] for i in rooms]), rooms
+
+
+def print_bound(bounds: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]]) -> None:
+    """Print the expected error of alpha with a perfect simulator, over that of T20 alone."""
+    for prior in PRIORS:
+        least, base, rooms = bound_ratios(bounds, rows, prior)
+        if rooms:
+            value, low, high = median_ratio(least, base)
+            print(
+                f"{prior}: a simulator without error / T20 alone, {len(rooms)} rooms: "
+                f"{value:.3f}  {low:.3f} to {high:.3f}"
+            )
+
+
 def fresh(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the rows of the rooms that no earlier version was judged on."""
     return [r for r in rows if r["index"] not in EARLIER]
@@ -148,13 +173,17 @@ def table(rows: Sequence[dict[str, Any]]) -> None:
             seconds, processor, traces = (
                 np.median([r[k] for r in chosen]) for k in ("seconds", "processor", "traces")
             )
+            most = max(r["traces"] for r in chosen)
             print(
-                f"{method}: median {seconds:.1f} s, {processor:.1f} s of processor, {traces:.0f} traces"
+                f"{method}: median {seconds:.1f} s, {processor:.1f} s of processor, {traces:.0f} "
+                f"traces, at most {most}"
             )
 
 
 def print_tables(rows: Sequence[dict[str, Any]]) -> None:
     """Print the table of all rooms, and that of the rooms that no earlier version was judged on."""
+    bounds = read(STORED_BOUND)
     for name, chosen in (("all", rows), ("not judged before", fresh(rows))):
         print(f"\n{name}:")
         table(chosen)
+        print_bound(bounds, complete(chosen))
