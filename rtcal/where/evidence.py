@@ -145,6 +145,16 @@ class Likelihood:
         )
         return joined, np.concatenate([turned, toward], axis=1)
 
+    def inverse_with_place(self, shift: Shift, row: int) -> Array:
+        """Return the inverse of the covariance with the error of a hypothesis' place, (n, n)."""
+        nodes = self.nodes[shift.response]
+        change = np.einsum("kn,kvn,v->k", shift.weights[row], nodes, self.amount)
+        columns = np.multiply.outer(change * shift.uneven[row], self.uneven)
+        columns = columns.reshape(-1, self.uneven.shape[1])
+        pulled = self.inverse @ columns
+        inner = np.eye(columns.shape[1]) + columns.T @ pulled
+        return np.asarray(self.inverse - pulled @ np.linalg.solve(inner, pulled.T))
+
     @cached_property
     def _uneven_products(self) -> Array:
         """W' K⁻¹ W by pairs of bands, (n_bands², n_columns²), W being `uneven`."""

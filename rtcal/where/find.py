@@ -374,13 +374,13 @@ def _groups(
     """Return the surfaces that the most probable effect, in its size, does not tell apart.
 
     Two surfaces are told apart where the shift of one, on the best size of the other, leaves more than
-    `APART` nats to be expected. Those that the data leave less probable than the first by more than
-    that were told apart, too.
+    `APART` nats to be expected, as far as the place on the most probable surface is known. Those that
+    the data leave less probable than the first by more than that were told apart, too.
     """
     best = next((c for c in summary.candidates if c.surface is not None), None)
     if best is None:
         return ()
-    names, vectors = [], []
+    names, vectors, inverse = [], [], likelihood.inverse
     least = np.exp(-APART) * max(summary.surfaces.values())
     for shift in hypotheses.shifts:
         if shift.effect != best.effect or shift.surface is None or shift.part is not None:
@@ -391,12 +391,14 @@ def _groups(
         near = np.abs(np.log(np.maximum(shift.sizes, 1e-9) / best.size))
         row = int(np.argmin(near + _unlike(shift, best)))
         nodes = likelihood.nodes[shift.response]
+        if name == best.surface:
+            inverse = likelihood.inverse_with_place(shift, row)
         names.append(name)
         vectors.append(np.einsum("kn,krn->kr", shift.weights[row], nodes).ravel())
     if not vectors:
         return ()
     every = np.array(vectors).T
-    gram = every.T @ likelihood.inverse @ every
+    gram = every.T @ inverse @ every
     size = np.maximum(np.diag(gram), 1e-12)
     nats = 0.5 * (size[:, np.newaxis] - gram**2 / size) / TEMPER
     return _joined(names, np.minimum(nats, nats.T) < APART)

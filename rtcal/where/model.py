@@ -75,8 +75,8 @@ class Model:
 
     @property
     def errors(self) -> Array:
-        """The simulator's errors in the control runs, (n_runs, n)."""
-        return np.array([flat(run) for run in self.error.runs.errors]) * self.scale
+        """The simulator's errors in the control runs, as large as is assumed, (n_runs, n)."""
+        return np.array([flat(run) for run in self.error.assumed]) * self.scale
 
     def simulator_error(self, without: NDArray[np.int64] | None = None) -> Array:
         """Return the covariance of the simulator's error, from all control runs but some."""
