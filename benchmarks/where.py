@@ -5,7 +5,7 @@
     python -m benchmarks.where gaps --folder out --number 40     # at held-out pairs, the same rooms
     python -m benchmarks.where means --folder out --number 40    # means over positions, the same rooms
     python -m benchmarks.where table                             # of the stored run, or --folder out
-    python -m benchmarks.where table --rooms earlier             # as judged by an earlier finder
+    python -m benchmarks.where table --rooms second              # as judged by an earlier finder
     python -m benchmarks.where store --folder out                # the run that the study shows
     python -m benchmarks.where speed --folder out                # first and second run of one room
 
@@ -263,7 +263,7 @@ def kept(statement: str, which: str = "fresh") -> tuple[list[dict[str, Any]], li
 
 def store(folder: Path) -> None:
     """Put the rows of fresh rooms into the repository, beside those of earlier ones."""
-    every = chosen(read(STORED), "earlier")
+    every = [*chosen(read(STORED), "first"), *chosen(read(STORED), "second")]
     every += [
         {"finder": finder, "statement": statement, **row}
         for statement in STATEMENTS

@@ -20,13 +20,15 @@ WHOLE_PLACES = ("audience",)
 MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
-FRESH = 43
-"""Number of the first room that no earlier version of the finder was judged on."""
 ROOMS = {
-    "fresh": "that were judged once, by this finder",
-    "earlier": "as judged by the finder before it had apertures, parts and errors of a place",
+    "fresh": "from 85: judged once, by this finder",
+    "second": "43 to 84: judged by the finder before the error common to all pairs was smaller",
+    "first": "0 to 42: judged by the finder before it had apertures, parts and errors of a place",
 }
 """Which rooms the stored rows are of."""
+_NUMBERS = {"first": range(43), "second": range(43, 85), "fresh": range(85, 250)}
+
+
 OF_KIND = {
     "receiver": ("measurement",),
     "coupled room": ("field",),
@@ -36,8 +38,8 @@ OF_KIND = {
 
 
 def chosen(rows: Iterable[dict[str, Any]], which: str) -> list[dict[str, Any]]:
-    """Return the rows of fresh rooms, or of earlier ones."""
-    return [r for r in rows if (r["index"] >= FRESH) == (which == "fresh")]
+    """Return the rows of some rooms; ``which`` is of `ROOMS`."""
+    return [r for r in rows if r["index"] in _NUMBERS[which]]
 
 
 def right_families(kind: str) -> frozenset[str]:

@@ -1,6 +1,7 @@
 """The score that `rtcal.where.find` gives rooms that are as stated, and its threshold.
 
     python -m benchmarks.where_threshold --cache out --statement "in situ" --number 12
+    python -m benchmarks.where_threshold --cache out --rooms 2,4,6 --measured     # no control rooms
 
 Control rooms of the development rooms (population 0 of tests/geometric_world) are drawn: their
 simulator's error is that of control runs that the covariance has not seen, what catalogues err by in
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +78,20 @@ def scores(numbers: Model, hypotheses: Hypotheses, seed: int) -> tuple[np.ndarra
     return np.concatenate(every), float(np.mean(squares))
 
 
-def of_room(index: int, statement: str, data: str, cache: Path) -> dict[str, Any]:
-    """Return the scores of a development room and of its control rooms."""
+def log_density(numbers: Model) -> float:
+    """Return the log density of what was measured if nothing is other than stated."""
+    stated = numbers.likelihoods()[0]
+    return float(stated.stated(stated.of(numbers.residual[:, np.newaxis]))[0])
+
+
+def of_room(
+    index: int, statement: str, data: str, cache: Path, draw: bool = True
+) -> dict[str, Any]:
+    """Return the scores of a development room and of its control rooms.
+
+    ``likelier`` is by how many nats the error common to all pairs makes what was measured likelier as
+    it is assumed than with all of its variance.
+    """
     case = case_of(load(0, index, statement), data)
     controls: Any = control_runs(
         case.simulator,
@@ -89,14 +103,16 @@ def of_room(index: int, statement: str, data: str, cache: Path) -> dict[str, Any
     made = responses(case, 0, cache)
     numbers = model(case, made, controls)
     hypotheses = every_hypothesis(case, made, numbers)
-    drawn_scores, square = scores(numbers, hypotheses, index)
+    drawn_scores, square = scores(numbers, hypotheses, index) if draw else (np.zeros(0), np.nan)
     evidence = evaluate(numbers.likelihoods(), hypotheses, numbers.residual[:, np.newaxis])
+    whole = replace(numbers, error=replace(numbers.error, common=1.0))
     return {
         "index": index,
         "statement": statement,
         "data": data,
         "kind": truth(0, index)["kind"],
         "square": square,
+        "likelier": log_density(numbers) - log_density(whole),
         "score": float(weights(evidence, hypotheses).score[0]),
         "control_scores": drawn_scores.round(2).tolist(),
     }
@@ -108,6 +124,7 @@ def main() -> None:
     parser.add_argument("--statement", choices=(HANDBOOK, IN_SITU), default=IN_SITU)
     parser.add_argument("--rooms", default="", help="numbers of development rooms; else the first")
     parser.add_argument("--number", type=int, default=12)
+    parser.add_argument("--measured", action="store_true", help="score what was measured alone")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     rooms = [int(i) for i in given.rooms.split(",") if i] or list(range(given.number))
@@ -115,10 +132,12 @@ def main() -> None:
     every, squares = [], []
     for index in rooms:
         for data in DATA:
-            row = of_room(index, given.statement, data, given.cache)
+            row = of_room(index, given.statement, data, given.cache, not given.measured)
             every += row["control_scores"]
             squares.append(row["square"])
             print(json.dumps({k: v for k, v in row.items() if k != "control_scores"}), flush=True)
+    if given.measured:
+        return
     print(
         f"{len(every)} control rooms: {np.quantile(every, 1 - FALSE_ALARMS):.2f} nats are exceeded by"
     )

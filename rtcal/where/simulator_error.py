@@ -34,16 +34,19 @@ class SimulatorError:
     ----------
     runs : ControlRuns
         Without their noise.
+    common : float
+        Share of the variance common to all pairs that is assumed.
     """
 
     runs: ControlRuns
+    common: float = COMMON
 
     @property
     def assumed(self) -> Array:
         """The errors, what is common to all pairs as large as is assumed; (n_runs, p, i, k)."""
         errors = self.runs.errors
         common = errors.mean(axis=2, keepdims=True)
-        return np.asarray(errors - (1 - np.sqrt(COMMON)) * common)
+        return np.asarray(errors - (1 - np.sqrt(self.common)) * common)
 
     @property
     def _columns(self) -> Array | None:

@@ -1,6 +1,6 @@
 """How often the finder with a geometry was right in rooms that were not used to make it.
 
-The figures are those of docs/where_study.md (`python -m benchmarks.where table`, and `--rooms earlier`
+The figures are those of docs/where_study.md (`python -m benchmarks.where table`, and `--rooms first`
 for a handbook's).
 """
 
