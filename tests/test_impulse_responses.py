@@ -7,15 +7,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import wavfile
 
 from rtcal.errors import DataError
 from rtcal.io import impulse_responses as ir
+from rtcal.io.samples import clipped_samples
 from tests.fuzz import wav
 
 pyfar = pytest.importorskip("pyfar")
 pytest.importorskip("pyrato")
 
 RATE = 44100
+
+
+class NotFinite:
+    """A signal that pyfar would refuse to make."""
+
+    sampling_rate = 8000.0
+
+    def __init__(self, samples: np.ndarray) -> None:
+        self.time = samples[np.newaxis]
 
 
 def decay(t: float, rate: int = RATE, length: float = 3.0) -> np.ndarray:
@@ -142,6 +153,32 @@ def test_a_double_slope_is_flagged() -> None:
     assert not ir.analyse(straight, bands=[500, 1000, 2000]).notes
 
 
+def test_a_clipped_response_is_noted(tmp_path: Path) -> None:
+    """EDT of a response five times too loud was 20 % too long, without a word."""
+    samples = response(0.8, np.random.default_rng(10))
+    samples /= np.abs(samples).max()
+    for name, content in (("S1_R1", samples), ("S1_R2", np.clip(5 * samples, -1, 1))):
+        (tmp_path / f"{name}.wav").write_bytes(wav(content, 16000))
+    analysis = ir.read(sorted(tmp_path.iterdir()), bands=[1000])
+    (note,) = [n for n in analysis.notes if "clipped" in n]
+    n_clipped = int((np.abs(5 * samples) >= 1 - 0.5 / 32767).sum())
+    assert note.startswith(
+        f"clipped: {tmp_path / 'S1_R2.wav'} ({n_clipped} samples). Their largest"
+    )
+    assert np.isfinite(analysis.measurement.values["edt"]).all()
+
+
+def test_decays_are_not_taken_for_clipped() -> None:
+    rng = np.random.default_rng(11)
+    time = np.arange(16000) / 16000
+    for bits in (10, 16, 24):
+        low = np.exp(-7 * time) * np.sin(2 * np.pi * 30 * time)  # a top of many equal samples
+        for samples in (low, response(0.8, rng)):
+            rounded = np.round(samples / np.abs(samples).max() * 2**bits) / 2**bits
+            assert clipped_samples(rounded) == 0
+            assert clipped_samples(np.clip(rounded, -0.5, 0.5)) > 3
+
+
 def test_short_decays_are_noted() -> None:
     rng = np.random.default_rng(5)
     analysis = ir.analyse(pyfar.Signal(response(0.04, rng)[:4000], 16000), bands=[63, 125, 1000])
@@ -181,6 +218,29 @@ def test_channels_are_no_receivers_unless_stated(tmp_path: Path) -> None:
     assert pairs == (("S1", "R1-1"), ("S1", "R1-2"))
 
 
+def test_a_file_that_cannot_be_used_is_named_first(tmp_path: Path) -> None:
+    """A NaN was "cannot be read as WAV", and a silent file "silent, or a sample is not finite"."""
+    good = wav(np.exp(-np.arange(8000) / 800))
+    for name, content in (("a", good), ("b", wav(np.zeros(99))), ("c", wav(np.zeros(9)))):
+        (tmp_path / f"{name}.wav").write_bytes(content)
+    done: list[None] = []
+    with pytest.raises(DataError, match=r"b\.wav, .*c\.wav: silent, .* leave them out$"):
+        ir.read(sorted(tmp_path.iterdir()), progress=lambda: done.append(None))
+    assert not done
+    samples = np.exp(-np.arange(8000) / 800).astype("f4")
+    for value, rule in ((np.nan, "nan"), (np.inf, "inf")):
+        samples[41] = value
+        wavfile.write(tmp_path / "n.wav", 8000, samples)
+        with pytest.raises(
+            DataError, match=rf"n\.wav: sample 42 of 8000 is {rule}, not a finite number$"
+        ):
+            ir.read(tmp_path / "n.wav")
+        with pytest.raises(
+            DataError, match=f"^impulse response S1/R1: sample 42 of 8000 is {rule}"
+        ):
+            ir.analyse(NotFinite(samples))
+
+
 def test_bad_input(tmp_path: Path) -> None:
     path = tmp_path / "a.wav"
     good = wav(np.exp(-np.arange(8000) / 800))
@@ -194,7 +254,7 @@ def test_bad_input(tmp_path: Path) -> None:
         ),
         (good[:34] + struct.pack("<H", 8) + good[36:], "format 1 of 8 bits"),
         (good[:22] + struct.pack("<H", 0) + good[24:], "0 channels"),
-        (wav(np.zeros(8000)), "silent"),
+        (wav(np.zeros(8000)), r"a\.wav: silent, every sample is 0; leave it out"),
         (wav(np.ones(900_001)), "900001 samples in 1 channels; at most 900000"),
     ):
         path.write_bytes(content)

@@ -147,6 +147,19 @@ def test_a_range_is_0_db_or_more(tmp_path: Path, capsys) -> None:
     assert "not a file" in capsys.readouterr().err
 
 
+def test_a_measurement_without_any_value_is_not_written(tmp_path: Path, capsys) -> None:
+    """It had been a CSV of empty values, with exit code 0."""
+    pytest.importorskip("pyfar")
+    pytest.importorskip("pyrato")
+    path, out = tmp_path / "S1_R1.wav", tmp_path / "t.csv"
+    path.write_bytes(fuzz.wav(np.random.default_rng(1).uniform(-1, 1, 300)))
+    assert run("measure", path, "--out", out) == 2
+    said = capsys.readouterr().err
+    assert "t.csv: not written, since no parameter could be determined. S1, R1, 63 Hz: no" in said
+    assert not out.exists()
+    assert run("measure", path) == 0
+
+
 LIST = b"ABS wood = <10 12 14 16 18 20>\r\nABS felt = <2 2 2 2 2 2> L <30 30 30 30 30 30>\r\n"
 BOTH = ("--volume", 60, "--area", "wood=40", "--area", "felt=60")
 

@@ -82,7 +82,13 @@ def measure(
         )
     if uncertainty:
         analysis = replace(analysis, measurement=with_uncertainty(analysis.measurement))
-    if not quiet and all(np.isnan(v).all() for v in analysis.measurement.values.values()):
+    nothing = all(np.isnan(v).all() for v in analysis.measurement.values.values())
+    if nothing and out is not None:
+        raise DataError(
+            f"{out}: not written, since no parameter could be determined. {analysis.missing[0]}. "
+            "Without --out, all reasons are printed"
+        )
+    if nothing and not quiet:
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
     notes = {
         "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,

@@ -14,7 +14,7 @@ from rtcal.support import text
 from rtcal.support.types import Array
 
 _MOST_PAIRS = 4
-"""Largest number of pairs that a sentence names."""
+"""Largest number of pairs or files that a sentence names."""
 
 
 def with_uncertainty(measurement: Measurement) -> Measurement:
@@ -149,7 +149,17 @@ def pairs_in_words(pairs: Sequence[tuple[str, str]]) -> str:
     >>> pairs_in_words([("S1", "R1"), ("S1", "R2")])
     'S1, R1; S1, R2'
     """
-    names = [", ".join(pair) for pair in pairs]
+    return shortened_list([", ".join(pair) for pair in pairs])
+
+
+def shortened_list(names: Sequence[str]) -> str:
+    """Return some names; the first of many, and the number of the others.
+
+    Examples
+    --------
+    >>> shortened_list(["a.wav", "b.wav", "c.wav", "d.wav", "e.wav"])
+    'a.wav; b.wav; c.wav; 2 others'
+    """
     if len(names) > _MOST_PAIRS:
         names = [*names[: _MOST_PAIRS - 1], f"{len(names) - _MOST_PAIRS + 1} others"]
     return "; ".join(names)

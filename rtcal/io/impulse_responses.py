@@ -9,7 +9,7 @@ if the impulse-to-noise ratio
     INR = 10 lg(E 6 ln(10) / (EDT N)) dB,   E the energy, N the noise's energy per second,
 
 is as large as ISO 3382 requires: the noise is 10 dB below the evaluation range. No other module
-imports pyfar and pyrato (``rtcal[measurement]``).
+imports pyfar, pyrato and soundfile (``rtcal[measurement]``).
 
 References: ISO 3382-1:2009; ISO 3382-2:2008, 5.3.3; Jacobsen and Rindel, J. Sound Vib. 117 (1987);
 Lundeby, Vigran, Bietz, Vorlaender, Acustica 81 (1995); Guski and Vorlaender, Acta Acust. united Ac.
@@ -33,8 +33,9 @@ from rtcal.acoustics.curvature import bent_decays
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.io.analysis import Analysis, pairs_in_words, spread
-from rtcal.io.wav import MAX_CHANNEL_SAMPLES, check_header
+from rtcal.io.analysis import Analysis, pairs_in_words, shortened_list, spread
+from rtcal.io.samples import LEAST_CLIPPED, check_finite, check_usable, prepared
+from rtcal.io.wav import check_header
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
@@ -95,13 +96,9 @@ def read(
     if not paths:
         raise DataError("no file of an impulse response is given")
     signals: dict[tuple[str, str], Any] = {}
-    pyfar, _ = _libraries()
+    places: dict[tuple[str, str], str] = {}
     for file in paths:
-        check_header(file)
-        try:
-            signal = pyfar.io.read_audio(os.fspath(file))
-        except (OSError, RuntimeError, ValueError, TypeError) as error:
-            raise DataError(f"{file}: cannot be read as WAV: {error}") from error
+        signal = _sound(os.fspath(file))
         stem = Path(file).stem
         match = _NAMES.search(stem)
         source, receiver = match.groups() if match else ("S1", stem)
@@ -110,7 +107,23 @@ def read(
             if (source, name) in signals:
                 raise DataError(f"{file}: source {source}, receiver {name} is given twice")
             signals[source, name] = channel
-    return analyse(signals, bands=bands, minimum_range=minimum_range, progress=progress)
+            places[source, name] = os.fspath(file) + ("" if name == receiver else f", {name}")
+    return _analysis(signals, places, bands, _ranges(minimum_range), progress)
+
+
+def _sound(file: str) -> Any:
+    """Return the pyfar Signal of a file; DataError if it is no WAV or a sample is not finite."""
+    check_header(file)
+    pyfar, _ = _libraries()
+    try:
+        import soundfile  # pyfar reads with it, and does not say which sample is not finite
+
+        samples, rate = soundfile.read(file, always_2d=True)
+    except (OSError, RuntimeError, ValueError, TypeError) as error:
+        raise DataError(f"{file}: cannot be read as WAV: {error}") from error
+    for channel in samples.T:
+        check_finite(file, channel)
+    return pyfar.Signal(samples.T, rate)
 
 
 def _channels(
@@ -172,17 +185,34 @@ def analyse(
     for pair, signal in signals.items():
         if not hasattr(signal, "sampling_rate"):
             raise DataError(f"signals: {checks.shown(signal)} of {pair} is no pyfar.Signal")
+    places = {pair: f"impulse response {'/'.join(pair)}" for pair in signals}
+    return _analysis(signals, places, bands, needed, progress)
+
+
+def _analysis(
+    signals: Mapping[tuple[str, str], Any],
+    places: Mapping[tuple[str, str], str],
+    bands: str | Sequence[float],
+    needed: dict[str, float],
+    progress: Callable[[], None] | None,
+) -> Analysis:
+    """Return the parameters of responses; ``places`` are their names in messages."""
+    check_usable((places[pair], signal) for pair, signal in signals.items())
     rate = min(float(s.sampling_rate) for s in signals.values())
     centres, fractions = _centres(bands, rate)
     values = {p: np.full((len(signals), len(centres)), np.nan) for p in PARAMETERS}
     ratios = np.full((len(signals), len(centres)), np.nan)
     missing: list[str] = []
     silences: dict[tuple[str, str], float] = {}
+    clipped: list[str] = []
     short: dict[float, list[float]] = {}
     for i, (pair, signal) in enumerate(signals.items()):
-        time, onset, silence = _checked(signal, "/".join(pair))
-        if silence >= LEAST_SILENCE:
-            silences[pair] = silence
+        samples = prepared(signal)
+        time, onset = samples.time, samples.onset
+        if samples.silence >= LEAST_SILENCE:
+            silences[pair] = samples.silence
+        if samples.clipped:
+            clipped.append(f"{places[pair]} ({samples.clipped} samples)")
         for k, centre in enumerate(centres):
             bandwidth = centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
             energy = _filtered(time, float(signal.sampling_rate), float(centre), fractions)
@@ -206,6 +236,11 @@ def analyse(
             progress()
     measurement = Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values)
     notes = []
+    if clipped:
+        notes.append(
+            f"clipped: {shortened_list(clipped)}. Their largest value occurs {LEAST_CLIPPED} times or "
+            "more, that of a decay once. All their values are in doubt: the decay's begin is cut off"
+        )
     if silences:
         seconds = spread([*silences.values()], ".2f")
         notes.append(
@@ -340,32 +375,6 @@ def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
         frequency_range=(centre * 0.97, centre * 1.03),
     )
     return np.asarray(np.ravel(filtered.time)[::-1] ** 2)
-
-
-def _checked(signal: Any, place: str) -> tuple[Array, int, float]:
-    """Return the samples scaled to a peak of 1, the sample of the onset, and the silence in s.
-
-    Digital silence at the end, a run of equal samples, is left out. It is no noise, and would
-    mislead the search for the noise. The onset is 20 dB below the peak (ISO 3382-1:2009, 5.3.2).
-    """
-    time = np.asarray(signal.time, dtype=float)
-    if time.ndim != 2 or time.shape[0] != 1:
-        raise DataError(f"impulse response {place}: shape {time.shape}; one channel is needed")
-    time = time[0]
-    if len(time) > MAX_CHANNEL_SAMPLES:
-        raise DataError(
-            f"impulse response {place}: {len(time)} samples; at most {MAX_CHANNEL_SAMPLES}"
-        )
-    peak = float(np.max(np.abs(time))) if len(time) else 0.0
-    if not np.isfinite(time).all() or not 0 < peak < 1e150:
-        raise DataError(f"impulse response {place}: silent, or a sample is not finite")
-    changes = np.flatnonzero(time != time[-1])
-    n_silent = len(time) - 1 - int(changes[-1]) if changes.size else 0
-    if n_silent > 1:
-        time = time[: len(time) - n_silent]
-    time = time / peak
-    onset = int(np.argmax(np.abs(time) >= 0.1))
-    return time, onset, n_silent / float(signal.sampling_rate)
 
 
 def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
