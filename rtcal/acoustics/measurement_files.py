@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS, plausible_time
+from rtcal.acoustics.parameters import DECAY_TIMES, LIMITS, SUMMARY, UNITS, plausible_time
 from rtcal.errors import DataError
 from rtcal.support.files import json_numbers, read_text
 from rtcal.support.types import Array
@@ -85,12 +85,23 @@ def _header(line: str, place: str) -> list[str]:
         raise DataError(f'{place}: column "{repeated}" is given twice')
     for column in _COLUMNS:
         if column not in header:
-            raise DataError(f'{place}: column "{column}" is missing')
+            raise DataError(
+                f'{place}: column "{column}" is missing{_separator_note(line)}; `rtcal table` reads '
+                "other tables"
+            )
     for column in header:
         if column not in _COLUMNS + _OPTIONAL_COLUMNS:
             allowed = ", ".join(_COLUMNS + _OPTIONAL_COLUMNS)
             raise DataError(f'{place}: column "{column}" is not one of {allowed}')
     return header
+
+
+def _separator_note(header: str) -> str:
+    """Return words on a header that another character than the comma separates; "" else."""
+    for separator, name in ((";", '";"'), ("\t", "tabs")):
+        if header.count(separator) > header.count(","):
+            return f', since columns are separated by {name} and not by ","'
+    return ""
 
 
 def _cells(line: str, place: str) -> list[str]:
@@ -116,6 +127,14 @@ def _row(
         raise DataError(f"{place}: {cell['parameter']} = {value:g} s is not above 0")
     if parameter in DECAY_TIMES and np.isfinite(value):
         plausible_time(f"{place}: {cell['parameter']}", value, parameter)
+    if parameter in LIMITS:
+        least, most, question = LIMITS[parameter]
+        if value < least or value > most * (1 + 1e-9):
+            unit = f" {UNITS[parameter]}".rstrip()
+            raise DataError(
+                f"{place}: {cell['parameter']} = {value:g} is not from {least:g} to {most:g}{unit}: "
+                f"{question}"
+            )
     for column in _OPTIONAL_COLUMNS:
         if numbers.get(column, 0.0) < 0:
             raise DataError(f"{place}: {column} = {numbers[column]:g} is below 0")

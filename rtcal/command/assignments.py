@@ -56,6 +56,9 @@ def numbers(option: str, stated: Sequence[str], value_name: str) -> dict[str, fl
         except ValueError:
             number = float("nan")
         if number != number:
-            raise DataError(f'{option}: "{name}={value}" is not NAME={value_name}')
+            decimal = ""
+            if re.fullmatch(r"\d+,\d+", value):
+                decimal = f", which has a decimal point: {name}={value.replace(',', '.')}"
+            raise DataError(f'{option}: "{name}={value}" is not NAME={value_name}{decimal}')
         by_name[name] = number
     return by_name

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from rtcal.acoustics.parameters import UNITS
 from rtcal.command.assignments import as_options, errors_name_options, numbers, texts
 from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
+from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
 from rtcal.support.files import spare
 
 if TYPE_CHECKING:
@@ -101,8 +103,16 @@ def measure(
 
 @click.command(short_help="A measuring system's table (CSV) to a measurement.")
 @click.argument("path", type=click.Path())
-@click.option("--decay-time", help="t20 or t30: the decay time in a column RT60 or T60.")
-@click.option("--parameter", help="The parameter of the values, if the table does not name it.")
+@click.option(
+    "--decay-time",
+    type=click.Choice(DECAY_TIMES_OF_RT60, case_sensitive=False),
+    help="The decay time in a column RT60 or T60.",
+)
+@click.option(
+    "--parameter",
+    type=click.Choice(tuple(UNITS), case_sensitive=False),
+    help="The parameter of the values, if the table does not name it.",
+)
 @click.option(
     "--where", multiple=True, metavar="COLUMN=ENTRY", help="Read only rows with this entry."
 )

@@ -62,6 +62,9 @@ _PARAMETER_SPELLINGS = {
     "strength": "g",
     "soundstrength": "g",
 }
+DECAY_TIMES_OF_RT60 = ("t20", "t30")
+"""What a column RT60 may hold (ISO 3382-2). An early decay time is never called so."""
+
 _AMBIGUOUS = {"rt", "rt60", "t60", "t", "reverberationtime", "nachhallzeit", "tr"}
 _COLUMN_SPELLINGS = {
     "source": "source",
@@ -150,6 +153,8 @@ class Column:
         In Hz; NaN if each row names it.
     unit : str
         Empty if the header has none.
+    decay_time_stated : bool
+        Whether the header, such as "RT60", leaves open which decay time it is.
     """
 
     kind: str
@@ -157,6 +162,7 @@ class Column:
     parameter: str = ""
     band: float = np.nan
     unit: str = ""
+    decay_time_stated: bool = False
 
     @property
     def has_band(self) -> bool:
@@ -178,6 +184,7 @@ class Column:
             parameter=self.parameter or below.parameter,
             band=self.band if self.has_band else below.band,
             unit=self.unit if self.parameter else below.unit,
+            decay_time_stated=self.decay_time_stated or below.decay_time_stated,
         )
 
     def description(self, stated: str | None) -> str:
@@ -196,10 +203,9 @@ class Column:
 
 def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
     """Return the parameter of a spelling, None for an unknown one; DataError for "RT60"."""
-    key = re.sub(r"[\s_]+", "", text.lower())
-    if key in _PARAMETER_SPELLINGS:
-        return _PARAMETER_SPELLINGS[key]
-    if key in _AMBIGUOUS:
+    if _key(text) in _PARAMETER_SPELLINGS:
+        return _PARAMETER_SPELLINGS[_key(text)]
+    if leaves_decay_time_open(text):
         if decay_time is None:
             raise DataError(
                 f'{place}: "{shown(text)}" does not say which decay time it is; state '
@@ -207,6 +213,15 @@ def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
             )
         return decay_time
     return None
+
+
+def leaves_decay_time_open(text: str) -> bool:
+    """Return whether a spelling, such as "RT60", does not say which decay time it is."""
+    return _key(text) in _AMBIGUOUS
+
+
+def _key(text: str) -> str:
+    return re.sub(r"[\s_]+", "", text.lower())
 
 
 def frequency_of(text: str) -> float | None:
@@ -263,9 +278,8 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
                 "columns missing?"
             )
         return Column("data", header, band=nominal_band(frequency, place))
-    key = re.sub(r"[\s_]+", "", name.lower())
-    if key in _COLUMN_SPELLINGS:
-        kind = _COLUMN_SPELLINGS[key]
+    if _key(name) in _COLUMN_SPELLINGS:
+        kind = _COLUMN_SPELLINGS[_key(name)]
         units = {"band": ("", "hz", "khz"), "value": UNIT_WORDS | {""}}
         if unit.lower() not in units.get(kind, ("",)):
             raise DataError(f'{place}: column "{shown(header)}": the unit is not known')
@@ -273,14 +287,16 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
     parameter = parameter_of(name, place, decay_time)
     if parameter is not None:
         scale_of(parameter, unit, place)
-        return Column("data", header, parameter, unit=unit)
+        open_time = leaves_decay_time_open(name)
+        return Column("data", header, parameter, unit=unit, decay_time_stated=open_time)
     both = _BOTH.fullmatch(name)
     if both:
         parameter, frequency = parameter_of(both[1], place, decay_time), frequency_of(both[2])
         if parameter is not None and frequency is not None:
             scale_of(parameter, unit if unit.lower() not in ("hz", "khz") else "", place)
             frequency *= 1000 if unit.lower() == "khz" else 1
-            return Column("data", header, parameter, nominal_band(frequency, place))
+            band, open_time = nominal_band(frequency, place), leaves_decay_time_open(both[1])
+            return Column("data", header, parameter, band, decay_time_stated=open_time)
     return None
 
 

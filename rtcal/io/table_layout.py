@@ -41,6 +41,11 @@ class Layout:
     rows: tuple[Row, ...]
     notes: tuple[str, ...]
 
+    def cells(self, kind: str) -> list[str]:
+        """Return the cells of the columns of a kind (`Column.kind`)."""
+        columns = [i for i, c in enumerate(self.columns) if c.kind == kind]
+        return [cells[i] for i in columns for _, cells in self.rows]
+
 
 def layout_of(
     text: Text, path: str, *, decay_time: str | None, extra_columns: Collection[str] = ()

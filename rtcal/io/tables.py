@@ -25,8 +25,15 @@ from rtcal.acoustics.measurement_files import of_single_values
 from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS, plausible_time
 from rtcal.errors import DataError
 from rtcal.io.analysis import means
-from rtcal.io.table_columns import frequency_of, nominal_band, parameter_of, scale_of
+from rtcal.io.table_columns import (
+    DECAY_TIMES_OF_RT60,
+    frequency_of,
+    nominal_band,
+    parameter_of,
+    scale_of,
+)
 from rtcal.io.table_layout import Layout, Row, layout_of
+from rtcal.io.table_options import check_options
 from rtcal.io.text import MAX_TEXT, decode, number, shown
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -39,6 +46,7 @@ MAX_CELL = 60
 _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
 )
+_POSITION = re.compile(r"(L?S\d+)[\s_-]*((?:MP|M|R)\d+)", re.I | re.ASCII)  # source and receiver
 _WITH_UNIT = re.compile(r"([^%a-z]*\d[\d.,]*(?:e[+-]?\d+)?)\s*(%|m?s|db)", re.I)
 _MISSING = {
     "",
@@ -105,7 +113,8 @@ def read(
     decay_time : {"t20", "t30"}, optional
         The decay time in a column "RT60" or "T60".
     parameter : str, optional
-        The parameter of values for which the table names none.
+        The parameter of values for which the table names none. It is refused, as ``decay_time``,
+        where the table's own names leave nothing open.
     where : mapping of str to str, optional
         Selects rows by the entry of a column: ``{"room": "CR2"}``.
     ignore : collection of str, optional
@@ -150,7 +159,7 @@ def parse(
 ) -> Table:
     """Return the measurement of a table's content; see `read`."""
     for name, choice, choices in (
-        ("decay_time", decay_time, DECAY_TIMES),
+        ("decay_time", decay_time, DECAY_TIMES_OF_RT60),
         ("parameter", parameter, tuple(UNITS)),
     ):
         if choice is not None and choice not in choices:
@@ -159,10 +168,11 @@ def parse(
     for name, count in (("sources", n_sources), ("receivers", n_receivers)):
         if count is not None:
             stated[name] = checks.whole(f"n_{name}", count, 1)
-    where = where or {}
+    where, ignore = where or {}, [ignore] if isinstance(ignore, str) else ignore
     layout = layout_of(
         decode(content, path), path, decay_time=decay_time, extra_columns={*where, *ignore}
     )
+    check_options(layout, path, parameter=parameter, decay_time=decay_time, ignore=ignore)
     return _Reader(path, layout, decay_time, parameter, stated).table(where)
 
 
@@ -202,6 +212,11 @@ class _Reader:
                 "are several"
             )
         self.comma = self._decimal_comma()
+        positions = layout.cells("receiver") if "source" not in kinds else []
+        positions = [p for p in positions if p.lower() not in _STATISTICS]
+        self.example_of_both = (
+            positions[0] if positions and all(map(_POSITION.fullmatch, positions)) else None
+        )
 
     def table(self, where: Mapping[str, str]) -> Table:
         """Return the measurement of the rows that ``where`` selects."""
@@ -263,9 +278,7 @@ class _Reader:
         """Yield the key and the numbers of each value of a row."""
         if statistic == "":
             return
-        pair = (entries.get("source") or self.pair[0], entries.get("receiver") or self.pair[1])
-        if statistic is not None:
-            pair = (SUMMARY, SUMMARY)
+        pair = (SUMMARY, SUMMARY) if statistic is not None else self._pair_of(entries)
         text_name(f"{place}: a position", "".join(pair))
         row_parameter, row_band = (
             self._row_parameter(entries, place),
@@ -297,6 +310,13 @@ class _Reader:
             if min(numbers.get(n, 0.0) for n in ("uncertainty", "standard_deviation")) < 0:
                 raise DataError(f"{place}: an uncertainty or standard deviation is below 0")
             yield (*pair, parameter, band), numbers
+
+    def _pair_of(self, entries: Mapping[str, str]) -> tuple[str, str]:
+        """Return the source and the receiver of a row."""
+        source, receiver = entries.get("source"), entries.get("receiver")
+        if self.example_of_both and receiver and (both := _POSITION.fullmatch(receiver)):
+            source, receiver = both.groups()
+        return source or self.pair[0], receiver or self.pair[1]
 
     def _row_parameter(self, entries: Mapping[str, str], place: str) -> str | None:
         if "parameter" not in entries:
@@ -359,6 +379,19 @@ class _Reader:
                 "no positions: taken as source S1 and receiver R1; if the values are means, state "
                 "n_sources and n_receivers"
             )
+        elif self.example_of_both and (SUMMARY, SUMMARY) not in pairs:
+            source, receiver = self._pair_of({"receiver": self.example_of_both})
+            report.append(
+                f'positions name both: "{self.example_of_both}" is source {source}, receiver {receiver}'
+            )
+        elif self.has_positions and (SUMMARY, SUMMARY) not in pairs:
+            kinds = {c.kind for c in self.layout.columns}
+            if "source" not in kinds:
+                report.append(
+                    "no source is named: all positions are taken as receivers of source S1"
+                )
+            if "receiver" not in kinds:
+                report.append("no receiver is named: taken as receiver R1 of each source")
         return tuple(report)
 
     def _measurement(self, values: Mapping[Key, dict[str, float]]) -> Measurement:

@@ -1,0 +1,109 @@
+"""`rtcal table`: options without use, spellings, positions; and the errors of the native file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import rtcal as rt
+from tests.test_io_commands import run
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "rule"),
+    [
+        (
+            "Frequency,T20\n500,1\n",
+            ("--ignore", "Foo"),
+            '--ignore Foo is no column; they are "Freq',
+        ),
+        (
+            "f,T20 [s]\n500,1\n",
+            ("--ignore", "T20"),
+            '--ignore T20 is no column; they are "f", "T20 [s]"',
+        ),
+        (
+            "f,T20 [s]\n500,1\n",
+            ("--parameter", "edt"),
+            '--parameter edt is not used, since the table names its own ("T20 [s]")',
+        ),
+        (
+            "f,T20 [s]\n500,1\n",
+            ("--decay-time", "t30"),
+            "--decay-time t30 is not used, since nothing",
+        ),
+        (
+            "parameter,500\nT20,1\n",
+            ("--parameter", "edt"),
+            'names its own ("parameter")',
+        ),
+        ("parameter,500\nT20,1\n", ("--decay-time", "t30"), "--decay-time t30 is not used"),
+        ("f,RT60\n500,1\n", ("--decay-time", "edt"), "'edt' is not one of 't20', 't30'"),
+    ],
+)
+def test_an_option_that_a_table_has_no_use_for_is_refused(
+    tmp_path: Path, capsys, content: str, options: tuple[str, str], rule: str
+) -> None:
+    """A column that is not there, and a parameter that the headings override, were dropped."""
+    path = tmp_path / "in.csv"
+    path.write_text(content)
+    assert run("table", path, *options) == 2
+    assert rule in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["RT60 500 Hz,1k\n1,2\n", "Position,RT60,\n,500,1000\nA,1,2\n", "parameter,500\nRT60,1\n"],
+)
+def test_a_decay_time_is_used_wherever_rt60_stands(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text(content.replace("1k", "RT60 1k"))
+    assert run("table", path, "--decay-time", "T30") == 0
+
+
+def test_parameters_are_taken_in_both_cases(tmp_path: Path, capsys) -> None:
+    path, out = tmp_path / "in.csv", tmp_path / "t.csv"
+    path.write_text("position,500,1k\nA,1.5,1.4\n")
+    assert run("table", path, "--parameter", "C80", "--out", out) == 0
+    assert rt.Measurement.from_file(str(out)).values["c80"].tolist() == [[1.5, 1.4]]
+    path.write_text("f,RT60\n500,1\n")
+    assert run("table", path, "--decay-time", "T20", "--out", out) == 0
+    assert [*rt.Measurement.from_file(str(out)).values] == ["t20"]
+    capsys.readouterr()
+    assert run("table", "--help") == 0
+    assert "[t20|t30]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("positions", "pairs", "said"),
+    [
+        (("S1R1", "S1R2"), (("S1", "R1"), ("S1", "R2")), '"S1R1" is source S1, receiver R1'),
+        (("S1_R1", "LS2-MP2"), (("S1", "R1"), ("LS2", "MP2")), '"S1_R1" is source S1, receiver R1'),
+        (("S1R1", "seat 2"), (("S1", "S1R1"), ("S1", "seat 2")), "receivers of source S1"),
+    ],
+)
+def test_positions_that_name_source_and_receiver(
+    tmp_path: Path, capsys, positions: tuple[str, str], pairs: tuple[object, ...], said: str
+) -> None:
+    """S1R1 became receiver S1R1 of a source S1 that was assumed without a word."""
+    path, out = tmp_path / "in.csv", tmp_path / "t.csv"
+    path.write_text("Position,500\n" + "".join(f"{p},1.5\n" for p in positions) + "mean,9\n")
+    assert run("table", path, "--parameter", "t20", "--out", out) == 0
+    assert said in " ".join(capsys.readouterr().out.split())
+    assert rt.Measurement.from_file(str(out)).pairs == pairs
+
+
+def test_a_native_measurement_says_separator_and_line(tmp_path: Path, capsys) -> None:
+    """It had said that a column is missing, and D50 = 45 without its line."""
+    path, room = tmp_path / "v.csv", rt.datasets.path("bras_cr2/room.toml")
+    path.write_text("source;receiver;parameter;band;value\nS1;R1;T20;500;1,5\n")
+    assert run("calibrate", room, path) == 2
+    said = capsys.readouterr().err
+    assert 'v.csv, line 1: column "source" is missing, since columns are separated by ";"' in said
+    assert "`rtcal table` reads other tables" in said
+    path.write_text("source,receiver,parameter,band,value\nS1,R1,T20,125,1\nS1,R1,D50,125,45\n")
+    assert run("calibrate", room, path) == 2
+    assert (
+        "v.csv, line 3: D50 = 45 is not from 0 to 1: is it in percent?" in capsys.readouterr().err
+    )
