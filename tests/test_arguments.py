@@ -58,7 +58,7 @@ WRONG = [
     ("table", {"a": "b"}, "a mapping whose values are each a number"),
     ("point", (1, 2, 3), "a tuple of 2: a number, a number"),
     ("call", 3, "a function"),
-    ("room", "room", "a Room or None"),
+    ("room", "room", "a rtcal.Room or None"),
 ]
 
 
@@ -92,6 +92,19 @@ def test_a_typed_error_from_inside_comes_first() -> None:
 
     with pytest.raises(rt.errors.ModelError, match="more precise"):
         precise("text")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("call", "place"),
+    [
+        (lambda: rt.discrepancy.find(3), "case = 3 is not a rtcal.discrepancy.Case"),
+        (lambda: rt.where.find(3), "is not a rtcal.where.Case"),
+        (lambda: rt.discrepancy.corrected_room(3), "discrepancy.corrected_room: case = 3"),
+    ],
+)
+def test_a_place_is_the_name_that_a_user_calls(call: Callable[[], Any], place: str) -> None:
+    with pytest.raises(rt.errors.DataError, match=place):
+        call()
 
 
 class _Room:

@@ -35,7 +35,12 @@ GOOD = {
         ({"materials": []}, "materials is empty"),
         ({"materials": ["wall", "wall"]}, 'materials has "wall" twice'),
         ({"areas": [80.0]}, r"areas has shape \(1,\); with 2 materials it must be \(2,\)"),
-        ({"areas": [80.0, 0.0]}, r'areas\["carpet"\] = 0 m² is not a finite area above 0'),
+        ({"areas": [80.0, 0.0]}, r'areas\["carpet"\] = 0 m² is not an area above 0'),
+        (
+            {"areas": [80.0, 1e300]},
+            r'areas\["carpet"\] = 1e\+300 m² is not an area .* at most 1e\+09',
+        ),
+        ({"volume": 1e300}, r"volume = 1e\+300 m³ is above 1e\+09 m³"),
         ({"areas": [80.0, -3.0]}, r'areas\["carpet"\] = -3 m²'),
         ({"areas": [80.0, float("nan")]}, r'areas\["carpet"\] = nan m²'),
         ({"alpha": [[0.1, 0.1]]}, r"alpha has shape \(1, 2\); it must be .* = \(2, 2\)"),

@@ -590,7 +590,7 @@ def test_control_rooms_of_another_case_are_refused() -> None:
         (good[:1], "at least two engines"),
         ((), "no engine"),
         ("abc", "is not a list"),
-        ([1, 2], "is not a rtcal.ControlRooms"),
+        ([1, 2], "is not a rtcal.discrepancy.engines.ControlRooms"),
     ):
         with pytest.raises(DataError, match=words):
             find(case, controls=controls)  # type: ignore[arg-type]

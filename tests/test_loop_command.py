@@ -120,13 +120,28 @@ def test_a_t_that_the_program_did_not_give_is_no_band_without_t(cr2, tmp_path):
     assert "simulated T20[* to *, 500 Hz] is missing" in str(done.exception)
     rt.Measurement.from_values(room.centre_frequencies[:3], t20=[1, 1, 1]).save(str(lacking))
     done = runner.invoke(cli, [*command, str(lacking), *files])
-    assert "other bands than the room" in str(done.exception)
+    assert "has 3 bands, 125 to 500 Hz; the room has 6 bands" in str(done.exception)
     rt.Measurement.from_values(room.centre_frequencies, t30=np.ones(room.n_bands)).save(
         str(lacking)
     )
     done = runner.invoke(cli, [*command, str(lacking), *files])
     assert "has no T20" in str(done.exception)
     assert (tmp_path / "loop.json").read_text() == before
+
+
+def test_the_measurement_is_not_taken_for_what_was_simulated(cr2, tmp_path):
+    room, measured = cr2
+    values = {"t20": measured.values["t30"]}
+    t20 = rt.Measurement(
+        centre_frequencies=room.centre_frequencies, values=values, pairs=[("S", "R")]
+    )
+    _, runner, command, files = begun(room, t20, tmp_path)
+    before = (tmp_path / "loop.json").read_text()
+    done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files])
+    assert "is it the measurement itself" in str(done.exception)
+    assert (tmp_path / "loop.json").read_text() == before
+    done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files, "--again"])
+    assert "Done" in done.output
 
 
 def test_a_t_beyond_reach_is_said_at_the_start(cr2, tmp_path):

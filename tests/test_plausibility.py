@@ -154,8 +154,9 @@ def test_unknown_uncertainty_of_t_is_said(cr2) -> None:
 
 def test_any_configuration_without_air_warns() -> None:
     rooms = Configurations([room_of(), room_of(air=None, name="no climate")])
-    with pytest.warns(rt.errors.MissingAirWarning, match='"no climate" states no air'):
+    with pytest.warns(rt.errors.MissingAirWarning, match='"no climate" states no air') as said:
         rt.calibrate(rooms, [TIMES, TIMES], method="joint")
+    assert said[0].filename == __file__
 
 
 def test_the_command_leaves_the_callers_warnings_alone(tmp_path, capsys) -> None:

@@ -401,6 +401,10 @@ def test_wrong_options_are_named(folder, options, said):
     ("content", "said"),
     [
         ("[sources]\nS = [1, 2, 3]\n", "lacks receivers"),
+        (
+            "[sources]\nS = [1, 2, 3]\n[receiver]\nR = [1, 2, 2]\n",
+            'lacks receivers .it has "receiver", which has no meaning',
+        ),
         ("[sources]\n[receivers]\nR = [1, 2, 3]\n", "sources is empty"),
         ("[sources]\nS = [1, 2]\n[receivers]\nR = [1, 2, 3]\n", "sources.S"),
         ("[sources]\nS = [1, 2, inf]\n[receivers]\nR = [1, 2, 3]\n", "sources.S"),

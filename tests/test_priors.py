@@ -199,6 +199,18 @@ value = 0.5
 """
 
 
+def test_alpha_in_percent_is_refused_as_alpha(tmp_path) -> None:
+    path = tmp_path / "room.toml"
+    path.write_text(
+        ROOM.replace("alpha = [0.1, 0.1, 0.9]", "alpha = [10, 10, 90]"), encoding="utf-8"
+    )
+    with pytest.raises(rt.errors.DataError, match=r'alpha\["wall", 500 Hz\] = 10'):
+        rt.Room.from_file(path)
+    path.write_text(ROOM.replace("relative = 0.2", "relative = 30"), encoding="utf-8")
+    with pytest.raises(rt.errors.DataError, match="relative = 30 is not from 0 to 1"):
+        rt.Room.from_file(path)
+
+
 def test_a_room_file_states_its_prior(tmp_path) -> None:
     path = tmp_path / "room.toml"
     path.write_text(ROOM, encoding="utf-8")

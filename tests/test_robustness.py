@@ -38,6 +38,13 @@ def room(**changes) -> rt.Room:
     return rt.Room(**{**values, **changes})
 
 
+def test_a_misspelt_parameter_is_not_one_that_was_not_measured(cr2) -> None:
+    _, measured = cr2
+    assert np.isnan(measured.mean("edt")).all()
+    with pytest.raises(DataError, match='parameter "T30" is unknown; known are t20'):
+        measured.mean("T30")
+
+
 def test_z_is_of_what_t_asks_not_of_the_nearest_end() -> None:
     known = room(sigma=[[0.01, 0.01], [0.01, 0.01]], alpha_min=[[0.09, 0.19], [0.29, 0.19]])
     result = rt.calibrate(known, [5.0, 0.75], unreachable="nearest")
@@ -423,7 +430,7 @@ WRONG_KINDS = [
     (lambda: External(room=5, run=print, name="x"), "room = 5 is not a rtcal.Room"),
     (lambda: External(room=room(), run=5, name="x"), "run = 5 cannot be called"),
     (lambda: command(5, room()), "arguments = 5 is not a list"),
-    (lambda: tracer(geometry=5), "geometry = 5 is not a rtcal.Polyhedron"),
+    (lambda: tracer(geometry=5), "geometry = 5 is not a rtcal.simulators.Polyhedron"),
     (lambda: tracer(room=5), "room = 5 is not a rtcal.Room"),
     (lambda: tracer(sources=5), "sources = 5 is not a mapping"),
     (lambda: tracer(n_paths="a"), "n_paths = 'a' is not a whole number of at least 1"),

@@ -142,6 +142,10 @@ def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
     assert kinds(room.with_air(None)) == base | {("no_air", None)}
     # 4.84 V^(2/3) = 484 m²: a sphere of 1000 m³ has no less.
     assert kinds(room.replace(areas=[300, 150])) == base | {("surface_missing", None)}
+    # 4 V / S = 0.29 m: square millimetres for square metres, say.
+    assert kinds(room.replace(areas=[7000, 7000])) == base | {("surface_beyond_sense", None)}
+    with pytest.raises(rt.errors.InfeasibleError, match="of surface cannot enclose"):
+        rt.calibrate(room.replace(areas=[3, 1]), np.array([1.2, 1.2, 1.0, np.nan]))
     texts = trust_marks(room.replace(areas=[300, 150]), **quiet)
     assert "450 m² of surface cannot enclose 1000 m³" in texts[0].text
 

@@ -249,8 +249,10 @@ class Measurement:
         """Return the arithmetic mean over the pairs that have a value, (n_bands,), NaN if none has.
 
         Arithmetic, over the same pairs in model and measurement: the mean of a ratio is not the
-        ratio of means.
+        ratio of means. Raises DataError for a name that is no parameter.
         """
+        if parameter not in UNITS:
+            raise DataError(f'parameter "{parameter}" is unknown; known are {", ".join(UNITS)}')
         if parameter not in self.values:
             return np.full(len(self.centre_frequencies), np.nan)
         values = self.values[parameter]

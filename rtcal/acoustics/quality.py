@@ -256,6 +256,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "z and Q may be too large: state T per source and receiver, or its uncertainty",
     ),
     "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
+    "surface_beyond_sense": ("", "are the areas in m² and the volume in m³?"),
     "clipped": (
         "",
         "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
@@ -276,6 +277,8 @@ _ODD_UNCERTAINTY = 0.3
 """Of T, relative. Single decays of 0.3 s at 63 Hz, the least certain, scatter by 0.24."""
 OFF_VOLUME = 0.1
 """Relative difference of the volume from that of the stated dimensions: plans are no more precise."""
+_SHORT_PATH = 0.3
+"""m. A reverberation chamber full of furniture keeps about 1 m."""
 _WIDE_SIGMA = 0.5
 """The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
 
@@ -317,6 +320,32 @@ def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
     return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
 
 
+def surface_doubt(room: Room) -> tuple[str, str] | None:
+    """Return the kind of mark and a sentence if areas and volume do not fit, else None.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, _ = rt.datasets.bras_cr2()
+    >>> surface_doubt(room.replace(volume=4000))[1]
+    '202.5 m² of surface cannot enclose 4000 m³, which takes at least 1220 m²'
+    """
+    area, volume = room.total_area, room.volume
+    smallest = 4.84 * volume ** (2 / 3)  # the surface of the sphere of this volume
+    if area < smallest:
+        return (
+            "surface_missing",
+            f"{area:.4g} m² of surface cannot enclose {volume:.4g} m³, which takes at least "
+            f"{smallest:.4g} m²",
+        )
+    if (path := 4 * volume / area) < _SHORT_PATH:
+        return (
+            "surface_beyond_sense",
+            f"{area:.4g} m² of surface in {volume:.4g} m³ leave a mean free path of {path:.2g} m",
+        )
+    return None
+
+
 @checked
 def trust_marks(
     room: Room,
@@ -354,14 +383,8 @@ def trust_marks(
 
     if room.air is None:
         mark("no_air", None, "no air is stated")
-    smallest = 4.84 * room.volume ** (2 / 3)  # the surface of the sphere of this volume
-    if room.total_area < smallest:
-        mark(
-            "surface_missing",
-            None,
-            f"{room.total_area:.4g} m² of surface cannot enclose "
-            f"{room.volume:.4g} m³, which takes at least {smallest:.4g} m²",
-        )
+    if (doubt := surface_doubt(room)) is not None:
+        mark(doubt[0], None, doubt[1])
     if room.dimensions is not None:
         box = float(np.prod(room.dimensions))
         if abs(room.volume / box - 1) > OFF_VOLUME:

@@ -30,6 +30,8 @@ from rtcal.support.files import read_text, write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 
+LARGEST = 1e9
+"""Of areas in m² and volumes in m³. Nothing that is built comes near it."""
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
 
 
@@ -144,6 +146,8 @@ class Room:
             raise DataError("surfaces has something that is no rtcal.Surface")
         put("centre_frequencies", read_only(bands.as_bands(self.centre_frequencies)))
         put("volume", number("volume", self.volume, " m³"))
+        if self.volume > LARGEST:
+            raise DataError(f"volume = {self.volume:g} m³ is above {LARGEST:g} m³")
         n, k = self.n_materials, self.n_bands
         if n == 0:
             raise DataError("materials is empty; a room has at least one material")
@@ -230,8 +234,10 @@ class Room:
         if areas.shape != (n,):
             raise DataError(f"areas has shape {areas.shape}; with {n} materials it must be ({n},)")
         for material, area in zip(self.materials, areas, strict=True):
-            if not (np.isfinite(area) and area > 0):
-                raise DataError(f'areas["{material}"] = {area:g} m² is not a finite area above 0')
+            if not 0 < area <= LARGEST:
+                raise DataError(
+                    f'areas["{material}"] = {area:g} m² is not an area above 0 and at most {LARGEST:g}'
+                )
         return read_only(areas)
 
     def _checked(self, name: str, value: object, shape: tuple[int, int]) -> Array:

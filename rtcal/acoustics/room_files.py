@@ -257,10 +257,11 @@ def _material(
 
 def _prior_sigma(prior: Entries, alpha: Array, frequencies: Array) -> Array:
     """Return sigma by the file's [prior], for materials that state none."""
+    alpha = np.clip(alpha, 0, 2)  # the rules' limits; the room refuses or cuts what lies above 1
     sigma = sigma_relative(
         alpha,
-        prior.number("relative", 0.0, _PRIOR_LIMITS),
-        prior.number("minimum", 0.0, _PRIOR_LIMITS),
+        prior.number("relative", 0.0, (0.0, 1.0)),
+        prior.number("minimum", 0.0, (0.0, 1.0)),
     )
     if prior.flag("iso_12999_2", False):
         sigma = np.maximum(sigma, sigma_iso_12999_2(alpha, frequencies))

@@ -9,6 +9,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.quality import surface_doubt
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.errors import InfeasibleError, ModelError
@@ -179,7 +180,8 @@ def restrict_to_reach(
             )
         )
     if beyond and unreachable == "raise":
-        raise InfeasibleError("; ".join(str(u) for u in beyond))
+        doubts = [doubt[1] for room in rooms if (doubt := surface_doubt(room)) is not None]
+        raise InfeasibleError("; ".join([*map(str, beyond), *doubts]))
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low
     reached = np.where(at_low, low, np.where(at_high, top, target))

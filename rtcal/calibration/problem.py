@@ -37,6 +37,7 @@ from rtcal.calibration.terms import (
     lacking,
 )
 from rtcal.errors import DataError, MissingAirWarning, ModelError
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
@@ -135,7 +136,7 @@ class Calibration:
                 f'room "{airless[0]}" states no air: its surfaces are made to absorb what the air '
                 "does. Give it air=rtcal.Air(temperature, humidity)",
                 MissingAirWarning,
-                stacklevel=2,
+                stacklevel=checks.stack_level(),
             )
         if isinstance(room, Configurations):
             return JointProblem(self, room, equation or Eyring())

@@ -130,7 +130,7 @@ def start(
 @click.option(
     "--again",
     is_flag=True,
-    help="Accept a table equal to the last step's, for a T that does not depend on alpha.",
+    help="Accept a table equal to the last step's, or to the measurement.",
 )
 @json_option
 @quiet_option

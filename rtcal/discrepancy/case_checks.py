@@ -93,7 +93,11 @@ def in_room_bands(room: Room, c: Configuration) -> Configuration:
     if unused.size:
         notes.append(f"left out, not in the room: {', '.join(bands.label(f) for f in unused)}")
     if any(notes):
-        warnings.warn(f"{where}: {'; '.join(filter(None, notes))}", OtherBandsWarning, stacklevel=2)
+        warnings.warn(
+            f"{where}: {'; '.join(filter(None, notes))}",
+            OtherBandsWarning,
+            stacklevel=checks.stack_level(),
+        )
     return replace(c, measured=measured)
 
 

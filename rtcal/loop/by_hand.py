@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import MAX_BYTES
 from rtcal.acoustics.room import Room
@@ -40,12 +42,13 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
     table, state, out : str
         Paths of the simulated table, the state and the room that was to be simulated.
     again : bool
-        Whether to accept a table with the same T20 as the last step's.
+        Whether to accept a table with the same T20 as the last step's, or at first as the measured T.
 
     Raises
     ------
     DataError
-        If the loop is finished, the table is no measurement, or it repeats the last step's. Also if
+        If the loop is finished, the table is no measurement, or it repeats the last step's or has the
+        measured T itself. Also if
         the table belongs to other coefficients, as far as the files show.
     """
     if loop.finished:
@@ -56,6 +59,15 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
     simulated = Measurement.from_file(table)
     alpha = loop.next_alpha
     _refuse_other_coefficients(alpha, table, state, out)
+    if (
+        not again
+        and not loop.steps
+        and np.array_equal(simulated.mean("t20"), loop.wanted, equal_nan=True)
+    ):
+        raise DataError(
+            f"{table}: every T20 is the measured one to the last digit: is it the measurement itself, "
+            "and not what was simulated? (--again takes it all the same)"
+        )
     if not again and loop.repeats(alpha, simulated):
         raise DataError(
             f"{table}: the table is the last step's, though alpha changed: was the room that was "

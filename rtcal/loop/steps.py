@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics.bands import label
+from rtcal.acoustics.bands import label, span
 from rtcal.acoustics.measurement import Measurement
 from rtcal.errors import DataError
 from rtcal.support import checks
@@ -66,7 +66,10 @@ def simulated_t20(
     """
     checks.instance("what was simulated", measurement, Measurement)
     if not np.array_equal(measurement.centre_frequencies, frequencies):
-        raise DataError("what was simulated has other bands than the room")
+        raise DataError(
+            f"what was simulated has {span(measurement.centre_frequencies)}; the room has "
+            f"{span(frequencies)}"
+        )
     if "t20" not in measurement.values:
         raise DataError("what was simulated has no T20")
     measured = np.isfinite(wanted)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rtcal.errors import MissingDependencyError
 from rtcal.report import figures
+from rtcal.support import checks
 from rtcal.support.files import make_folder, spare, write_all
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def write_with_figures(
         pictures = {name: figures.rendered(figure(), "png") for name, figure in draw.items()}
         contents |= {folder / name: picture for name, picture in pictures.items()}
     except MissingDependencyError as error:
-        warnings.warn(f"no figure{'s' * (len(draw) > 1)}: {error}", stacklevel=3)
+        warnings.warn(f"no figure{'s' * (len(draw) > 1)}: {error}", stacklevel=checks.stack_level())
     make_folder(folder)
     write_all(contents)
     return list(contents)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rtcal.errors import DataError, RtcalError
-from rtcal.support.checks import shown
+from rtcal.support.checks import public_name, shown
 from rtcal.support.lazy import typing_imports
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -59,13 +59,10 @@ def checked(target: F) -> F:
     if isinstance(target, type):
         target.__init__ = _wrapped(target.__init__, target.__name__)  # type: ignore[misc]
         return typing.cast("F", target)
-    place = target.__qualname__
-    if "." not in place:
-        place = f"{target.__module__.rpartition('.')[2]}.{place}"
-    return typing.cast("F", _wrapped(target, place))
+    return typing.cast("F", _wrapped(target))
 
 
-def _wrapped(function: Callable[..., Any], place: str) -> Callable[..., Any]:
+def _wrapped(function: Callable[..., Any], called: str = "") -> Callable[..., Any]:
     parameters = list(inspect.signature(function).parameters.values())
     positional = [
         p.name for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)
@@ -75,6 +72,7 @@ def _wrapped(function: Callable[..., Any], place: str) -> Callable[..., Any]:
     def violation(args: tuple[Any, ...], kwargs: Mapping[str, Any], error: Exception) -> str | None:
         if not rules:
             rules.update(_rules(function, parameters))
+        place = called or _place(function)
         values = dict([*zip(positional, args, strict=False), *kwargs.items()])
         for name, value in values.items():
             rule = rules.get(name)
@@ -97,6 +95,13 @@ def _wrapped(function: Callable[..., Any], place: str) -> Callable[..., Any]:
             raise DataError(message) from error
 
     return call
+
+
+def _place(function: Callable[..., Any]) -> str:
+    """Return ``Class.method``, or a function's name after that of the package that has it."""
+    if "." in function.__qualname__:
+        return function.__qualname__
+    return ".".join(public_name(function).split(".")[-2:])
 
 
 _SHAPE_WORDS = (
@@ -293,7 +298,7 @@ def _is_array(value: Any) -> bool:
 
 
 def _article(kind: type) -> str:
-    name = kind.__name__
+    name = public_name(kind) if kind.__module__.startswith("rtcal.") else kind.__name__
     return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
 
 

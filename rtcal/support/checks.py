@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -71,8 +72,32 @@ def flag(place: str, value: object) -> bool:
 def instance(place: str, value: object, kind: type[T]) -> T:
     """Return an instance of one of rtcal's classes; DataError for anything else."""
     if not isinstance(value, kind):
-        raise DataError(f"{place} = {shown(value)} is not a rtcal.{kind.__name__}")
+        raise DataError(f"{place} = {shown(value)} is not a {public_name(kind)}")
     return value
+
+
+def stack_level() -> int:
+    """Return the ``stacklevel`` with which a warning of the caller shows the user's line."""
+    package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(package + os.sep):
+        level, frame = level + 1, frame.f_back
+    return level
+
+
+def public_name(thing: Any) -> str:
+    """Return the name under which a user has a class or function: of the outermost package with it.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.room import Room
+    >>> public_name(Room)
+    'rtcal.Room'
+    """
+    parts = thing.__module__.split(".")
+    packages = [".".join(parts[:n]) for n in range(1, len(parts) + 1)]
+    listing = (p for p in packages if thing.__name__ in getattr(sys.modules.get(p), "__all__", ()))
+    return f"{next(listing, packages[-1])}.{thing.__name__}"
 
 
 def array(place: str, value: object, error: type[RtcalError] = DataError) -> Array:

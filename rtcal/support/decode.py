@@ -136,7 +136,7 @@ class Entries:
             raise DataError(f"{self.name} = {checks.shown(self.values)} is not an object")
         for key in self.needed:
             if key not in self.values:
-                raise DataError(f"{self.name} lacks {key}")
+                raise DataError(f"{self.name} lacks {key}{self._misspelt(key)}")
         for key in self.values:
             if key not in self.needed and key not in self.optional:
                 keys = {*self.needed, *self.optional}
@@ -151,6 +151,12 @@ class Entries:
     def name(self) -> str:
         """The object's name in error messages."""
         return self.place.rstrip(": .") or "the file"
+
+    def _misspelt(self, key: str) -> str:
+        """Name a key without a meaning that is nearly ``key``, in brackets; "" if there is none."""
+        others = [str(k)[:40] for k in self.values if k not in (*self.needed, *self.optional)]
+        near = get_close_matches(key, others, 1)
+        return f' (it has "{near[0]}", which has no meaning)' if near else ""
 
     def __contains__(self, key: str) -> bool:
         return self.values.get(key) is not None
