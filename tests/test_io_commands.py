@@ -12,6 +12,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
+from rtcal.errors import DataError
+from rtcal.io import geometry_files
 from tests import fuzz
 
 
@@ -36,7 +38,9 @@ def test_a_catt_model_in_and_out(tmp_path: Path, capsys: pytest.CaptureFixture[s
     result = rt.calibrate(before, rt.Measurement.from_values(before.centre_frequencies, t20=target))
     result.room.save(str(tmp_path / "calibrated.toml"))
     assert run("export", "catt", tmp_path / "calibrated.toml", hall) == 0
-    assert "change, JND" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "hall.geo: changed list" in " ".join(shown.split())
+    assert "change, JND" in shown
     after = hall.read_bytes()
     assert after.startswith(b"ABS wood = <1")
     assert b"> ; old\r\nABS brick = <" in after
@@ -250,7 +254,7 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert run(*command, *out) == 2
     message = capsys.readouterr().err
     assert '"brick wall" (similar: brick_wall_rough' in message
-    assert 'State --catalogue "brick wall=ENTRY"' in message
+    assert 'or --catalogue "brick wall=ENTRY"' in message
     assert not (tmp_path / "room.toml").exists()
     assert run(*command, "--catalogue", "brick wall=brick_wall_rough", *out) == 0
     shown = capsys.readouterr().out
@@ -261,6 +265,47 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert "brick wall: pyroomacoustics" in shown
     assert run(*command, "--catalogue", "brick wall=none_such", *out) == 2
     assert '"none_such" is no material of the catalogue' in capsys.readouterr().err
+
+
+def test_a_material_that_the_list_lacks_is_named_with_the_list(tmp_path: Path, capsys) -> None:
+    """A mistyped name was sent to the catalogue, and a decimal comma was "not NAME=M2"."""
+    hall, mesh = tmp_path / "hall.geo", tmp_path / "hall.obj"
+    hall.write_bytes("ABS Wände = <10 10 10 10 10 10>\r\n".encode())
+    mesh.write_bytes(fuzz.OBJ[0])
+    command = ("import", "catt", hall, "--out", tmp_path / "room.toml")
+    assert run(*command, "--volume", 60, "--area", "wande=174") == 2
+    said = capsys.readouterr().err
+    assert "--area: not in " in said
+    assert 'hall.geo: "wande"' in said
+    assert "The list has: Wände. State one of its names, or --catalogue" in said
+    assert run(*command, "--mesh", mesh) == 2
+    assert re.search(r'hall\.obj: not in .*hall\.geo: "wood"', capsys.readouterr().err)
+    assert run(*command, "--volume", 60, "--area", "Wände=174,5") == 2
+    said = capsys.readouterr().err
+    assert "is not NAME=M2, which has a decimal point: Wände=174.5" in said
+    chosen = ("--catalogue", "Decke=plasterboard")
+    assert run(*command, "--volume", 60, "--area", "Wände=174", *chosen) == 2
+    assert '"Decke" is no material of the room; --area has Wände' in capsys.readouterr().err
+
+
+def test_a_mesh_that_does_not_suit_the_room_is_named(tmp_path: Path) -> None:
+    """It had said that "Wood" is no material of the room, and not where it stands."""
+    mesh = tmp_path / "bad.obj"
+    mesh.write_bytes(fuzz.OBJ[0])
+    room = rt.Room(
+        name="Kirche",
+        volume=2,
+        materials=["brick"],
+        areas=[10],
+        alpha=[[0.1]],
+        sigma=[[0.02]],
+        centre_frequencies=[500],
+    )
+    with pytest.raises(
+        DataError,
+        match=r'bad\.obj, face "[^"]+": "wood" is no material of room "Kirche"; it has brick',
+    ):
+        geometry_files.read(room, mesh)
 
 
 def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, capsys) -> None:

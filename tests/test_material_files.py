@@ -72,6 +72,30 @@ def test_only_calibrated_values_change(name: str, i: int, tmp_path: Path) -> Non
     assert report.room.alpha[0, 1] == pytest.approx(number, rel=1e-14)
 
 
+@pytest.mark.parametrize("program", ["catt", "odeon", "pyroomacoustics", "bras"])
+def test_an_export_says_whether_the_list_is_new(program: str, tmp_path: Path) -> None:
+    """A mistyped name made a new list, with the same output as for a changed one."""
+    module = getattr(rt.io, program)
+    alpha = np.full((1, 8), 0.1)
+    frequencies = (63, 125, 250, 500, 1000, 2000, 4000, 8000)
+    room = rt.Room(
+        name="",
+        volume=60,
+        materials=["wall"],
+        areas=[90],
+        alpha=alpha,
+        sigma=alpha / 5,
+        centre_frequencies=frequencies,
+    )
+    path, copy = tmp_path / "list", tmp_path / "copy"
+    first, second = module.write(room, path), module.write(room, path)
+    third = module.write(room, copy, template=path)
+    assert (first.template, second.template, third.template) == (None, str(path), str(path))
+    assert str(first).startswith(f"{path}: new list, since there was no such file\nT by Eyring")
+    assert str(second).startswith(f"{path}: changed list\n")
+    assert str(third).startswith(f"{copy}: changed {path}\n")
+
+
 def test_rounding_is_told_as_a_change_of_t(tmp_path: Path) -> None:
     path = tmp_path / "hall.geo"
     path.write_bytes(b"ABS wall = <2 2 2 2 2 2>\r\n")

@@ -175,12 +175,14 @@ def _write_and_tell(
     tell(text, record, quiet=quiet, as_json=as_json)
 
 
-@click.command(short_help="A calibrated room into a program's material list.")
+@click.command(short_help="A calibrated room into a program's material list, changed or new.")
 @click.argument("program", type=click.Choice(PROGRAMS))
 @click.argument("room", type=click.Path())
 @click.argument("materials", type=click.Path())
 @click.option(
-    "--template", type=click.Path(), help="Program's file to change; by default MATERIALS itself."
+    "--template",
+    type=click.Path(),
+    help="Program's file whose changed copy is MATERIALS; by default MATERIALS itself.",
 )
 @click.option(
     "--decimals",
@@ -208,6 +210,9 @@ def export(
 ) -> None:
     """Write ROOM's coefficients into a program's MATERIALS; print the effect of the rounding on T.
 
+    Numbers in the file MATERIALS are changed. If there is no such file, it becomes a new list of the
+    room's materials, without geometry. The first line says which.
+
     Example: rtcal export catt calibrated/room.toml hall.geo
     """
     from importlib import import_module
@@ -226,6 +231,8 @@ def export(
         done = module.write(Room.from_file(room), materials, **options)
     record = {
         "written": done.path,
+        "new_list": done.template is None,
+        "template": done.template,
         "equation": done.equation,
         "centre_frequencies": done.room.centre_frequencies,
         "reverberation_time": done.reverberation_time,

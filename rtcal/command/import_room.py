@@ -128,7 +128,7 @@ def import_room(
     volume, surfaces = _geometry(mesh, unit, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", entries, "ENTRY")
-    others = _from_catalogue(listed, program, used, chosen)
+    others = _from_catalogue(listed, program, used, chosen, "--area" if mesh is None else mesh)
     rule = SigmaRule(
         relative=sigma_relative,
         minimum=sigma_minimum,
@@ -199,21 +199,32 @@ def _geometry(
 
 
 def _from_catalogue(
-    listed: MaterialList, program: str, used: Sequence[str], chosen: dict[str, str]
+    listed: MaterialList,
+    program: str,
+    used: Sequence[str],
+    chosen: dict[str, str],
+    place: str,
 ) -> dict[str, ListedMaterial]:
     """Return the room's materials from the catalogue.
 
-    Raises DataError, with proposals, for materials that are in neither the list nor the options.
+    Raises DataError, with proposals, for materials that are in neither the list nor the options;
+    ``place`` is where the room names its materials.
     """
     if unknown := [name for name in chosen if name not in used]:
-        raise DataError(f'--catalogue: "{unknown[0]}" is no material of the room')
+        raise DataError(
+            f'--catalogue: "{unknown[0]}" is no material of the room; {place} has '
+            f"{shortened(', '.join(used), 200)}"
+        )
     in_list = {*listed.names, *listed.aliases}
     if missing := [n for n in used if n not in in_list and n not in chosen]:
         proposals = "; ".join(f'"{name}"{_proposals(name)}' for name in missing)
-        place = "the catalogue" if program == "catalogue" else listed.path
+        of_catalogue = f'--catalogue "{missing[0]}=ENTRY" for an entry of the catalogue'
+        if program == "catalogue":
+            raise DataError(f"{place}: not in the catalogue: {proposals}. State {of_catalogue}")
         raise DataError(
-            f'not in {place}: {proposals}. State --catalogue "{missing[0]}=ENTRY" for an entry of '
-            "the catalogue"
+            f"{place}: not in {listed.path}: {proposals}. The list has: "
+            f"{shortened(', '.join([*listed.names, *listed.aliases]), 200)}. State one of its names, "
+            f"or {of_catalogue}"
         )
     if not chosen:
         return {}

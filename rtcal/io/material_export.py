@@ -25,6 +25,8 @@ class ExportReport:
     Parameters
     ----------
     path : str
+    template : str or None
+        The list whose numbers were changed; None for a new list.
     equation : str
         The reverberation equation that gives both T.
     room : Room
@@ -40,6 +42,7 @@ class ExportReport:
     """
 
     path: str
+    template: str | None
     equation: str
     room: Room
     reverberation_time: Array
@@ -53,8 +56,13 @@ class ExportReport:
         return quality.gap_jnd(self.reverberation_time_as_read, self.reverberation_time)
 
     def __str__(self) -> str:
+        if self.template is None:
+            kind = "new list, since there was no such file"
+        else:
+            kind = "changed list" if self.template == self.path else f"changed {self.template}"
         rows = [
-            f"{self.path}: T by {self.equation}, of the room and as the program reads it",
+            f"{self.path}: {kind}",
+            f"T by {self.equation}, of the room and as the program reads it",
             f"{'band':>8} {'T, s':>9} {'as read, s':>11} {'change, JND':>12}",
         ]
         for f, before, after, change in zip(
@@ -94,8 +102,10 @@ def write_list(
         raise DataError(f'missing_bands = "{missing_bands}" is neither "refuse" nor "nearest"')
     equation = equation or Eyring()
     notes: list[str] = []
-    if template is not None or Path(path).exists():
-        listed = read(template if template is not None else path)
+    if template is None and Path(path).exists():
+        template = path
+    if template is not None:
+        listed = read(template)
     else:
         in_new_bands, notes = _in_new_bands(room, new_bands, missing_bands, os.fspath(path))
         listed = new_list(in_new_bands)
@@ -117,6 +127,7 @@ def write_list(
         notes.append(f"{rule}; T of the room by the mean of 1/T")
     report = ExportReport(
         path=os.fspath(path),
+        template=None if template is None else os.fspath(template),
         equation=equation.name,
         room=as_read,
         reverberation_time=time,
