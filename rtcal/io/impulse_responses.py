@@ -239,7 +239,8 @@ def _analysis(
     if clipped:
         notes.append(
             f"clipped: {shortened_list(clipped)}. Their largest value occurs {LEAST_CLIPPED} times or "
-            "more, that of a decay once. All their values are in doubt: the decay's begin is cut off"
+            "more, that of a decay once. All their values are in doubt, since the start of the decay "
+            "is cut off"
         )
     if silences:
         seconds = spread([*silences.values()], ".2f")

@@ -33,7 +33,7 @@ _LARGEST = 1e150
 
 @dataclass(frozen=True)
 class Samples:
-    """A response from its file's begin to the silence at its end, with a peak of 1.
+    """A response with a peak of 1, without the silence at its end.
 
     Parameters
     ----------
