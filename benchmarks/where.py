@@ -256,21 +256,23 @@ def results(judging: Judging) -> tuple[list[dict[str, Any]], list[dict[str, Any]
 
 def kept(statement: str, which: str = "fresh") -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the stored rows of some of the rooms (`ROOMS`), as `results` does."""
-    rows = chosen((r for r in read(STORED) if r["statement"] == statement), which)
-    found = [r for r in rows if r["finder"] == "where"]
-    return found, [r for r in rows if r["finder"] == "means"]
+    rows = [r for r in read(STORED) if r["statement"] == statement]
+    # Means were not run again.
+    means = chosen(rows, "second" if which == "again" else which)
+    found = [r for r in chosen(rows, which) if r["finder"] == "where"]
+    return found, [r for r in means if r["finder"] == "means"]
 
 
-def store(folder: Path) -> None:
-    """Put the rows of fresh rooms into the repository, beside those of earlier ones."""
-    every = [*chosen(read(STORED), "first"), *chosen(read(STORED), "second")]
+def store(folder: Path, which: str) -> None:
+    """Put the rows of a run into the repository, as rooms ``which`` of `ROOMS`, beside the others."""
+    every = [r for r in read(STORED) if r["rooms"] != which]
     every += [
-        {"finder": finder, "statement": statement, **row}
+        {"finder": finder, "statement": statement, "rooms": which, **row}
         for statement in STATEMENTS
         for finder, rows in zip(
             ("where", "means"), results(Judging(1, statement, folder)), strict=True
         )
-        for row in chosen(rows, "fresh")
+        for row in rows
     ]
     lines = [json.dumps(row, separators=(",", ":")) for row in every]
     STORED.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
@@ -326,16 +328,16 @@ def main() -> None:
     if given.command == "list":
         listed()
     elif given.command == "table":
-        print(f"rooms {ROOMS[given.rooms]}; coefficients: {given.statement}")
         if given.folder is None:
+            print(f"rooms {ROOMS[given.rooms]}; coefficients: {given.statement}")
             table(*kept(given.statement, given.rooms), given.population)
         else:
             judging = Judging(given.population, given.statement, given.folder)
-            table(*(chosen(rows, given.rooms) for rows in results(judging)), given.population)
+            table(*results(judging), given.population)
     elif given.folder is None:
         parser.error("--folder is needed")
     elif given.command == "store":
-        store(given.folder)
+        store(given.folder, given.rooms)
     elif given.command == "speed":
         speed(given.folder, given.population)
     else:

@@ -22,11 +22,11 @@ LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
 ROOMS = {
     "fresh": "from 85: judged once, by this finder",
+    "again": "43 to 84: judged by this finder after they had been read",
     "second": "43 to 84: judged by the finder before the error common to all pairs was smaller",
     "first": "0 to 42: judged by the finder before it had apertures, parts and errors of a place",
 }
-"""Which rooms the stored rows are of."""
-_NUMBERS = {"first": range(43), "second": range(43, 85), "fresh": range(85, 250)}
+"""Which rooms the stored rows are of, and which finder judged them."""
 
 
 OF_KIND = {
@@ -38,8 +38,8 @@ OF_KIND = {
 
 
 def chosen(rows: Iterable[dict[str, Any]], which: str) -> list[dict[str, Any]]:
-    """Return the rows of some rooms; ``which`` is of `ROOMS`."""
-    return [r for r in rows if r["index"] in _NUMBERS[which]]
+    """Return the stored rows of some rooms; ``which`` is of `ROOMS`."""
+    return [r for r in rows if r["rooms"] == which]
 
 
 def right_families(kind: str) -> frozenset[str]:
