@@ -1,17 +1,20 @@
-"""Are the stated probabilities right? What the power and the tails of the likelihood do to them.
+"""Are the stated probabilities right? What the likelihood's power and tails do to them, and their own.
 
     python -m benchmarks.calibrated --folder out            # minutes
 
 ``folder`` has the control rooms that `benchmarks.second_world controls` keeps. Both worlds'
-development rooms (population 0) are evaluated with each setting of `COARSENING` and `DEGREES`. A good
-setting has a small calibration error and a large mean log probability of the truth (a proper score:
-Good 1952).
+development rooms (population 0) are evaluated with each setting of `COARSENING` and `DEGREES`, and as
+chosen with each power of the probabilities where sigma is small (`prior.SHARPER`). A good setting has a
+small calibration error and a large mean log probability of the truth (a proper score: Good 1952). The
+last lines keep only what the world hides: the library has more effects.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -23,29 +26,42 @@ from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.model_error import estimate_discrepancy
-from rtcal.discrepancy.prior import prior_of
+from rtcal.discrepancy.prior import Prior, prior_of, relative_sigma
 from rtcal.discrepancy.probabilities import posterior
 from rtcal.support.threads import single_threaded_blas
 
+CHOSEN = (likelihood.DEGREES, likelihood.COARSENING)
 SETTINGS = (
-    *((5.0, power) for power in (np.inf, 200.0, 100.0, 50.0, 25.0)),
     *((degrees, 50.0) for degrees in (3.0, 10.0, np.inf)),
+    *((5.0, power) for power in (np.inf, 200.0, 100.0, 25.0, 50.0)),
 )
+SHARPER = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+ABSENT = {
+    1: ("curtain", "membrane", "covered surface", "direct sound", "coefficients"),
+    2: ("covered surface", "direct sound"),
+}
+"""What no room of a world hides."""
 LEAST = 1e-9
 """Smallest probability of the truth that is counted."""
 
 Row = tuple[float, bool, float]
+Rows = dict[tuple[str, str], list[Row]]
 
 
-def rows_of(folder: str, world: int, step: int) -> dict[tuple[str, float, float], list[Row]]:
+def row_of(evidence: Mapping[str, float], prior: Prior, name: str) -> Row:
     """Probability of the most probable answer, whether it is right, and that of the truth."""
-    out: dict[tuple[str, float, float], list[Row]] = defaultdict(list)
+    probabilities = posterior(evidence, prior)
+    best = next(iter(probabilities))
+    return probabilities[best], best == name, max(probabilities.get(name, 0.0), LEAST)
+
+
+def rows_of(folder: str, world: int, step: int) -> Rows:
+    """Each setting's rows, by data and setting."""
+    out: Rows = defaultdict(list)
     rooms, truths = (WORLDS[world].read(0, part) for part in ("case", "truth"))
     for index in range(0, len(rooms), step):
-        kept, known = (
-            place(folder, world, 0, "controls", index, "npz"),
-            truth_of(world, truths[index]),
-        )
+        kept = place(folder, world, 0, "controls", index, "npz")
+        known = truth_of(world, truths[index])
         if known is None or not kept.exists():
             continue
         (name,) = known[0]
@@ -59,14 +75,19 @@ def rows_of(folder: str, world: int, step: int) -> dict[tuple[str, float, float]
             predicted = predict_hypotheses(case, library())
             error = estimate_discrepancy(case, made)
             prior = prior_of(case.room, library(), {})
+            plain = replace(prior, sharpness=1.0)
             for degrees, power in SETTINGS:
                 with mock.patch.multiple(likelihood, DEGREES=degrees, COARSENING=power):
                     evidence = evaluate(observed, predicted, error, prior.off)
                 table = {k: float(v) for k, v in evidence.by_effect().items()}
-                probabilities = posterior(table, prior)
-                best = next(iter(probabilities))
-                truth = max(probabilities.get(name, 0.0), LEAST)
-                out[data, degrees, power].append((probabilities[best], best == name, truth))
+                out[data, f"degrees {degrees:g}, n {power:g}"].append(row_of(table, plain, name))
+                if (degrees, power) != CHOSEN:
+                    continue
+                for more in SHARPER:
+                    sharper = replace(prior, sharpness=1 + more * (1 - relative_sigma(case.room)))
+                    out[data, f"sharper {more:g}"].append(row_of(table, sharper, name))
+                there = {k: v for k, v in table.items() if k not in ABSENT[world]}
+                out[data, "what the world hides"].append(row_of(there, plain, name))
     return out
 
 
@@ -77,17 +98,19 @@ def main() -> None:
     parser.add_argument("--step", type=int, default=1, help="every so many rooms")
     given = parser.parse_args()
     worlds = [rows_of(given.folder, world, given.step) for world in WORLDS]
-    print("calibration error of the most probable answer, and mean log probability of the truth")
-    print(f"{'data':5}{'degrees':>8}{'power':>7}" + f"{'world 1':>16}{'world 2':>16}{'both':>16}")
-    for data in ("one", "all"):
-        for degrees, power in SETTINGS:
-            parts = [w[data, degrees, power] for w in worlds]
-            cells = ""
-            for rows in (*parts, [row for part in parts for row in part]):
-                stated, right, truth = zip(*rows, strict=True)
-                error, _ = calibration_error(stated, right)
-                cells += f"{error:9.3f}{np.mean(np.log(truth)):7.3f}"
-            print(f"{data:5}{degrees:8g}{power:7g}{cells}", flush=True)
+    print(
+        "calibration error of the most probable answer, right less stated, log probability of truth"
+    )
+    print(f"{'data':5}{'':24}" + "".join(f"{x:>22}" for x in ("world 1", "world 2", "both")))
+    for data, setting in worlds[0]:
+        parts = [w[data, setting] for w in worlds]
+        cells = ""
+        for rows in (*parts, [row for part in parts for row in part]):
+            stated, right, truth = zip(*rows, strict=True)
+            error, _ = calibration_error(stated, right)
+            bias = np.mean(right) - np.mean(stated)
+            cells += f"{error:8.3f}{bias:+7.3f}{np.mean(np.log(truth)):7.3f}"
+        print(f"{data:5}{setting:24}{cells} of {len(rows)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,11 @@ _ABSORPTION = "added absorption"
 
 
 def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
-    """Return the probability of "none", "coefficients", "unknown" and each effect; they sum to 1."""
-    log = {k: v + prior.log_probability[k] for k, v in evidence.items()}
+    """Return the probability of "none", "coefficients", "unknown" and each effect; they sum to 1.
+
+    It is evidence times prior, to the power `Prior.sharpness`.
+    """
+    log = {k: prior.sharpness * (v + prior.log_probability[k]) for k, v in evidence.items()}
     total = float(logsumexp(list(log.values())))
     return {k: float(np.exp(v - total)) for k, v in sorted(log.items(), key=lambda kv: -kv[1])}
 

@@ -52,6 +52,8 @@ COUNTS = {
         DOUBLE: 50,
     },
     2: {0: 203},  # fresh rooms with nothing in them, for changes made after population 1 was seen
+    # Fresh rooms that judge what was chosen after population 1 was seen. A quarter of its number.
+    3: {0: 50, **dict.fromkeys(range(1, 14), 6), 22: 6, 23: 6},
 }
 
 
