@@ -5,7 +5,7 @@
     python -m benchmarks.second_world table --folder out --population 1
     python -m benchmarks.second_world run --folder out --world 1 --population 1
     python -m benchmarks.second_world bound --folder out --population 1      # what any test detects
-    python -m benchmarks.second_world both --folder out --population 1       # of both worlds' rows
+    python -m benchmarks.second_world both --folder out                      # of all judging rows
     python -m benchmarks.second_world null --folder out --world 1   # is the threshold's rate right?
 
 A case is judged as it is stated ("all": T20, EDT, T30, C80 and G, every second room in two
@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -56,6 +57,8 @@ from tests.second_world import generate as second_world
 from tests.second_world.rooms import KINDS
 
 WORLDS = {1: first_world, 2: second_world}
+JUDGING = ((1, 1), (1, 3), (2, 1))
+"""World and population of the rooms that judge."""
 SEEN = Path(__file__).parent / "judged_before.json"
 DATA = {"one": "T20, EDT, T30; one configuration", "all": "the case as it is stated"}
 
@@ -153,30 +156,34 @@ def table(folder: str, world: int, population: int, label: str) -> None:
             print_confusion(some, [NOTHING, *names])
 
 
-def both(folder: str, population: int, label: str) -> None:
+def both(folder: str, label: str) -> None:
     """Print the calibration error of both worlds together, and how often each verdict was right.
 
-    Once every room counts alike, and once every world: more rooms of the first one were run.
+    Of all judging rooms, and of those that no version had seen before. Once every room counts alike,
+    and once every world: more rooms of the first one were run.
     """
     for data, words in DATA.items():
-        worlds = {
-            world: [r for _, r in judged(folder, world, population, label, data)]
-            for world in WORLDS
-        }
-        rooms = [r for some in worlds.values() for r in some]
-        print(f"\n== both worlds, population {population}: {words}; {len(rooms)} rooms ==")
-        hidden = [r for r in rooms if not r.nothing and UNKNOWN not in r.truths]
-        for verdict in FLAGS[:3]:
-            for of, some in (("hidden", hidden), ("all rooms", rooms)):
-                named = [r for r in some if r.row["verdict"] == verdict]
-                print(f"{verdict:10} right, {of:9}", rate(r.truth_in_set for r in named))
-        print("hidden, missed  ", rate(not r.flagged for r in hidden))
-        print("nothing, flagged", rate(r.flagged for r in rooms if r.nothing))
-        print_calibration(rooms, "probabilities")
-        print("every world alike:")
-        print_calibration(
-            rooms, "probabilities", [1 / len(some) for some in worlds.values() for _ in some]
-        )
+        every = [
+            (world, index not in seen_before(world, population), row)
+            for world, population in JUDGING
+            for index, row in judged(folder, world, population, label, data)
+        ]
+        for part in ("", "fresh, "):
+            some = [(world, row) for world, fresh, row in every if fresh or not part]
+            rooms = [row for _, row in some]
+            counts = Counter(world for world, _ in some)
+            print(f"\n== both worlds: {part}{words}; {dict(counts)} rooms ==")
+            hidden = [r for r in rooms if not r.nothing and UNKNOWN not in r.truths]
+            for verdict in FLAGS[:3]:
+                for of, which in (("hidden", hidden), ("all rooms", rooms)):
+                    named = [r for r in which if r.row["verdict"] == verdict]
+                    print(f"{verdict:10} right, {of:9}", rate(r.truth_in_set for r in named))
+            print("hidden, missed  ", rate(not r.flagged for r in hidden))
+            print("nothing, flagged", rate(r.flagged for r in rooms if r.nothing))
+            for what in ("probabilities", "families"):
+                print_calibration(rooms, what)
+                print("every world alike:")
+                print_calibration(rooms, what, [1 / counts[world] for world, _ in some])
 
 
 def true_effect(world: int, truth: dict[str, Any]) -> AppliedEffect:
@@ -314,7 +321,7 @@ def main() -> None:
     elif given.what == "bound":
         bound(given.folder, given.world, given.population, given.step, given.label)
     elif given.what == "both":
-        both(given.folder, given.population, given.label)
+        both(given.folder, given.label)
     elif given.what == "null":
         null(given.folder, given.world, given.population, given.step)
     else:

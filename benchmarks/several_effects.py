@@ -264,7 +264,7 @@ class Searched:
     @property
     def likeliest_right(self) -> bool:
         """Whether the most probable set has the families of what was hidden."""
-        return self.row["verdict"] in ("named", "ambiguous") and (
+        return self.row["verdict"] in ("named", "family", "ambiguous") and (
             wide(self.row["members"]) == self.families
         )
 
@@ -332,7 +332,7 @@ def table(folder: str, population: int, label: str, pairs: str) -> None:
         print("  a set of two or three claimed         ", rate(r.second_set for r in single))
         print(
             "nothing hidden: flagged                 ",
-            rate(r.row["verdict"] in ("named", "ambiguous") for r in none),
+            rate(r.row["verdict"] in ("named", "family", "ambiguous") for r in none),
         )
         claims = [(f.split(",")[0] in r.families) for r in every for f in r.row["named_families"]]
         print("claims of a family that were right      ", rate(claims))

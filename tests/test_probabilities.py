@@ -23,7 +23,7 @@ from rtcal.discrepancy.evidence import Evidence
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import LowRank, predict_hypotheses
 from rtcal.discrepancy.model import predict
-from rtcal.discrepancy.prior import HANDBOOK_SIGMA, off_together, prior_of
+from rtcal.discrepancy.prior import HANDBOOK_SIGMA, SHARPER, off_together, prior_of
 from rtcal.discrepancy.probabilities import by_family
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.verdict import claim
@@ -352,3 +352,21 @@ def test_people_are_objects_and_an_audience_covers_floor() -> None:
     both = {e.name: e for e in library()}
     assert both["people"].family == both["audience"].family
     assert both["people"].odds + both["audience"].odds == 1  # as one effect before
+
+
+@pytest.mark.parametrize(
+    ("sigma", "power"),
+    [(0.3, 1.0), (0.6, 1.0), (0.15, 1 + SHARPER / 2), (0.03, 1 + 0.9 * SHARPER)],
+)
+def test_probabilities_are_sharper_where_coefficients_were_measured(
+    sigma: float, power: float
+) -> None:
+    """Odds of two effects: evidence times prior, to a power that grows towards a sigma of 0."""
+    case = case_of(room(sigma), room())
+    finding = find(case, controls=controls(case))
+    names = ["none", "volume", "opening", "noise floor"]
+    prior = finding.prior.log_probability
+    nats = np.array([finding.evidence.get(n, 0.0) + prior[n] for n in names])
+    stated = np.log([finding.probabilities[n] for n in names])
+    np.testing.assert_allclose(np.diff(stated), power * np.diff(nats), rtol=1e-9)
+    assert sum(finding.probabilities.values()) == pytest.approx(1)

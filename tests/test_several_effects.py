@@ -40,6 +40,7 @@ from rtcal.discrepancy.set_alpha import averaged_alpha
 from rtcal.discrepancy.set_posterior import Kept, log_prior, set_posterior
 from rtcal.discrepancy.sets import Comparison, Screen, acting_order, compare, evaluate_sets, moments
 from rtcal.errors import DataError
+from rtcal.report import several_report
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])
@@ -241,6 +242,32 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
     assert found.named == found.named_families == ()
     assert found.numbers[0] > 0.5
     with pytest.raises(DataError, match='the verdict is "none"'):
+        found.apply()
+
+
+def test_a_family_alone_is_not_called_a_name() -> None:
+    """The single search says "family" as well."""
+    coupled = AppliedEffect("coupled room", {"aperture": 10.0, "volume": 400.0, "alpha": 0.05})
+    found = sought(case_with(coupled), ("coupled room", "non-diffuse field", "volume", "air"))
+    assert found.named == ()
+    assert found.named_families == ("field",)
+    assert found.verdict == "family"
+    assert str(found).startswith("family: Missing from the model")
+    assert found.apply().applied
+
+
+def test_an_unknown_effect_is_said_to_be_unknown() -> None:
+    """Where the user's odds leave nothing else, no set of the library is called the most probable."""
+    found = sought(case_with(*BOTH), prior={UNKNOWN: 1e40})  # type: ignore[arg-type]
+    assert found.probabilities[UNKNOWN] > 0.9
+    assert found.verdict == "unknown"
+    assert not found.can_be_added
+    assert found.sentence.startswith("Something that no effect of the library explains is missing")
+    assert "(verdict unknown)" in str(found.reason_for_none)
+    assert "most probable" not in str(found)
+    headline = several_report.summary(found)["headline"]
+    assert headline == found.sentence
+    with pytest.raises(DataError, match='the verdict is "unknown"'):
         found.apply()
 
 

@@ -125,7 +125,9 @@ def find_several(
     named: list[str] = []
     named_families: list[str] = []
     together: Names = ()
-    if single.score > single.threshold:
+    if single.score > single.threshold and probabilities.get(UNKNOWN, 0.0) >= CLAIMED:
+        verdict = "unknown"
+    elif single.score > single.threshold:
         together = _together(family_sets, posterior.numbers())
         best = posterior.best(predicted.effects, together)
         members = _members(case, observed, single, posterior, best, predicted.parameters)
@@ -136,7 +138,8 @@ def find_several(
         named, named_families = _claims(
             sound if together else sound[:1], probabilities, families, predicted.effects
         )
-        verdict = "named" if named or named_families or together else "ambiguous"
+        families_claimed = named_families or together
+        verdict = "named" if named else "family" if families_claimed else "ambiguous"
     return SeveralFinding(
         single=single,
         expected=expected,

@@ -12,7 +12,7 @@ from rtcal.discrepancy.coefficients import OffTogether
 from rtcal.discrepancy.effects import Effect
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import NONE
+from rtcal.discrepancy.prior import NONE, UNKNOWN
 from rtcal.discrepancy.probabilities import family_of
 from rtcal.discrepancy.set_posterior import Names
 from rtcal.discrepancy.size import Size
@@ -58,10 +58,11 @@ class SeveralFinding:
         The search for one effect; its threshold decides whether anything is missing.
     expected : float
         Expected number of effects, before anything was measured.
-    verdict : {"none", "hint", "named", "ambiguous"}
-        ``none`` and ``hint`` as the single search says. ``named``: at least one effect or family is
-        there with a probability of 0.9 and passes every check, or a set of families is claimed.
-        ``ambiguous``: something is missing, and nothing of it is claimed.
+    verdict : {"none", "hint", "named", "family", "ambiguous", "unknown"}
+        ``none`` and ``hint`` as the single search says. ``named``: at least one effect is there with a
+        probability of 0.9 and passes every check. ``family``: no effect, but a family or a set of
+        families is claimed. ``ambiguous``: something is missing, and nothing of it is claimed.
+        ``unknown``: an effect that the library lacks has a probability of 0.9.
     named : tuple of str
         The effects that are claimed.
     named_families : tuple of str
@@ -81,8 +82,8 @@ class SeveralFinding:
     family_sets : mapping of tuple of str to float
         The same of sets of families; all of "added absorption" as one.
     members : mapping of str to Member
-        The effects of the most probable set, of ``named_set`` if there is one, in the order in which
-        they act.
+        The effects of the most probable set without an unknown one, of ``named_set`` if there is one,
+        in the order in which they act.
     alpha : array (n_materials, n_bands)
         Posterior mean of the coefficients, averaged over all sets: what `apply` cannot give, since it
         adds one set.
@@ -125,7 +126,7 @@ class SeveralFinding:
     @property
     def can_be_added(self) -> bool:
         """Whether `apply` has something to add."""
-        return self.verdict in ("named", "ambiguous") and bool(self.members)
+        return self.verdict in ("named", "family", "ambiguous") and bool(self.members)
 
     @checked
     def apply(self, case: Case | None = None) -> Case:
@@ -138,7 +139,7 @@ class SeveralFinding:
         Raises
         ------
         DataError
-            If the verdict is "none" or "hint".
+            If the verdict is "none", "hint" or "unknown".
         """
         case = self.case if case is None else case
         if not self.can_be_added:
@@ -161,6 +162,8 @@ class SeveralFinding:
     @property
     def reason_for_none(self) -> str | None:
         """Why there is no effect to add, in words; None where there is one."""
+        if self.verdict == "unknown":
+            return f"Nothing to add: {self.unknown_in_words} (verdict unknown)."
         return None if self.can_be_added else self.single.reason_for_none
 
     @property
@@ -194,9 +197,10 @@ class SeveralFinding:
         """What the verdict says of the model."""
         if self.verdict in ("none", "hint"):
             return self.single.sentence
-        likely = listed([f"{n} ({self.percent(n)})" for n in self.members])
+        if self.verdict == "unknown":
+            return f"{self.unknown_in_words.capitalize()}."
         if self.verdict == "ambiguous":
-            return f"Something is missing; most probable is {likely}."
+            return f"Something is missing; {self.likely_in_words}."
         claimed = [f"{n} ({self.percent(n)})" for n in self.named]
         claimed += [f"{f} ({100 * self.families[f]:.0f} %)" for f in self._families_claimed_alone]
         sentences = []
@@ -205,6 +209,22 @@ class SeveralFinding:
         if self.named_set:
             sentences.append(self.set_in_words)
         return " ".join(sentences)
+
+    @property
+    def likely_in_words(self) -> str:
+        """The most probable set, and the probability of an unknown effect where that is larger."""
+        likely = listed([f"{n} ({self.percent(n)})" for n in self.members])
+        known = max(self.probabilities[n] for n in self.members)
+        if self.probabilities.get(UNKNOWN, 0.0) <= known:
+            return f"most probable is {likely}"
+        return f"most probable of the library is {likely}, and {self.unknown_in_words}"
+
+    @property
+    def unknown_in_words(self) -> str:
+        """The probability of an effect that the library lacks, in words."""
+        return (
+            f"something that no effect of the library explains is missing ({self.percent(UNKNOWN)})"
+        )
 
     @property
     def set_in_words(self) -> str:

@@ -70,7 +70,7 @@ def summary(finding: SeveralFinding) -> dict[str, Any]:
     first = finding.case.configurations[0].name
     added = finding.can_be_added
     plain = f'plain calibration to T20 of "{first}"'
-    if finding.verdict == "named":
+    if finding.verdict in ("named", "family"):
         plain += ": not to be used, the model lacks something"
     return {
         "headline": _headline(finding),
@@ -96,7 +96,7 @@ def summary(finding: SeveralFinding) -> dict[str, Any]:
 
 def _headline(finding: SeveralFinding) -> str:
     """Return the verdict as one sentence for a reader who is no acoustician."""
-    if finding.verdict == "named":
+    if finding.verdict in ("named", "family"):
         named = {family_of(n, finding.single.effects) for n in finding.named}
         families = [f for f in finding.named_families if f not in named]
         claimed = [f"{n} ({finding.percent(n)})" for n in finding.named]
@@ -104,11 +104,12 @@ def _headline(finding: SeveralFinding) -> str:
         sentences = [f"The model lacks {listed(claimed)}."] if claimed else []
         return " ".join([*sentences, finding.set_in_words]).strip()
     if finding.verdict == "ambiguous":
-        likely = listed([f"{n} ({finding.percent(n)})" for n in finding.members])
         return (
-            "The model lacks something, and the measurements do not tell what. The most probable set "
-            f"is {likely}."
+            "The model lacks something, and the measurements do not tell what: "
+            f"{finding.likely_in_words}."
         )
+    if finding.verdict == "unknown":
+        return f"{finding.unknown_in_words.capitalize()}."
     return gap_words.headline(finding.single)
 
 
