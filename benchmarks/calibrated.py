@@ -1,12 +1,13 @@
 """Are the stated probabilities right? What the likelihood's power and tails do to them, and their own.
 
-    python -m benchmarks.calibrated --folder out            # minutes
+    python -m benchmarks.calibrated likelihood --folder out --step 4
+    python -m benchmarks.calibrated probabilities --folder out
 
 ``folder`` has the control rooms that `benchmarks.second_world controls` keeps. Both worlds'
-development rooms (population 0) are evaluated with each setting of `COARSENING` and `DEGREES`, and as
-chosen with each power of the probabilities where sigma is small (`prior.SHARPER`). A good setting has a
-small calibration error and a large mean log probability of the truth (a proper score: Good 1952). The
-last lines keep only what the world hides: the library has more effects.
+development rooms (population 0) are evaluated with settings of the likelihood (`COARSENING` and
+`DEGREES`), or of the probabilities: their power where sigma is small (`prior.SHARPER`), everywhere, and
+without the effects that the world never hides. A good setting has a small calibration error and a large
+mean log probability of the truth (a proper score: Good 1952).
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ SETTINGS = (
     *((5.0, power) for power in (np.inf, 200.0, 100.0, 25.0, 50.0)),
 )
 SHARPER = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+ALIKE = 1.2
+"""A power of the probabilities whatever sigma is."""
 ABSENT = {
     1: ("curtain", "membrane", "covered surface", "direct sound", "coefficients"),
     2: ("covered surface", "direct sound"),
@@ -55,7 +58,14 @@ def row_of(evidence: Mapping[str, float], prior: Prior, name: str) -> Row:
     return probabilities[best], best == name, max(probabilities.get(name, 0.0), LEAST)
 
 
-def rows_of(folder: str, world: int, step: int) -> Rows:
+def powers(sigma: float) -> dict[str, float]:
+    """Powers of the probabilities that are tried, ``sigma`` over a handbook's."""
+    return {f"sharper {s:g}": 1 + s * (1 - sigma) for s in SHARPER} | {
+        f"{ALIKE:g} everywhere": ALIKE
+    }
+
+
+def rows_of(what: str, folder: str, world: int, step: int) -> Rows:
     """Each setting's rows, by data and setting."""
     out: Rows = defaultdict(list)
     rooms, truths = (WORLDS[world].read(0, part) for part in ("case", "truth"))
@@ -76,16 +86,15 @@ def rows_of(folder: str, world: int, step: int) -> Rows:
             error = estimate_discrepancy(case, made)
             prior = prior_of(case.room, library(), {})
             plain = replace(prior, sharpness=1.0)
-            for degrees, power in SETTINGS:
+            for degrees, power in SETTINGS if what == "likelihood" else [CHOSEN]:
                 with mock.patch.multiple(likelihood, DEGREES=degrees, COARSENING=power):
                     evidence = evaluate(observed, predicted, error, prior.off)
                 table = {k: float(v) for k, v in evidence.by_effect().items()}
                 out[data, f"degrees {degrees:g}, n {power:g}"].append(row_of(table, plain, name))
-                if (degrees, power) != CHOSEN:
-                    continue
-                for more in SHARPER:
-                    sharper = replace(prior, sharpness=1 + more * (1 - relative_sigma(case.room)))
-                    out[data, f"sharper {more:g}"].append(row_of(table, sharper, name))
+            if what == "probabilities":
+                for setting, exponent in powers(relative_sigma(case.room)).items():
+                    row = row_of(table, replace(prior, sharpness=exponent), name)
+                    out[data, setting].append(row)
                 there = {k: v for k, v in table.items() if k not in ABSENT[world]}
                 out[data, "what the world hides"].append(row_of(there, plain, name))
     return out
@@ -94,10 +103,11 @@ def rows_of(folder: str, world: int, step: int) -> Rows:
 @single_threaded_blas()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("likelihood", "probabilities"))
     parser.add_argument("--folder", required=True)
     parser.add_argument("--step", type=int, default=1, help="every so many rooms")
     given = parser.parse_args()
-    worlds = [rows_of(given.folder, world, given.step) for world in WORLDS]
+    worlds = [rows_of(given.what, given.folder, world, given.step) for world in WORLDS]
     print(
         "calibration error of the most probable answer, right less stated, log probability of truth"
     )

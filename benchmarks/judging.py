@@ -245,7 +245,8 @@ def print_calibration(
         chance = [calibration_error(p, rng.random(len(p)) < p, weights=w)[0] for _ in range(400)]
         print(
             f"calibration error, {what}, {label}: {error:.3f} [{low:.3f}, {high:.3f}] of {len(p)}; "
-            f"by chance {np.mean(chance):.3f} to {np.quantile(chance, 0.95):.3f}"
+            f"by chance {np.mean(chance):.3f} to {np.quantile(chance, 0.95):.3f}; "
+            f"mean stated {np.average(p, weights=w):.3f}, right {np.average(hit, weights=w):.3f}"
         )
         print("  stated:right (number)  " + "  ".join(f"{x:.2f}:{y:.2f} ({n})" for n, x, y in bins))
 

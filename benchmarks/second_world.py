@@ -159,8 +159,8 @@ def table(folder: str, world: int, population: int, label: str) -> None:
 def both(folder: str, label: str) -> None:
     """Print the calibration error of both worlds together, and how often each verdict was right.
 
-    Of all judging rooms, and of those that no version had seen before. Once every room counts alike,
-    and once every world: more rooms of the first one were run.
+    Of all judging rooms and of those that no version had seen before, and of each world's. Once every
+    room counts alike, and once every world: more rooms of the first one were run.
     """
     for data, words in DATA.items():
         every = [
@@ -168,11 +168,17 @@ def both(folder: str, label: str) -> None:
             for world, population in JUDGING
             for index, row in judged(folder, world, population, label, data)
         ]
-        for part in ("", "fresh, "):
-            some = [(world, row) for world, fresh, row in every if fresh or not part]
+        parts = [(fresh, world) for fresh in (False, True) for world in (0, *WORLDS)]
+        for only_fresh, only in parts:
+            some = [
+                (world, row)
+                for world, fresh, row in every
+                if fresh >= only_fresh and only in (0, world)
+            ]
             rooms = [row for _, row in some]
             counts = Counter(world for world, _ in some)
-            print(f"\n== both worlds: {part}{words}; {dict(counts)} rooms ==")
+            part = "fresh rooms" if only_fresh else "all rooms"
+            print(f"\n== {part} of worlds {dict(counts)}: {words} ==")
             hidden = [r for r in rooms if not r.nothing and UNKNOWN not in r.truths]
             for verdict in FLAGS[:3]:
                 for of, which in (("hidden", hidden), ("all rooms", rooms)):

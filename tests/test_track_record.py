@@ -36,10 +36,7 @@ def test_claims_and_right_ones_are_those_of_the_table(label: str, stated: tuple[
 
 
 def test_flagged_and_measured_are_those_of_the_page() -> None:
-    of, flagged = numbers("nothing hidden; flagged")
-    assert "So 40 more of population 1 were run" in PAGE
-    assert re.search(r"and T30 one of these 40 is flagged", PAGE)
-    assert (flagged + 1, of + 40) == track_record.FLAGGED
+    assert track_record.FLAGGED == numbers("nothing hidden; flagged")[::-1]
     measured = re.search(r"measured rooms: wrong claims \|[^|]+\|[^|]+\| (\d+) of (\d+)", PAGE)
     assert measured is not None
     assert tuple(int(n) for n in measured.groups()) == track_record.MEASURED

@@ -34,8 +34,8 @@ SHARPER = 0.4
 """How much the power of the probabilities grows towards a sigma of 0: it is 1 at a handbook's sigma,
 and 1.4 at 0. Where coefficients were measured, the most probable answer is right more often than
 evidence times prior says: rooms err less than the evidence assumes, and the library has effects that
-they do not have. Chosen on development rooms (`python -m benchmarks.calibrated`), as the temperature
-of a classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
+they do not have. Chosen on development rooms (`python -m benchmarks.calibrated probabilities`), as the
+temperature of a classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
 
 
 @dataclass(frozen=True)
