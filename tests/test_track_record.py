@@ -36,7 +36,7 @@ def test_claims_and_right_ones_are_those_of_the_table(label: str, stated: tuple[
 
 
 def test_flagged_and_measured_are_those_of_the_page() -> None:
-    assert track_record.FLAGGED == numbers("nothing hidden; flagged")[::-1]
+    assert numbers("nothing hidden; flagged")[::-1] == track_record.FLAGGED
     measured = re.search(r"measured rooms: wrong claims \|[^|]+\|[^|]+\| (\d+) of (\d+)", PAGE)
     assert measured is not None
     assert tuple(int(n) for n in measured.groups()) == track_record.MEASURED
