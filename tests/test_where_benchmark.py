@@ -12,6 +12,7 @@ pytest.importorskip("numba", reason="the geometric world is compiled (extra fast
 
 import rtcal as rt
 from benchmarks import where, where_figures
+from benchmarks.where_threshold import folds
 from rtcal.acoustics.quality import gap_jnd
 from tests.geometric_world import rooms
 from tests.geometric_world.load import stored, truth
@@ -101,3 +102,12 @@ def test_a_gap_to_what_was_measured_becomes_that_to_what_is_heard() -> None:
     expected = np.array([gap_jnd(model[p], heard[p], p)[::-1] for p in names])
     found = where.to_heard(gap, where.noise(finding, as_measurement(heard)))
     np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_groups_of_control_runs_have_little_and_much_scattering_and_both_models() -> None:
+    groups = folds(16)
+    assert sorted(run for group in groups for run in group) == list(range(16))
+    for group in groups:
+        assert min(group) < 4
+        assert max(group) >= 12
+        assert {int(run) % 2 for run in group} == {0, 1}

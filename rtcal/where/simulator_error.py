@@ -21,9 +21,9 @@ differ between so few runs. In four development rooms the log likelihood ratio o
 was 37, 17, 0 and -26 nats, and with it 50, 12, 6 and 8."""
 COMMON = 0.25
 """Share of the variance common to all pairs that is assumed. Control runs scatter from hardly at all to
-nearly everything, by which T of the whole room differs most. In each of six development rooms that
-lack nothing, what was measured is likelier with a quarter of the covariance than with all of it, by 6
-to 48 nats. The pairs' own part stays: less of it made displaced receivers of what is on a surface."""
+nearly everything, by which T of the whole room differs most. What was measured in an empty development
+room is likelier by 60 nats than with all of it (`python -m benchmarks.where_threshold --measured`).
+The pairs' own part stays: with less of it another volume took the place of an open window."""
 
 
 @dataclass(frozen=True, eq=False)
