@@ -133,6 +133,13 @@ def test_posterior_sigma_is_that_of_the_gaussian():
     np.testing.assert_allclose(result.joint.posterior_sigma, expected, rtol=1e-9)
 
 
+def test_rounding_beside_the_diagonal_is_no_asymmetry():
+    covariance = np.eye(3)
+    covariance[0, 1] = 1e-17
+    numbers = terms.Observed(matrix=np.eye(3), values=np.zeros(3), covariance=covariance)
+    np.testing.assert_allclose(numbers.factor, np.eye(3), atol=1e-15)
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

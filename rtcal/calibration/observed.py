@@ -56,7 +56,9 @@ class Observed:
                 f"observed matrix has shape {self.matrix.shape}; it has a row for each of the {n} "
                 "values, of which there is at least one"
             )
-        if not np.allclose(self.covariance, self.covariance.T, rtol=1e-9, atol=0):
+        # Beside the diagonal: a covariance near 0 may be the rounding of a difference.
+        sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        if (np.abs(self.covariance - self.covariance.T) > 1e-9 * np.outer(sigma, sigma)).any():
             raise DataError("observed covariance is not symmetric")
         try:
             factor = np.linalg.cholesky(self.covariance)
