@@ -388,6 +388,7 @@ def test_a_damaged_record_is_named(tmp_path, record, change, said):
         (("--mesh", "nowhere.obj"), "nowhere.obj"),
         (("--out", ""), "--out is empty"),
         (("--position-uncertainty", "-1"), "--position-uncertainty"),
+        (("--position-uncertainty", "1.1"), "--position-uncertainty 1.1 m is above 1 m"),
     ],
 )
 def test_wrong_options_are_named(folder, options, said):

@@ -36,6 +36,8 @@ RUNS = 16
 """Traces for the control runs."""
 POSITION = 0.1
 """Standard uncertainty in m of where sources and receivers stand, along each axis over sqrt(3)."""
+MOST_OFF = 1.0
+"""Largest `POSITION` in m that is taken."""
 SCATTERING = (0.1, 0.85)
 """Scattering coefficients of the control runs: those of ordinary walls and furniture."""
 MODELS: tuple[ScatteringModel, ...] = ("random", "vector")
@@ -226,7 +228,7 @@ def control_runs(
     report : callable, optional
         Called with the number of finished runs and their total.
     """
-    uncertainty = checks.positive("position_uncertainty", position_uncertainty, "m")
+    uncertainty = checked_uncertainty(position_uncertainty)
     base = _tracing(simulator)
     if base is None:
         return None
@@ -276,6 +278,17 @@ def control_runs(
     if path is not None:
         kept_arrays.write(path, made.errors)
     return made
+
+
+def checked_uncertainty(position_uncertainty: float) -> float:
+    """Return the standard uncertainty of places in m; DataError for none, or above `MOST_OFF`."""
+    uncertainty = checks.positive("position_uncertainty", position_uncertainty, "m")
+    if uncertainty > MOST_OFF:
+        raise DataError(
+            f"position_uncertainty = {uncertainty:g} m is above {MOST_OFF:g} m: such a position says "
+            "nothing"
+        )
+    return uncertainty
 
 
 def ahead_factor(heard: Observations, tracer: PathTracing, alpha: Array) -> float:

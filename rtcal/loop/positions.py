@@ -29,6 +29,7 @@ from rtcal.loop.control_runs import (
     POSITION,
     ControlRuns,
     Report,
+    checked_uncertainty,
     control_runs,
     paths_of_a_run,
 )
@@ -40,7 +41,6 @@ from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observable, Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 
@@ -93,7 +93,7 @@ def calibrate_positions(
 
     ``more_paths`` is the factor of the number of paths of a `PathTracing` that are weighed.
     """
-    checks.positive("position_uncertainty", position_uncertainty, "m")
+    checked_uncertainty(position_uncertainty)
     tracer = simulator
     simulator = precise(simulator, more_paths)
     _trace_ahead(simulator, room.alpha, seed)

@@ -12,7 +12,7 @@ from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.loop.control_runs import POSITION
+from rtcal.loop.control_runs import POSITION, checked_uncertainty
 from rtcal.loop.measured_pairs import Pair, history
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import MATCH, checked_parameters
@@ -24,9 +24,6 @@ from rtcal.where import parts
 from rtcal.where import surfaces as of_room
 from rtcal.where.parts import Divided
 from rtcal.where.surfaces import Faces
-
-MOST_OFF = 1.0
-"""Largest standard deviation in m of sources' and receivers' places."""
 
 
 @checked
@@ -78,12 +75,7 @@ class Case:
     def __post_init__(self) -> None:
         checks.instance("simulator", self.simulator, PathTracing)
         checks.instance("measured", self.measured, Measurement)
-        checks.positive("position_uncertainty", self.position_uncertainty, "m")
-        if self.position_uncertainty > MOST_OFF:
-            raise DataError(
-                f"position_uncertainty = {self.position_uncertainty:g} m is above {MOST_OFF:g} m: "
-                "such a position says nothing"
-            )
+        checked_uncertainty(self.position_uncertainty)
         object.__setattr__(self, "match", checked_parameters(self.match))
         object.__setattr__(self, "exclude", checks.pairs("exclude", self.exclude))
         for name in ("measured", "simulated"):
