@@ -67,20 +67,35 @@ def test_every_verdict_says_how_often_it_was_right() -> None:
         assert "not used to make the finder" in track_record.sentence(verdict)
 
 
-@pytest.mark.parametrize("data", ["without level", "with level"])
-@pytest.mark.parametrize("statement", [where_record.IN_SITU, where_record.HANDBOOK])
-def test_what_a_finding_with_a_geometry_says_is_the_study_s(statement: str, data: str) -> None:
-    column = {"without level": 3, "with level": 4}[data]
-    section = WHERE.split(f"### Coefficients {statement}\n")[1].split("\n#")[0]
-    for label, (some, of) in (
-        ("flagged with nothing hidden", where_record.FLAGGED[statement][data]),
-        ("detected", where_record.DETECTED[statement][data]),
-        ("right surface, of absorbers detected", where_record.SURFACE[statement][data]),
+@pytest.mark.parametrize(("data", "columns"), [("without level", (3, 5)), ("with level", (4, 6))])
+def test_what_a_finding_with_a_geometry_says_is_the_study_s(
+    data: str, columns: tuple[int, int]
+) -> None:
+    """The sum of the fresh rooms and of those judged again."""
+    for label, stated in (
+        ("flagged with nothing hidden", where_record.FLAGGED),
+        ("detected", where_record.DETECTED),
+        ("right surface, of absorbers detected", where_record.SURFACE),
     ):
-        row = next(line for line in section.splitlines() if line.startswith(f"| {label} |"))
-        cell = row.split("|")[column].strip()
-        assert cell.startswith(f"{some / of:.2f} [")
-        assert cell.endswith(f"of {of}")
+        (row,) = (line for line in WHERE.splitlines() if line.startswith(f"| {label} |"))
+        cells = [row.split("|")[column].split() for column in columns]
+        judged = [int(cell[-1]) for cell in cells]
+        some = [round(float(cell[0]) * of) for cell, of in zip(cells, judged, strict=True)]
+        assert (sum(some), sum(judged)) == stated[where_record.IN_SITU][data]
+
+
+def test_what_it_says_of_a_handbook_s_coefficients_is_the_study_s() -> None:
+    detected, right = (
+        [record[where_record.HANDBOOK][data] for data in ("without level", "with level")]
+        for record in (where_record.DETECTED, where_record.SURFACE)
+    )
+    flagged = where_record.FLAGGED[where_record.HANDBOOK]["with level"]
+    said = (
+        f"{detected[0][0]} and {detected[1][0]} of {detected[0][1]} detected, "
+        f"{flagged[0]} of {flagged[1]} flagged, {right[0][0]} of {right[0][1]} and {right[1][0]} of "
+        f"{right[1][1]} on the right surface"
+    )
+    assert said in " ".join(WHERE.split())
 
 
 def test_a_room_is_compared_with_those_whose_sigma_is_like_its_own() -> None:
