@@ -144,6 +144,8 @@ LINES = ("bras", "catt", "odeon", "pyroomacoustics", "sigma", "tables")
 OTHERS = ("case in TOML", "study", "journal")
 """Readers whose messages may name the folder, or another file in it."""
 
+LIMIT = 10.0
+"""s of processor time per file."""
 TOKENS = (
     b"",
     b" ",
@@ -256,7 +258,7 @@ def check(name: str, content: bytes, folder: Path) -> bool:
     for beside, text in READERS[name].beside.items():
         if not (folder / beside).exists():
             (folder / beside).write_bytes(text)
-    start = time.perf_counter()
+    start = time.process_time()  # not the clock, which a busy machine lets run on
     try:
         result = READERS[name].read(str(path))
     except DataError as error:
@@ -266,7 +268,7 @@ def check(name: str, content: bytes, folder: Path) -> bool:
             assert re.search(r"line \d+", message), message
         return False
     finally:
-        assert time.perf_counter() - start < 20, "a reader hangs"
+        assert time.process_time() - start < LIMIT, "a reader hangs"
     READERS[name].holds(result)
     return True
 
