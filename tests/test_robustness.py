@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,43 @@ def room(**changes) -> rt.Room:
         "air": AIR,
     }
     return rt.Room(**{**values, **changes})
+
+
+def test_a_result_can_be_pickled_and_one_without_t_be_printed(cr2) -> None:
+    result = rt.calibrate(*cr2)
+    again = pickle.loads(pickle.dumps(result))
+    np.testing.assert_array_equal(again.alpha, result.alpha)
+    assert str(again) == str(result)
+    with pytest.raises(DataError, match="measured = None"):
+        rt.calibrate(cr2[0], None)
+
+
+def test_a_class_is_no_term() -> None:
+    with pytest.raises(ModelError, match=r"write PriorDeviation\(\)"):
+        rt.Calibration(rt.terms.PriorDeviation)
+    with pytest.raises(ModelError, match=r"write ExactMatch\(\)"):
+        rt.Calibration(rt.terms.PriorDeviation(), [rt.terms.ExactMatch])
+
+
+@pytest.mark.parametrize("equation", [{}, [], "", 0, False])
+def test_what_is_false_is_no_equation(equation) -> None:
+    with pytest.raises(RtcalError):
+        rt.calibrate(room(), [0.8, 0.75], equation=equation)
+
+
+@pytest.mark.parametrize("engine", ["numpy", "numba"])
+def test_an_endless_uncertainty_is_no_datum(engine: str) -> None:
+    endless = [np.inf, 1e200, 1.0]
+    answer = rt.exact.solve(
+        [0.4, 0.3], [0.1, 0.1], [20, 74], 30.0, uncertainty=endless, engine=engine
+    )
+    assert answer.status.tolist() == [3, 3, 0]
+
+
+@pytest.mark.parametrize("t", [0.31, 0.37, 0.40, 0.43, 0.52, 0.61])
+def test_what_t_alone_determines_has_no_uncertainty_of_rounding(t: float) -> None:
+    one = room(materials=["a"], areas=[94], alpha=[[0.3, 0.3]], sigma=[[0.1, 0.1]], volume=60)
+    np.testing.assert_array_equal(rt.calibrate(one, [t, t]).room.sigma, 0)
 
 
 def test_a_misspelt_parameter_is_not_one_that_was_not_measured(cr2) -> None:

@@ -210,7 +210,8 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "missing": (
         "m",
-        "alpha stays as stated there: measure the band, or draw no conclusion from it",
+        "alpha stays as stated there, unless other bands, terms or observations move it: measure the "
+        "band, or draw no conclusion from it",
     ),
     "below_schroeder": (
         "s",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -119,7 +119,7 @@ class Assembler:
             largest_target=np.array(
                 [[self.equation.largest_mean * r.total_area] for r in configurations.rooms]
             ),
-            target_of=lambda t: self.target(configurations.rooms, t),
+            target_of=partial(self.target, configurations.rooms),  # a lambda cannot be pickled
             weights=self.weights(weights),
             pinned=np.concatenate([held.ravel(), np.zeros(len(further), dtype=bool)]),
             centre=flat(

@@ -144,6 +144,8 @@ def calibrate(
     """
     if not isinstance(room, (Room, Configurations)):
         raise DataError(f"room = {room!r} is not a rtcal.Room (Room.from_file reads one)")
+    if measured is None:
+        raise DataError("measured = None: there is no T to calibrate to")
     calibration = preset(method, room if isinstance(room, Room) else room.union)
     if isinstance(room, Configurations):
         return calibration.build(room, equation).solve(measured, method=method, **options)

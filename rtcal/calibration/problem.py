@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Unpack, overload
 
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
@@ -73,7 +74,9 @@ class Calibration:
     constraints: Sequence[Constraint] | None = None
 
     def __post_init__(self) -> None:
+        _refuse_classes([self.objective])
         objective = as_objective(self.objective)
+        _refuse_classes(objective.terms)
         priors = [t for t in objective.terms if t.is_prior]
         if len(priors) != 1:
             raise ModelError(
@@ -93,6 +96,7 @@ class Calibration:
             constraints = () if soft else (ExactMatch(),)
         if not isinstance(constraints, Iterable):
             raise ModelError(f"constraints = {constraints!r} is not a list of constraints")
+        _refuse_classes(constraints)
         for constraint in constraints:
             if not isinstance(constraint, (RowConstraint, BoundConstraint, SharedMaterials)):
                 raise ModelError(
@@ -139,8 +143,14 @@ class Calibration:
                 stacklevel=checks.stack_level(),
             )
         if isinstance(room, Configurations):
-            return JointProblem(self, room, equation or Eyring())
-        return CalibrationProblem(self, room, equation or Eyring())
+            return JointProblem(self, room, Eyring() if equation is None else equation)
+        return CalibrationProblem(self, room, Eyring() if equation is None else equation)
+
+
+def _refuse_classes(terms: Iterable[object]) -> None:
+    for term in terms:
+        if isinstance(term, type):
+            raise ModelError(f"{term.__name__} is a class and no term: write {term.__name__}()")
 
 
 def _refuse_repeated(terms: Sequence[object], place: str) -> None:
@@ -321,7 +331,9 @@ class JointProblem:
             method=method,
             solver=chosen.solver,
             measured_times=tuple(times),
-            assemble=lambda new: assembler.problem_data(used, new, weights, observed),
+            assemble=partial(  # a lambda cannot be pickled
+                assembler.problem_data, used, weights=weights, observed=observed
+            ),
         )
 
     @checked

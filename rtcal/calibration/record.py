@@ -127,6 +127,8 @@ def _mean_measurement(room: Room, measured: MeasuredTimes) -> Measurement:
         u = np.where(of_parameter, measured.uncertainty, np.nan)[np.newaxis]
         if np.isfinite(u).any():
             uncertainty[parameter] = u
+    if not values:  # no T was matched
+        values["t20"] = np.full((1, room.n_bands), np.nan)
     return Measurement(
         centre_frequencies=room.centre_frequencies, values=values, uncertainty=uncertainty
     )

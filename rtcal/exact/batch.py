@@ -156,6 +156,10 @@ def solve(
     m, g, s, low, high = (_rows(x, batch, n) for x in vectors)
     b, give, slack = (_rows(x[..., np.newaxis], batch, 1)[:, 0] for x in scalars)
     a, d, code = alpha.reshape(rows, n), multiplier.reshape(rows), status.reshape(rows)
+    with np.errstate(over="ignore"):
+        endless = ~np.isfinite(slack**2)
+    if endless.any():
+        b = np.where(endless, np.nan, b)  # invalid, whatever the engine makes of infinity
     data = (m, g, s, b, low, high, give, slack)
     if _engine(engine) == "numba":
         from rtcal.exact import kernel as exact_kernel

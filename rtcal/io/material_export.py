@@ -100,7 +100,7 @@ def write_list(
     """
     if missing_bands not in ("refuse", "nearest"):
         raise DataError(f'missing_bands = "{missing_bands}" is neither "refuse" nor "nearest"')
-    equation = equation or Eyring()
+    equation = Eyring() if equation is None else equation
     notes: list[str] = []
     if template is None and Path(path).exists():
         template = path

@@ -110,6 +110,11 @@ def sensitivity(result: Optimal) -> Array:
     return np.asarray(by_time.reshape(shape)[list(conditions.rows)])
 
 
+_ROUNDING = 1e-7
+"""Of the prior's sigma: what the difference of equal variances leaves. As an uncertainty it would let a
+coefficient that T alone determines contradict the next T by millions of standard deviations."""
+
+
 def linear_estimate_sigma(gain: Array, sigma: Array, cross: Array, innovation: Array) -> Array:
     """Return the standard deviation of a linear estimate's error, (size,).
 
@@ -132,4 +137,5 @@ def linear_estimate_sigma(gain: Array, sigma: Array, cross: Array, innovation: A
     variance = (
         sigma**2 - 2 * np.sum(gain * cross, axis=1) + np.sum((gain @ innovation) * gain, axis=1)
     )
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+    left = np.sqrt(np.maximum(variance, 0.0))
+    return np.where(left > _ROUNDING * sigma, left, 0.0)

@@ -131,7 +131,8 @@ class Fixed:
     """alpha = value (its prior mean if not given): a coefficient that the measurement may not move.
 
     When to use it: for a material that was measured in the laboratory, or whose answer must stay
-    comparable. The same as sigma = 0 in the room, without changing the room.
+    comparable. Alpha is as with sigma = 0 in the room. Unlike there, its stated sigma still counts in z
+    and Q, in correlations with other bands, and in the coefficients' uncertainty.
 
     Parameters
     ----------
