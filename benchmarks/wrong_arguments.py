@@ -371,7 +371,7 @@ def functions(by_class: dict[str, Any]) -> Iterator[tuple[str, Callable[..., Any
         function = thing
         if inspect.isfunction(thing) and "self" in inspect.signature(thing).parameters:
             owner = by_class.get(name.split(".")[-2])
-            if owner is None:
+            if not hasattr(owner, thing.__name__):  # none, or another class of this name
                 continue
             function = getattr(owner, thing.__name__)
         key = getattr(thing, "__func__", thing)

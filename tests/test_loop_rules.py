@@ -419,7 +419,7 @@ def test_t20_of_a_measurement():
     none = measurement(values={"t20": [[NAN, 2.0], [3.0, NAN]]})
     with pytest.raises(rt.errors.DataError, match=r"S to R1, 500 Hz"):
         simulated_t20(none, bands, wanted, earlier)
-    with pytest.raises(rt.errors.DataError, match="other bands"):
+    with pytest.raises(rt.errors.DataError, match="the room has 2 bands, 1000 to 2000 Hz"):
         simulated_t20(measurement(), bands * 2, wanted, [])
     with pytest.raises(rt.errors.DataError, match="no T20"):
         simulated_t20(measurement(values={"t30": [[1.0, 2.0], [3.0, 4.0]]}), bands, wanted, [])
