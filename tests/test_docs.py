@@ -186,3 +186,13 @@ def _mentioned() -> set[str]:
     """Classes that are never called by name: the page says which line of its example returns one."""
     pages = (ROOT / "docs" / "api").glob("*.md")
     return {w for page in pages for w in re.findall(r"`(\w+)`", page.read_text(encoding="utf-8"))}
+
+
+def test_numbers_that_describe_the_picture_of_where_stand_in_it() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (said,) = re.findall(r"!\[([^\]]*)\]\(docs/figures/where\.svg\)", readme)
+    picture = (ROOT / "docs" / "figures" / "where.svg").read_text(encoding="utf-8")
+    drawn = set(re.findall(r"<!-- ([\d.]+)(?: %)? -->", picture))
+    numbers = re.findall(r"\d+(?:\.\d+)?", said)
+    assert len(numbers) == 4
+    assert set(numbers) <= drawn
