@@ -321,6 +321,7 @@ def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
     return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
 
 
+@checked
 def surface_doubt(room: Room) -> tuple[str, str] | None:
     """Return the kind of mark and a sentence if areas and volume do not fit, else None.
 

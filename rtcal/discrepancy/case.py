@@ -75,6 +75,7 @@ class AppliedEffect:
             raise DataError(f'effect "{self.name}" is not in the library')
 
     @classmethod
+    @checked
     def of(
         cls,
         effect: Effect,
