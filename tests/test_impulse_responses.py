@@ -168,6 +168,14 @@ def test_a_clipped_response_is_noted(tmp_path: Path) -> None:
     assert np.isfinite(analysis.measurement.values["edt"]).all()
 
 
+def test_a_step_after_silence_is_no_silence_at_the_end(tmp_path: Path) -> None:
+    """Found by fuzzing: what was left without its end was 0 everywhere, and no number times 0."""
+    path = tmp_path / "step.wav"
+    path.write_bytes(wav(np.concatenate([np.zeros(4000), np.full(4000, 0.5)])))
+    measured = ir.read(str(path), bands=[1000]).measurement
+    assert all(np.isnan(values).all() for values in measured.values.values())
+
+
 def test_decays_are_not_taken_for_clipped() -> None:
     rng = np.random.default_rng(11)
     time = np.arange(16000) / 16000

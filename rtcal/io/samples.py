@@ -91,7 +91,7 @@ def prepared(signal: Any) -> Samples:
     time = np.asarray(signal.time, dtype=float)[0]
     changes = np.flatnonzero(time != time[-1])
     n_silent = len(time) - 1 - int(changes[-1]) if changes.size else 0
-    if n_silent > 1:
+    if n_silent > 1 and np.any(time[: len(time) - n_silent]):  # silence only after a sound
         time = time[: len(time) - n_silent]
     clipped = clipped_samples(time)
     time = time / np.max(np.abs(time))
