@@ -10,7 +10,14 @@ import numpy as np
 
 from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.materials import text_name
-from rtcal.acoustics.parameters import DECAY_TIMES, LIMITS, SUMMARY, UNITS
+from rtcal.acoustics.parameters import (
+    DECAY_TIMES,
+    LIMITS,
+    SUMMARY,
+    UNITS,
+    check_parameter,
+    limits_in_words,
+)
 from rtcal.errors import DataError
 from rtcal.support import checks, html
 from rtcal.support.arguments import checked
@@ -158,8 +165,7 @@ class Measurement:
                     raise DataError(f"measurement {name}[{parameter}] has no values beside it")
 
     def _checked(self, name: str, parameter: str, value: Any, shape: tuple[int, ...]) -> Array:
-        if parameter not in UNITS:
-            raise DataError(f'parameter "{parameter}" is unknown; known are {", ".join(UNITS)}')
+        check_parameter(parameter)
         array = checks.array(f"measurement {name}[{parameter}]", value).copy()
         if array.shape != shape:
             raise DataError(f"measurement {name}[{parameter}] has shape {array.shape}, not {shape}")
@@ -170,10 +176,8 @@ class Measurement:
         elif parameter in DECAY_TIMES:
             low, rule = array <= 0, "finite and above 0 s"
         else:
-            least, most, question = LIMITS[parameter]
-            low = (array < least) | (array > most * (1 + 1e-9))
-            unit = f" {UNITS[parameter]}".rstrip()
-            rule = f"from {least:g} to {most:g}{unit}: {question}"
+            least, most, rule = limits_in_words(parameter)
+            low = (array < least) | (array > most)
         if (bad := infinite | low).any():
             where = tuple(int(i) for i in np.argwhere(bad)[0])
             band = bands.label(self.centre_frequencies[where[-1]])
@@ -251,8 +255,7 @@ class Measurement:
         Arithmetic, over the same pairs in model and measurement: the mean of a ratio is not the
         ratio of means. Raises DataError for a name that is no parameter.
         """
-        if parameter not in UNITS:
-            raise DataError(f'parameter "{parameter}" is unknown; known are {", ".join(UNITS)}')
+        check_parameter(parameter)
         if parameter not in self.values:
             return np.full(len(self.centre_frequencies), np.nan)
         values = self.values[parameter]

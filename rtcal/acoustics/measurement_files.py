@@ -25,7 +25,14 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.parameters import DECAY_TIMES, LIMITS, SUMMARY, UNITS, plausible_time
+from rtcal.acoustics.parameters import (
+    DECAY_TIMES,
+    LIMITS,
+    SUMMARY,
+    UNITS,
+    limits_in_words,
+    plausible_time,
+)
 from rtcal.errors import DataError
 from rtcal.support.files import json_numbers, read_text
 from rtcal.support.types import Array
@@ -128,13 +135,9 @@ def _row(
     if parameter in DECAY_TIMES and np.isfinite(value):
         plausible_time(f"{place}: {cell['parameter']}", value, parameter)
     if parameter in LIMITS:
-        least, most, question = LIMITS[parameter]
-        if value < least or value > most * (1 + 1e-9):
-            unit = f" {UNITS[parameter]}".rstrip()
-            raise DataError(
-                f"{place}: {cell['parameter']} = {value:g} is not from {least:g} to {most:g}{unit}: "
-                f"{question}"
-            )
+        least, most, rule = limits_in_words(parameter)
+        if value < least or value > most:
+            raise DataError(f"{place}: {cell['parameter']} = {value:g} is not {rule}")
     for column in _OPTIONAL_COLUMNS:
         if numbers.get(column, 0.0) < 0:
             raise DataError(f"{place}: {column} = {numbers[column]:g} is below 0")

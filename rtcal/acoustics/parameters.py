@@ -38,6 +38,27 @@ SUMMARY = "*"
 """Name of the source and of the receiver in a row that holds means over several pairs."""
 
 
+def check_parameter(name: str) -> None:
+    """Raise DataError for a name that is no parameter."""
+    if name not in UNITS:
+        raise DataError(f'parameter "{name}" is unknown; known are {", ".join(UNITS)}')
+
+
+def limits_in_words(parameter: str) -> tuple[float, float, str]:
+    """Return the least and the largest value that is accepted, rounding included, and the rule.
+
+    The parameter is one of `LIMITS`.
+
+    Examples
+    --------
+    >>> limits_in_words("d50")[2]
+    'from 0 to 1: is it in percent? D50 is a fraction'
+    """
+    least, most, question = LIMITS[parameter]
+    unit = f" {UNITS[parameter]}".rstrip()
+    return least, most * (1 + 1e-9), f"from {least:g} to {most:g}{unit}: {question}"
+
+
 def plausible_time(place: str, seconds: float, parameter: str = "t20") -> None:
     """Raise DataError for a T that no room has: it is most likely in another unit.
 

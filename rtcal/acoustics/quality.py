@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtcal.acoustics.curvature import BentDecay
+from rtcal.acoustics.enclosure import surface_doubt
 from rtcal.acoustics.parameters import DECAY_TIMES
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -278,8 +279,6 @@ _ODD_UNCERTAINTY = 0.3
 """Of T, relative. Single decays of 0.3 s at 63 Hz, the least certain, scatter by 0.24."""
 OFF_VOLUME = 0.1
 """Relative difference of the volume from that of the stated dimensions: plans are no more precise."""
-_SHORT_PATH = 0.3
-"""m. A reverberation chamber full of furniture keeps about 1 m."""
 _WIDE_SIGMA = 0.5
 """The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
 
@@ -319,33 +318,6 @@ def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
     """Return the trust marks of bands whose decay is bent."""
     letter, advice = _ADVICE["bent"]
     return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
-
-
-@checked
-def surface_doubt(room: Room) -> tuple[str, str] | None:
-    """Return the kind of mark and a sentence if areas and volume do not fit, else None.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> room, _ = rt.datasets.bras_cr2()
-    >>> surface_doubt(room.replace(volume=4000))[1]
-    '202.5 m² of surface cannot enclose 4000 m³, which takes at least 1220 m²'
-    """
-    area, volume = room.total_area, room.volume
-    smallest = 4.84 * volume ** (2 / 3)  # the surface of the sphere of this volume
-    if area < smallest:
-        return (
-            "surface_missing",
-            f"{area:.4g} m² of surface cannot enclose {volume:.4g} m³, which takes at least "
-            f"{smallest:.4g} m²",
-        )
-    if (path := 4 * volume / area) < _SHORT_PATH:
-        return (
-            "surface_beyond_sense",
-            f"{area:.4g} m² of surface in {volume:.4g} m³ leave a mean free path of {path:.2g} m",
-        )
-    return None
 
 
 @checked

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.enclosure import surface_doubt
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.quality import surface_doubt
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.errors import InfeasibleError, ModelError

@@ -59,8 +59,8 @@ def gap() -> None:
 @click.option(
     "--change",
     type=float,
-    show_default=f"{CHANGE:g}",
-    help="Relative change of T by each effect, in the band that changes most.",
+    help="Relative change of T by each effect, in the band that changes most; "
+    f"{CHANGE:g} unless stated.",
 )
 @click.option(
     "--next", "after", is_flag=True, help="Go on from what has been measured: search first."

@@ -153,8 +153,8 @@ class Column:
         In Hz; NaN if each row names it.
     unit : str
         Empty if the header has none.
-    decay_time_stated : bool
-        Whether the header, such as "RT60", leaves open which decay time it is.
+    decay_time_open : bool
+        Whether the header, such as "RT60", does not say which decay time it is.
     """
 
     kind: str
@@ -162,7 +162,7 @@ class Column:
     parameter: str = ""
     band: float = np.nan
     unit: str = ""
-    decay_time_stated: bool = False
+    decay_time_open: bool = False
 
     @property
     def has_band(self) -> bool:
@@ -184,7 +184,7 @@ class Column:
             parameter=self.parameter or below.parameter,
             band=self.band if self.has_band else below.band,
             unit=self.unit if self.parameter else below.unit,
-            decay_time_stated=self.decay_time_stated or below.decay_time_stated,
+            decay_time_open=self.decay_time_open or below.decay_time_open,
         )
 
     def description(self, stated: str | None) -> str:
@@ -288,7 +288,7 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
     if parameter is not None:
         scale_of(parameter, unit, place)
         open_time = leaves_decay_time_open(name)
-        return Column("data", header, parameter, unit=unit, decay_time_stated=open_time)
+        return Column("data", header, parameter, unit=unit, decay_time_open=open_time)
     both = _BOTH.fullmatch(name)
     if both:
         parameter, frequency = parameter_of(both[1], place, decay_time), frequency_of(both[2])
@@ -296,7 +296,7 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
             scale_of(parameter, unit if unit.lower() not in ("hz", "khz") else "", place)
             frequency *= 1000 if unit.lower() == "khz" else 1
             band, open_time = nominal_band(frequency, place), leaves_decay_time_open(both[1])
-            return Column("data", header, parameter, band, decay_time_stated=open_time)
+            return Column("data", header, parameter, band, decay_time_open=open_time)
     return None
 
 

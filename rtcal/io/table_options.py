@@ -43,7 +43,7 @@ def check_options(
             f"({_quoted(named[:_MOST_COLUMNS])}); leave it out"
         )
     if decay_time is not None and not (
-        any(c.decay_time_stated for c in layout.columns)
+        any(c.decay_time_open for c in layout.columns)
         or any(map(leaves_decay_time_open, layout.cells("parameter")))
     ):
         raise DataError(

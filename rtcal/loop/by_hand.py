@@ -48,8 +48,7 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
     ------
     DataError
         If the loop is finished, the table is no measurement, or it repeats the last step's or has the
-        measured T itself. Also if
-        the table belongs to other coefficients, as far as the files show.
+        measured T itself. Also if the table belongs to other coefficients, as far as the files show.
     """
     if loop.finished:
         raise DataError(
