@@ -14,7 +14,8 @@ from rtcal.discrepancy.corrected import corrected_room, simulator
 from rtcal.discrepancy.effects import Absorber, Effect, library
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.planning import Plan, Proposal, plan
-from rtcal.discrepancy.recalibration import Recalibrated, recalibrate
+from rtcal.discrepancy.recalibrated import Recalibrated
+from rtcal.discrepancy.recalibration import recalibrate
 from rtcal.discrepancy.search import find
 from rtcal.discrepancy.several import find_several
 from rtcal.discrepancy.several_finding import SeveralFinding

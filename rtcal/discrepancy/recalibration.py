@@ -12,185 +12,42 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import CalibrationRecord, Room
+from rtcal.acoustics.room import Room
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.presets import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
-from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
+from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.corrected import corrected_room
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
 from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
+from rtcal.discrepancy.recalibrated import Recalibrated
 from rtcal.discrepancy.states import distances, state
-from rtcal.discrepancy.wording import amount
 from rtcal.errors import MissingAirWarning
-from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
-from rtcal.support.version import __version__
 
 _ROUNDS = 5
 _STEP = 0.02
 _LEAST_SLOPE = 0.05
+_LARGEST_SLOPE = 20.0
+"""Limits of d ln T of the model by d ln T of the QP."""
+_HALVINGS = 6
+_NEAR = 3.0
+"""Standard deviations of the measured T within which no step is halved: there the prior pulls, too."""
 _SMALLEST = 1e-3
 _MISFIT = 0.15
 """Relative standard deviation of an effect's change of T: half of its
 variance is common to all bands (`Effect.spectrum_error`), half is not (`Effect.formula_error`)."""
 _T20 = FEATURES.index("t20")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Recalibrated:
-    """The calibrated coefficients of a case, and the model's prediction with them.
-
-    Attributes
-    ----------
-    case : Case
-        With the effects' sizes as calibrated.
-    alpha : array (n_materials, n_bands)
-        The room's coefficients; those that a configuration changes are in ``changed``.
-    changed : mapping of (configuration, material) to array (n_bands,)
-    sizes : mapping of str to float
-        Sizes of the effects that have one, in the effect's unit.
-    features : array (n_configurations, n_features, n_bands)
-        Predicted: ln T20, ln EDT/T20, ln T30/T20, C80 and G in dB, the model's bias left out.
-    joint : JointResult
-        The QP's answer, in which a configuration's changed materials have names of their own.
-    """
-
-    case: Case
-    alpha: Array
-    changed: Mapping[tuple[str, str], Array]
-    sizes: Mapping[str, float]
-    features: Array
-    joint: JointResult
-
-    @cached_property
-    def sigma(self) -> Array:
-        """Standard deviation of alpha, (n_materials, n_bands): the QP's `posterior_sigma`.
-
-        It holds if the effects in the model are right, with their parameters. Only the sizes that are
-        unknowns of the QP contribute their uncertainty.
-        """
-        by_name = dict(zip(self.joint.materials, self.joint.posterior_sigma, strict=True))
-        room = self.case.room
-        return np.array([by_name.get(m, room.sigma[i]) for i, m in enumerate(room.materials)])
-
-    @property
-    def interval(self) -> tuple[Array, Array]:
-        """Ends of alpha's 90 % interval, each (n_materials, n_bands): alpha ± 1.645 sigma in 0 to 1."""
-        spread = NORMAL_90 * self.sigma
-        return np.clip(self.alpha - spread, 0, 1), np.clip(self.alpha + spread, 0, 1)
-
-    @cached_property
-    def room(self) -> Room:
-        """`corrected_room` with the calibrated coefficients, their sigma, and the record of it."""
-        stated = self.case.room
-        data = [times_in_room(stated, c.measured) for c in self.case.configurations]
-        calibrated = stated.replace(
-            alpha=self.alpha,
-            sigma=self.sigma,
-            calibration=CalibrationRecord(
-                method="gap",
-                equation=self.joint.equation.name,
-                solver=self.joint.solver,
-                measured=" ".join(
-                    [data_history(stated, data[0]), *(d.fingerprint for d in data[1:])]
-                ),
-                version=__version__,
-            ),
-        )
-        return corrected_room(replace(self.case, room=calibrated))
-
-    @property
-    def effects(self) -> list[dict[str, Any]]:
-        """The effects with their sizes, and the 90 % interval from all data.
-
-        The size of a ``calibrated`` effect was an unknown of the QP, which uses T20 only. Other effects
-        have the size with which they were added.
-        """
-        return [
-            p.to_dict()
-            | {
-                "size": self.sizes.get(p.name),
-                "unit": p.effect.unit,
-                "material": p.effect.material(p.parameters, self.case.room),
-                "calibrated": p.name in self.joint.effects,
-            }
-            for p in self.case.applied
-        ]
-
-    @property
-    def effects_in_words(self) -> list[str]:
-        """A line per effect: its size, and the data from which the size follows."""
-        return [self._in_words(p) for p in self.case.applied]
-
-    def _in_words(self, p: AppliedEffect) -> str:
-        name = p.effect.title(p.parameters, self.case.room)
-        size, ends = self.sizes.get(p.name), p.size_interval
-        if size is None:
-            return f"{name}: {p.effect.describe(p.parameters)}"
-        source = ", calibrated to T20 alone" if p.name in self.joint.effects else ""
-        interval = "" if ends is None else f" (90 %: {ends[0]:.3g} to {ends[1]:.3g})"
-        return f"{name}{source}: {amount(size, p.effect.unit)}{interval}"
-
-    def __repr__(self) -> str:
-        """Return one line: the room, and the effects with their sizes."""
-        sizes = (
-            p.name if p.name not in self.sizes else f"{p.name} {self.sizes[p.name]:.3g}"
-            for p in self.case.applied
-        )
-        effects = text.shortened(", ".join(sizes)) or "no effect"
-        name = text.shortened(self.case.room.name)
-        return f'<Recalibrated "{name}": {len(self.alpha)} materials, with {effects}>'
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        low, high = self.interval
-        return {
-            "effects": self.effects,
-            "materials": [
-                {
-                    "name": m,
-                    "alpha": self.alpha[i].tolist(),
-                    "sigma": self.sigma[i].tolist(),
-                    "low": low[i].tolist(),
-                    "high": high[i].tolist(),
-                }
-                for i, m in enumerate(self.case.room.materials)
-            ],
-            "changed": [
-                {"configuration": c, "material": m, "alpha": v.tolist()}
-                for (c, m), v in self.changed.items()
-            ],
-        }
-
-
-def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
-    """Return lines with each material's alpha, as stated and as calibrated, and the effects."""
-    named = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
-    named |= {k: (c.alpha, np.subtract(*c.interval[::-1]) / 2) for k, c in columns.items()}
-    rows = []
-    for i, material in enumerate(room.materials):
-        cells = [f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values()]
-        rows.append((f"  {material}", cells))
-    lines = ["alpha ± half its 90 % interval, means over bands"]
-    lines += text.table(rows, header=("", list(named)))
-    for c in columns.values():
-        for line in c.effects_in_words:
-            lines += text.wrapped(line, indent="  ")
-    return lines
 
 
 def plain(case: Case) -> Recalibrated:
@@ -240,60 +97,105 @@ def _calibrated(
         error = np.diag(discrepancy.covariance).reshape(shape)
     variance = np.full(observed.used.shape, np.nan)
     variance[observed.used] = np.diag(observed.covariance)
-    t = np.exp(observed.features[:, _T20] - bias[:n, _T20])
+    measured = observed.features[:, _T20] - bias[:n, _T20]
     u = np.sqrt(variance[:, _T20] + error[:n, _T20] + _misfit(fitted) ** 2)
-    effects = list(fitted.applied)
-    alpha, changed = np.array(room.alpha), dict[tuple[str, str], Array]()
-    solved: JointResult
     is_linear = isinstance(mean_equation(fitted.equation), LinearEquation)
-    for _ in range(1 if is_linear and not effects else _ROUNDS):
-        case = replace(fitted, applied=effects)
-        states = [_state(case, c, alpha, changed) for c in fitted.configurations]
-        rooms = [_room(room, c, s) for c, s in zip(fitted.configurations, states, strict=True)]
-        equation = _equation(fitted, states[0])
-        gains = _gains(case, states)
-        # The QP sees the absorption of its effects only through these unknowns.
-        current, moved = (
-            np.log(
-                [
-                    [
-                        _qp_time(equation, r, s, [(g[c], _size(p)) for p, g in gains]),
-                        predict([s], distances(fitted, where)).reverberation_time[0],
-                    ]
-                    for c, (r, s, where) in enumerate(
-                        zip(
-                            rooms,
-                            [replace(s, alpha=s.alpha * by) for s in states],
-                            fitted.configurations,
-                            strict=True,
-                        )
-                    )
-                ]
-            )
-            for by in (1.0, 1.0 + _STEP)
-        )
-        # A Gauss-Newton step. If the model's T hardly depends on alpha, as when the coupled room decays
-        # last, the slope is small and T has little weight.
-        slope = (moved - current)[:, 1] / (moved - current)[:, 0]
-        slope = np.clip(slope, _LEAST_SLOPE, 2.0)
-        target = np.exp(current[:, 0] + np.clip((np.log(t) - current[:, 1]) / slope, -1.5, 1.5))
-        terms = [
-            AddedAbsorption(p.name, list(g), sigma=_spread(p), mean=_size(p)) for p, g in gains
-        ]
-        # An uncertainty near T itself says nothing; a measurement refuses one that is larger than T.
-        spread = np.minimum(u / slope, 0.9)
-        solved = _solve(rooms, equation, target, spread, terms, exact=exact)
-        alpha, changed = _values(fitted, solved)
-        effects = [_resized(p, solved.effects) if p.name in solved.effects else p for p in effects]
-    done = replace(whole, applied=effects if fitted.applied else whole.applied)
+    stated = {(c.name, m): v.alpha for c in fitted.configurations for m, v in c.changes.items()}
+    point = _Point(fitted, np.array(room.alpha), stated)
+    solved: JointResult
+    for _ in range(1 if is_linear and not fitted.applied else _ROUNDS):
+        solved = _step(point, measured, u, exact=exact)
+        point = _shortened(point, _reached(fitted, solved), measured, u)
+    applied = point.case.applied
+    done = replace(whole, applied=applied if fitted.applied else whole.applied)
     features = np.array(
         [
-            predict([_state(done, c, alpha, changed)], distances(whole, c)).features[0]
+            predict([_state(done, c, point.alpha, point.changed)], distances(whole, c)).features[0]
             for c in whole.configurations
         ]
     )
-    sizes = {p.name: _size(p) for p in effects if np.isfinite(p.effect.neutral)}
-    return Recalibrated(done, alpha, changed, sizes, features, solved)
+    sizes = {p.name: _size(p) for p in applied if np.isfinite(p.effect.neutral)}
+    return Recalibrated(done, point.alpha, point.changed, sizes, features, solved)
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """What a step starts from: the case with its effects' sizes, and the coefficients."""
+
+    case: Case
+    alpha: Array
+    changed: Mapping[tuple[str, str], Array]
+
+    @cached_property
+    def states(self) -> list[State]:
+        case = self.case
+        return [_state(case, c, self.alpha, self.changed) for c in case.configurations]
+
+    @cached_property
+    def log_time(self) -> Array:
+        """ln T of the model, (n_configurations, n_bands)."""
+        return self.log_time_of(self.states)
+
+    def log_time_of(self, states: list[State]) -> Array:
+        """The same in other states of the configurations."""
+        where = [distances(self.case, c) for c in self.case.configurations]
+        pairs = zip(states, where, strict=True)
+        return np.log([predict([s], d).reverberation_time[0] for s, d in pairs])
+
+
+def _step(point: _Point, measured: Array, u: Array, *, exact: bool) -> JointResult:
+    """Solve the QP of a Gauss-Newton step: its T is corrected by what the model's T differs."""
+    case, states = point.case, point.states
+    rooms = [_room(case.room, c, s) for c, s in zip(case.configurations, states, strict=True)]
+    equation = _equation(case, states[0])
+    gains = _gains(case, states)
+
+    def qp_log_time(states: list[State]) -> Array:
+        # The QP sees the absorption of its effects only through these unknowns.
+        sizes = [[(g[c], _size(p)) for p, g in gains] for c in range(len(rooms))]
+        each = zip(rooms, states, sizes, strict=True)
+        return np.log([_qp_time(equation, r, s, size) for r, s, size in each])
+
+    scaled = [replace(s, alpha=s.alpha * (1 + _STEP)) for s in states]
+    now = qp_log_time(states)
+    by_qp, by_model = qp_log_time(scaled) - now, point.log_time_of(scaled) - point.log_time
+    # If the model's T hardly depends on alpha, as when the coupled room decays last, the slope is small
+    # and T has little weight. Where every alpha is 0, both are 0.
+    slope = np.divide(by_model, by_qp, out=np.ones_like(by_qp), where=by_qp != 0)
+    slope = np.clip(slope, _LEAST_SLOPE, _LARGEST_SLOPE)
+    target = np.exp(now + np.clip((measured - point.log_time) / slope, -1.5, 1.5))
+    terms = [AddedAbsorption(p.name, list(g), sigma=_spread(p), mean=_size(p)) for p, g in gains]
+    # An uncertainty near T itself says nothing; a measurement refuses one that is larger than T.
+    return _solve(rooms, equation, target, np.minimum(u / slope, 0.9), terms, exact=exact)
+
+
+def _reached(case: Case, solved: JointResult) -> _Point:
+    alpha, changed = _values(case, solved)
+    sizes = solved.effects
+    effects = [_resized(p, sizes) if p.name in sizes else p for p in case.applied]
+    return _Point(replace(case, applied=effects), alpha, changed)
+
+
+def _shortened(start: _Point, end: _Point, measured: Array, u: Array) -> _Point:
+    """Halve a step in each band in which it leads farther from the measured T.
+
+    Near a coefficient of 1 the model's T may fall much faster than the QP's (Millington's does).
+    """
+    before = np.max(np.abs(start.log_time - measured) / u, axis=0)
+    for _ in range(_HALVINGS):
+        after = np.max(np.abs(end.log_time - measured) / u, axis=0)
+        worse = after > np.maximum(before, _NEAR)
+        if not worse.any():
+            break
+        end = _Point(
+            end.case,
+            np.where(worse, (start.alpha + end.alpha) / 2, end.alpha),
+            {
+                key: np.where(worse, (start.changed[key] + value) / 2, value)
+                for key, value in end.changed.items()
+            },
+        )
+    return end
 
 
 def _misfit(case: Case) -> Array:

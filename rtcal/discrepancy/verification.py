@@ -22,7 +22,8 @@ from rtcal.discrepancy.gap import LITTLE
 from rtcal.discrepancy.hypotheses import predict_hypotheses
 from rtcal.discrepancy.likelihood import standardized_residuals
 from rtcal.discrepancy.model import FEATURES, predict
-from rtcal.discrepancy.recalibration import Recalibrated, plain, recalibrate, table
+from rtcal.discrepancy.recalibrated import Recalibrated, table
+from rtcal.discrepancy.recalibration import plain, recalibrate
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.wording import listed
 from rtcal.support import html, text

@@ -8,7 +8,8 @@ from typing import Any
 
 from rtcal.discrepancy.corrected import corrected_room, not_in_room
 from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.recalibration import recalibrate, table
+from rtcal.discrepancy.recalibrated import table
+from rtcal.discrepancy.recalibration import recalibrate
 from rtcal.discrepancy.several_finding import SeveralFinding
 
 _KEPT = ("verdict", "effect", "named", "family", "candidates", "sets", "probabilities", "evidence")

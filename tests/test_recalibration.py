@@ -1,0 +1,39 @@
+"""Gauss-Newton steps of a case's calibration where the model's T is far from linear in alpha."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.discrepancy.recalibration import plain
+
+
+def millington_case(time: float) -> rt.discrepancy.Case:
+    alpha = np.array([[0.22], [0.07], [0.68], [0.15], [0.04], [0.06]])
+    room = rt.Room(
+        name="one hard and one soft wall",
+        volume=240,
+        materials=list("abcdef"),
+        areas=[40.0, 40.0, 30.0, 30.0, 48.0, 48.0],
+        alpha=alpha,
+        sigma=0.2 * alpha,
+        centre_frequencies=[8000],
+        air=rt.Air(20, 50),
+    )
+    measured = rt.Measurement(centre_frequencies=[8000], values={"t20": [[time]]})
+    configuration = rt.discrepancy.Configuration(name="as is", measured=measured)
+    return rt.discrepancy.Case(room=room, equation="millington", configurations=[configuration])
+
+
+@pytest.mark.parametrize("time", [0.35, 0.5, 0.6])
+def test_millington_s_pole_at_1_does_not_hide_the_measured_time(time: float) -> None:
+    calibrated = plain(millington_case(time))
+    assert 0.05 < calibrated.alpha[2, 0] < 1
+    np.testing.assert_allclose(np.exp(calibrated.features[0, 0]), time, rtol=0.01)
+
+
+def test_a_time_that_no_alpha_reaches_gets_the_nearest() -> None:
+    calibrated = plain(millington_case(9.0))
+    np.testing.assert_array_equal(calibrated.alpha, 0)
+    assert np.isfinite(calibrated.features[0, 0]).all()
