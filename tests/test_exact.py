@@ -233,6 +233,18 @@ def test_bad_rows_are_status_3_and_leave_the_others_alone(engine: str) -> None:
     assert soft.status.tolist() == [0, 0, 3] + [0] * 7
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("tiny", [1e-170, 1e-160, 1e-145])
+def test_a_sigma_whose_square_rounds_to_0_is_refused(engine: str, tiny: float) -> None:
+    """It gave alpha = 1 or the prior, with status 0."""
+    sigma = [[tiny, tiny], [0.1, 0.1], [0.0, 0.1]]
+    answer = exact.solve([0.1, 0.2], sigma, [10, 20], 7.0, engine=engine)
+    assert answer.status.tolist() == [exact.BAD_INPUT, exact.OK, exact.OK]
+    np.testing.assert_allclose(answer.alpha[1:] @ [10, 20], 7)
+    one = exact.solve([0.1, 0.2], [tiny, tiny], [10, 20], [7.0, 8.0], engine=engine)
+    assert one.status.tolist() == [exact.BAD_INPUT] * 2
+
+
 def test_what_does_not_fit_is_an_error() -> None:
     with pytest.raises(DataError, match="do not fit"):
         exact.solve([0.1, 0.2], [0.1, 0.1, 0.1], [1, 1], 0.2)

@@ -14,6 +14,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.presets import METHODS, preset
+from rtcal.errors import ModelError
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()
@@ -423,3 +424,12 @@ def test_bad_composition_is_refused() -> None:
         Configurations([room, other])
     with pytest.raises(data, match="2 measurements for 1 configurations"):
         rt.Calibration(PRIOR).build(Configurations([room])).solve([t, t])
+
+
+def test_terms_can_be_added_by_sum() -> None:
+    prior, match = terms.PriorDeviation(), terms.SoftMatch()
+    assert sum([prior, 2 * match]) == prior + 2 * match
+    assert sum([prior]) == 1 * prior
+    for other in (1, 0.0, "prior", None):
+        with pytest.raises(ModelError, match="is not an objective term"):
+            other + prior  # type: ignore[operator]

@@ -28,6 +28,8 @@ OK, BELOW, ABOVE, BAD_INPUT = 0, 1, 2, 3
 """Values of ``status``: solved; target below or above what the bounds allow; invalid datum."""
 
 EPS = float(np.finfo(float).eps)
+LEAST_SIGMA = 1e-140
+"""Least sigma above 0. The squares of smaller ones, times an area, round to 0."""
 CHUNK = 4096  # rows per step of the NumPy engine, so that its temporaries fit into the cache
 
 
@@ -93,7 +95,8 @@ def solve(
     DataError
         If shapes do not fit, a value is not a number or masked, ``out`` cannot be written to, or both
         ``tolerance`` and ``uncertainty`` are stated. A row with NaN, a negative area, a negative
-        sigma, lower above upper or a fixed mu outside the bounds raises no error: its status is 3.
+        sigma, a sigma above 0 and below `LEAST_SIGMA`, lower above upper or a fixed mu outside the bounds
+        raises no error: its status is 3.
     MissingDependencyError
         With ``engine="numba"`` where numba is not installed.
 
@@ -160,6 +163,8 @@ def solve(
         endless = ~np.isfinite(slack**2)
     if endless.any():
         b = np.where(endless, np.nan, b)  # invalid, whatever the engine makes of infinity
+    if g.size and np.nanmin(g, initial=1.0) < LEAST_SIGMA:
+        b = np.where(((g > 0) & (g < LEAST_SIGMA)).any(axis=-1), np.nan, b)
     data = (m, g, s, b, low, high, give, slack)
     if _engine(engine) == "numba":
         from rtcal.exact import kernel as exact_kernel

@@ -73,6 +73,10 @@ class Objective:
         other = as_objective(other)
         return Objective(self.terms + other.terms, self.weights + other.weights)
 
+    def __radd__(self, other: Any) -> Objective:
+        """Add to 0, with which `sum` begins; anything else raises ModelError."""
+        return self if isinstance(other, int) and other == 0 else as_objective(other) + self
+
     def __rmul__(self, factor: float) -> Objective:
         checks.number("weight", factor, ModelError)
         if not (np.isfinite(factor) and factor >= 0):
@@ -124,6 +128,10 @@ class BaseTerm:
     def __add__(self, other: Any) -> Objective:
         mine: Any = self
         return as_objective(mine).__add__(other)
+
+    def __radd__(self, other: Any) -> Objective:
+        mine: Any = self
+        return as_objective(mine).__radd__(other)
 
     def __rmul__(self, factor: float) -> Objective:
         mine: Any = self
