@@ -95,7 +95,7 @@ def solve(
     DataError
         If shapes do not fit, a value is not a number or masked, ``out`` cannot be written to, or both
         ``tolerance`` and ``uncertainty`` are stated. A row with NaN, a negative area, a negative
-        sigma, a sigma above 0 and below `LEAST_SIGMA`, lower above upper or a fixed mu outside the bounds
+        sigma, one above 0 and below `LEAST_SIGMA`, lower above upper or a fixed mu outside the bounds
         raises no error: its status is 3.
     MissingDependencyError
         With ``engine="numba"`` where numba is not installed.
