@@ -90,7 +90,7 @@ def test_imports_go_down_only(path: Path) -> None:
             assert not above, f"{own_name(path)} imports {name}, which stands above it"
 
 
-def test_witnesses_and_simulators_stand_apart() -> None:
+def test_independent_solvers_and_simulators_stand_apart() -> None:
     for path in modules():
         for first, second in SEPARATE:
             if first in own_name(path).split("."):
