@@ -37,10 +37,10 @@ from benchmarks.positions_table import (
 )
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.loop.control_runs import ControlRuns, control_runs
+from rtcal.loop.control_runs import ControlRuns, control_runs, trace_ahead
 from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import measured_pairs
-from rtcal.loop.positions import AHEAD, MORE_PATHS, precise, prior_covariance
+from rtcal.loop.positions import MORE_PATHS, precise, prior_covariance
 from rtcal.simulators import PathTracing, paths
 from rtcal.simulators.observations import Observations
 from tests.position_rooms.generate import order
@@ -240,7 +240,7 @@ def make_controls(folder: Path, population: int, index: int) -> None:
     for prior in PRIORS:
         case = load(population, index, prior)
         simulator = precise(case.simulator(n_paths=PATHS))
-        simulator.trace_ahead(case.room.alpha, AHEAD)
+        trace_ahead(simulator, case.room.alpha, 0)
         clock, processor = time.perf_counter(), time.process_time()
         with Traces() as traces:
             control_runs(simulator, case.room, MATCH, cache=folder / "controls")

@@ -46,12 +46,18 @@ _BETWEEN_MATERIALS = 0.12
 _PATHS = 6000
 """Most paths of a control run, per source: T20 of a pair then has a noise of some 2 %."""
 
-_FIRST = 4.0
+AHEAD = 4.0
+"""How many times Eyring's T of the prior the paths of a simulator are followed. In ten development
+rooms T20 of the control runs' draws needed up to 2.2 times as much, in 40 rooms of other seeds at most
+3 times but for one."""
+_FIRST = 8.0
 """How many times Eyring's T the first run of each model follows the decays; it scatters least. The
-others scatter more and more, and follow them for as long as the four before needed. So none is traced
-twice."""
-_SPARE = 1.3
-"""By how much longer, since T differs between runs."""
+others scatter more and more, and follow them for as long as the four before needed."""
+_SPARE = 1.5
+"""By how much longer, since T differs between runs; also the least that is followed."""
+_LEFT_OUT = 4
+"""Most runs that are left out because their decays are longer still. They would be traced twice. In two
+of 20 boxes with little scattering T20 of a run was above 12 times Eyring's T."""
 
 Report = Callable[[int, int], None]
 """Called with the number of finished runs and their total."""
@@ -241,43 +247,55 @@ def control_runs(
     rng = np.random.default_rng([seed, 20])
     drawn = [(_varied(base, rng, run, uncertainty), _draw(room, rng)) for run in range(RUNS)]
 
+    shape = (len(match), len(base.pairs), base.room.n_bands)
+
     def runs(errors: Array) -> ControlRuns:
+        kept = [i for i, of_run in enumerate(errors) if not np.isnan(of_run).all()]
         return ControlRuns(
             parameters=tuple(match),
             pairs=base.pairs,
-            errors=errors,
-            levels=np.array([level(c.scattering, room.areas) for c, _ in drawn]),
-            models=tuple(c.scattering_model for c, _ in drawn),
+            errors=errors[kept],
+            levels=np.array([level(drawn[i][0].scattering, room.areas) for i in kept]),
+            models=tuple(drawn[i][0].scattering_model for i in kept),
         )
 
     kept = None if path is None else kept_arrays.read(path)
-    if kept is not None and kept.shape[-1:] == (base.room.n_bands,):
+    if kept is not None and kept.shape == (RUNS, *shape):
         with suppress(RtcalError):  # another's file
             return runs(kept)
-    errors, factors = [], list[float]()
+    trace_ahead(simulator, room.alpha, seed)
+    errors, factors, left_out = [], list[float](), 0
     for run, (control, alpha) in enumerate(drawn):
-        ahead = _FIRST if run < len(MODELS) else max(factors[-4:])
+        ahead = _FIRST if run < len(MODELS) else max(factors[-4:], default=_FIRST)
         control.trace_ahead(alpha, ahead, seed=seed + 1 + run)
+        again = left_out == _LEFT_OUT
 
         def error(
-            alpha: Array, control: PathTracing = control, run: int = run
+            alpha: Array, control: PathTracing = control, run: int = run, again: bool = again
         ) -> tuple[Observations, Array]:
-            heard = observe(control, alpha, match, seed=seed + 1 + run)
-            return heard, heard.values - observe(simulator, alpha, match, seed=seed).values
+            heard = control.observe(alpha, match, seed=seed + 1 + run, again=again)
+            if isinstance(simulator, PathTracing):
+                values = simulator.observe(alpha, match, seed=seed, again=again).values
+            else:
+                values = observe(simulator, alpha, match, seed=seed).values
+            return heard, heard.values - values
 
         try:
-            heard, difference = error(alpha)
-        except (DataError, TooShortError):  # some draws leave a decay without a parameter
-            alpha = room.alpha
-            heard, difference = error(alpha)
+            try:
+                heard, difference = error(alpha)
+            except DataError:  # some draws leave a decay without a parameter
+                alpha = room.alpha
+                heard, difference = error(alpha)
+            factors.append(ahead_factor(heard, control, alpha))
+        except TooShortError:
+            difference, left_out = np.full(shape, np.nan), left_out + 1
         errors.append(difference)
-        factors.append(ahead_factor(heard, control, alpha))
         if report is not None:
             report(run + 1, RUNS)
-    made = runs(np.array(errors))
+    made = np.array(errors)
     if path is not None:
-        kept_arrays.write(path, made.errors)
-    return made
+        kept_arrays.write(path, made)
+    return runs(made)
 
 
 def checked_uncertainty(position_uncertainty: float) -> float:
@@ -298,7 +316,13 @@ def ahead_factor(heard: Observations, tracer: PathTracing, alpha: Array) -> floa
         for name in ("t20", "t30")
         if name in heard.parameters
     ]
-    return max(_SPARE * max(times, default=0.0) / eyring_seconds(tracer.room, alpha), 1.0)
+    return _SPARE * max(max(times, default=0.0) / eyring_seconds(tracer.room, alpha), 1.0)
+
+
+def trace_ahead(simulator: Simulator, alpha: Array, seed: int) -> None:
+    """Trace paths that are long enough for other draws of alpha, too."""
+    if isinstance(simulator, PathTracing):
+        simulator.trace_ahead(alpha, AHEAD, seed=seed)
 
 
 def _tracing(simulator: Simulator) -> PathTracing | None:

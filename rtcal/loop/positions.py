@@ -32,11 +32,12 @@ from rtcal.loop.control_runs import (
     checked_uncertainty,
     control_runs,
     paths_of_a_run,
+    trace_ahead,
 )
 from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, measured_pairs
 from rtcal.loop.positions_result import PositionsResult, Step
-from rtcal.loop.scattering import Scattering, ScatteringFit, fitted, with_scattering
+from rtcal.loop.scattering import Scattering, fitted, log_likelihood, with_scattering
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observable, Observations, observe
@@ -51,10 +52,6 @@ _SETTLED = 0.05
 """Change of alpha in prior sigmas after which no further step is taken."""
 _UNKNOWN_ERROR = 0.05
 """Standard deviation of a simulator's error that no control run tells: one JND of T, and 0.5 dB."""
-
-AHEAD = 3.0
-"""How many times Eyring's T of the prior the paths are followed: in ten development rooms, T20 of the
-draws of the control runs needed up to 2.2 times as much."""
 
 MORE_PATHS = 4
 """Factor of the number of paths that are weighed: EDT of a pair has a noise of 2 to 9 % with 6000. In a
@@ -96,7 +93,7 @@ def calibrate_positions(
     checked_uncertainty(position_uncertainty)
     tracer = simulator
     simulator = precise(simulator, more_paths)
-    _trace_ahead(simulator, room.alpha, seed)
+    trace_ahead(simulator, room.alpha, seed)
     wanted = _with_t30(match, measured)
     replaced = wanted != tuple(match)
     match, notes = _given(simulator, room.alpha, wanted, seed)
@@ -118,11 +115,11 @@ def calibrate_positions(
     listener = Listener(simulator, data, first, room.alpha, seed)
     before = listener.values()
     prior = prior_covariance(room)
-    fit, error = _simulator_error(listener, controls, prior, fit_scattering)
-    scattering = None if fit is None else fit.scattering
-    if fit is not None and isinstance(tracer, PathTracing):
-        tracer = with_scattering(tracer, fit.scattering)
-        listener.scatter(precise(tracer, more_paths), fit.shift)
+    scattering, error = _simulator_error(
+        listener, controls, prior, tracer if fit_scattering else None, more_paths
+    )
+    if scattering is not None and isinstance(tracer, PathTracing):
+        tracer = with_scattering(tracer, scattering)
     path = _gauss_newton(listener, calibration, measured, prior, room, error)
     pull = np.asarray(path.scale * np.linalg.solve(path.covariance, listener.residual()))
     return PositionsResult(
@@ -237,11 +234,15 @@ def _simulator_error(
     listener: Listener,
     controls: ControlRuns | None,
     prior: Array,
-    fit_scattering: bool,
-) -> tuple[ScatteringFit | None, Array]:
-    """Return what the scattering explains, and the covariance of the error that is left, (n, n).
+    tracer: Simulator | None,
+    more_paths: int,
+) -> tuple[Scattering | None, Array]:
+    """Return the scattering that is fitted, and the covariance of the error that is left, (n, n).
 
-    n is the number of all values: measured parameters at all pairs of the simulator.
+    n is the number of all values: measured parameters at all pairs of the simulator. ``tracer`` is
+    traced anew with the scattering, and the listener hears it from now on. It keeps the scattering
+    stated, and None is returned, where what was measured is likelier with that. A straight line through
+    control runs may name a level that is no better.
     """
     heard, parameters = listener.heard, listener.data.observations.parameters
     if controls is None:
@@ -251,12 +252,21 @@ def _simulator_error(
         return None, np.diag(np.broadcast_to(variance, shape).ravel())
     controls = controls.at(parameters, heard.pairs)
     noise = _noise(listener)
-    if fit_scattering and isinstance(listener.simulator, PathTracing):
-        matrix = listener.linearised()
-        expected = matrix @ prior @ matrix.T + listener.data.covariance
-        if fit := fitted(controls, listener.residual(), expected, listener.used, noise):
-            return fit, fit.covariance
-    return None, controls.without_noise(noise).covariance()
+    stated = controls.without_noise(noise).covariance()
+    if not isinstance(tracer, PathTracing):
+        return None, stated
+    matrix, residual = listener.linearised(), listener.residual()
+    expected = matrix @ prior @ matrix.T + listener.data.covariance
+    fit = fitted(controls, residual, expected, listener.used, noise)
+    if fit is None:
+        return None, stated
+    listener.scatter(precise(with_scattering(tracer, fit.scattering), more_paths), fit.shift)
+    used = np.ix_(listener.used, listener.used)
+    as_fitted = log_likelihood(listener.residual(), expected + fit.covariance[used])
+    if as_fitted >= log_likelihood(residual, expected + stated[used]):
+        return fit.scattering, fit.covariance
+    listener.shift = np.zeros(1)
+    return None, stated
 
 
 def _noise(listener: Listener) -> Array:
@@ -373,12 +383,6 @@ def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator:
     if more_paths == 1 and simulator.n_batches == _BATCHES:
         return simulator  # with the paths that it has already
     return replace(simulator, n_paths=more_paths * simulator.n_paths, n_batches=_BATCHES)
-
-
-def _trace_ahead(simulator: Simulator, alpha: Array, seed: int) -> None:
-    """Trace paths that are long enough for other draws of alpha, too."""
-    if isinstance(simulator, PathTracing):
-        simulator.trace_ahead(alpha, AHEAD, seed=seed)
 
 
 def _named(simulator: Simulator, scattering: Scattering | None) -> str:

@@ -145,10 +145,18 @@ class PathTracing(Tracer):
             energy[:, :, :, bands] = decay[..., :n_bins]
         return energy
 
-    def observe(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Observations:
+    def observe(
+        self,
+        alpha: Array,
+        match: Sequence[str] = MATCH,
+        *,
+        seed: int = 0,
+        again: bool = True,
+    ) -> Observations:
         """Return what each position hears for alpha (n_materials, n_bands).
 
-        The level is G of a source whose power is known. Raises as `simulate` does.
+        The level is G of a source whose power is known. Raises as `simulate` does, and
+        `TooShortError` where paths that were traced end too early and are not to be traced ``again``.
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
         energy = decay_long_enough(
@@ -156,8 +164,16 @@ class PathTracing(Tracer):
             self.room,
             alpha,
             _longest(match),
+            LONGEST if again else self._followed(seed),
         ).mean(axis=0)
         return self._observed(energy, alpha, match)
+
+    def _followed(self, seed: int) -> float:
+        """Return for how many seconds the paths of a seed were followed; `LONGEST` if for none."""
+        lengths = [paths.longest for (of, _), paths in self._traced.items() if of == seed]
+        # Rounded down, so that no path is too short for it.
+        seconds = min(lengths, default=np.inf) / self.room.speed_of_sound
+        return float(min(seconds * (1 - 1e-9), LONGEST))
 
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0

@@ -214,15 +214,19 @@ def eyring_seconds(room: Room, alpha: Array) -> float:
 
 
 def decay_long_enough(
-    trace: Callable[[float], Array], room: Room, alpha: Array, parameter: str = "t20"
+    trace: Callable[[float], Array],
+    room: Room,
+    alpha: Array,
+    parameter: str = "t20",
+    longest: float = LONGEST,
 ) -> Array:
     """Return ``trace(seconds)``, (n_batches, ...), with seconds doubled until it holds the parameter.
 
-    Starts with Eyring's T for alpha, and stops at `LONGEST`.
+    Starts with Eyring's T for alpha, and stops at ``longest``.
     """
-    seconds = eyring_seconds(room, alpha)
+    seconds = min(eyring_seconds(room, alpha), longest)
     while True:
         energy = trace(seconds)
-        if seconds >= LONGEST or not decay.too_short(energy.mean(axis=0), parameter).any():
+        if seconds >= longest or not decay.too_short(energy.mean(axis=0), parameter).any():
             return energy
-        seconds = min(2 * seconds, LONGEST)
+        seconds = min(2 * seconds, longest)
