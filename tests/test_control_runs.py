@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.errors import DataError
-from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.control_runs import ControlRuns, control_runs
 from rtcal.loop.positions import error_scale
 from rtcal.loop.scattering import basis, fitted
-from rtcal.simulators import PathTracing
+from rtcal.simulators import PathTracing, Polyhedron, paths
+from rtcal.simulators.geometry import SHOEBOX_WALLS
 
 PAIRS = tuple(("S", f"R{i}") for i in range(6))
 RUNS = 400
@@ -83,6 +85,89 @@ def test_pairs_that_differ_by_noise_alone_share_what_the_scattering_adds():
         assert fit.scattering.level == pytest.approx(0.475 + 0.3, abs=0.05)
     assert spread[0] < 0.012  # 0.028 if every pair had its own
     assert spread[1] == pytest.approx(2 * 0.4 * 0.3, rel=0.15)
+
+
+def with_errors(made, errors):
+    return ControlRuns(
+        parameters=made.parameters,
+        pairs=made.pairs,
+        errors=errors,
+        levels=made.levels,
+        models=made.models,
+    )
+
+
+def test_an_error_may_grow_where_little_is_scattered():
+    made = runs(np.random.default_rng(6), noise=0.0)
+    columns = basis(made.levels, [m == "vector" for m in made.models])
+    growth = np.ones((RUNS, 2))
+    growth[:, 0] = made.levels.mean() / made.levels  # of T20, not of EDT
+    slope = 2 * columns[:, 2, np.newaxis, np.newaxis, np.newaxis]
+    grown = with_errors(made, made.errors * growth[:, :, np.newaxis, np.newaxis] + slope)
+    n = made.errors[0].size
+    variances = []
+    for level in (0.2, 0.75):
+        measured = np.full(n, 2 * (level - 0.475))
+        fit = fitted(grown, measured, 1e-6 * np.eye(n), np.arange(n), np.zeros((2, 3)))
+        assert fit.scattering.level == pytest.approx(level, abs=0.05)
+        variances.append(np.diag(fit.covariance).reshape(2, -1).mean(axis=1))
+    ratio = variances[0] / variances[1]
+    assert ratio[0] > 7  # (0.75 / 0.2)² = 14; 1 with one covariance for all levels
+    assert ratio[1] == pytest.approx(1.0, abs=0.4)
+
+
+def test_a_control_run_far_from_all_others_counts_little():
+    made = runs(np.random.default_rng(7), noise=0.0)
+    n = made.errors[0].size
+    variances = []
+    for factor in (1.0, 30.0):
+        errors = made.errors[:16].copy()
+        errors[5] *= factor
+        few = ControlRuns(
+            parameters=made.parameters,
+            pairs=PAIRS,
+            errors=errors,
+            levels=made.levels[:16],
+            models=made.models[:16],
+        )
+        fit = fitted(few, np.zeros(n), 1e-4 * np.eye(n), np.arange(n), np.zeros((2, 3)))
+        variances.append(np.diag(fit.covariance).mean())
+    usual, with_one = variances
+    assert with_one < 8 * usual  # by least squares some 50 times
+
+
+def test_no_control_run_is_traced_twice(monkeypatch):
+    """Between hard walls with little scattering T20 is many times Eyring's T."""
+    walls = {wall: "hard" if wall in ("west", "east") else "soft" for wall in SHOEBOX_WALLS}
+    geometry = Polyhedron.shoebox([6.0, 5.0, 2.8], walls)
+    room = rt.Room(
+        name="hard walls",
+        volume=84.0,
+        materials=["hard", "soft"],
+        areas=[2 * 5.0 * 2.8, 2 * 6.0 * (5.0 + 2.8)],
+        alpha=[[0.02], [0.6]],
+        sigma=[[0.006], [0.18]],
+        centre_frequencies=[1000.0],
+        scattering=[[0.1], [0.1]],
+    )
+    tracer = PathTracing(
+        geometry=geometry,
+        room=room,
+        sources={"S": [1.5, 1.2, 1.4]},
+        receivers={"R1": [4.5, 3.5, 1.2], "R2": [3.0, 3.9, 1.2]},
+        n_paths=800,
+    )
+    traced, trace = [], paths.trace
+
+    def counted(*points, **options):
+        traced.append(options["seed"])
+        return trace(*points, **options)
+
+    monkeypatch.setattr(paths, "trace", counted)
+    made = control_runs(tracer, room, ("t20", "edt"))
+    assert len(traced) == 1 + 16  # the simulator itself, and each run
+    assert 12 <= len(made.errors) <= 16
+    assert len(made.levels) == len(made.models) == len(made.errors)
 
 
 def test_groups_of_paths_have_the_mean_of_all_and_their_noise():

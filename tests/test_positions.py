@@ -146,6 +146,17 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
     assert told.scattering is None  # four runs do not tell what scattering does
 
 
+def test_a_scattering_with_which_the_room_sounds_less_like_it_is_not_taken(case, result):
+    """Control runs that tell the opposite of what scattering does name a wrong level."""
+    room, _, _ = case
+    measured = heard(room, room.alpha, scattering=0.15, n_paths=4000)
+    wrong = replace(result.controls, errors=-result.controls.errors)
+    kept = rt.calibrate_simulator(tracing(room), room, measured, match=MATCH, controls=wrong)
+    assert kept.scattering is None
+    assert (kept.room.scattering == room.scattering).all()
+    assert kept.simulator == tracing(room).name
+
+
 def test_t20_alone_stays_the_default(case):
     room, _, measured = case
     default = rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured)

@@ -46,7 +46,7 @@ _BETWEEN_MATERIALS = 0.12
 _PATHS = 6000
 """Most paths of a control run, per source: T20 of a pair then has a noise of some 2 %."""
 
-AHEAD = 4.0
+AHEAD = 3.0
 """How many times Eyring's T of the prior the paths of a simulator are followed. In ten development
 rooms T20 of the control runs' draws needed up to 2.2 times as much, in 40 rooms of other seeds at most
 3 times but for one."""

@@ -115,7 +115,7 @@ def calibrate_positions(
     listener = Listener(simulator, data, first, room.alpha, seed)
     before = listener.values()
     prior = prior_covariance(room)
-    scattering, error = _simulator_error(
+    scattering, error, listener = _simulator_error(
         listener, controls, prior, tracer if fit_scattering else None, more_paths
     )
     if scattering is not None and isinstance(tracer, PathTracing):
@@ -236,37 +236,37 @@ def _simulator_error(
     prior: Array,
     tracer: Simulator | None,
     more_paths: int,
-) -> tuple[Scattering | None, Array]:
-    """Return the scattering that is fitted, and the covariance of the error that is left, (n, n).
+) -> tuple[Scattering | None, Array, Listener]:
+    """Return the scattering that is fitted, the covariance of the error left, and who hears it.
 
-    n is the number of all values: measured parameters at all pairs of the simulator. ``tracer`` is
-    traced anew with the scattering, and the listener hears it from now on. It keeps the scattering
-    stated, and None is returned, where what was measured is likelier with that. A straight line through
-    control runs may name a level that is no better.
+    The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator.
+    ``tracer`` is traced anew with the scattering, and the listener returned hears that. Where what was
+    measured is likelier with the scattering stated, that is kept, and None returned: a straight line
+    through control runs may name a level that is no better.
     """
     heard, parameters = listener.heard, listener.data.observations.parameters
     if controls is None:
         factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in parameters]
         variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
         shape = (len(parameters), *heard.values.shape[1:])
-        return None, np.diag(np.broadcast_to(variance, shape).ravel())
+        return None, np.diag(np.broadcast_to(variance, shape).ravel()), listener
     controls = controls.at(parameters, heard.pairs)
     noise = _noise(listener)
     stated = controls.without_noise(noise).covariance()
     if not isinstance(tracer, PathTracing):
-        return None, stated
+        return None, stated, listener
     matrix, residual = listener.linearised(), listener.residual()
     expected = matrix @ prior @ matrix.T + listener.data.covariance
     fit = fitted(controls, residual, expected, listener.used, noise)
     if fit is None:
-        return None, stated
-    listener.scatter(precise(with_scattering(tracer, fit.scattering), more_paths), fit.shift)
+        return None, stated, listener
+    scattered = precise(with_scattering(tracer, fit.scattering), more_paths)
+    other = listener.scattered(scattered, fit.shift)
     used = np.ix_(listener.used, listener.used)
-    as_fitted = log_likelihood(listener.residual(), expected + fit.covariance[used])
+    as_fitted = log_likelihood(other.residual(), expected + fit.covariance[used])
     if as_fitted >= log_likelihood(residual, expected + stated[used]):
-        return fit.scattering, fit.covariance
-    listener.shift = np.zeros(1)
-    return None, stated
+        return fit.scattering, fit.covariance, other
+    return None, stated, listener
 
 
 def _noise(listener: Listener) -> Array:
