@@ -47,7 +47,8 @@ def case():
     room = HALL.room.replace(sigma=0.3 * HALL.room.alpha)
     rng = np.random.default_rng(100)
     truth = np.clip(rng.normal(room.alpha, room.sigma), 0.01, 0.99)
-    return room, truth, heard(room, truth, scattering=0.35, n_paths=4000)
+    # With 4000 paths T20 at 1 kHz is 20 % off: an error that no stated noise covers.
+    return room, truth, heard(room, truth, scattering=0.35, n_paths=32000)
 
 
 @pytest.fixture(scope="module")
@@ -108,14 +109,12 @@ def test_positions_that_were_not_measured_are_predicted(case, result):
     assert gaps["predicted"] < gaps["stated scattering"] < gaps["prior"]
 
 
-def test_what_the_fitted_scattering_changes_is_what_a_tracer_with_it_hears(case, result):
+def test_what_is_heard_after_is_what_the_tracer_returned_hears(result):
     """So the coefficients belong to that tracer, not to a straight line through control runs."""
-    room = case[0]
-    stated, scattered = precise(tracing(room)), precise(result.tracer)
-    change = scattered.observe(room.alpha, MATCH).values - stated.observe(room.alpha, MATCH).values
-    added = result.after.values - stated.observe(result.alpha, MATCH).values
-    assert added.mean(axis=1) == pytest.approx(change.mean(axis=1), abs=2e-3)
-    assert np.abs(added.mean(axis=1)).max() > 0.01
+    returned = precise(result.tracer).observe(result.alpha, MATCH).values
+    assert result.after.values.mean(axis=1) == pytest.approx(returned.mean(axis=1), abs=2e-3)
+    stated = precise(tracing(result.prior)).observe(result.alpha, MATCH).values
+    assert np.abs((returned - stated).mean(axis=1)).max() > 0.01
 
 
 def test_the_scattering_is_fitted_to_what_was_measured(case, result):

@@ -66,15 +66,16 @@ class PositionsResult:
         The simulator that the coefficients belong to: the one given, with the scattering fitted. It
         was not run.
     scattering : Scattering or None
-        The level of scattering that was fitted; None where none was.
+        The level of scattering that was fitted; None where none was, or where what was measured is
+        likelier with the scattering stated.
     simulations : int
         Number of all evaluations of the simulator or its derivatives, without control runs.
         `PathTracing` weighs the same traced paths in each.
     measured : MeasuredPairs
         What was matched; its ``observations`` name parameters and pairs.
     before, after : Observations
-        What the simulator given hears with the prior; what it hears with the coefficients returned
-        and the scattering fitted, whose part comes from the control runs.
+        What the simulator given hears with the prior; what ``tracer`` hears with the coefficients
+        returned. Half of how its pairs differ from their mean comes from the control runs.
     predicted : Observations
         What all positions of the simulator hear with the coefficients returned, also those that
         were not measured. Where control runs tell the simulator's error, its mean given what was

@@ -7,7 +7,8 @@ the simulator's error is what the level does not explain, and how uncertain the 
 the control runs is no part of it.
 
 In five development rooms the log-likelihood of what was measured was 9 to 21 nats higher without that
-noise, with `_pooled` coefficients, and with the likeliest scale of the error.
+noise, with `_pooled` coefficients, and with the likeliest scale of the error. In eight it was 15 nats
+higher in sum with errors that grow where little is scattered, and runs far from the line counting less.
 """
 
 from __future__ import annotations
