@@ -55,6 +55,7 @@ from tests.position_rooms.rooms import PRIORS
 
 STORED = HERE / "population_0_parts.jsonl"
 TOLD = ("nothing", "scattering", "scattering and places")
+WITH_GAP = TOLD[:2]
 _POPULATION = 0
 
 
@@ -68,20 +69,16 @@ def placed(tracer: PathTracing, index: int) -> PathTracing:
     return replace(tracer, sources=sources, receivers={r: receivers[r] for r in tracer.receivers})
 
 
-def fit(case: PositionRoom, index: int, told: str) -> tuple[Any, Any]:
-    """Return the calibrations to all pairs and to half of them, where something is told."""
-    tracer, options = case.simulator(n_paths=PATHS), dict[str, Any](match=MATCH)
+def told_of(case: PositionRoom, index: int, told: str) -> tuple[PathTracing, dict[str, Any]]:
+    """Return the tracer and the options of a calibration that is told something."""
+    tracer = case.simulator(n_paths=PATHS)
     if told == "nothing":
-        options["controls"] = runs_of(tracer, case, control_runs._varied)
-    else:
-        tracer = knowing(tracer, _POPULATION, index)
-        if told != "scattering":
-            tracer = placed(tracer, index)
-        options["fit_scattering"] = False
-        options["controls"] = runs_of(tracer, case, as_told(moved=told == "scattering"))
-    result = rt.calibrate_simulator(tracer, case.room, case.measured, **options)
-    half = rt.calibrate_simulator(tracer, case.room, case.measured_at(FITTED), **options)
-    return result, half
+        return tracer, {"controls": runs_of(tracer, case, control_runs._varied)}
+    tracer = knowing(tracer, _POPULATION, index)
+    if told != "scattering":
+        tracer = placed(tracer, index)
+    controls = runs_of(tracer, case, as_told(moved=told == "scattering"))
+    return tracer, {"controls": controls, "fit_scattering": False}
 
 
 Varied = Callable[[PathTracing, np.random.Generator, int, float], PathTracing]
@@ -135,12 +132,16 @@ def judged(index: int, prior: str) -> dict[str, Any]:
         "least error": least_error(_POPULATION, index, prior),
     }
     for told in TOLD:
-        result, half = fit(case, index, told)
-        tracer = (
-            calibrated(judge, half) if told == "nothing" else knowing(judge, _POPULATION, index)
-        )
+        tracer, options = told_of(case, index, told)
+        result = rt.calibrate_simulator(tracer, case.room, case.measured, match=MATCH, **options)
         row[f"error, told {told}"] = error(case.room, result.alpha, truth)
-        row[f"gap, told {told}"] = gap(tracer, half.alpha)
+        if told not in WITH_GAP:
+            continue
+        fitted = case.measured_at(FITTED)
+        half_of_it: Any = rt.calibrate_simulator(tracer, case.room, fitted, match=MATCH, **options)
+        known = knowing(judge, _POPULATION, index)
+        tracer = calibrated(judge, half_of_it) if told == "nothing" else known
+        row[f"gap, told {told}"] = gap(tracer, half_of_it.alpha)
     return row
 
 
@@ -165,19 +166,14 @@ def table(rows: list[dict[str, Any]]) -> None:
         of_prior = [r for r in rows if r["prior"] == prior]
         if not of_prior:
             continue
-        print(f"\n{prior} prior: error of alpha / T20 alone, then gap / T20 alone")
+        print(f"\n{prior} prior: error of alpha / T20 alone, and gap / T20 alone")
         names = ("a simulator without error", *(f"told {t}" for t in TOLD))
-        print("m³", *names, *names[1:], sep=" | ")
+        print("m³", *names, *(f"gap, told {t}" for t in WITH_GAP), sep=" | ")
         ratios = []
         for r in of_prior:
-            errors = [r["least error"], *(r[f"error, told {t}"] for t in TOLD)]
-            gaps = [r[f"gap, told {t}"] for t in TOLD]
-            ratios.append(
-                [
-                    *(e / r["error of T20 alone"] for e in errors),
-                    *(g / r["gap of T20 alone"] for g in gaps),
-                ]
-            )
+            errors = np.array([r["least error"], *(r[f"error, told {t}"] for t in TOLD)])
+            gaps = np.array([r[f"gap, told {t}"] for t in WITH_GAP])
+            ratios.append([*errors / r["error of T20 alone"], *gaps / r["gap of T20 alone"]])
             print(r["volume"], *(f"{x:.2f}" for x in ratios[-1]), sep=" | ")
         print("median", *(f"{x:.2f}" for x in np.median(ratios, axis=0)), sep=" | ")
 

@@ -164,7 +164,7 @@ class PathTracing(Tracer):
             self.room,
             alpha,
             _longest(match),
-            LONGEST if again else self._followed(seed),
+            None if again else self._followed(seed),
         ).mean(axis=0)
         return self._observed(energy, alpha, match)
 

@@ -218,12 +218,13 @@ def decay_long_enough(
     room: Room,
     alpha: Array,
     parameter: str = "t20",
-    longest: float = LONGEST,
+    longest: float | None = None,
 ) -> Array:
     """Return ``trace(seconds)``, (n_batches, ...), with seconds doubled until it holds the parameter.
 
-    Starts with Eyring's T for alpha, and stops at ``longest``.
+    Starts with Eyring's T for alpha, and stops at ``longest``, by default `LONGEST`.
     """
+    longest = LONGEST if longest is None else longest
     seconds = min(eyring_seconds(room, alpha), longest)
     while True:
         energy = trace(seconds)
