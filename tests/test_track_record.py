@@ -16,10 +16,11 @@ PAGE = (DOCS / "discrepancy_study.md").read_text(encoding="utf-8")
 WHERE = (DOCS / "where_study.md").read_text(encoding="utf-8")
 
 
-def numbers(label: str) -> tuple[int, int]:
-    """Return the numbers for T20, EDT and T30 of a row of the table of both worlds."""
-    (row,) = re.findall(rf"^\| {label} \| (\d+); (\d+) \| \d+; \d+ \|$", PAGE, re.MULTILINE)
-    return int(row[0]), int(row[1])
+def numbers(label: str) -> dict[str, tuple[int, int]]:
+    """Return a row of the table of both worlds, with the second number first, by kind of data."""
+    (row,) = re.findall(rf"^\| {label} \| (\d+); (\d+) \| (\d+); (\d+) \|$", PAGE, re.MULTILINE)
+    times, right_of_times, every, right = map(int, row)
+    return {track_record.TIMES: (right_of_times, times), track_record.ALL: (right, every)}
 
 
 @pytest.mark.parametrize(
@@ -29,14 +30,16 @@ def numbers(label: str) -> tuple[int, int]:
         ("families claimed; right", track_record.FAMILY),
         ("sets of candidates; with the truth", track_record.AMBIGUOUS),
         ("something hidden; missed", track_record.MISSED),
+        ("nothing hidden; flagged", track_record.FLAGGED),
     ],
 )
-def test_claims_and_right_ones_are_those_of_the_table(label: str, stated: tuple[int, int]) -> None:
-    assert stated == numbers(label)[::-1]
+def test_claims_and_right_ones_are_those_of_the_table(
+    label: str, stated: dict[str, tuple[int, int]]
+) -> None:
+    assert stated == numbers(label)
 
 
-def test_flagged_and_measured_are_those_of_the_page() -> None:
-    assert numbers("nothing hidden; flagged")[::-1] == track_record.FLAGGED
+def test_measured_cases_are_those_of_the_page() -> None:
     measured = re.search(r"measured rooms: wrong claims \|[^|]+\|[^|]+\| (\d+) of (\d+)", PAGE)
     assert measured is not None
     assert tuple(int(n) for n in measured.groups()) == track_record.MEASURED
@@ -61,10 +64,20 @@ def test_claims_beside_others_are_those_of_the_table(label: str, stated: tuple[i
 def test_every_verdict_says_how_often_it_was_right() -> None:
     case, _ = rt.datasets.hidden_room()
     finding = rt.discrepancy.find(case)
-    assert finding.track_record == track_record.sentence(finding.verdict)
+    assert finding.track_record == track_record.sentence(finding.verdict, track_record.ALL)
     assert finding.track_record in " ".join(str(finding).split())
-    for verdict in ("none", "hint", "named", "family", "ambiguous", "unknown"):
-        assert "not used to make the finder" in track_record.sentence(verdict)
+    for data in (track_record.TIMES, track_record.ALL):
+        for verdict in ("none", "hint", "named", "family", "ambiguous", "unknown"):
+            assert "not used to make the finder" in track_record.sentence(verdict, data)
+
+
+def test_the_record_is_that_of_the_case_s_own_kind_of_data() -> None:
+    case, _ = rt.datasets.hidden_room()
+    first = case.configurations[0].name
+    assert track_record.data_of(case) == track_record.ALL
+    times = case.only("t20", "edt", "t30", configurations=[first])
+    assert track_record.data_of(times) == track_record.TIMES
+    assert track_record.data_of(case.only("t20", "c80", configurations=[first])) == track_record.ALL
 
 
 @pytest.mark.parametrize(("data", "columns"), [("without level", (3, 5)), ("with level", (4, 6))])

@@ -318,7 +318,7 @@ class Finding:
     @property
     def track_record(self) -> str:
         """How often such a verdict was right in rooms that were not used to make the finder."""
-        return track_record.sentence(self.verdict)
+        return track_record.sentence(self.verdict, track_record.data_of(self.case))
 
     @property
     def headline(self) -> str:
