@@ -15,7 +15,7 @@ from rtcal.support.types import Array
 _STRONG_SHIFT = 3.0
 """Shift (in sigmas) and gap (in JND) at which the notebook's shading saturates."""
 
-_SHIFT = "shift of alpha in sigmas, the standard deviations stated for alpha"
+_SHIFT = "shift of alpha / stated sigma"
 
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 
@@ -34,6 +34,9 @@ def text_table(record: Mapping[str, Any]) -> str:
             *(line for sentence in _header(record) for line in text.wrapped(sentence)),
             "",
             *text.table(_band_rows(record), header=header),
+            "",
+            "stated alpha",
+            *text.table(_stated_rows(record), header=header),
             "",
             "calibrated alpha (* at a bound)",
             *text.table(_alpha_rows(record), header=header),
@@ -62,16 +65,12 @@ def html_table(record: Mapping[str, Any]) -> str:
     for material in record["materials"]:
         shifts = _numbers(material["shift_in_sigmas"])
         cells = [
-            f"{alpha:.3f}{_BOUNDS[bound].strip()} ({shift:+.1f})"
+            f"{alpha:.3f}{_BOUNDS[bound].strip()} ({_number(shift, '+.1f')})"
             for alpha, bound, shift in zip(
-                material["alpha_after"],
-                material["at_bound"],
-                _without_rounding(shifts),
-                strict=True,
+                material["alpha_after"], material["at_bound"], shifts, strict=True
             )
         ]
-        label = f"{material['name']}, {material['area']:g} m²"
-        rows.append([label, *map(html.Cell, cells, shifts / _STRONG_SHIFT)])
+        rows.append([_area(material), *map(html.Cell, cells, shifts / _STRONG_SHIFT)])
     title, settings = _header(record)
     return html.table(
         f"{title}; {settings}. alpha after (shift in sigmas of the prior; * at a bound)",
@@ -125,11 +124,23 @@ def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
     ]
 
 
+def _area(material: Mapping[str, Any]) -> str:
+    return f"{material['name']}, {material['area']:g} m²"
+
+
+def _stated_rows(record: Mapping[str, Any]) -> list[text.Row]:
+    """One row per material."""
+    return [
+        (_area(material), [f"{alpha:.3f} " for alpha in material["alpha_before"]])
+        for material in record["materials"]
+    ]
+
+
 def _alpha_rows(record: Mapping[str, Any]) -> list[text.Row]:
     """One row per material."""
     return [
         (
-            f"{material['name']}, {material['area']:g} m²",
+            _area(material),
             [
                 f"{alpha:.3f}{_BOUNDS[bound]}"
                 for alpha, bound in zip(material["alpha_after"], material["at_bound"], strict=True)
@@ -156,12 +167,13 @@ def _numbers(values: Sequence[float | None] | Array) -> Array:
 
 
 def _cells(values: Array, form: str) -> list[str]:
-    return [format(v, form) if np.isfinite(v) else "-" for v in _without_rounding(values)]
+    return [_number(v, form) if np.isfinite(v) else "-" for v in values]
 
 
-def _without_rounding(values: Array) -> Array:
-    """The values with rounding residues set to 0, so that no "-0.0" is printed."""
-    return np.where(np.abs(values) < 1e-9, 0.0, values)
+def _number(value: float, form: str) -> str:
+    """The number as printed; what rounds to 0 has no sign."""
+    said = format(value, form)
+    return said if float(said) else said.lstrip("+-")
 
 
 def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
@@ -171,7 +183,7 @@ def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
 def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The sentences below the tables with their indents."""
     measured = record["measured"]
-    notes = [(_plausibility(record["plausibility"], record["gap_before_jnd"]), "")]
+    notes = [(_plausibility(record), "")]
     if not record["matches_measured_time"]:
         notes.append(
             (
@@ -185,7 +197,7 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         notes.append((measured["caution"], "  "))
     if measured["bands_not_in_room"]:
         ignored = ", ".join(bands.label(f) for f in measured["bands_not_in_room"])
-        notes.append((f"measured, but no band of the room: {ignored}", "  "))
+        notes.append((f"left out: {ignored} (measured, but no band of the room)", "  "))
     if beyond := _bands_beyond_equation(record):
         notes.append(
             (
@@ -206,8 +218,8 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     notes.append(
         (
             f"Certificate: primal residual {worst['primal_residual']:.1e}, dual residual "
-            f"{worst['dual_residual']:.1e}, gap {worst['duality_gap']:.1e}; alpha within "
-            f"{bound:.1e} of the optimum.",
+            f"{worst['dual_residual']:.1e}, duality gap {worst['duality_gap']:.1e}; alpha "
+            f"within {bound:.1e} of the optimum.",
             "",
         )
     )
@@ -226,7 +238,8 @@ def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _plausibility(plausibility: Mapping[str, Any], gap_before: Sequence[float | None]) -> str:
+def _plausibility(record: Mapping[str, Any]) -> str:
+    plausibility = record["plausibility"]
     p_value = plausibility["p_value"]
     start = (
         f"Plausibility: Q = {plausibility['q']:.1f} with {plausibility['degrees_of_freedom']} "
@@ -243,9 +256,18 @@ def _plausibility(plausibility: Mapping[str, Any], gap_before: Sequence[float | 
     if agreement(p_value) == "contradicts":
         return (
             f"{start}, p = {p_value:.2g}: the measurement contradicts what was stated of the "
-            "materials. The calibrated T agrees with it all the same, which proves nothing."
+            f"materials. {_calibrated_gap(record)}"
         )
-    weak = weak_agreement(_numbers(gap_before))
+    weak = weak_agreement(_numbers(record["gap_before_jnd"]))
     return (
         f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated. {weak}".rstrip()
     )
+
+
+def _calibrated_gap(record: Mapping[str, Any]) -> str:
+    """What the calibrated T says where the measurement contradicts the materials."""
+    gap = np.abs(_numbers(record["gap_after_jnd"]))
+    worst = float(np.max(gap, where=np.isfinite(gap), initial=0.0))
+    if worst < 0.05:
+        return "The calibrated T agrees with it all the same, which proves nothing."
+    return f"The calibrated T still differs by up to {worst:.1f} JND."
