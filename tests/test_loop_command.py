@@ -239,7 +239,7 @@ def test_the_last_step_is_taken_back(cr2, tmp_path):
     back = ["loop", "back", str(tmp_path / "room.toml"), *files]
     for left in (1, 0):
         done = runner.invoke(cli, back)
-        assert f"{left} simulations left" in unwrapped(done.output)
+        assert f"now holds {left} simulation" in unwrapped(done.output)
         assert [(tmp_path / n).read_bytes() for n in names] == kept[left]
     assert "none to take back" in str(runner.invoke(cli, back).exception)
 
@@ -261,7 +261,7 @@ def test_a_loop_in_progress_is_not_written_over(cr2, tmp_path):
 def test_the_room_says_which_run_it_is_for_and_the_end_what_to_do(cr2, tmp_path):
     room, measured = cr2
     done, runner, command, files = begun(room, measured, tmp_path)
-    assert "Measured T: T30." in unwrapped(done.output)
+    assert "Taken as the measured T: T30." in unwrapped(done.output)
     note = (tmp_path / "next.toml").read_text().split("\n")[0]
     assert note == "# To simulate: run 1 of the loop in 'loop.json'."
     for run in range(2, 9):

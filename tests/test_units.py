@@ -188,6 +188,22 @@ def test_an_upper_bound_is_not_told_to_state_a_floor() -> None:
     marks = rt.calibrate(stated, low).trust_marks
     lower = [m for m in marks if m.kind == "at_bound" and "lower" in m.text]
     assert lower
-    assert all("state a floor" in m.advice for m in lower)
+    assert all("state a lower limit" in m.advice for m in lower)
     lines = explained([*upper, *lower])
     assert len([line for line in lines if line.startswith("    ->")]) == 2
+
+
+def test_an_uncertain_time_that_contradicts_the_materials_is_marked_by_z_alone() -> None:
+    """ "The gap says nothing of the model" stood beside a gap of 588 JND."""
+    room, _ = rt.datasets.bras_cr2()
+    for time, expected in ((0.05, {"implausible"}), (1.5, {"uncertain"})):
+        t = np.full(6, 1.5)
+        t[4] = time
+        measured = rt.Measurement(
+            centre_frequencies=room.centre_frequencies,
+            values={"t20": t[np.newaxis]},
+            uncertainty={"t20": 0.08 * t[np.newaxis]},
+        )
+        marks = rt.calibrate(room, measured, unreachable="nearest").trust_marks
+        kinds = {m.kind for m in marks if m.frequency == 2000}
+        assert kinds & {"implausible", "uncertain"} == expected

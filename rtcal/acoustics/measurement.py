@@ -17,6 +17,7 @@ from rtcal.acoustics.parameters import (
     UNITS,
     check_parameter,
     limits_in_words,
+    parameter_label,
 )
 from rtcal.errors import DataError
 from rtcal.support import checks, html
@@ -196,7 +197,7 @@ class Measurement:
         for parameter in self.values:
             unit = f" / {UNITS[parameter]}" if UNITS[parameter] else ""
             means = zip(self.mean(parameter), self.mean_uncertainty(parameter), strict=True)
-            rows.append([parameter.upper() + unit, *(_mean_text(m, u) for m, u in means)])
+            rows.append([parameter_label(parameter) + unit, *(_mean_text(m, u) for m, u in means)])
         labels = [bands.label(f) for f in self.centre_frequencies]
         return html.table(self._description, ["mean ± u", *labels], rows)
 
@@ -225,7 +226,7 @@ class Measurement:
 
     @property
     def _description(self) -> str:
-        parameters = ", ".join(parameter.upper() for parameter in self.values)
+        parameters = ", ".join(parameter_label(parameter) for parameter in self.values)
         n = len(self.pairs)
         pairs = "a summary" if self.is_summary else f"{n} pair{'s' * (n > 1)}"
         return f"Measurement of {parameters}: {pairs}, {bands.span(self.centre_frequencies)}"

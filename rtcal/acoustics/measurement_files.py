@@ -31,6 +31,7 @@ from rtcal.acoustics.parameters import (
     SUMMARY,
     UNITS,
     limits_in_words,
+    parameter_label,
     plausible_time,
 )
 from rtcal.errors import DataError
@@ -74,7 +75,7 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
         key, numbers = _row(cell, place)
         if key in rows:
             raise DataError(
-                f"{place}: {key[2].upper()} of {key[0]}, {key[1]} at "
+                f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at "
                 f"{bands.label(key[3])} is given twice"
             )
         rows[key] = numbers
@@ -189,8 +190,8 @@ def of_single_values(
             row = common.setdefault(parameter, np.full(shape[1], np.nan))
             if np.isfinite(row[where[1]]) and row[where[1]] != shared:
                 raise DataError(
-                    f"common_uncertainty of {parameter.upper()} at {bands.label(band)} has several "
-                    "values; all pairs of a band share one"
+                    f"common_uncertainty of {parameter_label(parameter)} at {bands.label(band)} has "
+                    "several values; all pairs of a band share one"
                 )
             row[where[1]] = shared
         if np.isfinite(numbers.get("standard_deviation", np.nan)):

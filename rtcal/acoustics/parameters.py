@@ -38,6 +38,17 @@ SUMMARY = "*"
 """Name of the source and of the receiver in a row that holds means over several pairs."""
 
 
+def parameter_label(parameter: str) -> str:
+    """Return a parameter as it is printed.
+
+    Examples
+    --------
+    >>> [parameter_label(parameter) for parameter in ("t20", "ts", "level")]
+    ['T20', 'Ts', 'level']
+    """
+    return {"ts": "Ts", "level": "level"}.get(parameter, parameter.upper())
+
+
 def check_parameter(name: str) -> None:
     """Raise DataError for a name that is no parameter."""
     if name not in UNITS:

@@ -230,7 +230,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "at_bound": (
         "b",
-        "its sigma or another's is too small, or an effect is missing: state a floor (alpha_min) "
+        "its sigma or another's is too small, or an effect is missing: state a lower limit (alpha_min) "
         "for hard materials and look for the effect",
     ),
     "at_upper_bound": (
@@ -275,6 +275,8 @@ _ADVICE: dict[str, tuple[str, str]] = {
 }
 
 _AIR_SHARE = 0.5
+_LARGE_Z = 2.0
+"""z of a band that contradicts what was stated of the materials."""
 _ODD_UNCERTAINTY = 0.3
 """Of T, relative. Single decays of 0.3 s at 63 Hz, the least certain, scatter by 0.24."""
 OFF_VOLUME = 0.1
@@ -389,16 +391,15 @@ def trust_marks(
         marks += bent_marks([band for band in bent if band.frequency == f])
         if air_share[k] > _AIR_SHARE:
             mark("air", f, "the air absorbs more than the surfaces")
-        if uncertainty[k] > JND["t20"] * measured[k]:
-            text = "T is uncertain by more than one JND"
-            if uncertainty[k] > _ODD_UNCERTAINTY * measured[k]:
-                over = f"{100 * _ODD_UNCERTAINTY:.0f} %"
-                text = f"T is uncertain by over {over}: is it stated in percent, not s?"
-            mark("uncertain", f, text)
+        if uncertainty[k] > _ODD_UNCERTAINTY * measured[k]:
+            over = f"{100 * _ODD_UNCERTAINTY:.0f} %"
+            mark("uncertain", f, f"T is uncertain by over {over}: is it stated in percent, not s?")
+        elif uncertainty[k] > JND["t20"] * measured[k] and not abs(z[k]) > _LARGE_Z:
+            mark("uncertain", f, "T is uncertain by more than one JND")
         for i in np.flatnonzero(active[:, k]).tolist():
             side, advised = ("lower", "") if active[i, k] < 0 else ("upper", "at_upper_bound")
             mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
-        if abs(z[k]) > 2:
+        if abs(z[k]) > _LARGE_Z:
             side = "more" if z[k] > 0 else "less"
             mark("implausible", f, f"T asks for {side} absorption than was stated, |z| over 2")
     return tuple(marks)

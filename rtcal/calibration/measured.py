@@ -11,6 +11,7 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.curvature import BentDecay, bent_decays
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
@@ -56,7 +57,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         decay = in_room.decay_time()
         mean = decay.mean
         if not np.isfinite(mean).any():
-            parameters = ", ".join(p.upper() for p in measured.values)
+            parameters = ", ".join(parameter_label(p) for p in measured.values)
             raise DataError(
                 f"the measurement has {parameters}, but no T20 and no T30 in any band of the room"
             )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import TrustMark, agreement, explained, letters, weak_agreement
 from rtcal.support import html, text
 from rtcal.support.types import Array
@@ -99,13 +100,13 @@ def _header(record: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _parameters(record: Mapping[str, Any]) -> list[str]:
-    return sorted({p.upper() for p in record["measured"]["parameter"] if p})
+    return sorted({parameter_label(p) for p in record["measured"]["parameter"] if p})
 
 
 def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
     """One row per quantity of the bands, and one for the parameter if T20 and T30 are mixed."""
     marks = _trust_marks(record)
-    parameters = [p.upper() or "-" for p in record["measured"]["parameter"]]
+    parameters = [parameter_label(p) or "-" for p in record["measured"]["parameter"]]
     quantities = [
         ("measured T / s", record["measured"]["reverberation_time"], ".3f"),
         ("  its uncertainty / s", record["measured"]["uncertainty"], ".3f"),

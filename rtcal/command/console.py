@@ -24,6 +24,7 @@ quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing b
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
 method_option = click.option(
     "--method",
+    type=click.Choice(("mle", "lse", "soft", "smooth", "robust")),
     default="mle",
     show_default=True,
     help="mle: by the stated sigmas; lse: all sigmas alike; soft: T within its uncertainty; smooth: "

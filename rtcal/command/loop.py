@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.command.console import (
     equation_option,
     json_option,
@@ -108,10 +109,12 @@ def start(
     first = begun.calibrated(begun.wanted)
     by_hand.write(begun, state, out)
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
-    parameters = [p.upper() for p in sorted(set(times_in_room(begun.room, data).parameter)) if p]
+    parameters = [
+        parameter_label(p) for p in sorted(set(times_in_room(begun.room, data).parameter)) if p
+    ]
     record = {"state": state, "simulate": out, "unreachable": beyond, "measured": parameters}
     lines = [
-        f"Measured T: {' and '.join(parameters)}.",
+        f"Taken as the measured T: {' and '.join(parameters)}.",
         *beyond,
         f"Simulate {out} first.",
     ]
@@ -202,5 +205,8 @@ def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
     before = Loop.load(state, Room.from_file(room)).back()
     by_hand.write(before, state, out)
     record = {"simulations": len(before.steps), "state": state, "simulate": out}
-    text = f"{len(before.steps)} simulations left in {state}. Simulate {out} next."
+    text = (
+        f"{state} now holds {len(before.steps)} "
+        f"{'simulation' if len(before.steps) == 1 else 'simulations'}. Simulate {out} next."
+    )
     tell(text, record, quiet=quiet, as_json=as_json)

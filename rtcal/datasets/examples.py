@@ -47,7 +47,7 @@ def _seminar_room() -> dict[str, bytes]:
     return {
         "room.toml": (folder / "room.toml").read_bytes(),
         "t.csv": (folder / "measured.csv").read_bytes(),
-        "SOURCE.md": (folder / "README.md").read_bytes(),
+        "SOURCE.md": (folder / "README.md").read_bytes().replace(b"measured.csv", b"t.csv"),
     }
 
 

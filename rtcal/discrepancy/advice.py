@@ -109,8 +109,8 @@ def next_measurement(
         )
     if all(removable.values()):
         return (
-            f"measure with and without the {best}, then with and without the {rival}. The uncertainty "
-            "of alpha cancels in the difference"
+            f"measure without the {best} and without the {rival}, one at a time. The uncertainty of "
+            "alpha cancels in the difference"
         )
     return (
         f"look at the room: {best} and {rival} predict the same in every parameter, and one of them "

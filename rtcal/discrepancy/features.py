@@ -8,6 +8,7 @@ import numpy as np
 
 from rtcal.acoustics import bands, uncertainty
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.model import FEATURES
@@ -126,7 +127,7 @@ def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tu
         alone, common[p], origin = _uncertainty(m, p)
         block[:, row, row] = alone**2 + common[p] ** 2
         names = origins.setdefault(origin, [])
-        names += [p.upper()] if p.upper() not in names else []
+        names += [parameter_label(p)] if parameter_label(p) not in names else []
     if amount == "t20" and "t30" in m.values:
         both = SHARED_BY_T20_AND_T30 * common["t20"] * common["t30"]
         block[:, 0, 2] = block[:, 2, 0] = both

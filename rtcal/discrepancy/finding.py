@@ -310,8 +310,8 @@ class Finding:
             f"{k} {self.percent(k)}" for k, p in self.probabilities.items() if p >= _SAID
         )
         return (
-            f"probabilities: {first}. Evidence that something is missing: {self.score:+.1f} nats "
-            f"({NATS}). Threshold: {self.threshold:.1f} nats, which at most 5 % of simulated rooms "
+            f"probabilities: {first}. Evidence that something is missing, whatever it is: "
+            f"{self.score:+.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most 5 % of simulated rooms "
             f"exceed that lack nothing ({', '.join(map(engine_title, self.engines)) or 'no engine'})."
         )
 

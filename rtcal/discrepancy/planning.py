@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.discrepancy.advice import DISTINCT_NATS, covariance_with, separation, variances_of
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.configuration import Configuration
@@ -123,8 +124,9 @@ class Plan:
     def __str__(self) -> str:
         """Return the table of expected evidence, and the pairs that cannot be distinguished."""
         names = list(dict.fromkeys(a for a, _ in self.separations))
+        measured = ", ".join(parameter_label(p) for p in self.parameters)
         lines = text.wrapped(
-            f"Evidence to expect (nats) from {', '.join(p.upper() for p in self.parameters)}, if the "
+            f"Evidence to expect (nats) from {measured}, if the "
             "effect of the row is in the room, against the effect of the column. Each effect has the "
             f"size whose change of T is nearest to {100 * self.change:g} % (second column). Above "
             f"{DISTINCT_NATS} nats, odds of ten to one, effects can be told apart. Above "

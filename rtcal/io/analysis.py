@@ -9,7 +9,7 @@ import numpy as np
 
 from rtcal.acoustics import bands, uncertainty
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import UNITS
+from rtcal.acoustics.parameters import UNITS, parameter_label
 from rtcal.support import text
 from rtcal.support.types import Array
 
@@ -78,7 +78,7 @@ class Analysis:
         """The impulse-to-noise ratio that each parameter needs, as a sentence."""
         needed: dict[float, list[str]] = {}
         for parameter in self.measurement.values:
-            needed.setdefault(self.minimum_range[parameter], []).append(parameter.upper())
+            needed.setdefault(self.minimum_range[parameter], []).append(parameter_label(parameter))
         parts = [f"{ratio:g} dB for {', '.join(names)}" for ratio, names in needed.items()]
         return f"Missing values. Impulse-to-noise ratio needed (ISO 3382): {'; '.join(parts)}."
 
@@ -89,7 +89,7 @@ class Analysis:
             lacking: dict[int, list[str]] = {}
             for parameter, values in self.measurement.values.items():
                 if count := int(np.isnan(values[:, k]).sum()):
-                    lacking.setdefault(count, []).append(parameter.upper())
+                    lacking.setdefault(count, []).append(parameter_label(parameter))
             if not lacking:
                 continue
             where = "; ".join(
@@ -117,7 +117,7 @@ def means(measurement: Measurement) -> list[str]:
     title = f"Means over {n} pairs of source and receiver:" if n > 1 else "Values:"
     rows = [
         (
-            parameter.upper() + (f" / {unit}" if (unit := UNITS[parameter]) else ""),
+            parameter_label(parameter) + (f" / {unit}" if (unit := UNITS[parameter]) else ""),
             [
                 format(value, ".1f" if unit == "dB" else ".3f") if np.isfinite(value) else "-"
                 for value in measurement.mean(parameter)

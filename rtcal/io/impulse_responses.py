@@ -32,6 +32,7 @@ from rtcal.acoustics import decay
 from rtcal.acoustics.curvature import bent_decays
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.analysis import Analysis, pairs_in_words, shortened_list, spread
 from rtcal.io.samples import LEAST_CLIPPED, check_finite, check_usable, prepared
@@ -309,12 +310,12 @@ def of_energy(
     curve[0] += max(early - noise * early_samples, 0.0)
     parameters = {**_energy_ratios(curve, sampling_rate), **times}
     reasons = [
-        f"{p.upper()} needs {needed[p]:g} dB between sound and noise (ISO 3382); there are "
+        f"{parameter_label(p)} needs {needed[p]:g} dB between sound and noise (ISO 3382); there are "
         f"{inr:.1f} dB"
         for p in PARAMETERS
         if inr < needed[p]
     ] + [
-        f"{p.upper()}: the decay curve ends at {level[-1]:.1f} dB"
+        f"{parameter_label(p)}: the decay curve ends at {level[-1]:.1f} dB"
         for p in PARAMETERS
         if inr >= needed[p] and p not in parameters
     ]

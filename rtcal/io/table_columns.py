@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.parameters import UNITS
+from rtcal.acoustics.parameters import UNITS, parameter_label
 from rtcal.errors import DataError
 from rtcal.io.text import shown
 from rtcal.support.types import Array
@@ -192,7 +192,7 @@ class Column:
         content = self.kind.replace("_", " ") or "left out"
         if self.kind == "data":
             name = self.parameter or stated
-            content = name.upper() if name else "the row's parameter"
+            content = parameter_label(name) if name else "the row's parameter"
             if self.has_band:
                 content += f" at {bands.label(self.band)}"
             scale = scale_of(self.parameter, self.unit, "") if self.parameter else 1
@@ -311,6 +311,6 @@ def scale_of(parameter: str, unit: str, place: str) -> float:
     scales = _SCALES[UNITS[parameter]]
     if unit and unit.lower() not in scales:
         raise DataError(
-            f'{place}: {parameter.upper()} in "{shown(unit)}"; known are {", ".join(scales)}'
+            f'{place}: {parameter_label(parameter)} in "{shown(unit)}"; known are {", ".join(scales)}'
         )
     return scales[unit.lower()] if unit else 1.0

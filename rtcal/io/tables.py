@@ -22,7 +22,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import of_single_values
-from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS, plausible_time
+from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS, parameter_label, plausible_time
 from rtcal.errors import DataError
 from rtcal.io.analysis import means
 from rtcal.io.table_columns import (
@@ -235,7 +235,7 @@ class _Reader:
                 held = values.setdefault(key, dict(self.counts))
                 if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
                     raise DataError(
-                        f"{place}: {key[2].upper()} of {key[0]}, {key[1]} at "
+                        f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at "
                         f"{bands.label(key[3])} is given twice"
                     )
                 held.update(numbers)
@@ -402,8 +402,8 @@ class _Reader:
             place = f"{self.path}, from line {self.layout.header_line} on"
             if "value" not in numbers:
                 raise DataError(
-                    f"{place}: {key[2].upper()} at {bands.label(key[3])} has a standard deviation "
-                    "and no mean"
+                    f"{place}: {parameter_label(key[2])} at {bands.label(key[3])} has a standard "
+                    "deviation and no mean"
                 )
             if "standard_deviation" in numbers and not {"sources", "receivers"} <= {*numbers}:
                 raise DataError(
@@ -421,8 +421,8 @@ class _Reader:
 def _check_value(parameter: str, value: float, place: str) -> None:
     """Raise DataError for a value that no room has."""
     if parameter in DECAY_TIMES and not value > 0:
-        raise DataError(f"{place}: {parameter.upper()} = {value:g} s is not above 0")
+        raise DataError(f"{place}: {parameter_label(parameter)} = {value:g} s is not above 0")
     if parameter in DECAY_TIMES:
-        plausible_time(f"{place}: {parameter.upper()}", value, parameter)
+        plausible_time(f"{place}: {parameter_label(parameter)}", value, parameter)
     if parameter == "d50" and not 0 <= value <= 1:
         raise DataError(f"{place}: D50 = {value:g} is not in [0, 1]; percent need their unit")

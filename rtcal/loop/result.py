@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import UNITS
+from rtcal.acoustics.parameters import UNITS, parameter_label
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.loop import files
@@ -151,7 +151,7 @@ class LoopResult:
                     _numbers(measurement.mean(parameter), ".2f")
                     for measurement in (self.before, self.final)
                 )
-                columns[f"{parameter.upper()} / {UNITS[parameter]}"] = [
+                columns[f"{parameter_label(parameter)} / {UNITS[parameter]}"] = [
                     f"{a} to {b}" for a, b in zip(first, last, strict=True)
                 ]
         return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
 from rtcal.discrepancy.states import state
@@ -123,8 +124,9 @@ def evidence(finding: Finding) -> Any:
         edgecolor=BLACK,
         hatch=["//" if h else "" for h in is_candidate],
     )
+    behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}  # the threshold's line is cut
     for y, value, end in zip(at, values, drawn, strict=True):
-        axes.text(max(end, 0.0), y, f" {value:+.1f}", va="center", fontsize=9)
+        axes.text(max(end, 0.0), y, f" {value:+.1f}", va="center", fontsize=9, bbox=behind)
     cut = values < low
     if cut.any():
         axes.plot(
@@ -178,7 +180,7 @@ def decay(verification: Verification) -> Any:
                 linestyle=style,
                 linewidth=3,
                 alpha=0.5,
-                label=f"measured {name.upper()} {value:.2f} s",
+                label=f"measured {parameter_label(name)} {value:.2f} s",
             )
     for model, colour, style, label in (
         (verification.plain, GREEN, "-.", "plainly calibrated"),

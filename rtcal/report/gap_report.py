@@ -174,7 +174,7 @@ def _corrected(verification: Verification) -> dict[str, Any]:
     room, corrected = verification.finding.case.room, verification.corrected
     names = [f'"{c.name}"' for c in verification.finding.case.configurations]
     use = {
-        "supported": "These are the ones to use, if the name is right.",
+        "supported": "To be quoted once the effect is confirmed.",
         "unproven": "Nothing but the evidence supports them.",
         "withdrawn": "Not to be used: the finding is withdrawn.",
     }[verification.verdict]

@@ -82,7 +82,8 @@ def to_do(finding: Finding, verification: Verification | None) -> list[str]:
     if verification is not None:
         steps.append(
             {
-                "supported": "Use the corrected calibration below, not the plain one.",
+                "supported": "Use the corrected calibration below for T and level, not the plain one. "
+                "Do not quote its coefficients before the effect is confirmed.",
                 "unproven": "Do this before the corrected calibration is used: no measurement but "
                 "that of T speaks for it.",
                 "withdrawn": "Use neither calibration: with the effect in the model the measurements "

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
 from rtcal.report.rows import material_rows
@@ -158,7 +159,7 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
     except DataError as error:
         raise DataError(f"{place}: no result of a loop: {error}") from error
     rows = [
-        (f"{parameter.upper()}, {when} / {unit}", ends[name][parameter], decimals, False)
+        (f"{parameter_label(parameter)}, {when} / {unit}", ends[name][parameter], decimals, False)
         for parameter, (decimals, unit) in _SHOWN.items()
         for name, when in (("before", "first"), ("after", "with the coefficients returned"))
         if parameter in ends[name]

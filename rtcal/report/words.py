@@ -10,6 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import EQUATIONS
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import TrustMark, agreement, weak_agreement
 from rtcal.calibration.presets import METHODS
 from rtcal.report.saved import Saved
@@ -321,7 +322,9 @@ def _correlated(calibration: Saved) -> str:
 
 
 def _measured(calibration: Saved) -> str:
-    parameters = dict.fromkeys(p.upper() for p in calibration.record["measured"]["parameter"] if p)
+    parameters = dict.fromkeys(
+        parameter_label(p) for p in calibration.record["measured"]["parameter"] if p
+    )
     text = (
         f"Measured: {' and '.join(parameters)}, the arithmetic mean over the source-receiver pairs"
     )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands, decay
 from rtcal.acoustics.decay_gradients import LIMITS, PARAMETERS, gradients
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import DECAY_TIMES
+from rtcal.acoustics.parameters import DECAY_TIMES, parameter_label
 from rtcal.errors import DataError, SimulatorError, TooShortError
 from rtcal.simulators import base
 from rtcal.simulators.base import Simulator
@@ -72,7 +72,7 @@ class Observations:
 
     def __repr__(self) -> str:
         return (
-            f"<Observations of {', '.join(p.upper() for p in self.parameters)}: "
+            f"<Observations of {', '.join(parameter_label(p) for p in self.parameters)}: "
             f"{len(self.pairs)} pairs, {bands.span(self.centre_frequencies)}>"
         )
 
@@ -176,10 +176,10 @@ def observe(
     if isinstance(simulator, Observable):
         return simulator.observe(base.check_alpha(simulator, alpha), match, seed=seed)
     simulated = base.run(simulator, alpha, seed=seed)
-    if lacking := [m.upper() for m in match if m not in given(simulated)]:
+    if lacking := [parameter_label(m) for m in match if m not in given(simulated)]:
         raise SimulatorError(
             f"{simulator.name} does not give {', '.join(lacking)}, only "
-            f"{', '.join(p.upper() for p in simulated.values)}; leave it out of match"
+            f"{', '.join(parameter_label(p) for p in simulated.values)}; leave it out of match"
         )
     return Observations.of_measurement(simulated, match, simulated.pairs)
 
@@ -257,8 +257,10 @@ def of_decays(
             pair, band = (int(i) for i in np.argwhere(lost)[0])
             place = f"{' to '.join(pairs[pair])}, {bands.label(centre_frequencies[band])}"
             if name in DECAY_TIMES and decay.too_short(energy, name)[pair, band]:
-                raise TooShortError(f"the decay from {place} is too short to hold {name.upper()}")
-            raise DataError(f"the decay from {place} has no {name.upper()}: {cause}")
+                raise TooShortError(
+                    f"the decay from {place} is too short to hold {parameter_label(name)}"
+                )
+            raise DataError(f"the decay from {place} has no {parameter_label(name)}: {cause}")
     return Observations(
         parameters=tuple(match),
         pairs=tuple(pairs),

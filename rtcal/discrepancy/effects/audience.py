@@ -29,8 +29,10 @@ class Audience(AbsorbingObject):
     odds: ClassVar[float] = 0.5  # the other half are `People`
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.12, 0.12)
     size: ClassVar[str] = "absorption_area"
-    unit: ClassVar[str] = "m² Sabine at 1 kHz"
-    parameter_units: ClassVar[Mapping[str, str]] = {"absorption_area": " m² Sabine at 1 kHz"}
+    unit: ClassVar[str] = "m² of absorption area at 1 kHz"
+    parameter_units: ClassVar[Mapping[str, str]] = {
+        "absorption_area": " m² of absorption area at 1 kHz"
+    }
 
     # Relative to 1 kHz, 63 Hz to 8 kHz.
     SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)

@@ -36,7 +36,7 @@ class Curtain(Absorber):
     parameter_units: ClassVar[Mapping[str, str]] = {
         "area": " m²",
         "airspace": " m",
-        "flow_resistance": " times that of air",
+        "flow_resistance": " ρc",
     }
 
     def kinds(self) -> Sequence[Parameters]:

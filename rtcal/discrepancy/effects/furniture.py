@@ -25,8 +25,10 @@ class Furniture(AbsorbingObject):
     family: ClassVar[str] = "added absorption, flat"
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.12, 0.12)
     size: ClassVar[str] = "absorption_area"
-    unit: ClassVar[str] = "m² Sabine at 1 kHz"
-    parameter_units: ClassVar[Mapping[str, str]] = {"absorption_area": " m² Sabine at 1 kHz"}
+    unit: ClassVar[str] = "m² of absorption area at 1 kHz"
+    parameter_units: ClassVar[Mapping[str, str]] = {
+        "absorption_area": " m² of absorption area at 1 kHz"
+    }
     SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
 
     def grid(self, state: State) -> Sequence[Parameters]:
