@@ -258,7 +258,7 @@ def _tracing(curtain: bool, scattering: float, paths: int) -> PathTracing:
         materials=list(geometry.areas),
         areas=np.array(list(geometry.areas.values())),
         alpha=alpha,
-        sigma=np.maximum(0.2 * alpha, 0.01),
+        sigma=np.maximum(0.2 * alpha, 0.01).round(4),
         centre_frequencies=_BANDS,
         air=Air(21, 45),
     )
@@ -284,7 +284,7 @@ def _where() -> Example:
     measured = Measurement(
         centre_frequencies=_BANDS,
         pairs=heard.pairs,
-        values={"g" if name == "level" else name: heard.natural(name) for name in MATCH},
+        values={"g" if name == "level" else name: heard.natural(name).round(4) for name in MATCH},
     )
     return Example(
         {

@@ -311,8 +311,8 @@ class Finding:
         )
         return (
             f"probabilities: {first}. Evidence that something is missing, whatever it is: "
-            f"{self.score:+.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most 5 % of "
-            "simulated rooms exceed that lack nothing "
+            f"{self.score:+.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most "
+            "5 % of simulated rooms exceed that lack nothing "
             f"({', '.join(map(engine_title, self.engines)) or 'no engine'})."
         )
 
