@@ -66,7 +66,7 @@ def html_table(record: Mapping[str, Any]) -> str:
     for material in record["materials"]:
         shifts = _numbers(material["shift_in_sigmas"])
         cells = [
-            f"{alpha:.3f}{_BOUNDS[bound].strip()} ({_number(shift, '+.1f')})"
+            f"{alpha:.3f}{_BOUNDS[bound].strip()} ({text.number(shift, '+.1f')})"
             for alpha, bound, shift in zip(
                 material["alpha_after"], material["at_bound"], shifts, strict=True
             )
@@ -168,13 +168,7 @@ def _numbers(values: Sequence[float | None] | Array) -> Array:
 
 
 def _cells(values: Array, form: str) -> list[str]:
-    return [_number(v, form) if np.isfinite(v) else "-" for v in values]
-
-
-def _number(value: float, form: str) -> str:
-    """The number as printed; what rounds to 0 has no sign."""
-    said = format(value, form)
-    return said if float(said) else said.lstrip("+-")
+    return [text.number(v, form) for v in values]
 
 
 def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:

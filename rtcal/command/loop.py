@@ -150,21 +150,27 @@ def next_(
     Example: rtcal loop next room.toml simulated.csv \\
         --state loop.json --out next.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    from rtcal.acoustics import bands
     from rtcal.acoustics.quality import explained
     from rtcal.acoustics.room import Room
     from rtcal.loop import by_hand
     from rtcal.loop.state import Loop
     from rtcal.report.loop_words import statuses
+    from rtcal.support import text
 
     spare([state, out], [room, simulated])
     before = Loop.load(state, Room.from_file(room))
     after = by_hand.record(before, simulated, state, out, again=again)
     by_hand.write(after, state, out)
     finished, frequencies, shown = after.finished, after.room.centre_frequencies, statuses(after)
-    lines = [
-        f"{frequency:7g} Hz  {'-' if gap != gap else format(gap, '+.2f'):>6} JND  {status}"
-        for frequency, gap, status in zip(frequencies, after.gap, shown, strict=True)
+    rows = [
+        (bands.label(frequency), [text.number(wanted, ".2f"), text.number(gap, "+.2f"), status])
+        for frequency, wanted, gap, status in zip(
+            frequencies, after.wanted, after.gap, shown, strict=True
+        )
     ]
+    header = ("", ["T20 wanted / s", "gap of the nearest run / JND", "status"])
+    lines = text.table(rows, header=header)
     lines += explained(after.trust_marks)
     lines.append(by_hand.conclusion(after, out) if finished else f"Simulate {out} next.")
     record = {

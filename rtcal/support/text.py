@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import textwrap
@@ -94,6 +95,20 @@ def shell(command: str, indent: str = "") -> list[str]:
             lines[-1] += " \\"
             lines.append(f"{indent}    {part}")
     return lines
+
+
+def number(value: float, form: str) -> str:
+    """Return a number as printed: "-" where there is none, and no sign where it rounds to 0.
+
+    Examples
+    --------
+    >>> [number(v, "+.1f") for v in (1.26, -0.04, float("nan"))]
+    ['+1.3', '0.0', '-']
+    """
+    if not math.isfinite(value):
+        return "-"
+    printed = format(value, form)
+    return printed if float(printed) else printed.lstrip("+-")
 
 
 def table(
