@@ -109,6 +109,9 @@ def calibrate(
     measured : Measurement, or T in s, (n_bands,)
         Per band T20, else T30. A band with NaN keeps its prior.
     method : {"mle", "lse", "soft", "smooth", "robust", "joint"}
+        ``mle``: by the stated sigmas. ``lse``: all sigmas alike. ``soft``: T within its uncertainty.
+        ``smooth``: soft, with neighbouring bands alike. ``robust``: soft, and a single sigma may be
+        wrong. ``joint``: soft, of several configurations.
     equation : Equation, optional
         `rtcal.Eyring` with the room's air if not given.
     **options
