@@ -86,7 +86,7 @@ def test_bands_down_with_decimal_commas() -> None:
         '"Frequenz [Hz]": band',
         '"T20 (s)": T20',
         '"D50 [%]": D50, times 0.01',
-        '"Ts [ms]": TS, times 0.001',
+        '"Ts [ms]": Ts, times 0.001',
         "no positions: taken as source S1 and receiver R1; if the values are means, state "
         "n_sources and n_receivers",
     ]

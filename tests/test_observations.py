@@ -171,7 +171,7 @@ def test_other_simulators_are_differentiated_by_differences():
 def test_parameters_that_a_simulator_does_not_give_are_named():
     room, _ = rt.datasets.bras_cr2()
     simulator = rt.simulators.EquationSimulator(room=room, equation=rt.Sabine())
-    with pytest.raises(SimulatorError, match="does not give C80, LEVEL"):
+    with pytest.raises(SimulatorError, match="does not give C80, level"):
         observe(simulator, room.alpha, MATCH[:1] + MATCH[2:3] + MATCH[4:])
 
 
