@@ -214,4 +214,4 @@ def test_many_bands_are_printed_in_blocks_that_fit_a_page() -> None:
     assert len(measured) > 1
     assert [float(v) for block in measured for v in block] == [round(float(v), 3) for v in t]
     headers = sum(text.split()[:2] == ["100", "Hz"] for text in page)
-    assert headers == 3  # bands, alpha by material, its shift by material
+    assert headers == 4  # bands; by material stated alpha, calibrated alpha, its shift
