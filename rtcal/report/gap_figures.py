@@ -126,7 +126,15 @@ def evidence(finding: Finding) -> Any:
     )
     behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}  # the threshold's line is cut
     for y, value, end in zip(at, values, drawn, strict=True):
-        axes.text(max(end, 0.0), y, f" {value:+.1f}", va="center", fontsize=9, bbox=behind)
+        axes.annotate(
+            f"{value:+.1f}",
+            (max(end, 0.0), y),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=9,
+            bbox=behind,
+        )
     cut = values < low
     if cut.any():
         axes.plot(
