@@ -35,11 +35,11 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.judging import FLAGS, kept_controls, rounded, row_of
+from benchmarks.judging import FLAGS, rounded, row_of
 from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.discrepancy import Case, Configuration, find
-from rtcal.discrepancy.engines import ControlRooms
+from rtcal.discrepancy import find
+from rtcal.where.detection import of_means
 from tests.geometric_world import rooms
 from tests.geometric_world.generate import HERE
 from tests.geometric_world.load import (
@@ -174,6 +174,8 @@ def said(finding: Any, case: Any, face: int) -> dict[str, Any]:
         "families": rounded(finding.families),
         "score": float(finding.score),
         "threshold": float(finding.threshold),
+        "nats_of_positions": finding.detection.positions,
+        "nats_of_means": finding.detection.means,
     }
 
 
@@ -189,36 +191,9 @@ def plain(value: Any) -> Any:
 
 def means_only(judging: Judging, index: int, data: str) -> dict[str, Any]:
     """Return what the finder without a geometry says of the same measurement."""
-    room = judging.load(index)
-    names = ("t20", "edt", "c80", "g") if data == "level" else ("t20", "edt", "c80")
-    measured = rt.Measurement(
-        centre_frequencies=room.measured.centre_frequencies,
-        values={p: room.measured.values[p] for p in names},
-        pairs=room.measured.pairs,
-    )
-    facing = np.array(
-        [
-            sum(a * n**2 for a, n, m in zip(*faces_of(room), strict=True) if m == name)
-            for name in room.room.materials
-        ]
-    )
-    case = Case(
-        room=room.room,
-        configurations=[
-            Configuration(name="measured", measured=measured, distances=room.distances)
-        ],
-        facing=facing / facing.sum(1, keepdims=True),
-    )
-    name = f"{judging.statement}_{judging.population}_{index}_{data}.npz"
-    path = judging.folder / "means_controls" / name
-    controls: list[ControlRooms] = kept_controls(case, path)
-    row = row_of(find(case, controls=controls))
+    case = of_means(case_of(judging.load(index), data))
+    row = row_of(find(case, cache=judging.folder / "controls"))
     return {"index": index, "data": data, **row}
-
-
-def faces_of(room: GeometricRoom) -> tuple[Any, Any, Any]:
-    geometry = room.geometry
-    return geometry.face_areas, geometry.normals, geometry.materials
 
 
 def run(judging: Judging, step: str, indices: Iterable[int], data: Sequence[str]) -> None:
@@ -257,9 +232,9 @@ def results(judging: Judging) -> tuple[list[dict[str, Any]], list[dict[str, Any]
 def kept(statement: str, which: str = "fresh") -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the stored rows of some of the rooms (`ROOMS`), as `results` does."""
     rows = [r for r in read(STORED) if r["statement"] == statement]
-    # Means were not run again.
-    means = chosen(rows, "second" if which == "again" else which)
     found = [r for r in chosen(rows, which) if r["finder"] == "where"]
+    # Means were not run a second time.
+    means = chosen(rows, which) + (chosen(rows, "second") if which == "third" else [])
     return found, [r for r in means if r["finder"] == "means"]
 
 

@@ -21,8 +21,8 @@ MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
 ROOMS = {
-    "fresh": "from 85: judged once, by this finder",
-    "again": "43 to 84: judged by this finder after they had been read",
+    "fresh": "104 to 109 and from 114: judged once, by this finder",
+    "third": "43 to 113: judged by the finder that asked the positions alone, 43 to 84 a second time",
     "second": "43 to 84: judged by the finder before the error common to all pairs was smaller",
     "first": "0 to 42: judged by the finder before it had apertures, parts and errors of a place",
 }

@@ -1,13 +1,15 @@
-"""The score that `rtcal.where.find` gives rooms that are as stated, and its threshold.
+"""The score that `rtcal.where.find` gives rooms that are as stated, and its thresholds.
 
-    python -m benchmarks.where_threshold --cache out --statement "in situ" --number 12
-    python -m benchmarks.where_threshold --cache out --rooms 2,4,6 --measured     # no control rooms
+    python -m benchmarks.where_threshold --cache out --measured --populations 0 2 --rooms 0-39 0-17
+    python -m benchmarks.where_threshold --cache out --statement "in situ" --rooms 0-11
 
-Control rooms of the development rooms (population 0 of tests/geometric_world) are drawn: their
-simulator's error is that of control runs that the covariance has not seen, what catalogues err by in
-common has heavy tails (Student's t), and their measurement errs as assumed. `THRESHOLDS` are the
-quantiles over all rooms and both kinds of data, `TEMPER` the mean square of a hypothesis' standardised
-projection.
+`--measured` scores what was measured in development rooms (populations 0 and 2 of
+tests/geometric_world), by positions and by means over them. From the rooms with nothing hidden come the
+thresholds of `rtcal.where.detection`, and from all of them its `SHARE`.
+
+Else control rooms of the development rooms are drawn: their simulator's error is that of control runs
+that the covariance has not seen, what catalogues err by in common has heavy tails (Student's t), and
+their measurement errs as assumed. `TEMPER` is the mean square of a hypothesis' standardised projection.
 """
 
 from __future__ import annotations
@@ -24,12 +26,13 @@ import numpy as np
 from benchmarks.where import case_of
 from benchmarks.where_figures import DATA
 from rtcal.loop.control_runs import control_runs
+from rtcal.where.detection import BOTH, FALSE_ALARMS, POSITIONS, SHARE, evidence_of_means
 from rtcal.where.find import every_hypothesis
 from rtcal.where.model import Model, model
-from rtcal.where.prior import statement as statement_of
 from rtcal.where.responses import parameters, responses
-from rtcal.where.search import FALSE_ALARMS, TEMPER, THRESHOLDS, Hypotheses, evaluate, weights
+from rtcal.where.search import TEMPER, Hypotheses, evaluate, weights
 from tests.geometric_world.load import HANDBOOK, IN_SITU, load, truth
+from tests.geometric_world.rooms import NOTHING
 
 FOLDS, DRAWS = 4, 25
 """Groups of control runs that are left out in turn, and rooms that are drawn from each."""
@@ -85,14 +88,14 @@ def log_density(numbers: Model) -> float:
 
 
 def of_room(
-    index: int, statement: str, data: str, cache: Path, draw: bool = True
+    index: int, statement: str, data: str, cache: Path, draw: bool = True, population: int = 0
 ) -> dict[str, Any]:
     """Return the scores of a development room and of its control rooms.
 
     ``likelier`` is by how many nats the error common to all pairs makes what was measured likelier as
     it is assumed than with all of its variance.
     """
-    case = case_of(load(0, index, statement), data)
+    case = case_of(load(population, index, statement), data)
     controls: Any = control_runs(
         case.simulator,
         case.room,
@@ -107,43 +110,80 @@ def of_room(
     evidence = evaluate(numbers.likelihoods(), hypotheses, numbers.residual[:, np.newaxis])
     whole = replace(numbers, error=replace(numbers.error, common=1.0))
     return {
+        "population": population,
         "index": index,
         "statement": statement,
         "data": data,
-        "kind": truth(0, index)["kind"],
+        "kind": truth(population, index)["kind"],
         "square": square,
         "likelier": log_density(numbers) - log_density(whole),
-        "score": float(weights(evidence, hypotheses).score[0]),
+        "positions": float(weights(evidence, hypotheses).score[0]),
+        "means": None if draw else evidence_of_means(case, cache=cache),
         "control_scores": drawn_scores.round(2).tolist(),
     }
+
+
+def said(rows: list[dict[str, Any]]) -> None:
+    """Print which scores rooms with nothing hidden exceed, and how many others exceed them."""
+    asked = [r for r in rows if r["means"] is not None]
+    every = {
+        "positions": np.array([r["positions"] for r in asked]),
+        "means": np.array([r["means"] for r in asked]),
+        **{
+            f"means + {share} positions": np.array(
+                [r["means"] + share * r["positions"] for r in asked]
+            )
+            for share in (0.1, SHARE, 0.5, 1.0)
+        },
+    }
+    empty = np.array([r["kind"] == NOTHING for r in asked])
+    print(f"{empty.sum()} with nothing hidden, {(~empty).sum()} with something, both kinds of data")
+    for name, scores in every.items():
+        limit = float(np.quantile(scores[empty], 1 - FALSE_ALARMS))
+        tenth = float(np.quantile(scores[empty], 0.9))
+        print(
+            f"{name}: 5 % exceed {limit:.1f}, {(scores[~empty] > limit).mean():.2f} of the others;",
+            end=" ",
+        )
+        print(f"10 % exceed {tenth:.1f}, {(scores[~empty] > tenth).mean():.2f}")
+    for name, limit in (("positions", POSITIONS), (f"means + {SHARE} positions", BOTH)):
+        over = every[name] > limit
+        print(f"{name} over {limit}: {over[empty].mean():.3f} and {over[~empty].mean():.3f}")
+
+
+def numbers_of(words: str) -> list[int]:
+    """Return the numbers of "0-3,7"."""
+    ends = [[int(n) for n in word.split("-")] for word in words.split(",")]
+    return [n for first, *last in ends for n in range(first, (last or [first])[0] + 1)]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--statement", choices=(HANDBOOK, IN_SITU), default=IN_SITU)
-    parser.add_argument("--rooms", default="", help="numbers of development rooms; else the first")
-    parser.add_argument("--number", type=int, default=12)
+    parser.add_argument("--rooms", nargs="+", default=["0-11"], help="numbers, by population")
+    parser.add_argument("--populations", type=int, nargs="+", default=[0])
     parser.add_argument("--measured", action="store_true", help="score what was measured alone")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
-    rooms = [int(i) for i in given.rooms.split(",") if i] or list(range(given.number))
     given.cache.mkdir(parents=True, exist_ok=True)
-    every, squares = [], []
-    for index in rooms:
-        for data in DATA:
-            row = of_room(index, given.statement, data, given.cache, not given.measured)
-            every += row["control_scores"]
-            squares.append(row["square"])
-            print(json.dumps({k: v for k, v in row.items() if k != "control_scores"}), flush=True)
+    every, rows = [], []
+    for population, numbers in zip(given.populations, given.rooms, strict=True):
+        for index in numbers_of(numbers):
+            for data in DATA:
+                row = of_room(
+                    index, given.statement, data, given.cache, not given.measured, population
+                )
+                every += row.pop("control_scores")
+                rows.append(row)
+                print(json.dumps(row), flush=True)
     if given.measured:
+        said(rows)
         return
-    print(
-        f"{len(every)} control rooms: {np.quantile(every, 1 - FALSE_ALARMS):.2f} nats are exceeded by"
-    )
-    limit = THRESHOLDS[statement_of(load(0, rooms[0], given.statement).room)]
-    print(f"{FALSE_ALARMS:.0%}, {limit} by {np.mean(np.array(every) > limit):.1%};", end=" ")
-    print(f"mean square of projections {np.mean(squares):.2f}, divided by {TEMPER}")
+    print(f"{len(every)} control rooms:", end=" ")
+    print(f"{FALSE_ALARMS:.0%} exceed {np.quantile(every, 1 - FALSE_ALARMS):.2f} nats;", end=" ")
+    print(f"mean square of projections {np.mean([r['square'] for r in rows]):.2f}", end="")
+    print(f", divided by {TEMPER}")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import where_figures, where_folder
 from rtcal.where import Finding, Place, Verification, verification
+from rtcal.where.detection import Detection
 from tests.test_figures import LEAST, PHONE, texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 
@@ -44,8 +45,7 @@ def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = (
         candidates=candidates,
         probabilities={"porous": 0.9, "none": 0.1},
         families={"added absorption": 0.9, "none": 0.1},
-        score=6.0,
-        threshold=4.0,
+        detection=Detection(positions=12.0, means=3.0),
         map=np.arange(8.0).reshape(shape) - 3,
         parameters=("t20", "edt"),
         pairs=case.simulator.pairs,

@@ -18,6 +18,7 @@ from rtcal.where.hypotheses import shifts
 from rtcal.where.part_hypotheses import on_parts
 from rtcal.where.parts import divided
 from rtcal.where.patch import face_at, patched
+from rtcal.where.room_hypotheses import materials
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
@@ -187,3 +188,15 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     assert said.located.about == ", most probably about (3.0, 0.0, 1.5) m"
     legend = where_figures.room(said).axes[0].get_legend_handles_labels()[1]
     assert "most probable part of its surface" in legend
+
+
+def test_coefficients_that_were_measured_are_seldom_off(case: rt.where.Case) -> None:
+    """A material off by a factor was as probable in situ as with coefficients from a handbook."""
+
+    def odds(sigma: float) -> float:
+        room = case.room.replace(sigma=sigma * case.room.alpha)
+        made = materials(replace(case, simulator=replace(case.simulator, room=room)))
+        return sum(float(shift.odds.sum()) for shift in made)
+
+    assert odds(0.3) == pytest.approx(1.0)
+    assert odds(0.06) == pytest.approx(0.04)

@@ -19,16 +19,15 @@ from rtcal.support.types import Array
 from rtcal.where import track_record
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
+from rtcal.where.detection import Detection, evidence_of_means
 from rtcal.where.evidence import Likelihood
 from rtcal.where.finding import LIKELY, Finding
 from rtcal.where.hypotheses import COUPLED, library, shifts, spreads
 from rtcal.where.model import Model, model
 from rtcal.where.part_hypotheses import on_parts
-from rtcal.where.prior import statement
 from rtcal.where.responses import Responses, parameters, responses
 from rtcal.where.search import (
     TEMPER,
-    THRESHOLDS,
     Hypotheses,
     Weights,
     evaluate,
@@ -101,8 +100,26 @@ def find(
         For an unknown effect, too few pairs, or control runs of another simulator.
     """
     checks.whole("seed", seed, 0)
-    left_out = _left_out(only, without)
+    left_out = left_out_of(only, without)
     tell = report or (lambda what, done, of: None)
+    means = None
+    if not left_out and case.simulated is None:
+        # The means know neither fewer effects nor another program's values.
+        means = evidence_of_means(case, seed, cache)
+    return search(case, controls, cache, seed, left_out, tell, means)
+
+
+@single_threaded_blas()
+def search(
+    case: Case,
+    controls: ControlRuns | None,
+    cache: str | os.PathLike[str] | None,
+    seed: int,
+    left_out: Sequence[str],
+    tell: Report = lambda what, done, of: None,
+    means: float | None = None,
+) -> Finding:
+    """Return what the positions say, ``means`` being the evidence of the means if they were asked."""
     if controls is None:
         controls = control_runs(
             case.simulator,
@@ -122,7 +139,8 @@ def find(
     likelihoods = numbers.likelihoods()
     evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
     posterior = weights(evidence, hypotheses)
-    finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0])
+    detected = Detection(float(posterior.score[0]), means)
+    finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0], detected)
     return replace(finding, notes=(*finding.notes, CHOSEN)) if left_out else finding
 
 
@@ -148,7 +166,7 @@ def every_hypothesis(
     )
 
 
-def _left_out(only: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
+def left_out_of(only: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
     """Return the effects that are not tried; DataError for an unknown name."""
     for place, names in (("only", only), ("without", without)):
         for name in checks.listed(place, names):
@@ -294,12 +312,11 @@ def _finding(
     hypotheses: Hypotheses,
     posterior: Weights,
     likelihood: Likelihood,
+    detected: Detection,
 ) -> Finding:
     summary = _posterior(case, hypotheses, posterior)
-    score = float(posterior.score[0])
     groups = _groups(case, hypotheses, summary, likelihood)
-    limit = THRESHOLDS[statement(case.room)]
-    verdict, effect, family = _claimed(summary, score, limit)
+    verdict, effect, family = _claimed(summary, detected)
     reasons = _reasons(hypotheses, summary, verdict)
     first = next(iter(summary.surfaces))
     sure = summary.surfaces[first] >= LIKELY and summary.on_surfaces >= CLAIMED
@@ -316,8 +333,7 @@ def _finding(
         candidates=summary.candidates,
         probabilities=summary.probabilities,
         families=summary.families,
-        score=score,
-        threshold=limit,
+        detection=detected,
         map=_map(numbers, likelihood),
         parameters=observations.parameters,
         pairs=observations.pairs,
@@ -327,10 +343,10 @@ def _finding(
     )
 
 
-def _claimed(summary: _Posterior, score: float, limit: float) -> tuple[str, str | None, str | None]:
+def _claimed(summary: _Posterior, detected: Detection) -> tuple[str, str | None, str | None]:
     """Return the verdict, and the effect and the family that are claimed."""
-    if score <= limit:
-        return ("hint" if score > 0 else "none"), None, None
+    if detected.score <= detected.threshold:
+        return ("hint" if detected.score > 0 else "none"), None, None
     some = {e: p for e, p in summary.probabilities.items() if e != NONE}
     best = next(iter(some))
     families = [f for f, p in summary.families.items() if f != NONE and p >= CLAIMED]

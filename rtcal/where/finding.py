@@ -18,6 +18,7 @@ from rtcal.support.files import json_numbers, write_text
 from rtcal.support.types import Array
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
+from rtcal.where.detection import Detection
 
 if TYPE_CHECKING:
     from rtcal.where.corrected import Corrected
@@ -52,8 +53,8 @@ class Finding:
         Every effect in every place, the most probable first.
     probabilities, families : mapping of str to float
         Of each effect and family, of "none", "coefficients" and "unknown".
-    score, threshold : float
-        Evidence that something is other than stated in nats, and what it must exceed.
+    detection : Detection
+        Evidence that something is other than stated, of the positions and of means over them.
     map : array (n_parameters, n_pairs, n_bands)
         Measured less simulated in standard deviations of what prior, simulator and measurement leave
         open; NaN where nothing was measured.
@@ -76,14 +77,23 @@ class Finding:
     candidates: tuple[Candidate, ...]
     probabilities: Mapping[str, float]
     families: Mapping[str, float]
-    score: float
-    threshold: float
+    detection: Detection
     map: Array
     parameters: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     controls: ControlRuns
+
+    @property
+    def score(self) -> float:
+        """What must exceed the ``threshold``; see `Detection`."""
+        return self.detection.score
+
+    @property
+    def threshold(self) -> float:
+        """Score that few rooms exceed in which nothing is other than stated."""
+        return self.detection.threshold
 
     @property
     def detected(self) -> bool:
@@ -169,7 +179,7 @@ class Finding:
         best = self.best
         what = "nothing" if best is None else f"{best.title} {100 * best.probability:.0f} %"
         return (
-            f"<Finding {self.verdict}: {what}; {self.score:+.1f} nats, threshold "
+            f"<Finding {self.verdict}: {what}; score {self.score:+.1f}, threshold "
             f"{self.threshold:.1f}>"
         )
 
@@ -215,12 +225,9 @@ class Finding:
             lines += ["", *text.table(rows, header=header), ""]
         for group in self.groups:
             lines += text.wrapped(f"Not told apart by these positions: {_listed(list(group))}.")
-        lines += text.wrapped(
-            f"Evidence that something is other than stated: {self.score:+.1f} nats; threshold "
-            f"{self.threshold:.1f}, exceeded by 5 % of control rooms."
-        )
+        lines += text.wrapped(self.detection.in_words)
         for note in (*self.reasons, *self.notes):
-            lines += text.wrapped(note, hanging="    ")
+            lines += text.wrapped(note)
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -248,6 +255,8 @@ class Finding:
             "families": dict(self.families),
             "score": self.score,
             "threshold": self.threshold,
+            "nats_of_positions": self.detection.positions,
+            "nats_of_means": self.detection.means,
             "parameters": list(self.parameters),
             "pairs": [list(pair) for pair in self.pairs],
             "centre_frequencies": json_numbers(self.case.room.centre_frequencies),

@@ -11,7 +11,7 @@ from rtcal.acoustics.air import Air
 from rtcal.discrepancy.effects.air import OmittedAir
 from rtcal.discrepancy.effects.base import Parameters
 from rtcal.discrepancy.effects.stated import WrongVolume
-from rtcal.discrepancy.prior import COEFFICIENTS, grid_weights
+from rtcal.discrepancy.prior import COEFFICIENTS, grid_weights, relative_sigma
 from rtcal.support.types import Array
 from rtcal.where.case import Case
 from rtcal.where.responses import AIR, SHARES, VOLUME
@@ -33,6 +33,8 @@ def materials(case: Case) -> list[Shift]:
     made_of = np.array([room.material_index(m) for m in case.geometry.materials])
     octaves = np.abs(np.subtract.outer(*(2 * [np.log2(room.centre_frequencies)])))
     density = np.exp(-np.abs(FACTORS) / FACTOR_SCALE)
+    # Who states a small sigma knows the coefficients from a measurement (`off_together`).
+    odds = ODDS[COEFFICIENTS] * relative_sigma(room) ** 2
     absorbed = room.areas * room.alpha.mean(axis=1)
     made = []
     for row, material in enumerate(room.materials):
@@ -51,7 +53,7 @@ def materials(case: Case) -> list[Shift]:
                 surface=None,
                 response=f"material {row}",
                 weights=np.tile(every, (1, 1, len(members))),
-                odds=density / density.sum() * absorbed[row] / absorbed.sum() * ODDS[COEFFICIENTS],
+                odds=density / density.sum() * absorbed[row] / absorbed.sum() * odds,
                 sizes=np.exp(FACTORS),
                 unit="of what is stated",
                 parameters=[{"factor": float(np.exp(f))} for f in FACTORS],

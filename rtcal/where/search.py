@@ -13,18 +13,12 @@ from rtcal.discrepancy.prior import NO_EFFECT, off_together
 from rtcal.support.types import Array
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
-from rtcal.where.prior import HANDBOOK, IN_SITU
 from rtcal.where.shift import ODDS, UNKNOWN, Shift, Spread
 
-FALSE_ALARMS = 0.05
-"""Share of rooms with nothing hidden that may be flagged."""
-THRESHOLDS = {IN_SITU: 2.5, HANDBOOK: 7.6}
-"""Scores in nats that `FALSE_ALARMS` of the control rooms exceed, by how the coefficients are stated
-(`python -m benchmarks.where_threshold`): in situ of 256 in four development rooms. A handbook's is
-older. Now and then its coefficients err by far more than its uncertainty."""
 TEMPER = 1.25
-"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in those rooms. It
-would be 1 if few control runs told their covariance without error."""
+"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms
+(`python -m benchmarks.where_threshold`). It would be 1 if few control runs told their covariance
+without error."""
 
 
 @dataclass(frozen=True, eq=False)

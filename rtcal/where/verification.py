@@ -23,7 +23,7 @@ from rtcal.support.types import Array
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
 from rtcal.where.corrected import corrected
-from rtcal.where.find import find
+from rtcal.where.find import left_out_of, search
 from rtcal.where.finding import Finding
 from rtcal.where.responses import precisely
 
@@ -271,7 +271,7 @@ def verify(
             f"there are {len(finding.pairs)} pairs; to predict half of them from the others, it needs "
             f"{LEAST_PAIRS}"
         )
-    halves = halves_of(finding.pairs)
+    halves, left_out = halves_of(finding.pairs), left_out_of(only, without)
     gaps = {model: np.full((len(chosen), *finding.map.shape), np.nan) for model in MODELS}
     added: list[Candidate | None] = []
     done, steps = 0, len(halves) * (1 + len(MODELS) * len(chosen))
@@ -284,14 +284,7 @@ def verify(
 
     for half in halves:
         fitted = case.only(half)
-        again = find(
-            fitted,
-            controls=finding.controls,
-            cache=cache,
-            seed=chosen[0],
-            only=only,
-            without=without,
-        )
+        again = search(fitted, finding.controls, cache, chosen[0], left_out)
         tell("search in half of the pairs")
         best = next((c for c in again.candidates if c.can_be_added), None)
         added.append(best)

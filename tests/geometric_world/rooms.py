@@ -3,7 +3,8 @@
 It imports nothing of rtcal. A room is drawn from the seed (population, index). Population 0 is for
 development, population 1 for judging: 150 rooms with something hidden and 100 without, in an order in
 which the kinds are mixed, so that the first N rooms are a fair sample. It was frozen on 2026-11-22,
-before the finder that it judges was tried on it.
+before the finder that it judges was tried on it. Population 2 has further rooms for development,
+drawn as those for judging; the first 40 are built.
 
 - Shapes: half are boxes, the others polyhedra of 6 to 10 surfaces (`tests.position_rooms.shapes`), 90
   to 3,000 m³. In half of the rooms every surface has a material of its own; in the others walls share.
@@ -49,13 +50,18 @@ KINDS = {
 """Rooms in population 1 by what is hidden. "covered surface": a stated absorber is not there;
 "receiver": one receiver stands 0.8 to 2 m from where it is stated."""
 ON_A_SURFACE = ("opening", "porous", "curtain", "resonator", "audience", "covered surface")
-COUNTS = {0: {**dict.fromkeys(KINDS, 3), NOTHING: 16}, 1: KINDS}
+COUNTS = {
+    0: {**dict.fromkeys(KINDS, 3), NOTHING: 16},
+    1: KINDS,
+    2: {**dict.fromkeys(KINDS, 5), NOTHING: 40},
+}
 SHARES = 0.08, 0.6
 REFLECTIONS = 1.2e7
 """Traced per source: the noise of T20 and EDT is then about 1.3 % per pair, below a measurement's."""
 FROZEN = {
     0: "64c5406e47457c82b6d097a89b9d02532f379aefb02eeb797bdf443dc52fe124",
     1: "142d07bf4fe2b6cb7ff03a59c911005adadf08eea830cba33a9999d50feed5be",
+    2: "5679c802cb9e5c983f535eb50e63462c4d34a465f05267790f08b137d485a141",
 }
 """`tests.geometric_world.generate.digest` of the first twelve rooms of each population."""
 LARGEST = 0.9  # share of a surface that something may take
@@ -326,7 +332,7 @@ def draw(population: int, index: int) -> tuple[dict[str, Any], Scene, np.ndarray
         raise RuntimeError(f"room {population}.{index} finds no place for a {kind}")
     sources, receivers = found
     climate = (float(np.round(rng.uniform(17, 25), 1)), float(np.round(rng.uniform(30, 60))))
-    rough = scattering(rng, population, len(made.rows) + len(made.shell))
+    rough = scattering(rng, min(population, 1), len(made.rows) + len(made.shell))
     # One coefficient per stated surface, and per row of alpha for the polygons that came later.
     n = len(made.shell)
     later = [n + row for row in made.solid.owner[n:]]
