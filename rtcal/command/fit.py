@@ -66,7 +66,7 @@ _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
     type=float,
     default=0.1,
     show_default=True,
-    help="Standard uncertainty of the positions in m.",
+    help="Root mean square distance of the positions from those stated, in m.",
 )
 @click.option(
     "--seed",

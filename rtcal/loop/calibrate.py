@@ -120,8 +120,8 @@ def calibrate_simulator(
     cache : path, optional
         Every position: folder in which the control runs are kept.
     position_uncertainty : float
-        Every position: how far sources and receivers may stand from where they are stated, in m;
-        at most 1.
+        Every position: root mean square distance of sources and receivers from where they are
+        stated, in m; at most 1.
     fit_scattering : bool
         Every position: whether the level of scattering of a `PathTracing` is fitted, too. If not,
         the one stated is kept, and is uncertain.

@@ -35,7 +35,8 @@ from rtcal.support.version import __version__
 RUNS = 16
 """Traces for the control runs."""
 POSITION = 0.1
-"""Standard uncertainty in m of where sources and receivers stand, along each axis over sqrt(3)."""
+"""Root mean square distance in m of sources and receivers from where they are stated. Each coordinate
+has a standard deviation sqrt(3) times smaller."""
 MOST_OFF = 1.0
 """Largest `POSITION` in m that is taken."""
 SCATTERING = (0.1, 0.85)
@@ -228,7 +229,7 @@ def control_runs(
     match : sequence of str
     seed : int
     position_uncertainty : float
-        Of sources and receivers, in m.
+        Root mean square distance of sources and receivers from where they are stated, in m.
     cache : path, optional
         Folder in which the errors are kept, by a hash of everything they depend on.
     report : callable, optional
