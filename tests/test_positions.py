@@ -306,7 +306,7 @@ def test_any_simulator_is_calibrated_without_an_interval():
     assert result.parameters == ("t20", "edt")
     assert result.interval is None
     text = " ".join(str(result).split())
-    assert "the simulator does not give it: C80, LEVEL" in text
+    assert "the simulator does not give it: C80, level" in text
     assert "No interval" in text
     assert np.abs(result.gap_after).max() < np.abs(result.gap_before).max()
     np.testing.assert_array_equal(result.room.sigma, room.sigma)

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.decay_gradients import gradients
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.uncertainty import between_teams
 from rtcal.calibration.measured import times_in_room
@@ -121,11 +122,13 @@ def measured_pairs(
     ]
     if len(absent) == len(match):
         raise DataError(
-            f"the measurement has none of {', '.join(p.upper() for p in match)} at the "
+            f"the measurement has none of {', '.join(map(parameter_label, match))} at the "
             "simulator's pairs"
         )
     if absent:
-        notes.append(f"Left out, since it was not measured: {', '.join(map(str.upper, absent))}.")
+        notes.append(
+            f"Left out, since it was not measured: {', '.join(map(parameter_label, absent))}."
+        )
         present = [p for p in match if p not in absent]
         observations = Observations.of_measurement(in_room, present, kept)
     return MeasuredPairs(

@@ -20,6 +20,7 @@ from scipy.linalg import eigh, solve_triangular
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
@@ -334,9 +335,9 @@ def _given(
     given = tuple(p for p in match if p in observations.given(simulated))
     if not given:
         raise SimulatorError(
-            f"{simulator.name} gives none of {', '.join(p.upper() for p in match)}"
+            f"{simulator.name} gives none of {', '.join(map(parameter_label, match))}"
         )
-    absent = [p.upper() for p in match if p not in given]
+    absent = [parameter_label(p) for p in match if p not in given]
     note = f"Left out, since the simulator does not give it: {', '.join(absent)}."
     return given, (note,) if absent else ()
 

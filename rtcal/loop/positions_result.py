@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from rtcal.acoustics.parameters import UNITS
+from rtcal.acoustics.parameters import UNITS, parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.calibration.certificate import Certificate
@@ -254,7 +254,7 @@ class PositionsResult:
     def _description(self) -> str:
         return (
             f'PositionsResult of "{text.shortened(self.simulator)}": {len(self.pairs)} pairs, '
-            f"{', '.join(p.upper() for p in self.parameters)}, {len(self.steps)} steps"
+            f"{', '.join(map(parameter_label, self.parameters))}, {len(self.steps)} steps"
         )
 
     def __str__(self) -> str:
@@ -280,7 +280,7 @@ class PositionsResult:
 
     def _gap_table(self) -> tuple[list[str], list[list[str]]]:
         """Return header and rows: rms gaps by pair, before and after, and over all pairs."""
-        header = ["rms gap / JND", *(p.upper() for p in self.parameters)]
+        header = ["rms gap / JND", *(parameter_label(p) for p in self.parameters)]
         squares = [self.gap_before**2, self.gap_after**2]
 
         def row(name: str, pairs: Any) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.report import positions_figures
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.rows import material_rows
@@ -45,7 +46,7 @@ def page(saved: SavedPositions, heading: Heading, step: Callable[[], None]) -> s
             },
             "learned": [_learned(saved, i) for i in order],
             "gaps": _gaps(saved),
-            "parameters": [p.upper() for p in saved.parameters],
+            "parameters": [parameter_label(p) for p in saved.parameters],
             "doubts": _doubts(saved),
             "blocks": blocks(len(saved.centre_frequencies)),
             "labels": [f"{f:g} Hz" for f in saved.centre_frequencies],
@@ -81,7 +82,7 @@ def _most_learned_first(saved: SavedPositions) -> list[int]:
 
 
 def _summary(saved: SavedPositions, order: list[int]) -> list[str]:
-    parameters = ", ".join(p.upper() for p in saved.parameters)
+    parameters = ", ".join(parameter_label(p) for p in saved.parameters)
     n_pairs = len(saved.pairs)
     share = _share(saved)
     learned = [saved.materials[i] for i in order if share[i] <= _LEARNED]
