@@ -58,6 +58,17 @@ def result(case, tmp_path_factory):
     return rt.calibrate_simulator(tracing(room), room, measured, match=MATCH, cache=cache)
 
 
+def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_be_used(result):
+    assert result.farther == ()
+    off = result.after.values.copy()
+    off[result.parameters.index("t20")] += 1.0  # in one room of the study it was 0.6
+    astray = replace(result, after=replace(result.after, values=off))
+    assert astray.farther == ("t20",)
+    said = " ".join(str(astray).split())
+    assert "In T20 the calibrated simulator is farther from what was measured" in said
+    assert "farther from" not in str(result)
+
+
 def error(room, alpha, truth):
     return np.sqrt(room.areas @ ((alpha - truth) ** 2).mean(axis=1) / room.total_area)
 

@@ -31,6 +31,8 @@ KIND = "positions 1"
 """Value of the key ``rtcal`` in a saved result."""
 _HALF_WIDTH = 1.6449
 """Half the width of a 90 % interval in standard deviations of a normal distribution."""
+_FARTHER = 0.5
+"""JND: the noise of a tracing. A larger rise of the mean gap is the calibration's."""
 CONTRADICTION = 0.001
 """Probability, divided among the pairs, below which a pair contradicts all others."""
 
@@ -160,6 +162,16 @@ class PositionsResult:
     def gap_after(self) -> Array:
         """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
         return self._gap(self.after)
+
+    @property
+    def farther(self) -> tuple[str, ...]:
+        """Parameters in which ``tracer`` is farther from what was measured than the simulator given.
+
+        The root mean square gap over pairs and bands is larger by over half a JND.
+        """
+        before, after = (_rms(gap**2) for gap in (self.gap_before, self.gap_after))
+        each = zip(self.parameters, before, after, strict=True)
+        return tuple(p for p, old, new in each if new > old + _FARTHER)
 
     @property
     def shift(self) -> Array:
@@ -304,6 +316,13 @@ class PositionsResult:
 
     def _notes(self) -> list[str]:
         notes = list(self.notes)
+        if self.farther:
+            names = " and ".join(parameter_label(p) for p in self.farther)
+            notes.insert(
+                0,
+                f"In {names} the calibrated simulator is farther from what was measured than before: "
+                "do not simulate with it. Its scattering or geometry is wrong; look at `predicted`.",
+            )
         if "level" in self.parameters:
             notes.append(
                 "Level: absolute, G of a calibrated source."
