@@ -5,6 +5,7 @@
     python -m benchmarks.where gaps --folder out --number 40     # at held-out pairs, the same rooms
     python -m benchmarks.where means --folder out --number 40    # means over positions, the same rooms
     python -m benchmarks.where table                             # of the stored run, or --folder out
+    python -m benchmarks.where decided --statement "in situ"     # by the rule that means decide
     python -m benchmarks.where table --rooms second              # as judged by an earlier finder
     python -m benchmarks.where store --folder out                # the run that the study shows
     python -m benchmarks.where speed --folder out                # first and second run of one room
@@ -36,7 +37,7 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks.judging import FLAGS, rounded, row_of
-from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
+from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, decided, table
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.discrepancy import find
 from rtcal.where.detection import of_means
@@ -229,7 +230,9 @@ def results(judging: Judging) -> tuple[list[dict[str, Any]], list[dict[str, Any]
     return found, every["means"]
 
 
-def kept(statement: str, which: str = "fresh") -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def kept(
+    statement: str, which: str = "fourth"
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the stored rows of some of the rooms (`ROOMS`), as `results` does."""
     rows = [r for r in read(STORED) if r["statement"] == statement]
     found = [r for r in chosen(rows, which) if r["finder"] == "where"]
@@ -290,18 +293,27 @@ STEPS: dict[str, Callable[[Judging, int, str], dict[str, Any]]] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=("list", *STEPS, "table", "store", "speed"))
+    parser.add_argument("command", choices=("list", *STEPS, "table", "decided", "store", "speed"))
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument("--statement", choices=STATEMENTS, default=HANDBOOK)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--number", type=int, default=250, help="of rooms, in a fair order")
-    parser.add_argument("--rooms", choices=ROOMS, default="fresh", help="which ones a table is of")
+    parser.add_argument("--rooms", choices=ROOMS, default="fourth", help="which ones a table is of")
     parser.add_argument("--data", default=",".join(DATA))
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     if given.command == "list":
         listed()
+    elif given.command == "decided":
+        means = kept(given.statement, "fresh")[1]
+        every = [kept(given.statement, which) for which in ("third", "fourth")]
+        located, before = ([r for rows in every for r in rows[n]] for n in (0, 1))
+        for data, words in DATA.items():
+            for name, line in decided(means, located, before, given.population, data).items():
+                print(
+                    f"{words:14} {name:42} {line[0]:.2f} [{line[1]:.2f}, {line[2]:.2f}] of {line[3]}"
+                )
     elif given.command == "table":
         if given.folder is None:
             print(f"rooms {ROOMS[given.rooms]}; coefficients: {given.statement}")

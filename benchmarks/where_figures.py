@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks.judging import FLAGS, NOTHING, families_of
 from benchmarks.positions_table import bootstrap, share
+from rtcal.where.detection import MEANS
 from tests.geometric_world import rooms
 from tests.geometric_world.load import truth
 
@@ -21,7 +22,8 @@ MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
 ROOMS = {
-    "fresh": "104 to 109 and from 114: judged once, by this finder",
+    "fresh": "128 to 144 and from 154: means alone, for the rule that they decide",
+    "fourth": "104 to 153: judged once, by the sum of the means and a quarter of the positions",
     "third": "43 to 113: judged by the finder that asked the positions alone, 43 to 84 a second time",
     "second": "43 to 84: judged by the finder before the error common to all pairs was smaller",
     "first": "0 to 42: judged by the finder before it had apertures, parts and errors of a place",
@@ -202,6 +204,34 @@ def asked(data: str) -> dict[str, tuple[float, float]]:
         "a single surface claimed: right": (0.9, 1),
         "gap corrected / plain, median": (0, 0.7),
         "rooms in which it shrinks": (0.85, 1),
+    }
+
+
+def decided(
+    means: Iterable[dict[str, Any]],
+    located: Iterable[dict[str, Any]],
+    before: Iterable[dict[str, Any]],
+    population: int,
+    data: str,
+) -> dict[str, Line]:
+    """Return what the rule gives that means decide and positions say where.
+
+    ``means`` are of rooms that had not been read. ``located`` are of rooms with positions, which had,
+    and ``before`` their means.
+    """
+
+    def over(row: dict[str, Any]) -> bool:
+        return bool(row["score"] > max(MEANS, row["threshold"]))
+
+    rows = Rows(means, population, data)
+    flagged = {r["index"] for r in before if r["data"] == data and over(r)}
+    placed = [
+        r for _, r in Rows(located, population, data).only(ABSORBERS) if r["index"] in flagged
+    ]
+    return {
+        "nothing hidden, flagged": portion(over(r) for _, r in rows.only((rooms.NOTHING,))),
+        "something hidden, detected": portion(over(r) for _, r in rows.only(HIDDEN)),
+        "absorbers detected, on the right surface": portion(is_first(r) for r in placed),
     }
 
 

@@ -5,7 +5,7 @@
 
 `--measured` scores what was measured in development rooms (populations 0 and 2 of
 tests/geometric_world), by positions and by means over them. From the rooms with nothing hidden come the
-thresholds of `rtcal.where.detection`, and from all of them its `SHARE`.
+thresholds of `rtcal.where.detection`, and from all of them what decides.
 
 Else control rooms of the development rooms are drawn: their simulator's error is that of control runs
 that the covariance has not seen, what catalogues err by in common has heavy tails (Student's t), and
@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.where import case_of
 from benchmarks.where_figures import DATA
 from rtcal.loop.control_runs import control_runs
-from rtcal.where.detection import BOTH, FALSE_ALARMS, POSITIONS, SHARE, evidence_of_means
+from rtcal.where.detection import FALSE_ALARMS, MEANS, POSITIONS, evidence_of_means
 from rtcal.where.find import every_hypothesis
 from rtcal.where.model import Model, model
 from rtcal.where.responses import parameters, responses
@@ -118,7 +118,7 @@ def of_room(
         "square": square,
         "likelier": log_density(numbers) - log_density(whole),
         "positions": float(weights(evidence, hypotheses).score[0]),
-        "means": None if draw else evidence_of_means(case, cache=cache),
+        "means": None if draw else (evidence_of_means(case, cache=cache) or (None,))[0],
         "control_scores": drawn_scores.round(2).tolist(),
     }
 
@@ -133,7 +133,7 @@ def said(rows: list[dict[str, Any]]) -> None:
             f"means + {share} positions": np.array(
                 [r["means"] + share * r["positions"] for r in asked]
             )
-            for share in (0.1, SHARE, 0.5, 1.0)
+            for share in (0.1, 0.25, 0.5, 1.0)
         },
     }
     empty = np.array([r["kind"] == NOTHING for r in asked])
@@ -146,7 +146,7 @@ def said(rows: list[dict[str, Any]]) -> None:
             end=" ",
         )
         print(f"10 % exceed {tenth:.1f}, {(scores[~empty] > tenth).mean():.2f}")
-    for name, limit in (("positions", POSITIONS), (f"means + {SHARE} positions", BOTH)):
+    for name, limit in (("positions", POSITIONS), ("means", MEANS)):
         over = every[name] > limit
         print(f"{name} over {limit}: {over[empty].mean():.3f} and {over[~empty].mean():.3f}")
 

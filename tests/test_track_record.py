@@ -82,11 +82,11 @@ def test_the_record_is_that_of_the_case_s_own_kind_of_data() -> None:
 
 @pytest.mark.parametrize(("data", "column"), [("without level", 3), ("with level", 4)])
 def test_what_a_finding_with_a_geometry_says_is_the_study_s(data: str, column: int) -> None:
-    """The column of the fresh rooms."""
+    """The table of the rule that means decide."""
     for label, stated in (
-        ("flagged with nothing hidden", where_record.FLAGGED),
-        ("detected", where_record.DETECTED),
-        ("right surface, of absorbers detected", where_record.SURFACE),
+        ("nothing hidden, flagged", where_record.FLAGGED),
+        ("something hidden, detected", where_record.DETECTED),
+        ("absorbers detected, on the right surface", where_record.SURFACE),
     ):
         (row,) = (line for line in WHERE.splitlines() if line.startswith(f"| {label} |"))
         cell = row.split("|")[column].split()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.where.detection import BOTH, POSITIONS, SHARE, Detection, evidence_of_means, of_means
+from rtcal.where.detection import MEANS, POSITIONS, Detection, evidence_of_means, of_means
 from tests.test_where import MATCH, measured, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
@@ -20,13 +20,14 @@ def case() -> rt.where.Case:
     return rt.where.Case(simulator=tracing(stated()), measured=measured(True))
 
 
-def test_the_score_is_of_both_or_of_the_positions_alone() -> None:
-    both = Detection(positions=8.0, means=3.0)
-    assert (both.score, both.threshold) == (3.0 + 8.0 * SHARE, BOTH)
-    alone = Detection(positions=8.0)
-    assert (alone.score, alone.threshold) == (8.0, POSITIONS)
-    assert "means" in both.in_words
-    assert "means" not in alone.in_words
+def test_the_means_decide_where_they_are_asked() -> None:
+    alone = Detection(positions=20.0)
+    assert (alone.score, alone.threshold, alone.verdict) == (20.0, POSITIONS, None)
+    assert Detection(positions=20.0, means=-1.0).verdict == "hint"
+    assert Detection(positions=-1.0, means=-1.0).verdict == "none"
+    assert Detection(positions=-1.0, means=3.0).verdict is None
+    assert Detection(positions=-1.0, means=3.0, threshold_of_means=4.0).verdict == "hint"
+    assert Detection(positions=9.0, means=2.0, threshold_of_means=1.6).threshold == MEANS
 
 
 def test_the_means_have_the_pairs_and_the_geometry_of_the_case(case: rt.where.Case) -> None:

@@ -117,9 +117,9 @@ def search(
     seed: int,
     left_out: Sequence[str],
     tell: Report = lambda what, done, of: None,
-    means: float | None = None,
+    means: tuple[float, float] | None = None,
 ) -> Finding:
-    """Return what the positions say, ``means`` being the evidence of the means if they were asked."""
+    """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
     if controls is None:
         controls = control_runs(
             case.simulator,
@@ -139,7 +139,7 @@ def search(
     likelihoods = numbers.likelihoods()
     evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
     posterior = weights(evidence, hypotheses)
-    detected = Detection(float(posterior.score[0]), means)
+    detected = Detection(float(posterior.score[0]), *(means or ()))
     finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0], detected)
     return replace(finding, notes=(*finding.notes, CHOSEN)) if left_out else finding
 
@@ -345,8 +345,8 @@ def _finding(
 
 def _claimed(summary: _Posterior, detected: Detection) -> tuple[str, str | None, str | None]:
     """Return the verdict, and the effect and the family that are claimed."""
-    if detected.score <= detected.threshold:
-        return ("hint" if detected.score > 0 else "none"), None, None
+    if detected.verdict is not None:
+        return detected.verdict, None, None
     some = {e: p for e, p in summary.probabilities.items() if e != NONE}
     best = next(iter(some))
     families = [f for f, p in summary.families.items() if f != NONE and p >= CLAIMED]
