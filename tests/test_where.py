@@ -138,13 +138,15 @@ def test_a_level_between_positions_is_enough(cache: Path) -> None:
     assert "east" in finding.likely_surfaces
 
 
-def test_a_receiver_that_stands_elsewhere_is_named(cache: Path) -> None:
+def test_a_receiver_that_stands_elsewhere_is_a_hint(cache: Path) -> None:
+    """The mean over positions hardly changes, so it is not detected."""
     truth = tracing(stated(), receivers=RECEIVERS | {"R1": (2.2, 2.0, 1.2)}, n_paths=19200)
     case = rt.where.Case(simulator=tracing(stated()), measured=heard(truth, truth.room.alpha))
     finding = rt.where.find(case, cache=cache)
-    assert finding.family == "measurement"
+    assert finding.verdict == "hint"
     best = finding.best
     assert best is not None
+    assert best.family == "measurement"
     assert "R1" in best.place
     assert finding.surface is None
 
