@@ -1,7 +1,7 @@
 """How often the finder with a geometry was right in rooms that were not used to make it.
 
-The figures are those of docs/where_study.md: in situ `python -m benchmarks.where decided`, from a handbook
-`python -m benchmarks.where table --rooms first`.
+The figures are those of docs/where_study.md: in situ `python -m benchmarks.where decided`, from a
+handbook `python -m benchmarks.where table --rooms first`.
 """
 
 from __future__ import annotations
