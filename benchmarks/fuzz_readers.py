@@ -83,7 +83,7 @@ def fuzz_one(name: str, seconds: int) -> None:
         f"-max_len={MAX_BYTES}",
         f"-dict={tokens}",
         f"-artifact_prefix={FOLDER}/{name}-",
-        "-timeout=10",
+        "-timeout=100",  # by the clock; `fuzz.check` counts 10 s of processor time
         "-rss_limit_mb=1024",
         "-print_final_stats=1",
     ]
