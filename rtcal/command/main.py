@@ -25,7 +25,7 @@ from rtcal.support.version import __version__
 
 EXIT_CODES = {
     0: "done",
-    2: "the input or model cannot be used, no coefficients reach T, or the command is wrong",
+    2: "unusable input, T beyond reach, or a wrong command",
     3: "the solver failed",
     4: "an optional library is missing",
     CannotPrint.exit_code: "the output cannot be printed",
