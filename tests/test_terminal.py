@@ -105,6 +105,7 @@ def computed() -> Any:
     from rtcal import discrepancy
     from rtcal.loop import positions
     from rtcal.report import gap_report, page, positions_folder
+    from rtcal.where import verification  # noqa: F401 (it shall not import what is replaced below)
 
     def once(function: Any) -> Any:
         results: list[Any] = []
