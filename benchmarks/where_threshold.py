@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.where import case_of
 from benchmarks.where_figures import DATA
 from rtcal.loop.control_runs import control_runs
-from rtcal.where.detection import FALSE_ALARMS, MEANS, POSITIONS, evidence_of_means
+from rtcal.where.detection import MEANS, POSITIONS, evidence_of_means
 from rtcal.where.find import every_hypothesis
 from rtcal.where.model import Model, model
 from rtcal.where.responses import parameters, responses
@@ -36,6 +36,8 @@ from tests.geometric_world.rooms import NOTHING
 
 FOLDS, DRAWS = 4, 25
 """Groups of control runs that are left out in turn, and rooms that are drawn from each."""
+FALSE_ALARMS = 0.05
+"""Share of rooms with nothing hidden that may be flagged."""
 TAILS = 4.0
 """Degrees of freedom of Student's t: now and then a table is of another product altogether."""
 

@@ -127,7 +127,8 @@ def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tu
         alone, common[p], origin = _uncertainty(m, p)
         block[:, row, row] = alone**2 + common[p] ** 2
         names = origins.setdefault(origin, [])
-        names += [parameter_label(p)] if parameter_label(p) not in names else []
+        if (label := parameter_label(p)) not in names:
+            names.append(label)
     if amount == "t20" and "t30" in m.values:
         both = SHARED_BY_T20_AND_T30 * common["t20"] * common["t30"]
         block[:, 0, 2] = block[:, 2, 0] = both

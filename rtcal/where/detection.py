@@ -21,8 +21,6 @@ from rtcal.errors import DataError
 from rtcal.support.types import Array
 from rtcal.where.case import Case
 
-FALSE_ALARMS = 0.05
-"""Share of rooms with nothing hidden that may be flagged."""
 MEANS = 2.4
 """Least threshold of the means in nats. In situ 2 (without level) and 4 (with it) of 60 rooms with
 nothing hidden exceed it: 25 for development, 35 that had been judged (`benchmarks.where_decides`)."""

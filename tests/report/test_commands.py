@@ -9,6 +9,7 @@ import click
 import pytest
 
 import rtcal as rt
+from rtcal.calibration.presets import METHODS
 from rtcal.command import console
 from rtcal.command.gap import NOTHING_TO_ADD
 from rtcal.command.main import EXIT_CODES, cli
@@ -160,3 +161,15 @@ def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, e
     assert not console.bar_wanted(quiet=True)
     monkeypatch.setitem(__import__("sys").modules, "tqdm", None)
     assert not console.bar_wanted(quiet=False)
+
+
+def test_the_commands_offer_every_method_of_one_configuration() -> None:
+    """They name the methods themselves: asking `presets` would import the QP for every `--help`."""
+    for path in (("calibrate",), ("loop", "start")):
+        command: click.Command = cli
+        for name in path:
+            assert isinstance(command, click.Group)
+            command = command.commands[name]
+        (method,) = (p for p in command.params if p.name == "method")
+        assert isinstance(method.type, click.Choice)
+        assert set(method.type.choices) == set(METHODS) - {"joint"}
