@@ -15,6 +15,7 @@ import pytest
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import where_figures, where_folder
+from rtcal.report.document import Heading
 from rtcal.where import Finding, Place, Verification, verification
 from rtcal.where.detection import Detection
 from tests.test_figures import LEAST, PHONE, texts
@@ -174,6 +175,19 @@ def test_the_page_begins_with_the_three_bars(finding: Finding, tmp_path: Path) -
     record = json.loads((tmp_path / "finding.json").read_text())
     assert record["next_position"] == {"point": [6.5, 3.0, 1.2], "source": "S", "nats": 2.5}
     assert record["verification"]["verdict"] == "unproven"
+
+
+def test_parameters_are_called_as_everywhere(finding: Finding) -> None:
+    """The page, its figures and the printed gaps had "TS" and "LEVEL"."""
+    called = replace(finding, parameters=("ts", "level"))
+    result = verification_of(called, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
+    figures = where_folder.drawn(called, result, PLACE)
+    page = where_folder.page(called, result, figures, Heading())
+    labels = {t.get_text() for t in texts(where_figures.disagreement(called))}
+    assert {"Ts", "level"} <= labels
+    for said in (str(result), re.sub('src="[^"]+"', "", page), " ".join(labels)):
+        assert re.search(r"\bTs\b", said)
+        assert not re.search(r"\b(TS|LEVEL)\b", said)
 
 
 def test_the_page_of_nothing_found_has_no_bars(finding: Finding, tmp_path: Path) -> None:

@@ -100,6 +100,7 @@ def rows(folder: Path) -> list[str]:
     [
         (lambda r: not r.startswith("S2,R3,"), "simulated lacks S2 to R3, which was measured"),
         (lambda r: ",C80," not in r, "simulated has no C80, which was measured; leave c80 out"),
+        (lambda r: ",TS," not in r, "simulated has no Ts, which was measured; leave ts out"),
         (lambda r: ",2000.0," not in r, "simulated has 2 bands, 500 to 1000 Hz; the room has 3"),
         (
             lambda r: not r.startswith("S1,R2,EDT,1000.0,"),

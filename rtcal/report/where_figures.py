@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, shown
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
@@ -292,7 +293,7 @@ def plan(finding: Finding, place: Place | None = None) -> Any:
 @checked
 def disagreement(finding: Finding) -> Any:
     """Return the map as tables, in standard deviations: pairs by parameters, parameters by bands."""
-    names = [p.upper() for p in finding.parameters]
+    names = [parameter_label(p) for p in finding.parameters]
     frequencies = [f"{f:g}" for f in finding.case.room.centre_frequencies]
     of_pairs = _rms(finding.map, (2,)).T
     of_bands = _rms(finding.map, (1,))

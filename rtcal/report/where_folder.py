@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.report import document, where_figures
 from rtcal.report.document import Heading
 from rtcal.report.figures import rendered
@@ -117,7 +118,7 @@ def page(
         "verification": verification,
         "level": "" if verification is None else _LEVELS[verification.verdict],
         "models": TITLES,
-        "parameters": [p.upper() for p in finding.parameters],
+        "parameters": [parameter_label(p) for p in finding.parameters],
         "pairs": [" to ".join(pair) for pair in finding.pairs],
         "candidates": said if finding.verdict != "none" else [],
         "bars": pictures.get(GAP),
@@ -147,7 +148,7 @@ def _said(name: str, finding: Finding, verification: Verification | None) -> str
         frequency = finding.case.room.centre_frequencies[k]
         return (
             "Two tables of the disagreement in standard deviations. The largest single one is "
-            f"{abs(finding.map[p, i, k]):.1f}: {finding.parameters[p].upper()} from {pair} at "
+            f"{abs(finding.map[p, i, k]):.1f}: {parameter_label(finding.parameters[p])} from {pair} at "
             f"{frequency:g} Hz."
         )
     likely = "; ".join(f"{n} {100 * finding.surfaces[n]:.0f} %" for n in finding.likely_surfaces)

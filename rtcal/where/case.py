@@ -10,6 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import POSITION, checked_uncertainty
@@ -117,7 +118,8 @@ class Case:
                 continue
             if key not in simulated.values and not (name == "level" and "g" in simulated.values):
                 raise DataError(
-                    f"simulated has no {key.upper()}, which was measured; leave {name} out of match"
+                    f"simulated has no {parameter_label(key)}, which was measured; leave {name} out "
+                    "of match"
                 )
             self._check_values(simulated, key)
 
@@ -133,8 +135,8 @@ class Case:
             if off.any():
                 band = bands.label(self.room.centre_frequencies[int(np.argmax(off))])
                 raise DataError(
-                    f"simulated lacks {key.upper()} from {' to '.join(pair)} at {band}, which was "
-                    "measured"
+                    f"simulated lacks {parameter_label(key)} from {' to '.join(pair)} at {band}, which "
+                    "was measured"
                 )
 
     @property

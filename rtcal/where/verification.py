@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
 from rtcal.loop.measured_pairs import Pair
@@ -178,7 +179,7 @@ class Verification:
         return f"<Verification: {before:.2f}, {plain:.2f}, {after:.2f} JND at held-out pairs>"
 
     def __str__(self) -> str:
-        names = [p.upper() for p in self.finding.parameters]
+        names = [parameter_label(p) for p in self.finding.parameters]
         rows = [
             (TITLES[model], [f"{v:.2f}" for v in [*values.values(), self.gap(model).mean()]])
             for model, values in self.by_parameter.items()
