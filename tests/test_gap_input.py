@@ -480,7 +480,7 @@ def test_commands_simulate_a_case_s_control_rooms_once(
     opened().save(str(tmp_path / "case.json"))
     runs: list[str] = []
 
-    def run(self: Engine, case: Case, seed: int, report: Any = None) -> ControlRooms:
+    def run(self: Engine, case: Case, seed: int, progress: Any = None) -> ControlRooms:
         runs.append(self.name)
         (rooms,) = (c for c in controls_of(case) if c.engine == "one")
         return ControlRooms(self.name, rooms.errors)

@@ -184,8 +184,8 @@ def test_a_second_calibration_traces_no_control_run(case, result, tmp_path):
     room, _, measured = case
     runs = []
 
-    def report(done, of):
-        runs.append((done, of))
+    def progress(done, total):
+        runs.append((done, total))
 
     def calibrate():
         return rt.calibrate_simulator(
@@ -194,7 +194,7 @@ def test_a_second_calibration_traces_no_control_run(case, result, tmp_path):
             measured,
             match=("t20", "c80"),
             cache=tmp_path,
-            report=report,
+            progress=progress,
         )
 
     first = calibrate()

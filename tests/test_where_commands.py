@@ -163,12 +163,12 @@ def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(tmp_path: P
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rt.where.find(case, cache=tmp_path, report=stop)
+        rt.where.find(case, cache=tmp_path, progress=stop)
     assert told.count("control runs") > 1
     again: list[str] = []
-    rt.where.find(case, cache=tmp_path, report=lambda what, done, of: again.append(what))
+    rt.where.find(case, cache=tmp_path, progress=lambda what, done, of: again.append(what))
     assert again
     assert "control runs" not in again
     last: list[str] = []
-    rt.where.find(case, cache=tmp_path, report=lambda what, done, of: last.append(what))
+    rt.where.find(case, cache=tmp_path, progress=lambda what, done, of: last.append(what))
     assert not last

@@ -60,7 +60,7 @@ def test_fewer_effects_are_asked_of_the_positions_alone(
     """The means know neither those effects nor their names."""
     module = sys.modules["rtcal.where.find"]
     monkeypatch.setattr(module, "evidence_of_means", lambda *_: pytest.fail("asked"))
-    monkeypatch.setattr(module, "search", lambda *arguments: arguments[-1])
+    monkeypatch.setattr(module, "find_by_positions", lambda *arguments: arguments[-1])
     assert rt.where.find(case, **options) is None
 
 

@@ -147,7 +147,7 @@ def fit(
                 position_uncertainty=position_uncertainty,
                 fit_scattering=not keep_scattering,
                 seed=seed,
-                report=lambda done, of: shown.update(1),
+                progress=lambda done, total: shown.update(1),
             )
     text = str(result)
     if folder is not None:

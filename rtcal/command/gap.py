@@ -369,10 +369,10 @@ def _arguments(path: str, search: Search, quiet: bool) -> Iterator[dict[str, Any
     begun: list[str] = []
     with bar(0, "control room", bar_wanted(quiet)) as shown:
 
-        def report(engine: str, done: int, of: int) -> None:
+        def progress(engine: str, done: int, total: int) -> None:
             if engine not in begun and hasattr(shown, "reset"):
                 begun.append(engine)
-                shown.reset(total=of)
+                shown.reset(total=total)
                 shown.set_description(f"{engine}, {len(begun)} of {len(search.engines)}")
             shown.update(1)
 
@@ -383,5 +383,5 @@ def _arguments(path: str, search: Search, quiet: bool) -> Iterator[dict[str, Any
             "prior": search.prior,
             "engines": search.engines,
             "cache": Path(path).parent / FOLDER,
-            "report": report,
+            "progress": progress,
         }

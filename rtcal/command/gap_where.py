@@ -51,11 +51,11 @@ def find(path: str, search: Any, quiet: bool, outputs: Sequence[Path] = ()) -> F
     begun: list[str] = []
     with bar(0, "control run", bar_wanted(quiet)) as shown:
 
-        def report(what: str, done: int, of: int) -> None:
+        def progress(what: str, done: int, total: int) -> None:
             step = "weighing" if what != "control runs" else what
             if step not in begun and hasattr(shown, "reset"):
                 begun.append(step)
-                shown.reset(total=of)
+                shown.reset(total=total)
                 shown.set_description(step)
             shown.update(1)
 
@@ -65,7 +65,7 @@ def find(path: str, search: Any, quiet: bool, outputs: Sequence[Path] = ()) -> F
             seed=search.seed,
             only=search.only,
             without=search.without,
-            report=report,
+            progress=progress,
         )
 
 
@@ -127,9 +127,9 @@ def _verified(path: str, finding: Finding, search: Any, quiet: bool) -> Verifica
 
     with bar(0, "model", bar_wanted(quiet)) as shown:
 
-        def report(what: str, done: int, of: int) -> None:
+        def progress(what: str, done: int, total: int) -> None:
             if done == 1 and hasattr(shown, "reset"):
-                shown.reset(total=of)
+                shown.reset(total=total)
             shown.update(1)
 
         return where.verify(
@@ -138,7 +138,7 @@ def _verified(path: str, finding: Finding, search: Any, quiet: bool) -> Verifica
             cache=Path(path).parent / FOLDER,
             only=search.only,
             without=search.without,
-            report=report,
+            progress=progress,
         )
 
 

@@ -19,9 +19,7 @@ from rtcal.discrepancy.coefficients import NULL_POWER, directions, drawn
 from rtcal.discrepancy.engines import (
     ENGINES,
     ControlRooms,
-    Report,
     draw_alpha,
-    no_report,
     recentred,
 )
 from rtcal.discrepancy.evidence import Evidence, evaluate
@@ -34,6 +32,7 @@ from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -73,7 +72,7 @@ def control_rooms(
     case: Case,
     seed: int = 0,
     engines: Sequence[str] = ("path tracing", "network"),
-    report: Report = no_report,
+    progress: TaskProgress | None = None,
 ) -> tuple[ControlRooms, ...]:
     """Simulate the case's control rooms with at least two engines.
 
@@ -83,7 +82,7 @@ def control_rooms(
         For fewer than two engines, or an engine that rtcal lacks.
     """
     checks.whole("seed", seed, 0)
-    return tuple(ENGINES[name].run(case, seed, report) for name in checked_engines(engines))
+    return tuple(ENGINES[name].run(case, seed, progress) for name in checked_engines(engines))
 
 
 def checked_engines(engines: object) -> list[str]:

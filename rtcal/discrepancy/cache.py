@@ -14,10 +14,11 @@ from pathlib import Path
 
 from rtcal.discrepancy.bootstrap import checked_controls, checked_engines
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.engines import ENGINES, ControlRooms, Report, no_report
+from rtcal.discrepancy.engines import ENGINES, ControlRooms
 from rtcal.errors import DataError
 from rtcal.support import checks, kept_arrays
 from rtcal.support.arguments import checked
+from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.version import __version__
 
@@ -32,7 +33,7 @@ def cached_control_rooms(
     folder: str | os.PathLike[str],
     seed: int = 0,
     engines: Sequence[str] = ("path tracing", "network"),
-    report: Report = no_report,
+    progress: TaskProgress | None = None,
 ) -> tuple[ControlRooms, ...]:
     """Return the case's control rooms: read from the folder, or simulated and written there.
 
@@ -42,7 +43,7 @@ def cached_control_rooms(
     ----------
     case : Case
     folder : path
-    seed, engines, report
+    seed, engines, progress
         As for `rtcal.discrepancy.control_rooms`.
 
     Raises
@@ -56,7 +57,7 @@ def cached_control_rooms(
         path = where / f"{_key(case, seed, name)}.array"
         controls = _read(path, case, name)
         if controls is None:
-            controls = ENGINES[name].run(case, seed, report)
+            controls = ENGINES[name].run(case, seed, progress)
             kept_arrays.write(path, controls.errors)
         rooms.append(controls)
     return tuple(rooms)

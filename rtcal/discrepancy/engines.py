@@ -25,6 +25,7 @@ from rtcal.simulators.paths import ScatteringModel
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
 from rtcal.simulators.tracer import LONGEST, Tracer
+from rtcal.support.progress import TaskProgress
 from rtcal.support.types import Array
 
 _AXIS_OF_WALL = (0, 0, 1, 1, 2, 2)
@@ -42,12 +43,6 @@ _RECEIVERS = 4
 _PATHS = 6000
 _RAYS = 4000
 _RATE = 4000.0
-Report = Callable[[str, int, int], None]
-"""Called with the engine's name, the number of finished rooms and their total."""
-
-
-def no_report(engine: str, done: int, of: int) -> None:
-    """Ignore the progress."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +269,7 @@ class Engine:
     scatters: bool = True
     relative: tuple[str, ...] = ()
 
-    def run(self, case: Case, seed: int, report: Report = no_report) -> ControlRooms:
+    def run(self, case: Case, seed: int, progress: TaskProgress | None = None) -> ControlRooms:
         """Simulate the control rooms of a case."""
         rng = np.random.default_rng([seed, self.stream])
         models = [self.models[n // 2 % len(self.models)] for n in range(self.setups)]
@@ -289,7 +284,8 @@ class Engine:
                 simulated = [simulate(_by_axis(setup.share, a), duration) for a in alpha]
                 rows.append(simulated - _theory(case, setup, alpha))
             errors.append(rows)
-            report(self.name, number + 1, self.setups)
+            if progress is not None:
+                progress(self.name, number + 1, self.setups)
         # Adjacent rows belong to different rooms and models, since the bootstrap takes every second
         # row.
         table = np.swapaxes(np.array(errors), 0, 1)

@@ -21,7 +21,7 @@ from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.doubts import schroeder_limit
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.effects.checks import checked_effects
-from rtcal.discrepancy.engines import ControlRooms, Report, no_report
+from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.finding import Finding
@@ -41,6 +41,7 @@ from rtcal.discrepancy.verdict import claim, doubts, fit
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 
 
@@ -58,7 +59,7 @@ def find(
     engines: Sequence[str] = ("path tracing", "network"),
     controls: Sequence[ControlRooms] | None = None,
     cache: str | os.PathLike[str] | None = None,
-    report: Report = no_report,
+    progress: TaskProgress | None = None,
 ) -> Finding:
     """Find what the case's model lacks.
 
@@ -84,7 +85,7 @@ def find(
         Control rooms that were simulated before.
     cache : path, optional
         Folder in which control rooms are kept, as `rtcal.discrepancy.cache` says.
-    report : function, optional
+    progress : callable, optional
         Called with an engine's name, the number of finished control rooms and their total.
 
     Returns
@@ -109,9 +110,9 @@ def find(
     if not isinstance(threshold, Threshold):
         if controls is None:
             if cache is None:
-                controls = control_rooms(case, seed, engines, report)
+                controls = control_rooms(case, seed, engines, progress)
             else:
-                controls = cached_control_rooms(case, cache, seed, engines, report)
+                controls = cached_control_rooms(case, cache, seed, engines, progress)
         else:
             controls = checked_controls(case, controls)
         bootstrapped = bootstrap_threshold(case, observed, predicted, controls, before, seed)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.engines import ControlRooms, Report, no_report
+from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.finding import Finding
@@ -24,6 +24,7 @@ from rtcal.discrepancy.verdict import CLAIMED, Fit, doubts, fit
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 
 LEAST_EXPECTED, MOST_EXPECTED = 0.01, 10.0
@@ -50,7 +51,7 @@ def find_several(
     engines: Sequence[str] = ("path tracing", "network"),
     controls: Sequence[ControlRooms] | None = None,
     cache: str | os.PathLike[str] | None = None,
-    report: Report = no_report,
+    progress: TaskProgress | None = None,
 ) -> SeveralFinding:
     """Find what the case's model lacks, where it may lack several effects at once.
 
@@ -65,7 +66,7 @@ def find_several(
         Largest number of effects in a set, from 1 to 3.
     seed : int
         Of the control rooms and of the bootstrap.
-    without, only, prior, engines, controls, cache, report
+    without, only, prior, engines, controls, cache, progress
         As `rtcal.discrepancy.find` takes them, but for prior odds of "none": ``expected`` takes their
         place.
 
@@ -112,7 +113,7 @@ def find_several(
         engines=engines,
         controls=controls,
         cache=cache,
-        report=report,
+        progress=progress,
     )
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, list(single.effects.values()))

@@ -28,6 +28,7 @@ from rtcal.simulators.base import Simulator, lost_paths, run
 from rtcal.simulators.observations import checked_parameters
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 
 _ALONE = ("t20",)
@@ -65,7 +66,7 @@ def calibrate_simulator(
     position_uncertainty: float = POSITION,
     fit_scattering: bool = True,
     seed: int = 0,
-    report: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> LoopResult | PositionsResult: ...
 
 
@@ -83,7 +84,7 @@ def calibrate_simulator(
     cache: str | os.PathLike[str] | None = None,
     position_uncertainty: float = POSITION,
     fit_scattering: bool = True,
-    report: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     method: str = "mle",
     equation: LinearEquation | None = None,
     decimals: int | None = None,
@@ -125,7 +126,7 @@ def calibrate_simulator(
     fit_scattering : bool
         Every position: whether the level of scattering of a `PathTracing` is fitted, too. If not,
         the one stated is kept, and is uncertain.
-    report : callable, optional
+    progress : callable, optional
         Every position: called with the number of finished control runs and their total.
     rule : {"secant", "safeguarded", "regression"}, optional
         See `rtcal.loop.rules`. By default "safeguarded" for a smooth simulator, else "regression".
@@ -201,7 +202,7 @@ def calibrate_simulator(
             position_uncertainty=position_uncertainty,
             fit_scattering=fit_scattering,
             seed=seed,
-            report=report,
+            progress=progress,
         )
     _refuse(
         match,
@@ -211,7 +212,7 @@ def calibrate_simulator(
         cache=cache is not None,
         position_uncertainty=position_uncertainty != POSITION,
         fit_scattering=not fit_scattering,
-        report=report is not None,
+        progress=progress is not None,
     )
     loop = start(
         room,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -29,6 +29,7 @@ from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.simulators.tracer import eyring_seconds
 from rtcal.support import checks, kept_arrays
 from rtcal.support.arguments import checked
+from rtcal.support.progress import Progress
 from rtcal.support.types import Array, read_only
 from rtcal.support.version import __version__
 
@@ -59,9 +60,6 @@ _SPARE = 1.5
 _LEFT_OUT = 4
 """Most runs that are left out because their decays are longer still. They would be traced twice. In two
 of 20 boxes with little scattering T20 of a run was above 12 times Eyring's T."""
-
-Report = Callable[[int, int], None]
-"""Called with the number of finished runs and their total."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -215,7 +213,7 @@ def control_runs(
     seed: int = 0,
     position_uncertainty: float = POSITION,
     cache: str | os.PathLike[str] | None = None,
-    report: Report | None = None,
+    progress: Progress | None = None,
 ) -> ControlRuns | None:
     """Return the errors of a simulator in `RUNS` control runs; None if it has no geometry to trace.
 
@@ -232,7 +230,7 @@ def control_runs(
         Root mean square distance of sources and receivers from where they are stated, in m.
     cache : path, optional
         Folder in which the errors are kept, by a hash of everything they depend on.
-    report : callable, optional
+    progress : callable, optional
         Called with the number of finished runs and their total.
     """
     uncertainty = checked_uncertainty(position_uncertainty)
@@ -291,8 +289,8 @@ def control_runs(
         except TooShortError:
             difference, left_out = np.full(shape, np.nan), left_out + 1
         errors.append(difference)
-        if report is not None:
-            report(run + 1, RUNS)
+        if progress is not None:
+            progress(run + 1, RUNS)
     made = np.array(errors)
     if path is not None:
         kept_arrays.write(path, made)

@@ -29,7 +29,6 @@ from rtcal.errors import DataError, SimulatorError
 from rtcal.loop.control_runs import (
     POSITION,
     ControlRuns,
-    Report,
     checked_uncertainty,
     control_runs,
     paths_of_a_run,
@@ -43,6 +42,7 @@ from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observable, Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 
@@ -85,7 +85,7 @@ def calibrate_positions(
     fit_scattering: bool = True,
     more_paths: int = MORE_PATHS,
     seed: int = 0,
-    report: Report | None = None,
+    progress: Progress | None = None,
 ) -> PositionsResult:
     """Calibrate to every position; see `rtcal.calibrate_simulator`.
 
@@ -111,7 +111,7 @@ def calibrate_positions(
             seed=seed,
             position_uncertainty=position_uncertainty,
             cache=cache,
-            report=report,
+            progress=progress,
         )
     listener = Listener(simulator, data, first, room.alpha, seed)
     before = listener.values()

@@ -1,11 +1,17 @@
-"""The progress bar; only this module imports tqdm."""
+"""The progress bar and the types of what tells progress; only this module imports tqdm."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from rtcal.errors import MissingDependencyError
 from rtcal.support.text import width
+
+Progress = Callable[[int, int], None]
+"""Called with the number of finished steps and their total."""
+TaskProgress = Callable[[str, int, int], None]
+"""Called with what is computed, the number of finished steps and their total."""
 
 DELAY = 2.0
 """Delay in seconds; shorter tasks show no bar."""

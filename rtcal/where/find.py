@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns, control_runs
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 from rtcal.where import track_record
@@ -62,9 +63,6 @@ _SPACING = 0.1
 _ADDED = "added absorption"
 _NORMAL_90 = 1.6449
 
-Report = Callable[[str, int, int], None]
-"""Called with what is computed, the number of steps done, and their total."""
-
 
 @single_threaded_blas()
 @checked
@@ -76,7 +74,7 @@ def find(
     seed: int = 0,
     only: Sequence[str] = (),
     without: Sequence[str] = (),
-    report: Report | None = None,
+    progress: TaskProgress | None = None,
 ) -> Finding:
     """Return whether a room is other than stated, in what, and where.
 
@@ -91,8 +89,8 @@ def find(
         Of control runs and paths.
     only, without : sequence of str
         Effects to try alone, or to leave out; names of `EFFECTS`.
-    report : callable, optional
-        Called with what is computed, the number of steps done, and their total.
+    progress : callable, optional
+        Called with what is computed, the number of finished steps and their total.
 
     Raises
     ------
@@ -101,25 +99,29 @@ def find(
     """
     checks.whole("seed", seed, 0)
     left_out = left_out_of(only, without)
-    tell = report or (lambda what, done, of: None)
     means = None
     if not left_out and case.simulated is None:
         # The means know neither fewer effects nor another program's values.
         means = evidence_of_means(case, seed, cache)
-    return search(case, controls, cache, seed, left_out, tell, means)
+    return find_by_positions(case, controls, cache, seed, left_out, progress, means)
 
 
 @single_threaded_blas()
-def search(
+def find_by_positions(
     case: Case,
     controls: ControlRuns | None,
     cache: str | os.PathLike[str] | None,
     seed: int,
     left_out: Sequence[str],
-    tell: Report = lambda what, done, of: None,
+    progress: TaskProgress | None = None,
     means: tuple[float, float] | None = None,
 ) -> Finding:
     """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
+
+    def run_finished(done: int, total: int) -> None:
+        if progress is not None:
+            progress("control runs", done, total)
+
     if controls is None:
         controls = control_runs(
             case.simulator,
@@ -128,12 +130,11 @@ def search(
             seed=seed,
             position_uncertainty=case.position_uncertainty,
             cache=cache,
-            report=lambda done, of: tell("control runs", done, of),
+            progress=run_finished,
         )
     if controls is None:  # a PathTracing has control runs always
         raise DataError(f"{case.simulator.name} has no geometry to trace")
-    steps = ("paths", "surfaces", "places")
-    made = responses(case, seed, cache, lambda what: tell(what, steps.index(what) + 1, len(steps)))
+    made = responses(case, seed, cache, progress)
     numbers = model(case, made, controls)
     hypotheses = every_hypothesis(case, made, numbers, left_out)
     likelihoods = numbers.likelihoods()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from rtcal.simulators.observations import MATCH, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, kept_arrays
+from rtcal.support.progress import TaskProgress
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 from rtcal.where import surfaces as of_room
@@ -51,9 +52,8 @@ the pairs: with 6000 paths per source, noise had five times the spread of what i
 less than twice the spread. A weighing of 48,000 paths takes 0.05 s."""
 STEP = 0.08
 """Share of the way to 1 by which a material's alpha moves for the derivatives by alpha."""
-
-Report = Callable[[str], None]
-"""Called with what is computed next."""
+_TASKS = ("paths", "surfaces", "places")
+"""What is weighed, one after the other."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +102,7 @@ def responses(
     case: Case,
     seed: int = 0,
     cache: str | os.PathLike[str] | None = None,
-    report: Report | None = None,
+    progress: TaskProgress | None = None,
 ) -> Responses:
     """Return the shifts in a case's room, from a folder where they are kept or newly weighed."""
     path = None
@@ -110,21 +110,25 @@ def responses(
         path = checks.path("cache", cache) / f"{_key(case, seed)}.array"
         if (kept := _read(path, case)) is not None:
             return kept
-    made = _weighed(case, seed, report or (lambda text: None))
+    made = _weighed(case, seed, progress)
     if path is not None:
         kept_arrays.write(path, _packed(made))
     return made
 
 
-def _weighed(case: Case, seed: int, report: Report) -> Responses:
-    report("paths")
+def _weighed(case: Case, seed: int, progress: TaskProgress | None) -> Responses:
+    def tell(task: str) -> None:
+        if progress is not None:
+            progress(task, _TASKS.index(task) + 1, len(_TASKS))
+
+    tell("paths")
     match = parameters(case)
     tracer = _retraced(precisely(case.simulator), geometry=case.divided.geometry)
     weighing = Weighing(tracer, match, seed, _seconds(case, match, seed))
     energy = weighing.energy(weighing.alpha, number=BASE)
     base = weighing.parameters(energy.mean(axis=0))
     groups = np.array([weighing.parameters(group) for group in energy])
-    report("surfaces")
+    tell("surfaces")
     surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base)
     room = case.room
     reference = Air(20, 50).attenuation(room.centre_frequencies)
@@ -133,7 +137,7 @@ def _weighed(case: Case, seed: int, report: Report) -> Responses:
         for t in AIR
     ]
     volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
-    report("places")
+    tell("places")
     return Responses(
         parameters=match,
         base=base,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,11 +20,12 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
+from rtcal.support.progress import TaskProgress
 from rtcal.support.types import Array
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
 from rtcal.where.corrected import corrected
-from rtcal.where.find import left_out_of, search
+from rtcal.where.find import find_by_positions, left_out_of
 from rtcal.where.finding import Finding
 from rtcal.where.responses import precisely
 
@@ -40,9 +41,6 @@ TITLES = {
 _SHORT = ("stated", "calibrated", "corrected")
 CONFIDENCE = 0.95
 """Of a gap that is said to shrink or to grow: one-sided, by Student's t over the pairs."""
-
-Report = Callable[[str, int, int], None]
-"""Called with what is computed, the number of steps done, and their total."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -238,7 +236,7 @@ def verify(
     cache: str | os.PathLike[str] | None = None,
     only: Sequence[str] = (),
     without: Sequence[str] = (),
-    report: Report | None = None,
+    progress: TaskProgress | None = None,
 ) -> Verification:
     """Return the gaps at positions that were not fitted, with and without what was found.
 
@@ -251,8 +249,8 @@ def verify(
         As for `find`.
     only, without : sequence of str
         As for `find`: those of the finding's own search.
-    report : callable, optional
-        Called with what is computed, the number of steps done, and their total.
+    progress : callable, optional
+        Called with what is computed, the number of finished steps and their total.
 
     Raises
     ------
@@ -280,12 +278,12 @@ def verify(
     def tell(what: str) -> None:
         nonlocal done
         done += 1
-        if report is not None:
-            report(what, done, steps)
+        if progress is not None:
+            progress(what, done, steps)
 
     for half in halves:
         fitted = case.only(half)
-        again = search(fitted, finding.controls, cache, chosen[0], left_out)
+        again = find_by_positions(fitted, finding.controls, cache, chosen[0], left_out)
         tell("search in half of the pairs")
         best = next((c for c in again.candidates if c.can_be_added), None)
         added.append(best)
