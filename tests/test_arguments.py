@@ -163,6 +163,17 @@ def test_the_decorator_stands_below_the_others() -> None:
                     assert names[-1] == "checked", f"{path}:{node.lineno}"
 
 
+def test_what_tells_progress_has_one_name() -> None:
+    """It was called report, beside the package's reports."""
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.arg):
+                tells = "Progress" in ast.unparse(node)
+                assert node.arg == "progress" if tells else node.arg != "report", (
+                    f"{path}:{node.lineno}"
+                )
+
+
 @checked
 def combined(first: Array, second: Array, weights: Sequence[float] | Array = (1.0,)) -> Array:
     return first @ second.T * np.asarray(weights)[0]
