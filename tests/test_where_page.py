@@ -82,7 +82,7 @@ PAIRS = SimpleNamespace(pairs=[("S", f"R{i}") for i in range(6)], parameters=("t
 
 @pytest.mark.parametrize(
     ("plain", "corrected", "verdict"),
-    [(2.0, 1.0, "supported"), (2.0, 1.98, "unproven"), (1.0, 2.0, "worse")],
+    [(2.0, 1.0, "supported"), (2.0, 1.98, "unproven"), (1.0, 2.0, "withdrawn")],
 )
 def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
     plain: float, corrected: float, verdict: str

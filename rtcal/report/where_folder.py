@@ -87,7 +87,7 @@ _CAPTIONS = {
     GAP: "Mean gap at pairs that were not fitted; whiskers are the range over the simulator's seeds. "
     "The dotted line is 1 JND.",
 }
-_LEVELS = {"supported": "agrees", "worse": "contradicts", "unproven": "open"}
+_LEVELS = {"supported": "agrees", "withdrawn": "contradicts", "unproven": "open"}
 """Class of the box that a verdict stands in."""
 
 

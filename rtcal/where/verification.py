@@ -102,14 +102,15 @@ class Verification:
 
     @property
     def verdict(self) -> str:
-        """``supported``: the gap shrinks beyond its uncertainty; ``worse``: it grows; ``unproven``.
+        """What becomes of the gap: ``supported``, ``unproven`` or ``withdrawn``.
 
-        The uncertainty is that of `CONFIDENCE`.
+        It shrinks by more than its uncertainty, changes by less, or grows by more. The uncertainty is
+        that of `CONFIDENCE`.
         """
         limit = self.uncertainty * float(stats.t.ppf(CONFIDENCE, len(self.finding.pairs) - 1))
         if abs(self.gain) <= limit:
             return "unproven"
-        return "supported" if self.gain > 0 else "worse"
+        return "supported" if self.gain > 0 else "withdrawn"
 
     @property
     def shrinks(self) -> bool:
@@ -150,8 +151,8 @@ class Verification:
             return (
                 f"Supported: with what was found the gap is {size} smaller than calibrated alone."
             )
-        if self.verdict == "worse":
-            return f"Worse: with what was found the gap is {size} larger than calibrated alone."
+        if self.verdict == "withdrawn":
+            return f"Withdrawn: with what was found the gap is {size} larger than calibrated alone."
         return f"Unproven: the gap changes by {size} with what was found, no more than by chance."
 
     @property
