@@ -382,13 +382,16 @@ def test_command(tmp_path: Path) -> None:
     ]
     done = CliRunner().invoke(cli, arguments, catch_exceptions=False)
     assert done.exit_code == 0
-    assert "4.3937 % of sigma drawn again" in done.output
+    assert "4.3937 % of them are 0.25 or more" in " ".join(done.output.split())
     line = next(x for x in done.output.splitlines() if x.startswith("MLE"))
-    score, paper_value = float(line.split()[3]), float(line.split()[5])
+    score, paper_value = float(line.split()[2]), float(line.split()[4])
     assert paper_value == 14.8
     assert 10 < score < 20
-    assert done.output.count("active in") == 9
-    assert "26.8   23.9 to 28.8" in done.output
+    assert done.output.count("trials at a bound / %") == 3
+    first = " ".join(done.output.split("sigma_R")[0].split())
+    for word in ("BASE:", "REF:", "LSE:", "MLE:", "error:", "score:", "±:", "bounded:", "paper:"):
+        assert word in first, "every heading is explained before the first table"
+    assert "26.8  23.9 to 28.8" in done.output
     names = {p.name for p in tmp_path.iterdir()}
     assert {
         "shoebox-0.1-scores.csv",

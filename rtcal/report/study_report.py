@@ -17,14 +17,25 @@ from rtcal.studies.rooms import HALL_SEEDS, LECTURE_HALL, SHOEBOX, random_hall
 from rtcal.studies.sampling import redrawn_share
 from rtcal.studies.study import Study, Table, analytic_scores, run
 from rtcal.studies.tables import table_csv
+from rtcal.support import text
 
 AREAS = {"shoebox": list(SHOEBOX), "lecture-hall": list(LECTURE_HALL.values())}
 """Surface areas in m² of the rooms whose trials are drawn."""
 
+_LEGEND = (
+    "Calibration methods in random rooms. Each room states uncertain coefficients alpha; each trial "
+    "draws the true ones.",
+    "BASE: not calibrated. REF: all coefficients scaled by the same factor. LSE: the smallest changes. "
+    "MLE: the likeliest changes.",
+    "error: root mean square error of a coefficient over all rooms and trials (AACE).",
+    "score: by how much the error is smaller than that of BASE. ±: its standard error.",
+    "bounded: alpha is kept from 0 to 1, which the paper does not do.",
+    "paper: the score in Bellows & Katz (2025).",
+)
 _HEADINGS = {
-    "shoebox": "Shoebox, N = 6, V = 105 m³; calibration scores in %; paper: Table 2",
-    "lecture-hall": "Lecture hall, N = 23, V = 334 m³; calibration scores in %; paper: Table 3\n"
-    "(a stand-in with the paper's N, V and ratio of areas, not the paper's hall)",
+    "shoebox": "Shoebox: 6 surfaces, 105 m³; paper: Table 2",
+    "lecture-hall": "Lecture hall: 23 surfaces, 334 m³; paper: Table 3. It is a stand-in with the "
+    "paper's number of surfaces, volume and ratio of areas, not the paper's hall.",
 }
 _PAPER_SCORES = {"shoebox": paper.TABLE_2, "lecture-hall": paper.TABLE_3}
 
@@ -78,16 +89,18 @@ def report(
     result = StudyReport()
     if with_files:
         new_figure()
+    for sentence in _LEGEND:
+        result.lines.extend(text.wrapped(sentence))
     for room in dict.fromkeys(rooms):
         if room == "halls":
             _add_halls(result, sigma_r, realisations, seed)
             continue
-        result.lines.append(_HEADINGS[room])
+        result.lines.extend(["", *text.wrapped(_HEADINGS[room])])
         for level in sigma_r:
             stem = f"{room}-{level:g}"
             if trials == 0:
                 table = analytic_scores(AREAS[room], level, realisations, seed)
-                result.lines.append(_scores(room, level, table))
+                result.lines.extend(_scores(room, level, table))
                 result.records.append({"room": room, "sigma_r": level, "scores": table})
                 if with_files:
                     result.files[f"{stem}-analytic-scores.csv"] = table_csv(table)
@@ -106,14 +119,14 @@ def report(
             if with_files:
                 result.files.update(_study_files(study, stem))
         if room == "shoebox":
-            result.lines.append(_table_1())
+            result.lines.extend(_table_1())
     if with_files:
         result.files.update(_prior_files())
     return result
 
 
 def _add_study(result: StudyReport, room: str, study: Study) -> None:
-    result.lines.extend([_scores(room, study.sigma_r, study.scores()), _bound_effects(study)])
+    result.lines.extend([*_scores(room, study.sigma_r, study.scores()), *_bound_effects(study)])
     result.records.append(
         {
             "room": room,
@@ -124,62 +137,74 @@ def _add_study(result: StudyReport, room: str, study: Study) -> None:
     )
 
 
-def _scores(room: str, sigma_r: float, table: Table) -> str:
+def _scores(room: str, sigma_r: float, table: Table) -> list[str]:
     """Return the scores of each method, with the paper's if it states this sigma_r."""
-    lines = [
-        f"\nsigma_R = {sigma_r:g} ({100 * redrawn_share(sigma_r):.4f} % of sigma drawn again)",
-        f"{'method':<8}{'bounds':<8}{'AACE':>9}{'score':>9}{'± s.e.':>9}{'paper':>8}",
-    ]
+    rows = []
     for row in table:
         method = str(row.method)
-        printed = ""
+        printed = "-"
         if sigma_r in paper.SIGMA_R and not row.bounded:
             printed = f"{_PAPER_SCORES[room][method][paper.SIGMA_R.index(sigma_r)]:.1f}"
-        lines.append(
-            f"{NAMES[method]:<8}{'0 to 1' if row.bounded else 'none':<8}{row.aace:>9.5f}"
-            f"{100 * row.score:>9.3f}{100 * row.standard_error:>9.3f}{printed:>8}"
-        )
-    return "\n".join(lines)
+        score = [f"{100 * row.score:.3f}", f"{100 * row.standard_error:.3f}"]
+        label = NAMES[method] + (", bounded" if row.bounded else "")
+        rows.append((label, [f"{row.aace:.5f}", *score, printed]))
+    again = (
+        f"sigma_R = {sigma_r:g}: the Rayleigh parameter from which the uncertainty of each coefficient "
+        f"is drawn. {100 * redrawn_share(sigma_r):.4f} % of them are 0.25 or more and drawn again."
+    )
+    header = ("method", ["error", "score / %", "± / %", "paper / %"])
+    return ["", *text.wrapped(again), *text.table(rows, header=header)]
 
 
-def _bound_effects(study: Study) -> str:
-    lines = ["What exact bounds change, in points (unbounded as control variate):"]
-    for row in study.bound_effects():
-        lines.append(
-            f"{NAMES[str(row.method)]:<8}{100 * row.difference:>+11.5f} ± "
-            f"{100 * row.standard_error:.5f}   active in "
-            f"{100 * row.active_share:.3f} % of trials"
+def _bound_effects(study: Study) -> list[str]:
+    rows = [
+        (
+            NAMES[str(row.method)],
+            [
+                f"{100 * row.difference:+.5f}",
+                f"{100 * row.standard_error:.5f}",
+                f"{100 * row.active_share:.3f}",
+            ],
         )
-    return "\n".join(lines)
+        for row in study.bound_effects()
+    ]
+    title = (
+        "What bounds change: the score with bounds less the score without, in percentage points, and "
+        "the trials in which a coefficient is at a bound."
+    )
+    header = ("method", ["change", "±", "trials at a bound / %"])
+    return ["", *text.wrapped(title), *text.table(rows, header=header)]
 
 
 def _add_halls(result: StudyReport, sigma_r: Sequence[float], realisations: int, seed: int) -> None:
-    result.lines.extend(
-        [
-            "Five halls at random with the paper's N, V and ratio of areas",
-            "(analytic, unbounded; %)",
-            f"{'hall':<6}{'sigma_R':>8}"
-            + "".join(f"{NAMES[m]:>16}" for m in ("scaling", "lse", "mle")),
-        ]
-    )
+    methods = ("scaling", "lse", "mle")
+    rows = []
     for hall in HALL_SEEDS:
         for level in sigma_r:
             table = analytic_scores(random_hall(hall), level, realisations, seed)
             result.records.append({"room": f"hall {hall}", "sigma_r": level, "scores": table})
-            cells = "".join(
-                f"{100 * row.score:>9.2f} ± {100 * row.standard_error:.2f}" for row in table[1:]
-            )
-            result.lines.append(f"{hall:<6}{level:>8g}{cells}")
+            cells = [f"{100 * r.score:.2f} ± {100 * r.standard_error:.2f}" for r in table[1:]]
+            rows.append((f"{hall}", [f"{level:g}", *cells]))
+    title = (
+        "Five random halls with the paper's number of surfaces, volume and ratio of areas: scores in "
+        "% ± standard error, computed without trials, not bounded."
+    )
+    header = ("hall", ["sigma_R", *(NAMES[m] for m in methods)])
+    result.lines.extend(["", *text.wrapped(title), *text.table(rows, header=header)])
 
 
-def _table_1() -> str:
+def _table_1() -> list[str]:
     low, high = paper.table_1_range(np.array(SHOEBOX))
-    lines = ["\nTable 1, EMSE x 1e4: printed, and the 98 % range that rounded mu, sigma allow"]
-    for i, (method, value) in enumerate(paper.TABLE_1_EMSE.items()):
-        lines.append(
-            f"{NAMES[method]:<8}{1e4 * value:>6.1f}   {1e4 * low[i]:.1f} to {1e4 * high[i]:.1f}"
-        )
-    return "\n".join(lines)
+    rows = [
+        (NAMES[method], [f"{1e4 * value:.1f}", f"{1e4 * low[i]:.1f} to {1e4 * high[i]:.1f}"])
+        for i, (method, value) in enumerate(paper.TABLE_1_EMSE.items())
+    ]
+    title = (
+        "Table 1: expected mean squared error of a coefficient in one room, times 10,000. The paper "
+        "prints mu and sigma of this room rounded. Of what they can have been, 98 % give an error in "
+        "the range."
+    )
+    return ["", *text.wrapped(title), *text.table(rows, header=("method", ["paper", "range"]))]
 
 
 def _study_files(study: Study, stem: str) -> dict[str, bytes]:
