@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -385,6 +386,9 @@ def test_t_alone_proves_nothing_and_the_record_says_so() -> None:
     np.testing.assert_allclose(times["plain"], measured, rtol=1e-6)
     np.testing.assert_allclose(times["corrected"], measured, rtol=0.05)
     assert (np.array(times["prior"]) > 1.1 * measured).all()
+    # A residual has the sign of a gap: the model has the longer T.
+    assert (finding.residuals[0, 0] > 0).all()
+    assert "(model - measured)" in str(finding)
     before = np.abs(finding.residuals[0, 0])
     (after,) = record["residuals_after"]
     assert np.abs(after["values"]).max() < 0.3 * before.max()
@@ -449,12 +453,34 @@ def test_an_effect_of_one_s_own_is_a_small_class() -> None:
     assert "organ" in finding.candidates
 
 
+def test_a_probability_is_printed_once() -> None:
+    """The headline and the line below it had the same list."""
+    case = opened()
+    finding = find(case, controls=controls_of(case))
+    assert finding.verdict in ("family", "ambiguous")
+    said = " ".join(str(finding).split())
+    for name in finding.candidates:
+        assert len(re.findall(rf"{name} \(?{finding.percent(name)}", said)) == 1, name
+    others = [k for k, p in finding.probabilities.items() if p >= 0.03]
+    assert all(name in said for name in others)
+
+
 def test_the_plan_knows_what_cannot_be_told_apart() -> None:
     case = opened()
     made_plan = plan(case.only("t20"))
     assert made_plan.separations["opening", "coupled room"] < 2.3
     assert made_plan.separations["noise floor", "opening"] > 2.3
-    assert "direct sound" in str(made_plan)
+    seen = {
+        line.split("  ")[0]: line.split()[-1]
+        for line in str(made_plan).splitlines()
+        if line.endswith((" yes", " no"))
+    }
+    assert {n: "yes" if made_plan.separations[n, "none"] >= 2.3 else "no" for n in seen} == seen
+    assert set(seen) == set(made_plan.reached)
+    taken = " ".join(str(made_plan).split("What each may be taken for")[1].split())
+    for name in ("furniture", "people"):
+        assert made_plan.separations[name, "opening"] < 2.3
+        assert re.search(rf" {name}: (opening|all but (?!opening))", taken)
     with_level = made_plan.more["C80 and G"]
     assert with_level["volume", "opening"] > made_plan.separations["volume", "opening"] + 1
     json.dumps(made_plan.to_dict())

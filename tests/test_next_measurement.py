@@ -164,7 +164,7 @@ def test_the_command_proposes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     code, said = run("--json", "--next")
     assert code == 0, said
     assert json.loads(said)["uncertainty_nats"] < table["uncertainty_nats"]
-    assert "One after the other" in run()[1]
+    assert "Best one after the other:" in run()[1]
     code, said = run("--cost", "G")
     assert code != 0
     assert '--cost "G" is not MEASUREMENT=HOURS' in said

@@ -68,8 +68,8 @@ class Finding:
     advice : str
         The next measurement that would decide.
     residuals : array (n_configurations, n_features, n_bands)
-        Measured less modelled over its standard deviation: amount (ln T20), shape (EDT/T20,
-        T30/T20), level (C80, G). NaN where nothing was measured.
+        Modelled less measured, as every gap, over its standard deviation: amount (ln T20), shape
+        (EDT/T20, T30/T20), level (C80, G). NaN where nothing was measured.
     reasons : tuple of str
         Why what is most probable is not claimed.
     notes : tuple of str
@@ -289,12 +289,11 @@ class Finding:
         header = ("", [bands.label(f) for f in self.case.room.centre_frequencies])
         for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
             lines += text.wrapped(
-                f'residuals of "{c.name}", in standard deviations (measured - model; a gap has the '
-                "other sign):",
+                f'residuals of "{c.name}", in standard deviations (model - measured):',
                 indent="  ",
             )
             rows = [
-                (f"    {name}", ["-" if np.isnan(v) else f"{v:+.1f}" for v in row])
+                (f"    {name}", [text.number(v, "+.1f") for v in row])
                 for name, row in zip(FEATURE_NAMES, residuals, strict=True)
                 if np.isfinite(row).any()
             ]
@@ -305,12 +304,14 @@ class Finding:
 
     @property
     def evidence_in_words(self) -> str:
-        """The evidence that something is missing, the threshold, and the most probable effects."""
-        first = ", ".join(
-            f"{k} {self.percent(k)}" for k, p in self.probabilities.items() if p >= _SAID
-        )
+        """What the headline leaves out: other probable effects, the evidence and its threshold."""
+        said = self.candidates if self.verdict in ("family", "ambiguous") else ()
+        others = [k for k, p in self.probabilities.items() if p >= _SAID and k not in said]
+        listing = ", ".join(f"{k} {self.percent(k)}" for k in others)
+        title = "other probabilities" if said else "probabilities"
         return (
-            f"probabilities: {first}. Evidence that something is missing, whatever it is: "
+            f"{f'{title}: {listing}. ' if others else ''}"
+            "Evidence that something is missing, whatever it is: "
             f"{self.score:+.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most "
             "5 % of simulated rooms exceed that lack nothing "
             f"({', '.join(map(engine_title, self.engines)) or 'no engine'})."

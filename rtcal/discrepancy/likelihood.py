@@ -274,11 +274,11 @@ def student(square: Array, half_log_determinant: Array, m: int, *, coarsened: bo
 def standardized_residuals(
     observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
 ) -> Array:
-    """Return measured less modelled over its standard deviation, shaped as `Observed.features`."""
+    """Return modelled less measured over its standard deviation, shaped as `Observed.features`."""
     mask = observed.used.ravel()
     c = alpha_covariance(predicted, 0) + discrepancy.covariance
     spread = np.sqrt(np.diag(c)[mask] + np.diag(observed.covariance))
     out = np.full(mask.size, np.nan)
-    residual = observed.values - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
-    out[mask] = residual / spread
+    modelled = predicted.features[0].ravel()[mask] + discrepancy.bias[mask]
+    out[mask] = (modelled - observed.values) / spread
     return out.reshape(observed.used.shape)

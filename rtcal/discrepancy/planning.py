@@ -23,6 +23,7 @@ from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.discrepancy.prior import NONE, prior_of
 from rtcal.discrepancy.sets import compare, moments
 from rtcal.discrepancy.several_finding import SeveralFinding
+from rtcal.discrepancy.wording import listed
 from rtcal.errors import DataError
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
@@ -122,42 +123,50 @@ class Plan:
         )
 
     def __str__(self) -> str:
-        """Return the table of expected evidence, and the pairs that cannot be distinguished."""
-        names = list(dict.fromkeys(a for a, _ in self.separations))
-        measured = ", ".join(parameter_label(p) for p in self.parameters)
-        lines = text.wrapped(
-            f"Evidence to expect (nats) from {measured}, if the "
-            "effect of the row is in the room, against the effect of the column. Each effect has the "
-            f"size whose change of T is nearest to {100 * self.change:g} % (second column). Above "
-            f"{DISTINCT_NATS} nats, odds of ten to one, effects can be told apart. Above "
-            f"{_MOST:.0f} nats no number is printed.",
-            hanging="",
-        )
-        words = [["change", "of T"], *(n.replace("-", "- ").split() for n in (NONE, *names))]
-        height = max(map(len, words))
-        padded = [[""] * (height - len(column)) + column for column in words]
-        header = [("", [column[row] for column in padded]) for row in range(height)]
-        rows = []
-        for a in names:
-            cells = [f"{100 * self.reached[a]:.1f} %"]
-            cells += ["." if a == b else _cell(self.separations[a, b]) for b in (NONE, *names)]
-            rows.append((a, cells))
-        lines += text.table(rows, header=header)
+        """Return what each effect would show, what it may be taken for, and what to measure next."""
+        names = list(self.reached)
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
         both, one_sided = _blind(self.separations, pairs)
-        unseen = [a for a in names if self.separations[a, NONE] < DISTINCT_NATS]
-        if unseen:
-            lines += text.wrapped(
-                f"Cannot be told from a model that lacks nothing: {', '.join(unseen)}."
-            )
-        lines += _grouped("Cannot be told apart", both)
-        lines += _grouped("Can pass for another, but not the other for it", one_sided)
+        lines = [*self._seen(), "", *self._taken_for()]
         for label, table in self.more.items():
             still, half = _blind(table, pairs)
             gained = [p for p in both if p not in still and p not in half and p[::-1] not in half]
             gained += [p for p in one_sided if p not in half]
-            lines += _grouped(f"Could also be told apart with {label}", gained)
+            lines += ["", *_grouped(f"With {label} could also be told apart", gained)]
         return "\n".join([*lines, *self.proposed])
+
+    def _seen(self) -> list[str]:
+        """Return a table: each effect with its change of T and the evidence that it is there."""
+        measured = listed([parameter_label(p) for p in self.parameters])
+        rows = []
+        for name, change in self.reached.items():
+            nats = self.separations[name, NONE]
+            seen = "yes" if nats >= DISTINCT_NATS else "no"
+            rows.append((name, [f"{100 * change:.1f} %", _cell(nats), seen]))
+        said = (
+            f"What {measured} would show of each effect, if it alone were in the room. Each has the "
+            f"size whose change of T is nearest to {100 * self.change:g} %. Evidence of "
+            f"{DISTINCT_NATS} nats, odds of ten to one, is enough to see it."
+        )
+        header = ("effect", ["change of T", "evidence / nats", "seen"])
+        return [*text.wrapped(said, hanging=""), *text.table(rows, header=header)]
+
+    def _taken_for(self) -> list[str]:
+        """Return for each effect the others that the data would leave possible."""
+        lines = text.wrapped(
+            "What each may be taken for: the data would tell it from these by less than "
+            f"{DISTINCT_NATS} nats.",
+            hanging="",
+        )
+        for name in self.reached:
+            others = [b for b in self.reached if b != name]
+            alike = [b for b in others if self.separations[name, b] < DISTINCT_NATS]
+            apart = [b for b in others if b not in alike]
+            said = ", ".join(alike) or "no other"
+            if len(alike) > len(apart):
+                said = f"all but {', '.join(apart)}" if apart else "all"
+            lines += text.wrapped(f"{name}: {said}", indent="  ", hanging="    ")
+        return lines
 
     @property
     def proposed(self) -> list[str]:
@@ -165,17 +174,20 @@ class Plan:
         if not self.proposals:
             return []
         lines = text.wrapped(
-            "What to measure next: expected information about which effects are there, of "
-            f"{self.uncertainty:.2f} nats that are open.",
+            "What to measure next: the information to expect about which effects are there, and the "
+            f"hours that it takes. Of {self.uncertainty:.2f} nats that are open:",
             hanging="",
         )
         rows = [
             (f"  {p.measurement}", [f"{p.information:.2f}", f"{p.cost:g}", f"{p.per_cost:.2f}"])
             for p in self.proposals
         ]
-        lines += text.table(rows, header=("", ["nats", "hours", "nats/hour"]))
-        steps = "; then ".join(f"{p.measurement} ({p.information:+.2f})" for p in self.sequence)
-        return [*lines, *text.wrapped(f"One after the other: {steps}.")]
+        lines += text.table(rows, header=("  measurement", ["nats", "hours", "nats/hour"]))
+        lines += ["", "Best one after the other:"]
+        for number, p in enumerate(self.sequence, 1):
+            step = f"{number}. {p.measurement} ({p.information:+.2f} nats)"
+            lines += text.wrapped(step, indent="  ", hanging="     ")
+        return ["", *lines]
 
 
 _MOST = 99.0
@@ -188,13 +200,13 @@ def _cell(nats: float) -> str:
 
 
 def _grouped(title: str, pairs: Pairs) -> list[str]:
-    """Return a title, and a line per first effect of some pairs with all its second ones."""
+    """Return a title, and a line for each first effect of some pairs with all its second ones."""
     others: dict[str, list[str]] = {}
     for a, b in pairs:
         others.setdefault(a, []).append(b)
     if not others:
         return [f"{title}: none."]
-    rows = [f"{a}: {', '.join(b)}" for a, b in others.items()]
+    rows = [f"{a} from {', '.join(b)}" for a, b in others.items()]
     return [f"{title}:", *(line for row in rows for line in text.wrapped(row, indent="  "))]
 
 

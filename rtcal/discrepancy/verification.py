@@ -227,7 +227,7 @@ def verify(finding: Finding, case: Case | None = None) -> Verification:
 
 
 def residual_map(verification: Verification) -> Array:
-    """Return measured less corrected model over its standard deviation, as `Finding.residuals`."""
+    """Return corrected model less measured over its standard deviation, as `Finding.residuals`."""
     finding = verification.finding
     case = finding.apply()
     observed, _ = observe(case)

@@ -99,7 +99,10 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
     beyond = np.array([np.nanmin(all_cells) < -_STRONG, np.nanmax(all_cells) > _STRONG])
     extend = {(1, 1): "both", (1, 0): "min", (0, 1): "max"}.get(tuple(beyond), "neither")
     figure.colorbar(
-        image, ax=[*np.atleast_1d(axes)], label="(measured - model) / sd", extend=extend
+        image,
+        ax=[*np.atleast_1d(axes)],
+        label="(model - measured) / standard deviation",
+        extend=extend,
     )
     axis.set_xlabel("Band centre frequency / Hz")
     return figure

@@ -50,13 +50,13 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
     if verification is None:
         drawn["residuals"] = (
             gap_figures.residuals(finding),
-            "Where measurement and model differ, in standard deviations.",
+            "Model less measured, in standard deviations.",
         )
         return drawn
     drawn |= {
         "residuals": (
             gap_figures.residuals(finding, verification),
-            "Where measurement and model differ, in standard deviations: before and after.",
+            "Model less measured, in standard deviations: before and after.",
         ),
         "reverberation_time": (
             gap_figures.reverberation_time(verification),

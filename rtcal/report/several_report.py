@@ -59,7 +59,7 @@ def figures(finding: SeveralFinding) -> dict[str, tuple[Any, str]]:
         ),
         "residuals": (
             gap_figures.residuals(finding.single),
-            "Where measurement and model as stated differ, in standard deviations.",
+            "Model as stated less measured, in standard deviations.",
         ),
     }
 

@@ -375,10 +375,10 @@ def _reasons(hypotheses: Hypotheses, summary: _Posterior, verdict: str) -> tuple
 
 
 def _map(numbers: Model, likelihood: Likelihood) -> Array:
-    """Return the residuals in standard deviations, (n_parameters, n_pairs, n_bands)."""
+    """Return simulated less measured in standard deviations, (n_parameters, n_pairs, n_bands)."""
     p, i, k = numbers.shape
     variance = np.diag(likelihood.covariance).copy()
-    z = np.where(numbers.used, numbers.residual / np.sqrt(variance), np.nan)
+    z = np.where(numbers.used, -numbers.residual / np.sqrt(variance), np.nan)
     return np.asarray(np.moveaxis(z.reshape(k, p, i), 0, 2))
 
 

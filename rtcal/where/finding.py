@@ -56,7 +56,7 @@ class Finding:
     detection : Detection
         Evidence that something is other than stated, of the positions and of means over them.
     map : array (n_parameters, n_pairs, n_bands)
-        Measured less simulated in standard deviations of what prior, simulator and measurement leave
+        Simulated less measured in standard deviations of what prior, simulator and measurement leave
         open; NaN where nothing was measured.
     parameters, pairs : tuple
         Of the map.
