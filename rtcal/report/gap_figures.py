@@ -13,6 +13,7 @@ from rtcal.discrepancy.states import state
 from rtcal.discrepancy.verification import Verification, residual_map, reverberation_times
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.support.arguments import checked
+from rtcal.support.text import number
 from rtcal.support.types import Array
 
 MOST_PANELS = 12
@@ -59,9 +60,9 @@ def reverberation_time(verification: Verification) -> Any:
 @checked
 def residuals(finding: Finding, verification: Verification | None = None) -> Any:
     """Return the residual map: feature by band and configuration; before, and after the effect."""
-    maps = [("the model as stated", finding.residuals)]
+    maps = [("The model as stated", finding.residuals)]
     if verification is not None:
-        maps.append((f"with {finding.title}", residual_map(verification)))
+        maps.append((f"The model with {finding.title}", residual_map(verification)))
     f = finding.case.room.centre_frequencies
     rows = [
         (c, k)
@@ -82,14 +83,14 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
                     axis.text(
                         j,
                         i,
-                        f"{value:+.1f}",
+                        number(value, "+.1f"),
                         ha="center",
                         va="center",
                         fontsize=9,
                         color="white" if strong else "black",
                     )
         labels = [
-            FEATURE_NAMES[k] + (f", {shown(names[c], 20)}" if several else "") for c, k in rows
+            FEATURE_NAMES[k] + (f" of {shown(names[c], 20)}" if several else "") for c, k in rows
         ]
         axis.set_yticks(range(len(rows)), labels, fontsize=9)
         axis.set_xticks(range(len(f)), [f"{v:g}" for v in f], rotation=90 if len(f) > 10 else 0)

@@ -62,7 +62,7 @@ def draw_plan(
             corners = np.vstack([face, face[:1]])
             panel.plot(corners[:, 0], corners[:, 1], color="0.75", linewidth=1)
         for name, place in sources.items():
-            panel.plot(*place[:2], marker="^", color=ORANGE, markersize=9)
+            panel.plot(*place[:2], "^", color=ORANGE, markersize=9, label="source")
             _label(panel, place, shown(name, 12))
         drawn = panel.scatter(
             points[:, 0],
@@ -74,14 +74,17 @@ def draw_plan(
             s=110,
             edgecolors=BLACK,
             zorder=3,
+            label="receiver: its gap in JND",
         )
         for name, place, value in zip(heard, points, gap, strict=True):
             _label(panel, place, f"{shown(name, 12)}: {value:.1f}")
         panel.set_aspect("equal")
-        panel.set_title(f"{when}: {np.sqrt(np.nanmean(gap**2)):.1f} JND")
+        panel.set_title(f"{when} calibration: gap {np.sqrt(np.nanmean(gap**2)):.1f} JND")
         panel.set_ylabel("y / m")
     axes[1].set_xlabel("x / m")
-    figure.colorbar(drawn, ax=list(axes), label="Gap / JND")
+    markers = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
+    figure.legend(markers.values(), markers, loc="outside lower center", ncols=2, fontsize=9)
+    figure.colorbar(drawn, ax=list(axes), label="Root mean square gap of a receiver / JND")
     return figure
 
 

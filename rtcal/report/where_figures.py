@@ -73,7 +73,7 @@ def draw_room(axes: Any, finding: Finding, place: Place | None = None) -> None:
             axes.fill(*corners.T, facecolor="none", edgecolor="0.45", hatch=hatch, linewidth=0)
     _outlines(axes, geometry, of_face, flat, seen)
     _stands(axes, finding, place, turn)
-    above = _group_lines(letters)
+    above = _explained(probability, letters)
     for name, faces in case.faces.items():
         if (chance := probability[name]) < _SHOWN:
             continue
@@ -107,9 +107,10 @@ def _lettered(name: str, letters: Mapping[str, str]) -> str:
     return shown(name, 24) + (f" ({letters[name]})" if name in letters else "")
 
 
-def _group_lines(letters: Mapping[str, str]) -> list[str]:
-    """Return what the letters say."""
-    return [
+def _explained(probability: Mapping[str, float], letters: Mapping[str, str]) -> list[str]:
+    """Return what percentages and letters say."""
+    shares = any(chance >= _SHOWN for chance in probability.values())
+    return ["%: probability that it is this surface"] * shares + [
         f"({letter}) not told apart by these positions" for letter in sorted(set(letters.values()))
     ]
 
@@ -248,7 +249,7 @@ def plan(finding: Finding, place: Place | None = None) -> Any:
     corners = geometry.vertices[:, :2]
     size, centre = np.ptp(corners, axis=0), (corners.min(axis=0) + corners.max(axis=0)) / 2
     probability, letters = _probabilities(finding), _letters(finding)
-    above = _group_lines(letters)
+    above = _explained(probability, letters)
     figure, axes = new_figure(6.5, float(np.clip(6.0 * size[1] / size[0], 3.0, 6.5)) + 1.8)
     for name, faces in case.faces.items():
         chance = probability[name]
@@ -285,8 +286,14 @@ def plan(finding: Finding, place: Place | None = None) -> Any:
     axes.set_xlabel("x / m", fontsize=_SIZE)
     axes.set_ylabel("y / m", fontsize=_SIZE)
     axes.tick_params(labelsize=_SIZE)
-    above.append(f"darkest pair: {float(np.nanmax(z)):.1f} standard deviations")
+    above.append(
+        "line: source to receiver; the darkest pair disagrees by "
+        f"{float(np.nanmax(z)):.1f} standard deviations"
+    )
     axes.set_title("\n".join(above), fontsize=_SIZE, loc="left")
+    handles, names = axes.get_legend_handles_labels()
+    style = {"loc": "outside lower center", "ncols": 3, "frameon": False}
+    figure.legend(handles, names, fontsize=_SIZE, **style)
     return figure
 
 
