@@ -329,8 +329,9 @@ that was stopped before). A route that took over {TOO_SLOW:.0f} s at some size w
 
 ## OSQP's iterations, cold and warm
 
-Medians at eps 1e-8, without polishing. The five starts: cold; the paper's closed form, primal and dual; the closed form with
-violators of the box fixed at their bound and the others solved again; the answer of the room before; the exact answer. The third is
+Medians at eps 1e-8, without polishing. There are five starts. Three are cold, the paper's closed form (primal and dual), and the
+closed form with violators of the box fixed at their bound and the others solved again. Two are the answer of the room before and the
+exact answer. The third is
 rtcal's `warm_start="closed_form"`. Clarabel has no warm start.
 
 {_iterations(also)}
