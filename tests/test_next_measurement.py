@@ -167,4 +167,4 @@ def test_the_command_proposes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert "Best one after the other:" in run()[1]
     code, said = run("--cost", "G")
     assert code != 0
-    assert '--cost "G" is not MEASUREMENT=HOURS' in said
+    assert '--cost: "G" is not MEASUREMENT=HOURS' in said

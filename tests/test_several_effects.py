@@ -422,7 +422,7 @@ def test_prior_odds_of_none_are_refused_for_several_effects() -> None:
     ("options", "words"),
     [
         (("--expected", "1"), "--expected is of a search for several effects: add --several"),
-        (("--prior", "air=1", "--prior", "air=2"), '--prior states "air" twice'),
+        (("--prior", "air=1", "--prior", "air=2"), '--prior: "air" is given twice'),
         (("--several", "--prior", "none=2"), 'prior has odds of "none"'),
     ],
 )

@@ -33,6 +33,13 @@ def room(**changes: Any) -> rt.Room:
     return rt.Room(**(stated | changes))
 
 
+def test_bands_between_the_nominal_ones_stay_as_they_are() -> None:
+    """Twelfths of an octave, and a band of its own far from every third."""
+    for f in ([106, 112, 118, 125, 132], [440.0, 1000], [124.9, 251.2]):
+        kept = rt.Measurement.from_values(f, t20=np.ones(len(f))).centre_frequencies
+        np.testing.assert_allclose(kept, f, rtol=0.015)
+
+
 def measured(**values: Any) -> rt.Measurement:
     return rt.Measurement.from_values([500, 1000], **values)
 
@@ -40,6 +47,8 @@ def measured(**values: Any) -> rt.Measurement:
 REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: room(centre_frequencies=[0.5, 1]), "0.5, 1 looks like kHz"),
     (lambda: rt.Measurement.from_values([0.125, 8], t20=[1, 1]), "looks like kHz"),
+    (lambda: room(centre_frequencies=[120, 250]), r"120 Hz, which is no .* nearest is 125 Hz"),
+    (lambda: room(centre_frequencies=[500, 1024]), r"1024 Hz, which is no .* is 1000 Hz"),
     (lambda: rt.Air(20, 0.417), r"humidity = 0.417 % looks like a fraction; 41.7 %"),
     (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* is it in percent'),
     (lambda: room(sigma=[[1e160, 0.1], [0.1, 0.1]]), r"1e\+160 is not in \[0, 1\]"),

@@ -52,6 +52,11 @@ THIRD_OCTAVES: tuple[float, ...] = (
 # Exact base-ten centres differ from the nominal ones by at most 1 % (1584.9 Hz is called 1600 Hz),
 # and neighbouring thirds by 26 %, so 1.5 % separates them.
 _TOLERANCE = 0.015
+_MISTYPED = 0.05
+"""Relative distance from a nominal centre within which a band is taken for a mistake, as 120 Hz for
+125 Hz. Half a third octave is 12 %."""
+_NARROW = 1.2
+"""Ratio of neighbours below which bands are narrower than thirds, whose ratio is 1.26."""
 _LOWEST = 20.0  # Hz, the limit of hearing. Frequencies in kHz, at most 20, lie below
 
 
@@ -126,7 +131,8 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
     ------
     DataError
         If there is none, or one is not a finite positive number, or they do not increase, or all
-        are below 20 Hz, as if in kHz.
+        are below 20 Hz, as if in kHz. Also if one lies 1.5 to 5 % beside a nominal third-octave centre,
+        unless its neighbours are nearer than a third.
     """
     try:
         stated = [float(v) for v in frequencies]
@@ -151,7 +157,22 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
                 f"{place} has {label(stated[i + 1])} after {label(stated[i])}; bands must increase, "
                 "each once (within 1.5 % they are the same nominal band)"
             )
+    _refuse_mistyped(f, place)
     return f
+
+
+def _refuse_mistyped(f: Array, place: str) -> None:
+    """Raise DataError for a band beside a nominal one, as 120 Hz: it would match no measured band."""
+    nominal_centres = np.array(THIRD_OCTAVES)
+    for i, value in enumerate(f):
+        nearest = nominal_centres[np.argmin(np.abs(value / nominal_centres - 1))]
+        near = f[max(i - 1, 0) : i + 2]
+        narrow = (near[1:] / near[:-1]).min(initial=np.inf) < _NARROW
+        if value != nearest and abs(value / nearest - 1) <= _MISTYPED and not narrow:
+            raise DataError(
+                f"{place} has {label(float(value))}, which is no nominal band (ISO 266); the nearest "
+                f"is {label(float(nearest))}"
+            )
 
 
 @checked

@@ -11,6 +11,7 @@ import numpy as np
 
 from rtcal.acoustics import bands, room_files
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.materials import (
     AXES,
     LARGEST_LABORATORY_ALPHA,
@@ -41,7 +42,8 @@ class Room:
     """A room: volume, materials with their areas, absorption coefficients and their uncertainty.
 
     One row is one unknown of the calibration. A material that covers several surfaces is one row
-    with the sum of their areas: `Room.from_surfaces` sums them and keeps them.
+    with the sum of their areas: `Room.from_surfaces` sums them and keeps them. Rows and columns of a
+    pandas DataFrame are ordered by their labels, materials and bands.
 
     Parameters
     ----------
@@ -156,6 +158,9 @@ class Room:
                 f'materials has "{repeated[0]}" twice; a material is one row '
                 "(Room.from_surfaces sums its surfaces)"
             )
+        for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
+            stated = getattr(self, name)
+            put(name, in_order(name, stated, self.materials, self.centre_frequencies))
         put("areas", self._checked_areas(n))
         if above_one == "clip":
             self._clip(put)

@@ -33,7 +33,7 @@ from rtcal.posterior.distributions import exact_interval
 from rtcal.posterior.sensitivities import Optimality
 from rtcal.support.files import json_numbers
 from rtcal.support.text import shortened
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 from rtcal.support.version import __version__
 
 
@@ -81,7 +81,7 @@ class CalibrationResult:
     @cached_property
     def alpha(self) -> Array:
         """The calibrated coefficients, (n_materials, n_bands)."""
-        return self.joint.alpha[self._rows]
+        return read_only_view(self.joint.alpha[self._rows])
 
     @property
     def target(self) -> Array:
@@ -100,12 +100,12 @@ class CalibrationResult:
     @property
     def multipliers(self) -> Array:
         """D in 1/m², (n_bands,): free coefficients are mu - D S sigma² (Eq. 25)."""
-        return np.asarray(self.joint.solution.match_multipliers[self.configuration])
+        return read_only_view(self.joint.solution.match_multipliers[self.configuration])
 
     @cached_property
     def active(self) -> NDArray[np.int8]:
         """-1 at the lower bound, 1 at the upper, 0 free, (n_materials, n_bands)."""
-        return self.joint.active[self._rows]
+        return read_only_view(self.joint.active[self._rows])
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -139,17 +139,17 @@ class CalibrationResult:
         """Absorption area in m² that effects add to the room's S'alpha, (n_bands,)."""
         data = self._problem_data
         sizes = data.further(self.joint.solution.unknowns)
-        return np.asarray(data.gains[self.configuration] @ sizes)
+        return read_only_view(np.asarray(data.gains[self.configuration] @ sizes))
 
     @property
     def measured(self) -> Array:
         """Measured T in s, (n_bands,), NaN where missing."""
-        return self.measured_data.reverberation_time
+        return read_only_view(self.measured_data.reverberation_time)
 
     @property
     def measured_uncertainty(self) -> Array:
         """Standard uncertainty of the measured T in s, (n_bands,), NaN where unknown."""
-        return self.measured_data.uncertainty
+        return read_only_view(self.measured_data.uncertainty)
 
     @property
     def matched(self) -> Array:
@@ -159,13 +159,14 @@ class CalibrationResult:
     @cached_property
     def reverberation_time_before(self) -> Array:
         """T of the prior in s, (n_bands,); NaN where the equation does not hold for the prior."""
-        return where_valid(self.equation.time, self.prior, self.prior.absorption_area)
+        times = where_valid(self.equation.time, self.prior, self.prior.absorption_area)
+        return read_only_view(times)
 
     @cached_property
     def reverberation_time_after(self) -> Array:
         """T of the calibrated room in s, (n_bands,); NaN where the equation does not hold for it."""
         area = self.prior.areas @ self.alpha + self.added_absorption
-        return where_valid(self.equation.time, self.prior, area)
+        return read_only_view(where_valid(self.equation.time, self.prior, area))
 
     @property
     def gap_before(self) -> Array:
@@ -203,7 +204,7 @@ class CalibrationResult:
     def air_share(self) -> Array:
         """The air's share of the whole absorption of the calibrated room, (n_bands,)."""
         area = self.prior.areas @ self.alpha + self.added_absorption
-        return where_valid(self.equation.air_share, self.prior, area)
+        return read_only_view(where_valid(self.equation.air_share, self.prior, area))
 
     @cached_property
     def trust_marks(self) -> tuple[TrustMark, ...]:
@@ -226,7 +227,7 @@ class CalibrationResult:
         It is that of the linear estimate, from the room's sigma and the uncertainty of T. It ignores
         the bounds, which `rtcal.posterior.posterior` includes.
         """
-        return self.joint.posterior_sigma[self._rows]
+        return read_only_view(self.joint.posterior_sigma[self._rows])
 
     @cached_property
     def room(self) -> Room:

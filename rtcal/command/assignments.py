@@ -34,23 +34,26 @@ def errors_name_options(*arguments: str) -> Iterator[None]:
         raise DataError(as_options(str(error), arguments)) from error
 
 
-def texts(option: str, stated: Sequence[str], value_name: str) -> dict[str, str]:
-    """Return the texts by name; DataError for another form and for a repeated name."""
+def texts(option: str, stated: Sequence[str], form: str) -> dict[str, str]:
+    """Return the texts by name; DataError for another form than NAME=VALUE and for a repeated name.
+
+    ``form`` says in the error's message what is expected.
+    """
     by_name: dict[str, str] = {}
     for text in stated:
         name, _, value = text.rpartition("=")
         if not name or not value:
-            raise DataError(f'{option}: "{text}" is not NAME={value_name}')
+            raise DataError(f'{option}: "{text}" is not {form}')
         if name in by_name:
             raise DataError(f'{option}: "{name}" is given twice')
         by_name[name] = value
     return by_name
 
 
-def numbers(option: str, stated: Sequence[str], value_name: str) -> dict[str, float]:
+def numbers(option: str, stated: Sequence[str], form: str) -> dict[str, float]:
     """Return the numbers by name; DataError as `texts`, and for a value that is no number."""
     by_name = {}
-    for name, value in texts(option, stated, value_name).items():
+    for name, value in texts(option, stated, form).items():
         try:
             number = float(value)
         except ValueError:
@@ -59,6 +62,6 @@ def numbers(option: str, stated: Sequence[str], value_name: str) -> dict[str, fl
             decimal = ""
             if re.fullmatch(r"\d+,\d+", value):
                 decimal = f", which has a decimal point: {name}={value.replace(',', '.')}"
-            raise DataError(f'{option}: "{name}={value}" is not NAME={value_name}{decimal}')
+            raise DataError(f'{option}: "{name}={value}" is not {form}{decimal}')
         by_name[name] = number
     return by_name

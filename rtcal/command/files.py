@@ -79,7 +79,7 @@ def measure(
             responses,
             bands=bands,
             channels=int(channels) if channels and channels.isdecimal() else channels,
-            minimum_range=numbers("--minimum-range", ranges, "DB"),
+            minimum_range=numbers("--minimum-range", ranges, "PARAMETER=DB"),
             progress=lambda: shown.update(1),
         )
     if uncertainty:
@@ -147,7 +147,7 @@ def table(
             path,
             decay_time=decay_time,
             parameter=parameter,
-            where=texts("--where", where, "ENTRY"),
+            where=texts("--where", where, "NAME=ENTRY"),
             ignore=ignore,
             n_sources=sources,
             n_receivers=receivers,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.command import gap_where
+from rtcal.command.assignments import numbers
 from rtcal.command.console import (
     bar_wanted,
     heading_options,
@@ -24,7 +25,6 @@ from rtcal.command.console import (
 from rtcal.command.gap_options import (
     ENGINES,
     Search,
-    numbers,
     search_options,
     seed_option,
     several_options,
@@ -115,7 +115,7 @@ def plan(
     finding = None
     if after:
         finding = _find_several(case, read, search, quiet, EXPECTED)
-    hours = numbers("--cost", "MEASUREMENT=HOURS, such as G=0.5", costs)
+    hours = numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5")
     result = planned_with(
         read,
         change=CHANGE if change is None else change,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import wraps
 from typing import Any
 
 import click
 
+from rtcal.command.assignments import numbers
 from rtcal.command.console import json_option, quiet_option
 from rtcal.errors import DataError
 
@@ -43,23 +44,6 @@ class Search:
         return out
 
 
-def numbers(option: str, rule: str, texts: Sequence[str]) -> dict[str, float]:
-    """Read NAME=NUMBER, each name once; DataError for anything else."""
-    out: dict[str, float] = {}
-    for text in texts:
-        stated, _, number = text.rpartition("=")
-        name = stated.strip()
-        if name in out:
-            raise DataError(f'{option} states "{name}" twice')
-        try:
-            out[name] = float(number)
-        except ValueError:
-            name = ""
-        if not name:
-            raise DataError(f'{option} "{text}" is not {rule}')
-    return out
-
-
 def search_options(command: Any) -> Any:
     """Add a case and the options of its search, which the command takes as ``search``."""
 
@@ -72,7 +56,7 @@ def search_options(command: Any) -> Any:
         prior: tuple[str, ...],
         **others: Any,
     ) -> Any:
-        odds = numbers("--prior", "EFFECT=ODDS, such as opening=2", prior)
+        odds = numbers("--prior", prior, "EFFECT=ODDS, such as opening=2")
         search = Search(engines or ENGINES, seed, without, only, odds, bool(engines))
         return command(search=search, **others)
 

@@ -127,7 +127,7 @@ def import_room(
     listed = _materials(program, materials)
     volume, surfaces = _geometry(mesh, unit, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
-    chosen = texts("--catalogue", entries, "ENTRY")
+    chosen = texts("--catalogue", entries, "NAME=ENTRY")
     others = _from_catalogue(listed, program, used, chosen, "--area" if mesh is None else mesh)
     rule = SigmaRule(
         relative=sigma_relative,
@@ -194,7 +194,7 @@ def _geometry(
             "how large is the room? State --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
             f"each material in it. The list has: {shortened(', '.join(names), 200)}"
         )
-    stated = numbers("--area", areas, "M2")
+    stated = numbers("--area", areas, "NAME=M2")
     return volume, [Surface(name, name, area) for name, area in stated.items()]
 
 

@@ -64,8 +64,7 @@ class Loop:
         See `rtcal.loop.rules`.
     method : str
         Method of the equation's calibration; see `rtcal.calibrate`.
-    equation : LinearEquation or None
-        Eyring's if None.
+    equation : LinearEquation
     decimals : int, optional
         Decimals of alpha that the program reads. The loop simulates the rounded coefficients.
     tolerance : float
@@ -90,7 +89,7 @@ class Loop:
     measured: str
     rule: Rule
     method: str = "mle"
-    equation: LinearEquation | None = None
+    equation: LinearEquation = field(default_factory=Eyring)
     decimals: int | None = None
     tolerance: float = 1.0
     steps: tuple[Step, ...] = ()
@@ -207,7 +206,7 @@ class Loop:
             self.best_target,
             self._moving,
             self._target_limits,
-            self._equation.reverberation_time(self.room),
+            self.equation.reverberation_time(self.room),
         )
 
     @property
@@ -283,10 +282,6 @@ class Loop:
         return replace(self, steps=(*self.steps, step))
 
     @property
-    def _equation(self) -> LinearEquation:
-        return self.equation or Eyring()
-
-    @property
     def _jnd(self) -> Array:
         """One JND of the measured T in s, (n_bands,)."""
         return JND["t20"] * self.wanted
@@ -312,7 +307,7 @@ class Loop:
 
     @property
     def _target_limits(self) -> tuple[Array, Array]:
-        return target_limits(self.room, self._equation)
+        return target_limits(self.room, self.equation)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the loop as plain values, which `from_dict` reads."""
@@ -322,7 +317,7 @@ class Loop:
             "wanted": json_numbers(self.wanted),
             "rule": self.rule,
             "method": self.method,
-            "equation": {"name": self._equation.name, **asdict(self._equation)},
+            "equation": {"name": self.equation.name, **asdict(self.equation)},
             "decimals": self.decimals,
             "tolerance": self.tolerance,
             "bent": [vars(band) for band in self.bent],
@@ -400,7 +395,7 @@ def start(
         measured=data_history(room, data),
         rule=rule,
         method=method,
-        equation=equation,
+        equation=equation or Eyring(),
         decimals=decimals,
         tolerance=tolerance,
         bent=data.bent,

@@ -65,12 +65,11 @@ def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
 
 def assumed(loop: Loop) -> list[str]:
     """Return the assumptions of the loop, and the use for which its coefficients are valid."""
-    equation = (loop.equation or Eyring()).name
     return [
         "The coefficients belong to the simulator that they were calibrated with, to its geometry, its "
         "positions and its meaning of scattering, and to no other.",
         "How the absorption is shared among the materials follows from the stated coefficients and "
-        f"their standard deviations, by the calibration of {equation}'s equation (method "
+        f"their standard deviations, by the calibration of {loop.equation.name}'s equation (method "
         f"{loop.method}); the loop moves only how much there is in all.",
         f"Rule {loop.rule}; a band is done within {loop.tolerance:g} JND less the simulator's noise.",
         "Coefficients as stated to full precision."
@@ -82,7 +81,7 @@ def assumed(loop: Loop) -> list[str]:
 
 def equation_option(loop: Loop) -> str:
     """Return the equation as an option of `rtcal loop start`; empty for Eyring's, the default."""
-    if loop.equation is None or loop.equation == Eyring():
+    if loop.equation == Eyring():
         return ""
     return f" --equation {loop.equation.key}"
 

@@ -17,6 +17,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, RtcalError, SimulatorError, of_bands
@@ -107,7 +108,8 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
     DataError
         If alpha is not (n_materials, n_bands), or a coefficient is not in [0, 1].
     """
-    alpha = read_only(checks.array("alpha", alpha))
+    ordered = in_order("alpha", alpha, of.materials, of.centre_frequencies)
+    alpha = read_only(checks.array("alpha", ordered))
     shape = (len(of.materials), len(of.centre_frequencies))
     if alpha.shape != shape:
         raise DataError(
