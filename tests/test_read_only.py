@@ -56,8 +56,12 @@ def test_a_loop_keeps_the_coefficients_that_it_was_given(cr2: Any) -> None:
 def test_a_result_s_numbers_cannot_be_changed(cr2: Any) -> None:
     """A change of one had changed others, or the page of the result."""
     result = rt.calibrate(*cr2)
-    names = "alpha active multipliers target measured measured_uncertainty reverberation_time_before "
-    names += "reverberation_time_after added_absorption air_share posterior_sigma target_uncertainty"
+    names = (
+        "alpha active multipliers target measured measured_uncertainty reverberation_time_before "
+    )
+    names += (
+        "reverberation_time_after added_absorption air_share posterior_sigma target_uncertainty"
+    )
     for name in names.split():
         with pytest.raises(ValueError, match="read-only"):
             getattr(result, name)[:] = 0
