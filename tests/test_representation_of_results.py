@@ -50,6 +50,14 @@ def test_printed_table_comes_from_the_record_alone(result) -> None:
     assert "Nothing in this calibration asks for the measured T" in text
 
 
+def test_signs_are_said_below_the_numbers(result) -> None:
+    """A gap of +15.6 did not say whether the model or the measurement has the longer T."""
+    assert (result.gap_before[0] > 0) == (result.reverberation_time_before[0] > result.measured[0])
+    for said in (str(result), result._repr_html_()):
+        assert "gap: T of the model less the measured T" in " ".join(said.split())
+        assert "z: the absorption that T asks for less the stated" in " ".join(said.split())
+
+
 def test_notebook_table_says_in_text_what_it_shades(result) -> None:
     page = result._repr_html_()
     assert page == html_table(result.to_dict())

@@ -145,7 +145,7 @@ def test_a_catt_file(tmp_path: Path, capsys) -> None:
     assert "plaster" in page
     capsys.readouterr()
     run("export", "catt", tmp_path / "calibrated" / "room.toml", hall)
-    assert "change, JND" in capsys.readouterr().out
+    assert "change / JND" in capsys.readouterr().out
     content = hall.read_bytes()
     assert content.startswith(b"; Saal f\xfcr Proben\r\nABS plaster = <")
     assert content.endswith(b">\r\nCORNERS\r\n1 0 0 0\r\n")

@@ -17,6 +17,10 @@ _STRONG_SHIFT = 3.0
 """Shift (in sigmas) and gap (in JND) at which the notebook's shading saturates."""
 
 _SHIFT = "shift of alpha / stated sigma"
+_SIGNS = (
+    "gap: T of the model less the measured T, 1 JND being 5 %. z: the absorption that T asks for less "
+    "the stated, in standard deviations."
+)
 
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 
@@ -35,6 +39,7 @@ def text_table(record: Mapping[str, Any]) -> str:
             *(line for sentence in _header(record) for line in text.wrapped(sentence)),
             "",
             *text.table(_band_rows(record), header=header),
+            *text.wrapped(_SIGNS),
             "",
             "stated alpha",
             *text.table(_stated_rows(record), header=header),
@@ -77,7 +82,7 @@ def html_table(record: Mapping[str, Any]) -> str:
         f"{title}; {settings}. alpha after (shift in sigmas of the prior; * at a bound)",
         ["", *_band_labels(record)],
         rows,
-        [sentence for sentence, _ in _notes(record)],
+        [_SIGNS, *(sentence for sentence, _ in _notes(record))],
     )
 
 
@@ -89,7 +94,7 @@ def _header(record: Mapping[str, Any]) -> tuple[str, str]:
     """The room, and how it was calibrated."""
     air = "no air stated"
     if record["air"] is not None:
-        air = f"air {record['air']['temperature']:g} °C, {record['air']['humidity']:g} %"
+        air = f"air {record['air']['temperature']:g} °C, {record['air']['humidity']:g} % humidity"
     area = sum(material["area"] for material in record["materials"])
     matched = "matched" if record["matches_measured_time"] else "NOT matched"
     return (
@@ -212,9 +217,9 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     bound = np.max([_numbers(material["error_bound"]) for material in record["materials"]])
     notes.append(
         (
-            f"Certificate: primal residual {worst['primal_residual']:.1e}, dual residual "
-            f"{worst['dual_residual']:.1e}, duality gap {worst['duality_gap']:.1e}; alpha "
-            f"within {bound:.1e} of the optimum.",
+            "Certificate, of the computation alone: primal residual "
+            f"{worst['primal_residual']:.1e}, dual residual {worst['dual_residual']:.1e}, duality gap "
+            f"{worst['duality_gap']:.1e}; alpha within {bound:.1e} of the optimum.",
             "",
         )
     )

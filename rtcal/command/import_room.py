@@ -295,7 +295,7 @@ def _notes(
             "--humidity."
         )
     else:
-        notes.append(f"air {room.air.temperature:g} °C, {room.air.humidity:g} %")
+        notes.append(f"air {room.air.temperature:g} °C, {room.air.humidity:g} % humidity")
     without = [name for name, values in scattering.items() if values is None]
     if without and len(without) < len(scattering) and room.scattering is None:
         notes.append(

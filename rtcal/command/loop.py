@@ -116,9 +116,13 @@ def start(
     lines = [
         f"Taken as the measured T: {' and '.join(parameters)}.",
         *beyond,
-        f"Simulate {out} first.",
+        _next_step(out),
     ]
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
+
+
+def _next_step(out: str) -> str:
+    return f"Next: simulate with the coefficients in {out}, then run `rtcal loop next`."
 
 
 @loop.command(name="next", short_help="Go on: read what was simulated.")
@@ -172,7 +176,7 @@ def next_(
     header = ("", ["T20 wanted / s", "gap of the nearest run / JND", "status"])
     lines = text.table(rows, header=header)
     lines += explained(after.trust_marks)
-    lines.append(by_hand.conclusion(after, out) if finished else f"Simulate {out} next.")
+    lines.append(by_hand.conclusion(after, out) if finished else _next_step(out))
     record = {
         "finished": finished,
         "state": state,
@@ -213,6 +217,6 @@ def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
     record = {"simulations": len(before.steps), "state": state, "simulate": out}
     text = (
         f"{state} now holds {len(before.steps)} "
-        f"{'simulation' if len(before.steps) == 1 else 'simulations'}. Simulate {out} next."
+        f"{'simulation' if len(before.steps) == 1 else 'simulations'}. {_next_step(out)}"
     )
     tell(text, record, quiet=quiet, as_json=as_json)

@@ -14,6 +14,7 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io.material_list import ListedMaterial, MaterialList
+from rtcal.support import text
 from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
 
@@ -60,19 +61,24 @@ class ExportReport:
             kind = "new list, since there was no such file"
         else:
             kind = "changed list" if self.template == self.path else f"changed {self.template}"
+        cells = [
+            (bands.label(f), [f"{before:.4f}", f"{after:.4f}", text.number(change, "+.2f")])
+            for f, before, after, change in zip(
+                self.room.centre_frequencies,
+                self.reverberation_time,
+                self.reverberation_time_as_read,
+                self.change,
+                strict=True,
+            )
+        ]
         rows = [
             f"{self.path}: {kind}",
-            f"T by {self.equation}, of the room and as the program reads it",
-            f"{'band':>8} {'T, s':>9} {'as read, s':>11} {'change, JND':>12}",
+            *text.wrapped(
+                f"T by {self.equation}'s equation: of the room, and of the coefficients as the program "
+                "reads them (rounded, in its bands)"
+            ),
+            *text.table(cells, header=("band", ["T / s", "as read / s", "change / JND"])),
         ]
-        for f, before, after, change in zip(
-            self.room.centre_frequencies,
-            self.reverberation_time,
-            self.reverberation_time_as_read,
-            self.change,
-            strict=True,
-        ):
-            rows.append(f"{bands.label(f):>8} {before:9.4f} {after:11.4f} {change:+12.4f}")
         if self.bands_not_written:
             missing = ", ".join(bands.label(f) for f in self.bands_not_written)
             rows.append(f"Not in the file, so not written: {missing}")
