@@ -110,7 +110,7 @@ def begun(room, measured, tmp_path, *more):
 def test_a_t_that_the_program_did_not_give_is_no_band_without_t(cr2, tmp_path):
     room, measured = cr2
     done, runner, command, files = begun(room, measured, tmp_path)
-    assert "next.toml first" in unwrapped(done.output)
+    assert "Next: simulate with the coefficients in" in unwrapped(done.output)
     before = (tmp_path / "loop.json").read_text()
     times = measured.decay_time().mean.copy()
     times[2] = np.nan
