@@ -130,12 +130,15 @@ class Weights:
         return np.asarray(logsumexp(np.array(every), axis=0))
 
 
-def weights(evidence: Evidence, hypotheses: Hypotheses) -> Weights:
-    """Return log posterior weights, the weight of "none" being its prior."""
+def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float = TEMPER) -> Weights:
+    """Return log posterior weights, the weight of "none" being its prior.
+
+    Log evidences are divided by ``temper``.
+    """
     off = max(hypotheses.off, 1e-300)
 
     def relative(values: Array) -> Array:
-        return np.asarray((values - evidence.none) / TEMPER)
+        return np.asarray((values - evidence.none) / temper)
 
     return Weights(
         none=np.full_like(evidence.none, np.log(NO_EFFECT * (1 - off))),
