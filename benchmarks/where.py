@@ -40,7 +40,12 @@ from benchmarks.judging import FLAGS, rounded, row_of
 from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, decided, table
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.discrepancy import find
+from rtcal.loop.control_runs import control_runs
 from rtcal.where.detection import of_means
+from rtcal.where.find import every_hypothesis
+from rtcal.where.model import Model, model
+from rtcal.where.responses import parameters, responses
+from rtcal.where.search import Hypotheses
 from tests.geometric_world import rooms
 from tests.geometric_world.generate import HERE
 from tests.geometric_world.load import (
@@ -81,6 +86,20 @@ class Judging:
 
     def file(self, step: str) -> Path:
         return self.folder / f"{step}_{self.population}_{self.statement.replace(' ', '_')}.jsonl"
+
+
+def prepared(case: rt.where.Case, cache: Path) -> tuple[Model, Hypotheses]:
+    """Return the numbers and the hypotheses of a search, as `rtcal.where.find` makes them."""
+    controls: Any = control_runs(
+        case.simulator,
+        case.room,
+        parameters(case),
+        position_uncertainty=case.position_uncertainty,
+        cache=cache,
+    )
+    made = responses(case, 0, cache)
+    numbers = model(case, made, controls)
+    return numbers, every_hypothesis(case, made, numbers)
 
 
 def judged(judging: Judging, index: int, data: str) -> dict[str, Any]:

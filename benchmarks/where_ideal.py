@@ -24,15 +24,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from benchmarks.positions_table import bootstrap
-from benchmarks.where import case_of
+from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import ABSORBERS, DATA
-from rtcal.loop.control_runs import control_runs
 from rtcal.where import unevenness
 from rtcal.where.evidence import Likelihood
-from rtcal.where.find import every_hypothesis
 from rtcal.where.hypotheses import COUPLED
-from rtcal.where.model import Model, model
-from rtcal.where.responses import parameters, responses
+from rtcal.where.model import Model
 from rtcal.where.search import Hypotheses, evaluate, weights
 from rtcal.where.shift import MEASUREMENT, POSITION, Shift, Spread
 from tests.geometric_world.load import IN_SITU, load
@@ -80,9 +77,7 @@ def drawn(
     return [*hidden, *[None] * DRAWS], out
 
 
-def shifted(
-    likelihood: Likelihood, shift: Shift, row: int, rng: np.random.Generator
-) -> np.ndarray:
+def shifted(likelihood: Likelihood, shift: Shift, row: int, rng: np.random.Generator) -> np.ndarray:
     """Draw the shift of a hypothesis with the errors of its spectrum and of its place, (n,)."""
     nodes, share = likelihood.nodes[shift.response], shift.weights[row]
     exact = np.einsum("kvn,kn->kv", nodes, share)
@@ -154,18 +149,10 @@ def said(
 
 
 def of_room(index: int, data: str, cache: Path) -> list[Row]:
-    """Return what positions and means say of the rooms that are drawn in a development room's geometry."""
+    """Return what positions and means say of the rooms that are drawn in a room's geometry."""
     case = case_of(load(0, index, IN_SITU), data)
-    controls: Any = control_runs(
-        case.simulator,
-        case.room,
-        parameters(case),
-        position_uncertainty=case.position_uncertainty,
-        cache=cache,
-    )
-    made = responses(case, 0, cache)
-    numbers = model(case, made, controls)
-    every, likelihoods = every_hypothesis(case, made, numbers), numbers.likelihoods()
+    numbers, every = prepared(case, cache)
+    likelihoods = numbers.likelihoods()
     hidden, residuals = drawn(numbers, likelihoods[0], every, np.random.default_rng([index, 22]))
     mean, of_means = averaged(numbers, likelihoods)
     fewer = replace(every, spreads=[spread_of_means(s, mean) for s in every.spreads])
@@ -192,42 +179,46 @@ def over_rooms(rows: Sequence[Row], value: Callable[[Row], float]) -> Line:
     return (*line, len(rows))
 
 
+def figures(hidden: Sequence[Row], by: str, limit: float) -> dict[str, Line]:
+    """Return the figures of positions or means, ``by``, above a threshold."""
+    caught = [row for row in hidden if row[by]["score"] > limit]
+    placed = [row for row in caught if "rank" in row[by]]
+    return {
+        f"{by}: detected": over_rooms(hidden, lambda r: r[by]["score"] > limit),
+        f"{by}: right family, of the detected": over_rooms(caught, lambda r: r[by]["family"]),
+        f"{by}: right surface first, of absorbers detected": over_rooms(
+            placed, lambda r: r[by]["rank"] == 0
+        ),
+        f"{by}: right surface among the candidates": over_rooms(
+            placed, lambda r: r[by]["rank"] < r[by]["candidates"]
+        ),
+        f"{by}: candidates, mean": over_rooms(placed, lambda r: r[by]["candidates"]),
+    }
+
+
 def lines(rows: Sequence[Row], data: str) -> dict[str, Line]:
     """Return the figures of one kind of data by name."""
     rows = [row for row in rows if row["data"] == data]
-    limits, detected = {}, {}
-    for by in ("positions", "means"):
-        empty = [row[by]["score"] for row in rows if "effect" not in row[by]]
-        limits[by] = float(np.quantile(empty, 1 - FALSE_ALARMS))
-    hidden = [row for row in rows if "effect" in row["positions"]]
-    out = {}
-    for by, limit in limits.items():
-        caught = [row for row in hidden if row[by]["score"] > limit]
-        detected[by] = caught
-        placed = [row for row in caught if "rank" in row[by]]
-        out |= {
-            f"{by}: detected": over_rooms(hidden, lambda r: r[by]["score"] > limit),
-            f"{by}: right family, of the detected": over_rooms(caught, lambda r: r[by]["family"]),
-            f"{by}: right surface first, of absorbers detected": over_rooms(
-                placed, lambda r: r[by]["rank"] == 0
-            ),
-            f"{by}: right surface among the candidates": over_rooms(
-                placed, lambda r: r[by]["rank"] < r[by]["candidates"]
-            ),
-            f"{by}: candidates, mean": over_rooms(placed, lambda r: r[by]["candidates"]),
-        }
-    placed = [row for row in detected["means"] if "rank" in row["positions"]]
-    out["positions, detected by means: right surface first"] = over_rooms(
-        placed, lambda r: r["positions"]["rank"] == 0
-    )
-    out["detected by positions more than by means"] = over_rooms(
-        hidden,
-        lambda r: (
-            float(r["positions"]["score"] > limits["positions"])
-            - float(r["means"]["score"] > limits["means"])
+    hidden = [row for row in rows if "effect" in row["means"]]
+    limits = {
+        by: float(np.quantile([r[by]["score"] for r in rows if r not in hidden], 1 - FALSE_ALARMS))
+        for by in ("positions", "means")
+    }
+
+    def above(row: Row, by: str) -> bool:
+        return bool(row[by]["score"] > limits[by])
+
+    placed = [row for row in hidden if above(row, "means") and "rank" in row["means"]]
+    return {
+        **figures(hidden, "positions", limits["positions"]),
+        **figures(hidden, "means", limits["means"]),
+        "detected by means, placed by positions: right surface first": over_rooms(
+            placed, lambda r: r["positions"]["rank"] == 0
         ),
-    )
-    return out
+        "detected by positions more than by means": over_rooms(
+            hidden, lambda r: float(above(r, "positions")) - float(above(r, "means"))
+        ),
+    }
 
 
 def main() -> None:

@@ -23,13 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.where import case_of
+from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import DATA
-from rtcal.loop.control_runs import control_runs
 from rtcal.where.detection import MEANS, POSITIONS, evidence_of_means
-from rtcal.where.find import every_hypothesis
-from rtcal.where.model import Model, model
-from rtcal.where.responses import parameters, responses
+from rtcal.where.model import Model
 from rtcal.where.search import TEMPER, Hypotheses, evaluate, weights
 from tests.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 from tests.geometric_world.rooms import NOTHING
@@ -98,18 +95,10 @@ def of_room(
     it is assumed than with all of its variance.
     """
     case = case_of(load(population, index, statement), data)
-    controls: Any = control_runs(
-        case.simulator,
-        case.room,
-        parameters(case),
-        position_uncertainty=case.position_uncertainty,
-        cache=cache,
-    )
-    made = responses(case, 0, cache)
-    numbers = model(case, made, controls)
-    hypotheses = every_hypothesis(case, made, numbers)
+    numbers, hypotheses = prepared(case, cache)
     drawn_scores, square = scores(numbers, hypotheses, index) if draw else (np.zeros(0), np.nan)
     evidence = evaluate(numbers.likelihoods(), hypotheses, numbers.residual[:, np.newaxis])
+    means = None if draw else evidence_of_means(case, cache=cache)
     whole = replace(numbers, error=replace(numbers.error, common=1.0))
     return {
         "population": population,
@@ -120,7 +109,7 @@ def of_room(
         "square": square,
         "likelier": log_density(numbers) - log_density(whole),
         "positions": float(weights(evidence, hypotheses).score[0]),
-        "means": None if draw else (evidence_of_means(case, cache=cache) or (None,))[0],
+        "means": None if means is None else means.score,
         "control_scores": drawn_scores.round(2).tolist(),
     }
 

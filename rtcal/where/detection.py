@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,23 @@ nothing hidden exceed it: 25 for development, 35 that had been judged (`benchmar
 POSITIONS = 13.0
 """Threshold of the positions alone, in nats: 4 and 1 of the same rooms exceed it. Of control rooms a
 twentieth exceeds 2.5 nats in situ: they err as is assumed, and other rooms do not."""
+
+
+@dataclass(frozen=True)
+class Means:
+    """What means over positions say.
+
+    Attributes
+    ----------
+    score, threshold : float
+        As `rtcal.discrepancy.find` has them, in nats.
+    families : mapping of str to float
+        Probability of each family, and of "none".
+    """
+
+    score: float
+    threshold: float
+    families: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -77,8 +95,8 @@ class Detection:
 
 def evidence_of_means(
     case: Case, seed: int = 0, cache: str | os.PathLike[str] | None = None
-) -> tuple[float, float] | None:
-    """Return the evidence of means over positions and its threshold, by `rtcal.discrepancy.find`.
+) -> Means | None:
+    """Return what `rtcal.discrepancy.find` says of the means over positions.
 
     None where that finder has nothing to compare: no T, or none that can be trusted.
     """
@@ -86,7 +104,7 @@ def evidence_of_means(
         found = find_by_means(of_means(case), seed=seed, cache=cache)
     except DataError:
         return None
-    return found.score, found.threshold
+    return Means(found.score, found.threshold, found.families)
 
 
 def of_means(case: Case) -> MeansCase:

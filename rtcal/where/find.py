@@ -20,20 +20,21 @@ from rtcal.support.types import Array
 from rtcal.where import track_record
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
-from rtcal.where.detection import Detection, evidence_of_means
+from rtcal.where.detection import Detection, Means, evidence_of_means
 from rtcal.where.evidence import Likelihood
-from rtcal.where.finding import LIKELY, Finding
+from rtcal.where.finding import Finding
 from rtcal.where.hypotheses import COUPLED, library, shifts, spreads
 from rtcal.where.model import Model, model
 from rtcal.where.part_hypotheses import on_parts
 from rtcal.where.responses import Responses, parameters, responses
 from rtcal.where.search import (
-    TEMPER,
+    TOLD_TEMPER,
     Hypotheses,
     Weights,
     evaluate,
     prior_off,
     weights,
+    with_families,
 )
 from rtcal.where.shift import MEASUREMENT, NOISE, POSITION, SCATTERING, UNKNOWN, Shift
 
@@ -114,7 +115,7 @@ def find_by_positions(
     seed: int,
     left_out: Sequence[str],
     progress: TaskProgress | None = None,
-    means: tuple[float, float] | None = None,
+    means: Means | None = None,
 ) -> Finding:
     """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
 
@@ -139,8 +140,11 @@ def find_by_positions(
     hypotheses = every_hypothesis(case, made, numbers, left_out)
     likelihoods = numbers.likelihoods()
     evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
-    posterior = weights(evidence, hypotheses)
-    detected = Detection(float(posterior.score[0]), *(means or ()))
+    detected = Detection(float(weights(evidence, hypotheses).score[0]))
+    posterior = weights(evidence, hypotheses, TOLD_TEMPER)
+    if means is not None:
+        detected = Detection(detected.positions, means.score, means.threshold)
+        posterior = with_families(posterior, hypotheses, means.families)
     finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0], detected)
     return replace(finding, notes=(*finding.notes, CHOSEN)) if left_out else finding
 
@@ -320,7 +324,7 @@ def _finding(
     verdict, effect, family = _claimed(summary, detected)
     reasons = _reasons(hypotheses, summary, verdict)
     first = next(iter(summary.surfaces))
-    sure = summary.surfaces[first] >= LIKELY and summary.on_surfaces >= CLAIMED
+    sure = summary.surfaces[first] * summary.on_surfaces >= CLAIMED
     located = verdict in ("named", "family", "ambiguous") and sure and not reasons
     observations = numbers.data.observations
     return Finding(
@@ -417,7 +421,7 @@ def _groups(
     every = np.array(vectors).T
     gram = every.T @ inverse @ every
     size = np.maximum(np.diag(gram), 1e-12)
-    nats = 0.5 * (size[:, np.newaxis] - gram**2 / size) / TEMPER
+    nats = 0.5 * (size[:, np.newaxis] - gram**2 / size) / TOLD_TEMPER
     return _joined(names, np.minimum(nats, nats.T) < APART)
 
 

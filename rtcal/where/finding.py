@@ -44,7 +44,8 @@ class Finding:
     effect, family : str or None
         What is claimed.
     surface : str or None
-        The surface that is claimed: its probability is at least 0.9, and the checks agree.
+        The surface that is claimed: something stands on it with a probability of at least 0.9, and the
+        checks agree.
     surfaces : mapping of str to float
         Probability of each surface, given that something stands on one. The most probable first.
     groups : tuple of tuples of str
@@ -113,7 +114,7 @@ class Finding:
 
     @property
     def likely_surfaces(self) -> tuple[str, ...]:
-        """The fewest surfaces that hold 0.9 of the probability."""
+        """The fewest surfaces that hold 0.85 of the probability."""
         held, out = 0.0, []
         for name, probability in self.surfaces.items():
             out.append(name)
@@ -275,8 +276,8 @@ class Finding:
         write_text(path, self.to_json())
 
 
-LIKELY = 0.9
-"""Probability that the likely surfaces hold, and from which a single one is claimed."""
+LIKELY = 0.85
+"""Probability that the likely surfaces hold."""
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
 
 from rtcal.discrepancy.coefficients import SCALES
-from rtcal.discrepancy.prior import NO_EFFECT, off_together
+from rtcal.discrepancy.prior import COEFFICIENTS, NO_EFFECT, NONE, off_together
 from rtcal.support.types import Array
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
-from rtcal.where.shift import ODDS, UNKNOWN, Shift, Spread
+from rtcal.where.shift import MEASUREMENT, ODDS, UNKNOWN, Shift, Spread
 
 TEMPER = 1.25
 """Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms
 (`python -m benchmarks.where_threshold`). It would be 1 if few control runs told their covariance
 without error."""
+TOLD_TEMPER = 3.0
+"""Divisor of log evidences where effects and surfaces are told apart. Their probabilities are then as
+often right as they say (`python -m benchmarks.where_temper`). The shifts of two surfaces differ by less
+than the simulator errs by, in ways that control runs do not show."""
+MEANS_POWER = 0.5
+"""Power of the families' probabilities by means over positions, which are multiplied into those of the
+positions (`python -m benchmarks.where_temper`). Both see the same T, so neither counts in full."""
+LEAST_BY_MEANS = 1e-3
+"""Least probability of a family by means: they have other effects, and err by more than they know."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,4 +161,26 @@ def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float = TEMPER) 
             hypotheses.log_prior(s.odds) + relative(e)
             for s, e in zip(hypotheses.spreads, evidence.spreads, strict=True)
         ],
+    )
+
+
+def with_families(
+    posterior: Weights, hypotheses: Hypotheses, families: Mapping[str, float]
+) -> Weights:
+    """Return weights times the probabilities of their families by means, to `MEANS_POWER`.
+
+    A logarithmic pool of two opinions (Genest & Zidek 1986).
+    """
+
+    def factor(family: str) -> float:
+        return MEANS_POWER * float(np.log(max(families.get(family, 0.0), LEAST_BY_MEANS)))
+
+    return Weights(
+        none=posterior.none + factor(NONE),
+        coefficients=posterior.coefficients + factor(COEFFICIENTS),
+        unknown=posterior.unknown + factor(UNKNOWN),
+        shifts=[
+            w + factor(s.family) for s, w in zip(hypotheses.shifts, posterior.shifts, strict=True)
+        ],
+        spreads=[w + factor(MEASUREMENT) for w in posterior.spreads],
     )

@@ -1,0 +1,189 @@
+"""How far the likelihood of positions is to be trusted when it names effects and surfaces.
+
+    python -m benchmarks.where_temper run --cache out --population 0 --rooms 0-39   # in situ
+    python -m benchmarks.where_temper table                                        # of the stored rows
+
+Log evidences are divided by a temper, and the probabilities of families by means over positions are
+multiplied in with a power. Both are chosen by the log score of the true family and of the true surface,
+in rooms that had been read and in which means detected something: the probability that was given to
+the truth, in nats. `table` also prints the score of a temper that the other populations chose.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import json
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from benchmarks.where import case_of, prepared
+from benchmarks.where_figures import ABSORBERS, DATA, right_families
+from benchmarks.where_threshold import numbers_of
+from rtcal.discrepancy.prior import COEFFICIENTS, NONE
+from rtcal.where.detection import Detection, evidence_of_means
+from rtcal.where.find import CLAIMED
+from rtcal.where.finding import LIKELY
+from rtcal.where.hypotheses import COUPLED
+from rtcal.where.search import LEAST_BY_MEANS, evaluate, weights
+from rtcal.where.shift import MEASUREMENT, UNKNOWN
+from tests.geometric_world.load import IN_SITU, load, truth
+from tests.geometric_world.rooms import NOTHING
+
+STORED = Path(__file__).with_name("where_temper.jsonl.gz")
+TEMPERS = (1.25, 2.0, 3.0, 4.0, 6.0)
+POWERS = (0.0, 0.25, 0.5, 1.0)
+_SMALLEST = 1e-6
+Row = dict[str, Any]
+
+
+def of_room(population: int, index: int, data: str, cache: Path) -> Row | None:
+    """Return the probabilities of a room by family and surface; None where means detect nothing."""
+    case = case_of(load(population, index, IN_SITU), data)
+    means = evidence_of_means(case, cache=cache)
+    if means is None or Detection(0.0, means.score, means.threshold).verdict is not None:
+        return None
+    numbers, every = prepared(case, cache)
+    evidence = evaluate(numbers.likelihoods(), every, numbers.residual[:, np.newaxis])
+    by_temper = {}
+    for temper in TEMPERS:
+        posterior = weights(evidence, every, temper)
+        logs: dict[tuple[str, int], list[Any]] = {
+            (NONE, -1): [posterior.none],
+            (COEFFICIENTS, -1): [posterior.coefficients],
+            (UNKNOWN, -1): [posterior.unknown],
+            (MEASUREMENT, -1): list(posterior.spreads),
+        }
+        for shift, log in zip(every.shifts, posterior.shifts, strict=True):
+            key = shift.family, -1 if shift.surface is None else shift.surface
+            logs.setdefault(key, []).append(logsumexp(log, axis=0))
+        chances = {key: float(np.exp(logsumexp(v) - posterior.total[0])) for key, v in logs.items()}
+        by_temper[str(temper)] = [
+            [family, surface, float(f"{p:.3g}")]
+            for (family, surface), p in chances.items()
+            if p > _SMALLEST
+        ]
+    hidden = truth(population, index)
+    faces = [m for m, some in enumerate(case.faces.values()) if hidden["surface"] in some]
+    return {
+        "population": population,
+        "index": index,
+        "data": data,
+        "kind": hidden["kind"],
+        "surface": faces[0] if faces and hidden["kind"] in ABSORBERS else -1,
+        "n_surfaces": len(case.faces),
+        "means": {f: round(p, 5) for f, p in means.families.items()},
+        "positions": by_temper,
+    }
+
+
+def pooled(row: Row, temper: float, power: float) -> dict[tuple[str, int], float]:
+    """Return probabilities by family and surface, as `rtcal.where.search.with_families`."""
+    out = {
+        (family, surface): p * max(row["means"].get(family, 0.0), LEAST_BY_MEANS) ** power
+        for family, surface, p in row["positions"][str(temper)]
+    }
+    total = sum(out.values())
+    return {key: p / total for key, p in out.items()}
+
+
+def of_family(row: Row, temper: float, power: float) -> float:
+    """Return the probability of the right family, given that something is other than stated."""
+    table = {key: p for key, p in pooled(row, temper, power).items() if key[0] != NONE}
+    right = right_families(row["kind"])
+    return sum(p for (family, _), p in table.items() if family in right) / sum(table.values())
+
+
+def of_surfaces(row: Row, temper: float, power: float) -> np.ndarray:
+    """Return the probability that something stands on each surface, (n_surfaces,)."""
+    out = np.zeros(row["n_surfaces"])
+    for (_, surface), p in pooled(row, temper, power).items():
+        if surface >= 0:
+            out[surface] += p
+    return out
+
+
+def scores(rows: Sequence[Row], temper: float, power: float) -> tuple[float, float]:
+    """Return the mean log score of the true family and of the true surface."""
+    family = [np.log(max(of_family(r, temper, power), 1e-4)) for r in rows if r["kind"] != NOTHING]
+    surface = []
+    for row in rows:
+        if row["surface"] >= 0:
+            chance = of_surfaces(row, temper, power)
+            surface.append(np.log(max(chance[row["surface"]] / chance.sum(), 1e-4)))
+    return float(np.mean(family)), float(np.mean(surface))
+
+
+def line(rows: Sequence[Row], temper: float, power: float) -> str:
+    """Return the scores, and how often surfaces are right."""
+    family, surface = scores(rows, temper, power)
+    claimed = first = held = candidates = absorbers = claims = 0
+    for row in rows:
+        chance = of_surfaces(row, temper, power)
+        order = np.argsort(-chance)
+        right = int(order[0]) == row["surface"]
+        table = pooled(row, temper, power)
+        aperture = max(table, key=lambda key: table[key])[0] == COUPLED.family
+        if chance[order[0]] >= CLAIMED and not aperture:
+            claims, claimed = claims + 1, claimed + right
+        if row["surface"] >= 0:
+            number = int(np.searchsorted(np.cumsum(chance[order]) / chance.sum(), LIKELY)) + 1
+            absorbers, candidates, first = absorbers + 1, candidates + number, first + right
+            held += row["surface"] in order[:number]
+    return (
+        f"temper {temper:4} power {power:4}: log score of family {family:.2f}, "
+        f"of surface {surface:.2f}; first {first} of {absorbers}, among the candidates {held} "
+        f"(mean {candidates / absorbers:.2f}), claimed {claims}, right {claimed}"
+    )
+
+
+def left_out(rows: Sequence[Row]) -> str:
+    """Return the scores where each population's temper and power are the others' choice."""
+    said = []
+    for population in sorted({row["population"] for row in rows}):
+        others = [row for row in rows if row["population"] != population]
+        best = max(((t, w) for t in TEMPERS for w in POWERS), key=lambda c: sum(scores(others, *c)))
+        family, surface = scores([r for r in rows if r["population"] == population], *best)
+        said.append(
+            f"population {population}, by the others' temper {best[0]:g} and power {best[1]:g}: "
+            f"{family:.2f}, {surface:.2f}"
+        )
+    return "\n  ".join(said)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("command", choices=("run", "table"))
+    parser.add_argument("--cache", type=Path, help="folder of control runs and weighings")
+    parser.add_argument("--out", type=Path, default=STORED, help="file of the rows")
+    parser.add_argument("--population", type=int, default=0)
+    parser.add_argument("--rooms", default="0-39")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    if given.command == "run":
+        for index in numbers_of(given.rooms):
+            for data in DATA:
+                row = of_room(given.population, index, data, given.cache)
+                if row is not None:
+                    with gzip.open(given.out, "at", encoding="utf-8") as stream:
+                        stream.write(json.dumps(row, separators=(",", ":")) + "\n")
+                print(index, data, None if row is None else row["kind"], flush=True)
+        return
+    with gzip.open(given.out, "rt", encoding="utf-8") as stream:
+        rows = [json.loads(words) for words in stream]
+    for data, words in DATA.items():
+        some = [row for row in rows if row["data"] == data]
+        print(f"{words}: {len(some)} rooms in which means detect something")
+        for power in POWERS:
+            for temper in TEMPERS:
+                print(" ", line(some, temper, power))
+        print(" ", left_out(some))
+
+
+if __name__ == "__main__":
+    main()
