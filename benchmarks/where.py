@@ -4,9 +4,8 @@
     python -m benchmarks.where run --folder out --number 40 --statement "in situ"    # can be resumed
     python -m benchmarks.where gaps --folder out --number 40     # at held-out pairs, the same rooms
     python -m benchmarks.where means --folder out --number 40    # means over positions, the same rooms
-    python -m benchmarks.where table                             # of the stored run, or --folder out
-    python -m benchmarks.where decided --statement "in situ"     # by the rule that means decide
-    python -m benchmarks.where table --rooms second              # as judged by an earlier finder
+    python -m benchmarks.where decided --statement "in situ"     # what the present rule gives
+    python -m benchmarks.where table --rooms fourth              # as judged by an earlier finder
     python -m benchmarks.where store --folder out                # the run that the study shows
     python -m benchmarks.where speed --folder out                # first and second run of one room
 
@@ -256,7 +255,8 @@ def kept(
     rows = [r for r in read(STORED) if r["statement"] == statement]
     found = [r for r in chosen(rows, which) if r["finder"] == "where"]
     # Means were not run a second time.
-    means = chosen(rows, which) + (chosen(rows, "second") if which == "third" else [])
+    earlier = {"third": "second", "fifth": "fresh"}.get(which, "")
+    means = chosen(rows, which) + chosen(rows, earlier)
     return found, [r for r in means if r["finder"] == "means"]
 
 
@@ -325,11 +325,9 @@ def main() -> None:
     if given.command == "list":
         listed()
     elif given.command == "decided":
-        means = kept(given.statement, "fresh")[1]
-        every = [kept(given.statement, which) for which in ("third", "fourth")]
-        located, before = ([r for rows in every for r in rows[n]] for n in (0, 1))
+        found, means = kept(given.statement, "fifth")
         for data, words in DATA.items():
-            for name, line in decided(means, located, before, given.population, data).items():
+            for name, line in decided(means, found, given.population, data).items():
                 print(
                     f"{words:14} {name:42} {line[0]:.2f} [{line[1]:.2f}, {line[2]:.2f}] of {line[3]}"
                 )

@@ -22,6 +22,7 @@ MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
 ROOMS = {
+    "fifth": "127 to 144 and from 154, where means detect something: judged once, by the present rule",
     "fresh": "128 to 144 and from 154: means alone, for the rule that they decide",
     "fourth": "104 to 153: judged once, by the sum of the means and a quarter of the positions",
     "third": "43 to 113: judged by the finder that asked the positions alone, 43 to 84 a second time",
@@ -208,30 +209,30 @@ def asked(data: str) -> dict[str, tuple[float, float]]:
 
 
 def decided(
-    means: Iterable[dict[str, Any]],
-    located: Iterable[dict[str, Any]],
-    before: Iterable[dict[str, Any]],
-    population: int,
-    data: str,
+    means: Iterable[dict[str, Any]], found: Iterable[dict[str, Any]], population: int, data: str
 ) -> dict[str, Line]:
-    """Return what the rule gives that means decide and positions say where.
+    """Return what the present rule gives: means decide whether, positions say what and where.
 
-    ``means`` are of rooms that had not been read. ``located`` are of rooms with positions, which had,
-    and ``before`` their means.
+    ``means`` are of all rooms judged, ``found`` of those in which means detect something.
     """
 
     def over(row: dict[str, Any]) -> bool:
         return bool(row["score"] > max(MEANS, row["threshold"]))
 
-    rows = Rows(means, population, data)
-    flagged = {r["index"] for r in before if r["data"] == data and over(r)}
-    placed = [
-        r for _, r in Rows(located, population, data).only(ABSORBERS) if r["index"] in flagged
-    ]
+    asked, rows = Rows(means, population, data), Rows(found, population, data)
+    placed = places(rows)
     return {
-        "nothing hidden, flagged": portion(over(r) for _, r in rows.only((rooms.NOTHING,))),
-        "something hidden, detected": portion(over(r) for _, r in rows.only(HIDDEN)),
-        "absorbers detected, on the right surface": portion(is_first(r) for r in placed),
+        "nothing hidden, flagged": portion(over(r) for _, r in asked.only((rooms.NOTHING,))),
+        "something hidden, detected": portion(over(r) for _, r in asked.only(HIDDEN)),
+        "right family, of the detected": common(rows)["right family, of the detected"],
+        "right family, by means alone": portion(
+            family_of(r) in right_families(t["kind"]) for t, r in asked.only(HIDDEN) if over(r)
+        ),
+        "absorbers detected, on the right surface": placed.pop(
+            "right surface, of absorbers detected"
+        ),
+        **placed,
+        **gaps(rows),
     }
 
 

@@ -1,6 +1,6 @@
 """What an observer could say who believes what `rtcal.where` believes, of data drawn from that belief.
 
-    python -m benchmarks.where_ideal run --cache out --out rows.json   # development rooms, in situ
+    python -m benchmarks.where_ideal run --cache out --out rows.json.gz  # development rooms, in situ
     python -m benchmarks.where_ideal table                             # of the stored run
 
 In each room absorbers, apertures and misplaced receivers are drawn from the prior, with their sizes
@@ -13,6 +13,7 @@ What was measured in these rooms sets the scales of the errors alone, and what i
 from __future__ import annotations
 
 import argparse
+import gzip
 import json
 import warnings
 from collections.abc import Callable, Sequence
@@ -34,7 +35,7 @@ from rtcal.where.search import Hypotheses, evaluate, weights
 from rtcal.where.shift import MEASUREMENT, POSITION, Shift, Spread
 from tests.geometric_world.load import IN_SITU, load
 
-STORED = Path(__file__).with_name("where_ideal.json")
+STORED = Path(__file__).with_name("where_ideal.json.gz")
 DRAWS = 12
 """Rooms of each kind, with and without something hidden, that are drawn in one geometry."""
 FALSE_ALARMS = 0.05
@@ -189,6 +190,9 @@ def figures(hidden: Sequence[Row], by: str, limit: float) -> dict[str, Line]:
         f"{by}: right surface first, of absorbers detected": over_rooms(
             placed, lambda r: r[by]["rank"] == 0
         ),
+        f"{by}: right surface among the two most probable": over_rooms(
+            placed, lambda r: r[by]["rank"] < 2
+        ),
         f"{by}: right surface among the candidates": over_rooms(
             placed, lambda r: r[by]["rank"] < r[by]["candidates"]
         ),
@@ -234,10 +238,11 @@ def main() -> None:
         for index in range(given.rooms):
             for data in DATA:
                 rows += of_room(index, data, given.cache)
-            given.out.write_text(json.dumps(rows, separators=(",", ":")), encoding="utf-8")
+            content = json.dumps(rows, separators=(",", ":")).encode()
+            given.out.write_bytes(gzip.compress(content, mtime=0))
             print(index, flush=True)
         return
-    rows = json.loads(given.out.read_text(encoding="utf-8"))
+    rows = json.loads(gzip.decompress(given.out.read_bytes()))
     for data, words in DATA.items():
         print(f"{words}: {len({row['room'] for row in rows})} rooms")
         for name, (value, low, high, n) in lines(rows, data).items():

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from benchmarks.where import case_of, prepared
-from benchmarks.where_figures import ABSORBERS, DATA, right_families
+from benchmarks.where_figures import ABSORBERS, DATA, family_of, right_families
 from benchmarks.where_threshold import numbers_of
 from rtcal.discrepancy.prior import COEFFICIENTS, NONE
 from rtcal.where.detection import Detection, evidence_of_means
@@ -38,6 +38,7 @@ from tests.geometric_world.rooms import NOTHING
 STORED = Path(__file__).with_name("where_temper.jsonl.gz")
 TEMPERS = (1.25, 2.0, 3.0, 4.0, 6.0)
 POWERS = (0.0, 0.25, 0.5, 1.0)
+ADDED = "added absorption"
 _SMALLEST = 1e-6
 Row = dict[str, Any]
 
@@ -108,6 +109,19 @@ def of_surfaces(row: Row, temper: float, power: float) -> np.ndarray:
     return out
 
 
+def names_family(row: Row, temper: float, power: float) -> bool:
+    """Return whether the family that a finding names is right: the claimed one, or the likeliest."""
+    families: dict[str, float] = {}
+    for (family, _), p in pooled(row, temper, power).items():
+        families[family] = families.get(family, 0.0) + p
+    added = [p for family, p in families.items() if family.startswith(ADDED)]
+    if len(added) > 1:
+        families[ADDED] = sum(added)
+    claimed = [f for f, p in families.items() if f != NONE and p >= CLAIMED]
+    said = {"family": max(claimed, key=len) if claimed else None, "families": families}
+    return family_of(said) in right_families(row["kind"])
+
+
 def scores(rows: Sequence[Row], temper: float, power: float) -> tuple[float, float]:
     """Return the mean log score of the true family and of the true surface."""
     family = [np.log(max(of_family(r, temper, power), 1e-4)) for r in rows if r["kind"] != NOTHING]
@@ -122,6 +136,8 @@ def scores(rows: Sequence[Row], temper: float, power: float) -> tuple[float, flo
 def line(rows: Sequence[Row], temper: float, power: float) -> str:
     """Return the scores, and how often surfaces are right."""
     family, surface = scores(rows, temper, power)
+    hidden = [row for row in rows if row["kind"] != NOTHING]
+    named = sum(names_family(row, temper, power) for row in hidden)
     claimed = first = held = candidates = absorbers = claims = 0
     for row in rows:
         chance = of_surfaces(row, temper, power)
@@ -137,8 +153,9 @@ def line(rows: Sequence[Row], temper: float, power: float) -> str:
             held += row["surface"] in order[:number]
     return (
         f"temper {temper:4} power {power:4}: log score of family {family:.2f}, "
-        f"of surface {surface:.2f}; first {first} of {absorbers}, among the candidates {held} "
-        f"(mean {candidates / absorbers:.2f}), claimed {claims}, right {claimed}"
+        f"of surface {surface:.2f}; families {named} of {len(hidden)}; first {first} of {absorbers}, "
+        f"among the candidates {held} (mean {candidates / absorbers:.2f}), "
+        f"claimed {claims}, right {claimed}"
     )
 
 

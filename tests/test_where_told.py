@@ -1,0 +1,128 @@
+"""With which probabilities effects and surfaces are told: the temper, and the pool with the means."""
+
+from __future__ import annotations
+
+import json
+import sys
+from gzip import decompress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+import rtcal as rt
+from rtcal.where.detection import Means
+from rtcal.where.hypotheses import shifts
+from rtcal.where.search import (
+    LEAST_BY_MEANS,
+    MEANS_POWER,
+    TOLD_TEMPER,
+    Evidence,
+    Hypotheses,
+    weights,
+    with_families,
+)
+from tests.test_where import MATCH, measured, stated, tracing
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+from benchmarks import where_ideal, where_temper
+
+
+@pytest.fixture(scope="module")
+def case() -> rt.where.Case:
+    return rt.where.Case(simulator=tracing(stated()), measured=measured(True), match=MATCH)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kept")
+
+
+def test_the_families_of_the_means_are_multiplied_in(case: rt.where.Case) -> None:
+    some = [s.some(slice(0, 1)) for s in shifts(case) if s.effect in ("opening", "covered surface")]
+    pair = [some[0], next(s for s in some if s.family != some[0].family)]
+    every = Hypotheses(pair, [], off=0.1)
+    one = np.zeros(1)
+    flat = Evidence(one, one, one, [np.zeros((1, 1))] * 2, [])
+    before = weights(flat, every, TOLD_TEMPER)
+    after = with_families(before, every, {"none": 1e-9, pair[0].family: 0.64})
+    changed = [float(b[0, 0] - a[0, 0]) for a, b in zip(before.shifts, after.shifts, strict=True)]
+    assert np.exp(changed) == pytest.approx([0.64**MEANS_POWER, LEAST_BY_MEANS**MEANS_POWER])
+    assert np.exp(after.none - before.none) == pytest.approx(LEAST_BY_MEANS**MEANS_POWER)
+
+
+def test_a_finding_names_the_family_that_means_know_of(
+    case: rt.where.Case, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The score of the means is the same; their families differ."""
+    found = {}
+    for family in ("added absorption, flat", "scale"):
+        means = Means(5.0, 2.4, {family: 0.999, "none": 0.001})
+        monkeypatch.setattr(
+            sys.modules["rtcal.where.find"], "evidence_of_means", lambda *_, m=means: m
+        )
+        found[family] = rt.where.find(case, cache=cache)
+    flat, scale = found.values()
+    assert flat.families["added absorption, flat"] > scale.families["added absorption, flat"]
+    assert flat.families.get("scale", 0.0) < scale.families["scale"]
+    assert flat.detection.positions == pytest.approx(scale.detection.positions)
+    assert flat.score == scale.score == 5.0
+    assert sum(flat.probabilities.values()) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("data", ["without", "level"])
+def test_the_temper_is_that_of_the_best_score_in_the_rooms_that_chose_it(data: str) -> None:
+    lines = decompress(where_temper.STORED.read_bytes()).splitlines()
+    rows = [row for row in map(json.loads, lines) if row["data"] == data]
+    by_temper = {
+        temper: sum(where_temper.scores(rows, temper, MEANS_POWER))
+        for temper in where_temper.TEMPERS
+    }
+    assert max(by_temper, key=lambda temper: by_temper[temper]) == TOLD_TEMPER
+
+
+def test_the_stored_rows_are_pooled_as_a_finding_is() -> None:
+    row = {
+        "means": {"field": 0.25, "none": 0.01},
+        "positions": {"3.0": [["field", 1, 0.2], ["scale", -1, 0.6], ["none", -1, 0.2]]},
+    }
+    pooled = where_temper.pooled(row, 3.0, MEANS_POWER)
+    weight = np.array([0.2 * 0.5, 0.6 * LEAST_BY_MEANS**0.5, 0.2 * 0.1])
+    assert list(pooled.values()) == pytest.approx(weight / weight.sum())
+
+
+def test_the_means_of_a_drawn_room_have_the_density_of_means(
+    case: rt.where.Case, cache: Path
+) -> None:
+    numbers, every = where_ideal.prepared(case, cache)
+    likelihoods = numbers.likelihoods()
+    mean, of_means = where_ideal.averaged(numbers, likelihoods)
+    whole, averaged = likelihoods[0], of_means[0]
+    shift = next(s for s in every.shifts if s.effect == "opening").some(slice(5, 6))
+    nodes = whole.nodes[shift.response]
+    exact = np.einsum("kvn,kn->kv", nodes, shift.weights[0])
+    spectrum = [np.outer(np.eye(len(exact))[k], exact[k]).ravel() for k in range(len(exact))]
+    change = exact @ whole.amount * shift.uneven[0]
+    place = [np.outer(change, column).ravel() for column in whole.uneven.T]
+    error = np.transpose(spectrum) @ shift.error @ np.array(spectrum)
+    covariance = mean @ (whole.covariance + error + np.transpose(place) @ np.array(place)) @ mean.T
+    # Within the normal part of the density: beyond it, the finder's tails are heavier.
+    random = np.random.default_rng(4).standard_normal((len(mean), 1))
+    residual = (mean @ exact.ravel())[:, np.newaxis] + 0.5 * np.linalg.cholesky(covariance) @ random
+    expected = multivariate_normal.logpdf(residual[:, 0], mean @ exact.ravel(), covariance)
+    constant = len(mean) / 2 * np.log(2 * np.pi)
+    said = averaged.shifted(shift, averaged.of(residual))[0, 0]
+    assert said == pytest.approx(expected + constant, abs=1e-3)
+
+
+def test_drawn_rooms_scatter_as_the_likelihood_says(case: rt.where.Case, cache: Path) -> None:
+    numbers, every = where_ideal.prepared(case, cache)
+    likelihood = numbers.likelihoods()[0]
+    rng = np.random.default_rng(5)
+    squares = []
+    for _ in range(20):
+        hidden, residuals = where_ideal.drawn(numbers, likelihood, every, rng)
+        empty = [column for column, what in enumerate(hidden) if what is None]
+        squares += likelihood.of(residuals[:, empty]).square.tolist()
+    assert np.mean(squares) == pytest.approx(likelihood.number, rel=0.05)
