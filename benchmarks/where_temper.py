@@ -110,13 +110,18 @@ def of_surfaces(row: Row, temper: float, power: float) -> np.ndarray:
 
 
 def names_family(row: Row, temper: float, power: float) -> bool:
-    """Return whether the family that a finding names is right: the claimed one, or the likeliest."""
+    """Return whether a finding names the right family."""
     families: dict[str, float] = {}
     for (family, _), p in pooled(row, temper, power).items():
         families[family] = families.get(family, 0.0) + p
+    return right_name(row, families)
+
+
+def right_name(row: Row, families: dict[str, float]) -> bool:
+    """Return whether the right family is named: the claimed one, or else the most probable."""
     added = [p for family, p in families.items() if family.startswith(ADDED)]
-    if len(added) > 1:
-        families[ADDED] = sum(added)
+    if ADDED not in families and len(added) > 1:
+        families = {**families, ADDED: sum(added)}
     claimed = [f for f, p in families.items() if f != NONE and p >= CLAIMED]
     said = {"family": max(claimed, key=len) if claimed else None, "families": families}
     return family_of(said) in right_families(row["kind"])
@@ -195,7 +200,10 @@ def main() -> None:
         rows = [json.loads(words) for words in stream]
     for data, words in DATA.items():
         some = [row for row in rows if row["data"] == data]
-        print(f"{words}: {len(some)} rooms in which means detect something")
+        hidden = [row for row in some if row["kind"] != NOTHING]
+        named = sum(right_name(row, row["means"]) for row in hidden)
+        print(f"{words}: {len(some)} rooms in which means detect something; means alone name")
+        print(f"  the right family of {named} of {len(hidden)}")
         for power in POWERS:
             for temper in TEMPERS:
                 print(" ", line(some, temper, power))
