@@ -17,12 +17,12 @@ DETECTED = {
 }
 """Rooms in which something was detected, and rooms in which something was hidden."""
 FLAGGED = {
-    IN_SITU: {"without level": (2, 26), "with level": (3, 26)},
+    IN_SITU: {"without level": (2, 27), "with level": (3, 27)},
     HANDBOOK: {"without level": (1, 8), "with level": (1, 8)},
 }
 """Rooms in which something was detected, and rooms in which nothing was hidden."""
 SURFACE = {
-    IN_SITU: {"without level": (8, 20), "with level": (14, 23)},
+    IN_SITU: {"without level": (6, 10), "with level": (4, 9)},
     HANDBOOK: {"without level": (2, 2), "with level": (2, 3)},
 }
 """Rooms in which the most probable surface was right, and rooms with an absorber detected."""
