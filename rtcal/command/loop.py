@@ -173,7 +173,10 @@ def next_(
             frequencies, after.wanted, after.gap, shown, strict=True
         )
     ]
-    header = ("", ["T20 wanted / s", "gap of the nearest run / JND", "status"])
+    header = [
+        ("", ["T20 wanted", "gap of the nearest run", ""]),
+        ("", ["/ s", "(simulated - wanted) / JND", "status"]),
+    ]
     lines = text.table(rows, header=header)
     lines += explained(after.trust_marks)
     lines.append(by_hand.conclusion(after, out) if finished else _next_step(out))

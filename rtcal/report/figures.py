@@ -168,7 +168,7 @@ def gap(result: CalibrationResult | Saved) -> Any:
         at, [f"{f:g}" for f in calibration.centre_frequencies], rotation=90 if many else 0
     )
     axes.set_xlabel("Band centre frequency / Hz")
-    axes.set_ylabel("Gap to measured T / JND")
+    axes.set_ylabel("Gap of T (model - measured) / JND")
     axes.set_title(shown(calibration.record["room"], 70))
     axes.legend()
     return figure

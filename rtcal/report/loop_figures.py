@@ -81,7 +81,7 @@ def path(loop: Loop) -> Any:
     reach = 1.2 * max(1.5, float(np.nanmax(np.abs(gaps), initial=0.0)))
     below.set_ylim(-reach, reach)
     below.set_xlabel("Simulation number")
-    below.set_ylabel("Gap of T20 / JND")
+    below.set_ylabel("Gap (simulated - measured) / JND")
     below.set_title("Gap by simulation (grey: within 1 JND)")
     below.legend(fontsize=9, ncols=2 if len(f) > 8 else 1)
     return figure
