@@ -127,7 +127,7 @@ def trace(
                         weight = 1.0 / (math.pi * square)
                         if not diffuse:
                             weight *= 0.5 * (1.0 + math.sqrt(max(1 - square / length**2, 0.0)))
-                        events[n_events] = n_faces + r
+                        events[n_events] = 2 * n_faces + r
                         lengths[n_heard] = length
                         weights[n_heard] = weight
                         n_events += 1
@@ -148,6 +148,8 @@ def trace(
                 v[i] -= 2.0 * across * planes[triangle, i]
             if (vector and s > 0.0) or (not vector and choice < s):
                 diffuse = True
+                if not vector:
+                    events[n_events - 1] = n_faces + face
                 # The normal plus a random point of the unit sphere follows Lambert's law.
                 up = 1.0 - 2.0 * u
                 round_ = math.sqrt(max(1.0 - up * up, 0.0))
@@ -185,7 +187,7 @@ def histogram(
     out: Array,
 ) -> None:
     """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins)."""
-    n_faces, n_bands = log_reflection.shape
+    n_codes, n_bands = log_reflection.shape
     n_bins = out.shape[2]
     level = np.empty(n_bands)
     heard = 0
@@ -193,11 +195,11 @@ def histogram(
         level[:] = 0.0
         for e in range(starts[path], starts[path + 1]):
             code = np.int64(events[e])
-            if code < n_faces:
+            if code < n_codes:
                 for k in range(n_bands):
                     level[k] += log_reflection[code, k]
                 continue
-            receiver, length = code - n_faces, np.float64(lengths[heard])
+            receiver, length = code - n_codes, np.float64(lengths[heard])
             place = math.floor((length - first[receiver]) / bin_length)
             if 0 <= place < n_bins:
                 for k in range(n_bands):
@@ -218,37 +220,40 @@ def histogram_gradient(
     first: Array,
     bin_length: float,
     groups: Any,
+    counts: Array,
     out: Array,
     gradient: Array,
 ) -> None:
-    """Add the energy to ``out``, and its products with the hits on each group to ``gradient``.
+    """Add the energy to ``out``, and its products with sums over each group's hits to ``gradient``.
 
-    ``out`` (n_receivers, n_bands, n_bins), ``gradient`` (n_receivers, n_bins, n_groups, n_bands).
+    ``groups`` (n_codes,) is the group of each code of a wall hit, and ``counts`` (n_codes,) what a hit
+    adds to the sum. ``out`` (n_receivers, n_bands, n_bins), ``gradient`` (n_receivers, n_bins,
+    n_groups, n_bands).
     """
-    n_faces, n_bands = log_reflection.shape
+    n_codes, n_bands = log_reflection.shape
     n_bins, n_groups = out.shape[2], gradient.shape[2]
-    level, energy, hits = np.empty(n_bands), np.empty(n_bands), np.empty(n_groups)
+    level, energy, sums = np.empty(n_bands), np.empty(n_bands), np.empty(n_groups)
     heard = 0
     for path in range(len(starts) - 1):
         level[:] = 0.0
-        hits[:] = 0.0
+        sums[:] = 0.0
         for e in range(starts[path], starts[path + 1]):
             code = np.int64(events[e])
-            if code < n_faces:
+            if code < n_codes:
                 for k in range(n_bands):
                     level[k] += log_reflection[code, k]
-                hits[groups[code]] += 1.0
+                sums[groups[code]] += counts[code]
                 continue
-            receiver, length = code - n_faces, np.float64(lengths[heard])
+            receiver, length = code - n_codes, np.float64(lengths[heard])
             place = math.floor((length - first[receiver]) / bin_length)
             if 0 <= place < n_bins:
                 for k in range(n_bands):
                     energy[k] = weights[heard] * math.exp(level[k] - attenuation[k] * length)
                     out[receiver, k, place] += energy[k]
                 for j in range(n_groups):
-                    if hits[j] > 0.0:
+                    if sums[j] != 0.0:
                         for k in range(n_bands):
-                            gradient[receiver, place, j, k] += hits[j] * energy[k]
+                            gradient[receiver, place, j, k] += sums[j] * energy[k]
             heard += 1
 
 
@@ -269,12 +274,12 @@ def histogram_changed(
 ) -> None:
     """Add to ``out`` the energy with each group of faces changed, in one sweep of the paths.
 
-    ``parts`` (n_faces,) is the number of the part that each face belongs to. ``members``
+    ``parts`` (n_codes,) is the number of the part that the face of each code belongs to. ``members``
     (n_groups, n_parts) says which parts a group has. ``factors`` (n_parts, n_hits, n_changes n_bands)
     multiply the energy after as many hits on a part. ``out`` (n_receivers, n_bins, n_groups,
     n_changes n_bands).
     """
-    n_faces, n_bands = log_reflection.shape
+    n_codes, n_bands = log_reflection.shape
     n_bins, n_groups, width = out.shape[1:]
     n_parts, most = factors.shape[0], factors.shape[1] - 1
     level, energy = np.empty(n_bands), np.empty(width)
@@ -286,12 +291,12 @@ def histogram_changed(
         hits[:] = 0
         for e in range(starts[path], starts[path + 1]):
             code = np.int64(events[e])
-            if code < n_faces:
+            if code < n_codes:
                 for k in range(n_bands):
                     level[k] += log_reflection[code, k]
                 hits[parts[code]] = min(hits[parts[code]] + 1, most)
                 continue
-            receiver, length = code - n_faces, np.float64(lengths[heard])
+            receiver, length = code - n_codes, np.float64(lengths[heard])
             place = math.floor((length - first[receiver]) / bin_length)
             if 0 <= place < n_bins:
                 for k in range(n_bands):

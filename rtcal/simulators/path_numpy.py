@@ -85,7 +85,7 @@ def trace(
                 events.append(
                     (
                         alive[hit],
-                        np.full(hit.sum(), n_faces + r),
+                        np.full(hit.sum(), 2 * n_faces + r),
                         length[hit],
                         weight / (np.pi * radius**2),
                     )
@@ -97,7 +97,6 @@ def trace(
         )
         face, normal = owners[triangle], planes[triangle, :3]
         nothing = np.full(alive.size, np.nan)
-        events.append((alive, face, nothing, nothing))
         choice, u, w = _uniform(state), _uniform(state), _uniform(state)
         p = p + t[:, np.newaxis] * v
         v = v - 2 * np.sum(v * normal, axis=1, keepdims=True) * normal
@@ -109,6 +108,8 @@ def trace(
         lambert /= np.sqrt(np.sum(lambert**2, axis=1, keepdims=True) + 1e-30)
         s = scattering[face]
         spread = s > 0 if vector else choice < s
+        scattered = np.zeros(alive.size, dtype=bool) if vector else spread
+        events.append((alive, face + n_faces * scattered, nothing, nothing))
         share = np.where(spread, s if vector else 1.0, 0.0)[:, np.newaxis]
         v = share * lambert + (1 - share) * v
         v /= np.linalg.norm(v, axis=1, keepdims=True)
@@ -118,7 +119,7 @@ def trace(
     path, code, length, weight = (np.concatenate(column) for column in zip(*events, strict=True))
     path, code, length, weight = _kept(~lost[path], path, code, length, weight)
     order = np.argsort(path, kind="stable")  # keeps the order of the steps of each path
-    heard = order[code[order] >= n_faces]
+    heard = order[code[order] >= 2 * n_faces]
     starts = np.concatenate([[0], np.cumsum(np.bincount(path, minlength=n_paths))])
     return (
         code[order].astype(np.uint16),
@@ -158,6 +159,7 @@ def histogram_gradient(
     first: Array,
     bin_length: float,
     groups: NDArray[np.int64],
+    counts: Array,
     out: Array,
     gradient: Array,
 ) -> None:
@@ -169,11 +171,12 @@ def histogram_gradient(
     sums = _sums(flat, energy, in_bins, shape)
     out += np.moveaxis(sums, 2, 1)
     wall = events < len(log_reflection)
-    group = np.where(wall, groups[np.where(wall, events, 0)], -1)
+    code = np.where(wall, events, 0)
+    group = np.where(wall, groups[code], -1)
     for j in range(gradient.shape[2]):
-        hits = np.concatenate([[0], np.cumsum(group == j)])
-        number = (hits[heard] - hits[begin])[:, np.newaxis]
-        gradient[:, :, j] += _sums(flat, number * energy, in_bins, shape)
+        hits = np.concatenate([[0], np.cumsum(np.where(group == j, counts[code], 0.0))])
+        counted = (hits[heard] - hits[begin])[:, np.newaxis]
+        gradient[:, :, j] += _sums(flat, counted * energy, in_bins, shape)
 
 
 def histogram_changed(
@@ -230,9 +233,9 @@ def _heard(
 
     Energies are (n, n_bands). Bins are counted over all receivers. ``shape`` is (n_receivers, n_bins).
     """
-    n_faces, n_bands = log_reflection.shape
-    heard = np.flatnonzero(events >= n_faces)
-    receiver = events[heard].astype(np.int64) - n_faces
+    n_codes, n_bands = log_reflection.shape
+    heard = np.flatnonzero(events >= n_codes)
+    receiver = events[heard].astype(np.int64) - n_codes
     length = lengths.astype(float)
     place = np.floor((length - first[receiver]) / bin_length).astype(np.int64)
     begin = starts[np.searchsorted(starts, heard, side="right") - 1]

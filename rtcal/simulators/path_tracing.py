@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import repeat
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -26,6 +27,11 @@ from rtcal.support.types import Array
 
 _REFLECTING = 0.7
 """Mean alpha below which enough is reflected for every parameter: 25 dB take five reflections."""
+
+
+_Weighing = tuple[Array, Array, float]
+_Gradient = Callable[[paths.Paths, int, _Weighing], tuple[Array, Array]]
+"""Energies and gradients of a source's paths, for alpha, air attenuation and the length of a bin."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -132,11 +138,7 @@ class PathTracing(Tracer):
         alpha = check_alpha(self, alpha)
         groups = self._bands_by_scattering()
         decays = [
-            self.traced(int(bands[0]), seconds, seed=seed).energy(
-                alpha[:, bands],
-                self.room.air_attenuation[bands],
-                self.room.speed_of_sound * self.bin_width,
-            )
+            self.traced(int(bands[0]), seconds, seed=seed).energy(*self._weighing(alpha, bands))
             for bands in groups
         ]
         n_bins = min(decay.shape[-1] for decay in decays)
@@ -183,8 +185,7 @@ class PathTracing(Tracer):
         Their differences are the noise of as many paths. ``number`` divides ``n_batches``.
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
-        if self.n_batches % checks.whole("number", number, 1):
-            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
+        self._check_number(number)
         energy = decay_long_enough(
             lambda seconds: self._in_groups(alpha, seconds, number, seed),
             self.room,
@@ -192,6 +193,10 @@ class PathTracing(Tracer):
             _longest(match),
         )
         return np.array([self._observed(group, alpha, match).values for group in energy])
+
+    def _check_number(self, number: int) -> None:
+        if self.n_batches % checks.whole("number", number, 1):
+            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
 
     def _observed(self, energy: Array, alpha: Array, match: Sequence[str]) -> Observations:
         """Return the observations of energy (n_sources, n_receivers, n_bands, n_bins)."""
@@ -244,22 +249,12 @@ class PathTracing(Tracer):
         surface = observations.by_surface(by)
         groups = np.arange(len(owners)) if surface else owners
         n_unknowns = len(owners) if surface else self.room.n_materials
-        sweeps: list[list[tuple[Array, Array]]] = []
-
-        def trace(seconds: float) -> Array:
-            sweeps[:] = [
-                self._sweep(bands, alpha, seconds, groups, seed)
-                for bands in self._bands_by_scattering()
-            ]
-            n_bins = min(energy.shape[-1] for sweep in sweeps for energy, _ in sweep)
-            shape = (1, len(self.sources), len(self.receivers), self.room.n_bands, n_bins)
-            out = np.empty(shape)
-            for bands, sweep in zip(self._bands_by_scattering(), sweeps, strict=True):
-                for s, (energy, _) in enumerate(sweep):
-                    out[0, s][:, bands] = energy[..., :n_bins]
-            return out
-
-        decays = decay_long_enough(trace, self.room, alpha, _longest(match))[0]
+        decays, sweeps = self._swept(
+            alpha,
+            match,
+            seed,
+            lambda traced, source, by: traced.energy_gradient(source, *by, groups),
+        )
         out = np.zeros((len(match), *decays.shape[:3], n_unknowns))
         for bands, sweep in zip(self._bands_by_scattering(), sweeps, strict=True):
             for s, (_, gradient) in enumerate(sweep):
@@ -268,28 +263,82 @@ class PathTracing(Tracer):
                 )
         return out.reshape(len(match), len(self.pairs), self.room.n_bands, n_unknowns)
 
-    def _sweep(
-        self,
-        bands: NDArray[np.int64],
-        alpha: Array,
-        seconds: float,
-        groups: NDArray[np.int64],
-        seed: int,
-    ) -> list[tuple[Array, Array]]:
-        """Return energies and gradients by source; see `rtcal.simulators.paths.Paths`."""
-        traced = self.traced(int(bands[0]), seconds, seed=seed)
+    def scattering_jacobian(
+        self, alpha: Array, match: Sequence[str] = MATCH, *, number: int = 2, seed: int = 0
+    ) -> Array:
+        """Return the derivatives of `observe` by the scattering of each material.
 
-        def of_source(source: int) -> tuple[Array, Array]:
-            return traced.energy_gradient(
-                source,
-                alpha[:, bands],
-                self.room.air_attenuation[bands],
-                self.room.speed_of_sound * self.bin_width,
-                groups,
-            )
+        By its log odds ln(s / (1 - s)), which are changed by as much in all bands. They come from the
+        paths of `observe`, of ``number`` independent groups: their mean is the derivative, their
+        differences its noise. Materials with s = 0 or 1 have 0. See
+        `rtcal.simulators.paths.Paths.scattering_gradient`.
 
-        with ThreadPoolExecutor(self.workers) as pool:
-            return list(pool.map(of_source, range(len(self.sources))))
+        Parameters
+        ----------
+        alpha : array (n_materials, n_bands)
+        match : sequence of str
+        number : int
+            Divides ``n_batches``.
+        seed : int
+
+        Returns
+        -------
+        array (number, n_parameters, n_pairs, n_bands, n_materials)
+
+        Raises
+        ------
+        DataError, TooShortError
+            As `observe` does, for a ``number`` that does not divide, and if ``scattering_model`` is
+            not "random".
+        """
+        alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        self._check_number(number)
+        decays, sweeps = self._swept(
+            alpha,
+            match,
+            seed,
+            lambda traced, source, by: traced.scattering_gradient(source, *by, number),
+        )
+        shape = (number, len(match), *decays.shape[:3], self.room.n_materials)
+        out = np.zeros(shape)
+        for bands, sweep in zip(self._bands_by_scattering(), sweeps, strict=True):
+            for s, (_, groups) in enumerate(sweep):
+                for of_group, gradient in zip(out, groups, strict=True):
+                    of_group[:, s][:, :, bands] = observations.chained(
+                        decays[s][:, bands], gradient[:, : decays.shape[-1]], self.bin_width, match
+                    )
+        return out.reshape(*shape[:2], len(self.pairs), *shape[4:])
+
+    def _weighing(self, alpha: Array, bands: NDArray[np.int64]) -> _Weighing:
+        """Return what the paths of some bands are weighed with."""
+        bin_length = self.room.speed_of_sound * self.bin_width
+        return alpha[:, bands], self.room.air_attenuation[bands], bin_length
+
+    def _swept(
+        self, alpha: Array, match: Sequence[str], seed: int, gradient: _Gradient
+    ) -> tuple[Array, list[list[tuple[Array, Array]]]]:
+        """Return decays (n_sources, n_receivers, n_bands, n_bins), and energies with gradients.
+
+        The latter by bands of equal scattering and by source.
+        """
+        sweeps: list[list[tuple[Array, Array]]] = []
+        groups, sources = self._bands_by_scattering(), range(len(self.sources))
+
+        def trace(seconds: float) -> Array:
+            sweeps.clear()
+            with ThreadPoolExecutor(self.workers) as pool:
+                for bands in groups:
+                    traced = self.traced(int(bands[0]), seconds, seed=seed)
+                    by = self._weighing(alpha, bands)
+                    sweeps.append([*pool.map(gradient, repeat(traced), sources, repeat(by))])
+            n_bins = min(energy.shape[-1] for sweep in sweeps for energy, _ in sweep)
+            out = np.empty((1, len(sources), len(self.receivers), self.room.n_bands, n_bins))
+            for bands, sweep in zip(groups, sweeps, strict=True):
+                for s, (energy, _) in enumerate(sweep):
+                    out[0, s][:, bands] = energy[..., :n_bins]
+            return out
+
+        return decay_long_enough(trace, self.room, alpha, _longest(match))[0], sweeps
 
     def traced(self, band: int, seconds: float, *, seed: int = 0) -> paths.Paths:
         """Return the paths of a band, followed for ``seconds`` or longer.

@@ -12,6 +12,7 @@ that hit material j n times has dE / d alpha_j = -n E / (1 - alpha_j), so they g
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Literal
@@ -51,9 +52,9 @@ _LARGEST_POWER = 600.0
 class Batch:
     """Paths from one source: wall hits and receptions in order.
 
-    ``events[starts[i]:starts[i + 1]]`` belongs to path i: the number of the face for a wall hit,
-    n_faces + receiver for a reception. ``lengths`` (m) and ``weights`` (1/m²) have one
-    value per reception. All arrays are read-only.
+    ``events[starts[i]:starts[i + 1]]`` belongs to path i. A wall hit is the number of the face, plus
+    n_faces where the path was scattered under the model "random". A reception is 2 n_faces + receiver.
+    ``lengths`` (m) and ``weights`` (1/m²) have one value per reception. All arrays are read-only.
     """
 
     events: NDArray[np.uint16]
@@ -90,6 +91,8 @@ class Paths:
         By source and batch. Batches are independent, so their spread gives the standard error.
     materials : int array (n_faces,)
         Number of each face's material.
+    scattering : array (n_materials,)
+    scattering_model : "random" or "vector"
     n_materials, n_paths : int
         ``n_paths`` per source, with those that were lost.
     longest : float
@@ -102,6 +105,8 @@ class Paths:
 
     batches: tuple[tuple[Batch, ...], ...]
     materials: NDArray[np.int64]
+    scattering: Array
+    scattering_model: ScatteringModel
     n_materials: int
     n_paths: int
     longest: float
@@ -110,7 +115,7 @@ class Paths:
 
     def __post_init__(self) -> None:
         # The paths do not depend on alpha, so every simulation reads the same arrays.
-        for values in (self.materials, self.direct, self.first):
+        for values in (self.materials, self.scattering, self.direct, self.first):
             values.setflags(write=False)
 
     @property
@@ -208,12 +213,93 @@ class Paths:
         gradient : array (n_receivers, n_bins, n_groups, n_bands)
             d energy / d alpha of each group's faces.
         """
+        energy, gradient = self._swept(
+            self.batches[source],
+            source,
+            (alpha, air_attenuation, bin_length),
+            np.tile(groups, 2),
+            np.ones(2 * len(groups)),
+        )
+        material = np.zeros(gradient.shape[2], dtype=np.int64)
+        material[groups] = self.materials
+        # The kernel sums n E, n being the number of hits on the group's faces.
+        return energy, gradient / -(1 - np.asarray(alpha, dtype=float)[material])
+
+    def scattering_gradient(
+        self,
+        source: int,
+        alpha: Array,
+        air_attenuation: Array,
+        bin_length: float,
+        number: int,
+    ) -> tuple[Array, Array]:
+        """Return the energies of one source and their derivatives by the scattering of each material.
+
+        A path that material j scattered d times and reflected r times without scattering has a
+        probability proportional to s^d (1 - s)^r. So its energy counts with (1 - s) d - s r in the
+        derivative by the log odds ln(s / (1 - s)) (Glynn 1990, likelihood ratios). It is 0 where s is
+        0 or 1.
+
+        Parameters
+        ----------
+        source : int
+        alpha, air_attenuation, bin_length
+            As for `energy`.
+        number : int
+            Of independent groups of the batches; it divides their number.
+
+        Returns
+        -------
+        energy : array (n_receivers, n_bands, n_bins)
+            Mean over the batches.
+        gradient : array (number, n_receivers, n_bins, n_materials, n_bands)
+            Of each group, d energy / d ln(s / (1 - s)).
+
+        Raises
+        ------
+        DataError
+            If the paths were traced with another scattering model than "random".
+        """
+        if self.scattering_model != "random":
+            raise DataError(
+                f'the paths were traced with scattering_model = "{self.scattering_model}"; derivatives '
+                'by the scattering need "random"'
+            )
+        s = self.scattering[self.materials]
+        batches = self.batches[source]
+        swept = [
+            self._swept(
+                batches[group::number],
+                source,
+                (alpha, air_attenuation, bin_length),
+                np.tile(self.materials, 2),
+                np.concatenate([-s, 1 - s]),
+            )
+            for group in range(number)
+        ]
+        energy, gradient = zip(*swept, strict=True)
+        return np.mean(energy, axis=0), np.array(gradient)
+
+    def _swept(
+        self,
+        batches: Sequence[Batch],
+        source: int,
+        weighing: tuple[Array, Array, float],
+        groups: NDArray[np.int64],
+        counts: Array,
+    ) -> tuple[Array, Array]:
+        """Return the mean energies of some batches, and what their kernel sums; see `kernels`.
+
+        ``weighing`` is alpha, air attenuation and the length of a bin. ``groups`` and ``counts``
+        (2 n_faces,) belong to the codes of wall hits.
+        """
+        alpha, air_attenuation, bin_length = weighing
         log_reflection, attenuation = self._weights(alpha, air_attenuation)
         n_receivers, n_bands = self.first.shape[1], len(attenuation)
-        n_bins, n_groups = self._n_bins(bin_length), int(groups.max()) + 1
+        n_bins = self._n_bins(bin_length)
         energy = np.zeros((n_receivers, n_bands, n_bins))
-        gradient = np.zeros((n_receivers, n_bins, n_groups, n_bands))
-        for batch in self.batches[source]:
+        gradient = np.zeros((n_receivers, n_bins, int(groups.max()) + 1, n_bands))
+        for batch in batches:
             kernels().histogram_gradient(
                 *batch.arrays,
                 log_reflection,
@@ -221,15 +307,14 @@ class Paths:
                 self.first[source],
                 float(bin_length),
                 groups,
+                counts,
                 energy,
                 gradient,
             )
-        material = np.zeros(n_groups, dtype=np.int64)
-        material[groups] = self.materials
-        kept = self._kept(source)
+        kept = len(batches) * self.n_paths // len(self.batches[source])
+        kept -= sum(batch.lost for batch in batches)
         energy /= kept
-        # The kernel sums n E, n being the number of hits on the group's faces.
-        gradient /= -kept * (1 - alpha[material])
+        gradient /= kept
         energy[..., 0] += self._direct_sound(attenuation)[source]
         return energy, gradient
 
@@ -284,7 +369,7 @@ class Paths:
                     attenuation,
                     self.first[s],
                     float(bin_length),
-                    parts,
+                    np.tile(parts, 2),
                     members,
                     factors,
                     heard,
@@ -296,7 +381,7 @@ class Paths:
         return out
 
     def _weights(self, alpha: Array, air_attenuation: Array) -> tuple[Array, Array]:
-        """Return ln(1 - alpha) of every face, (n_faces, n_bands), and m of every band."""
+        """Return ln(1 - alpha) of every wall hit's code, (2 n_faces, n_bands), and m of every band."""
         alpha = np.asarray(alpha, dtype=float)
         attenuation = np.ascontiguousarray(air_attenuation, dtype=float)
         if alpha.ndim != 2 or alpha.shape != (self.n_materials, len(attenuation)):
@@ -305,7 +390,7 @@ class Paths:
                 f"({self.n_materials}, {len(attenuation)})"
             )
         with np.errstate(divide="ignore"):
-            return np.log1p(-alpha)[self.materials], attenuation
+            return np.log1p(-alpha)[np.tile(self.materials, 2)], attenuation
 
     def _n_bins(self, bin_length: float) -> int:
         return max(int((self.longest - self.first.max()) / bin_length), 1)
@@ -415,20 +500,22 @@ def trace(
     return Paths(
         batches=batches,
         materials=materials.copy(),
+        scattering=np.array(scattering, dtype=float),
+        scattering_model=scattering_model,
         n_materials=len(scattering),
         n_paths=per_batch * n_batches,
         longest=float(longest),
         direct=direct,
-        first=_first(batches, direct, len(materials), longest),
+        first=_first(batches, direct, 2 * len(materials), longest),
     )
 
 
 def _first(
-    batches: tuple[tuple[Batch, ...], ...], direct: Array, n_faces: int, longest: float
+    batches: tuple[tuple[Batch, ...], ...], direct: Array, n_codes: int, longest: float
 ) -> Array:
     """Return the length of the first sound: direct, else first heard, else ``longest``."""
     first = direct.copy()
     for s, r in np.argwhere(np.isnan(direct)):
-        heard = [b.lengths[b.events[b.events >= n_faces] == n_faces + r] for b in batches[s]]
+        heard = [b.lengths[b.events[b.events >= n_codes] == n_codes + r] for b in batches[s]]
         first[s, r] = min((float(x.min()) for x in heard if x.size), default=longest)
     return first

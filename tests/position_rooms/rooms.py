@@ -26,7 +26,7 @@ from tests.position_rooms import parameters, shapes
 from tests.position_rooms.tracer import Scene, planes, sees, trace
 from tests.position_rooms.tracer import _next_surface as next_surface
 
-COUNTS = {0: 10, 1: 60}
+COUNTS = {0: 10, 1: 60, 2: 60}
 PRIORS = ("wide", "narrow")
 WIDTH = 0.001  # of the bins, s
 OFF = 0.05  # of the positions, m
@@ -123,7 +123,7 @@ def moved(rng: np.random.Generator, positions: np.ndarray) -> np.ndarray:
 
 def scattering(rng: np.random.Generator, population: int, n: int) -> np.ndarray:
     """Return coefficients 0.1 to 0.8: about one level, or unrelated in half of the judging rooms."""
-    if population == 1 and rng.random() < 0.5:
+    if population > 0 and rng.random() < 0.5:
         return rng.uniform(0.1, 0.8, n)
     return np.clip(rng.uniform(0.1, 0.8) + rng.normal(0, 0.12, n), 0.1, 0.8)
 
@@ -190,7 +190,7 @@ def build(population: int, index: int, work: float = REFLECTIONS) -> dict[str, A
     )
     rng = np.random.default_rng([20261122, population, index, 1])
     k = len(stated["bands"])
-    common = rng.uniform(0.3, 0.8) if population == 1 else 0.5
+    common = rng.uniform(0.3, 0.8) if population > 0 else 0.5
     measured, exact = {}, {}
     for i, prior in enumerate(PRIORS):
         part = energy[:, i * k : (i + 1) * k]
