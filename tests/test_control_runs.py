@@ -10,7 +10,7 @@ from rtcal.datasets import halls
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns, control_runs
 from rtcal.loop.positions import error_scale
-from rtcal.loop.scattering import basis, fitted
+from rtcal.loop.scattering import basis, errors_by_scattering
 from rtcal.simulators import PathTracing, Polyhedron, paths
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 
@@ -51,40 +51,25 @@ def test_a_tenth_of_the_variance_is_left_where_all_of_it_may_be_noise():
 def test_noise_of_the_control_runs_does_not_count_as_the_simulators_error():
     rng = np.random.default_rng(3)
     made = runs(rng, noise=0.07)
-    n = made.errors[0].size
-    fits = [
-        fitted(made, np.zeros(n), 1e-4 * np.eye(n), np.arange(n), np.full((2, 3), v))
-        for v in (0.0, 0.07**2)
-    ]
-    counted, taken_off = (np.diag(fit.covariance).mean() for fit in fits)
+    fits = [errors_by_scattering(made, np.full((2, 3), v)) for v in (0.0, 0.07**2)]
+    counted, taken_off = (np.diag(fit.covariance(0.475, "random")).mean() for fit in fits)
     assert counted == pytest.approx(0.03**2 + 0.02**2 + 0.07**2, rel=0.1)
     assert taken_off == pytest.approx(0.03**2 + 0.02**2, rel=0.2)
 
 
-def test_pairs_that_differ_by_noise_alone_share_what_the_scattering_adds():
+def test_pairs_that_differ_by_noise_alone_share_what_the_other_model_adds():
     rng = np.random.default_rng(4)
     made = runs(rng, noise=0.2)
-    columns = basis(made.levels, [m == "vector" for m in made.models])
-    slope = 0.4 * columns[:, 2, np.newaxis, np.newaxis, np.newaxis]
+    vector = np.array([m == "vector" for m in made.models])[:, np.newaxis, np.newaxis, np.newaxis]
     of_pair = np.linspace(-1, 1, len(PAIRS))[:, np.newaxis]
-    n = made.errors[0].size
     spread = []
     for factor in (0.0, 1.0):
-        errors = made.errors + slope * (1 + factor * of_pair)
-        moved = ControlRuns(
-            parameters=made.parameters,
-            pairs=PAIRS,
-            errors=errors,
-            levels=made.levels,
-            models=made.models,
-        )
-        measured = np.zeros_like(errors[0]) + 0.4 * 0.3 * (1 + factor * of_pair)
-        noise = np.full((2, 3), 0.2**2)
-        fit = fitted(moved, measured.ravel(), 1e-4 * np.eye(n), np.arange(n), noise)
-        spread.append(np.ptp(fit.shift.mean(axis=(0, 2))))
-        assert fit.scattering.level == pytest.approx(0.475 + 0.3, abs=0.05)
-    assert spread[0] < 0.012  # 0.028 if every pair had its own
-    assert spread[1] == pytest.approx(2 * 0.4 * 0.3, rel=0.15)
+        moved = with_errors(made, made.errors + 0.1 * vector * (1 + factor * of_pair))
+        added = errors_by_scattering(moved, np.full((2, 3), 0.2**2)).of_model
+        assert added.mean() == pytest.approx(0.1, abs=0.01)
+        spread.append(np.ptp(added.mean(axis=(0, 2))))
+    assert spread[0] < 0.02
+    assert spread[1] == pytest.approx(2 * 0.1, rel=0.15)
 
 
 def with_errors(made, errors):
@@ -104,13 +89,11 @@ def test_an_error_may_grow_where_little_is_scattered():
     growth[:, 0] = made.levels.mean() / made.levels  # of T20, not of EDT
     slope = 2 * columns[:, 2, np.newaxis, np.newaxis, np.newaxis]
     grown = with_errors(made, made.errors * growth[:, :, np.newaxis, np.newaxis] + slope)
-    n = made.errors[0].size
-    variances = []
-    for level in (0.2, 0.75):
-        measured = np.full(n, 2 * (level - 0.475))
-        fit = fitted(grown, measured, 1e-6 * np.eye(n), np.arange(n), np.zeros((2, 3)))
-        assert fit.scattering.level == pytest.approx(level, abs=0.05)
-        variances.append(np.diag(fit.covariance).reshape(2, -1).mean(axis=1))
+    fit = errors_by_scattering(grown, np.zeros((2, 3)))
+    variances = [
+        np.diag(fit.covariance(level, "random")).reshape(2, -1).mean(axis=1)
+        for level in (0.2, 0.75)
+    ]
     ratio = variances[0] / variances[1]
     assert ratio[0] > 7  # (0.75 / 0.2)² = 14; 1 with one covariance for all levels
     assert ratio[1] == pytest.approx(1.0, abs=0.4)
@@ -118,7 +101,6 @@ def test_an_error_may_grow_where_little_is_scattered():
 
 def test_a_control_run_far_from_all_others_counts_little():
     made = runs(np.random.default_rng(7), noise=0.0)
-    n = made.errors[0].size
     variances = []
     for factor in (1.0, 30.0):
         errors = made.errors[:16].copy()
@@ -130,8 +112,8 @@ def test_a_control_run_far_from_all_others_counts_little():
             levels=made.levels[:16],
             models=made.models[:16],
         )
-        fit = fitted(few, np.zeros(n), 1e-4 * np.eye(n), np.arange(n), np.zeros((2, 3)))
-        variances.append(np.diag(fit.covariance).mean())
+        fit = errors_by_scattering(few, np.zeros((2, 3)))
+        variances.append(np.diag(fit.covariance(0.475, "random")).mean())
     usual, with_one = variances
     assert with_one < 8 * usual  # by least squares some 50 times
 

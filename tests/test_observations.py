@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from rtcal.simulators import (
     ImageSource,
     Observable,
     PathTracing,
+    Polyhedron,
     ScatteringDelayNetwork,
     observations,
     path_numba,
@@ -95,6 +98,62 @@ def test_both_kernels_give_the_same_derivatives(tracer, monkeypatch):
         found.append(tracer.jacobian(alpha, ["c80", "level"], seed=1))
     np.testing.assert_allclose(*found, rtol=1e-9, atol=1e-12)
     assert np.isfinite(found[0]).all()
+
+
+def test_both_kernels_give_the_same_derivatives_by_scattering(tracer, monkeypatch):
+    found = []
+    for kernels in (path_numba, path_numpy):
+        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
+        found.append(tracer.scattering_jacobian(tracer.room.alpha, ["c80", "level"], seed=1))
+    assert found[0].shape == (2, 2, len(tracer.pairs), tracer.room.n_bands, tracer.room.n_materials)
+    assert np.abs(found[0]).max() > 0
+    np.testing.assert_allclose(*found, rtol=1e-9, atol=1e-12)
+
+
+def test_the_derivative_by_scattering_is_that_of_other_paths():
+    """Between hard walls, a soft floor and ceiling. The differences take other paths."""
+    geometry = Polyhedron.shoebox([8.0, 6.0, 3.0], {wall: wall for wall in SHOEBOX_WALLS})
+    room = rt.Room(
+        name="box",
+        volume=144.0,
+        materials=list(SHOEBOX_WALLS),
+        areas=geometry.face_areas,
+        alpha=[[0.05], [0.05], [0.05], [0.05], [0.6], [0.6]],
+        sigma=np.full((6, 1), 0.01),
+        centre_frequencies=[1000.0],
+    )
+
+    def traced(log_odds):
+        return PathTracing(
+            geometry=geometry,
+            room=room,
+            sources={"S": [1.5, 1.2, 1.4]},
+            receivers={"R1": [6.5, 4.5, 1.2], "R2": [3.0, 4.9, 1.2]},
+            n_paths=40000,
+            scattering=1 / (1 + np.exp(-log_odds)),
+        )
+
+    stated = np.full(6, -1.5)
+    slope = traced(stated).scattering_jacobian(room.alpha, ["ts"]).mean(axis=(0, 1, 2, 3))
+    assert (slope[:4] < -0.03).all()
+    assert (np.abs(slope[4:]) < 0.03).all()
+    for wall in (0, 4):
+        step = np.where(np.arange(6) == wall, 0.4, 0.0)
+        before, after = (
+            traced(stated + sign * step).observe(room.alpha, ["ts"], seed=seed).values.mean()
+            for seed, sign in ((1, -1), (2, 1))
+        )
+        assert slope[wall] == pytest.approx((after - before) / 0.8, abs=0.03)
+
+
+def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tracer):
+    stated = np.linspace(0.0, 1.0, tracer.room.n_materials)
+    ends = replace(tracer, scattering=stated)
+    slope = ends.scattering_jacobian(tracer.room.alpha, ["level"])
+    assert not slope[..., [0, -1]].any()
+    assert slope[..., 1:-1].any(axis=(0, 1, 2, 3)).all()
+    with pytest.raises(DataError, match="number = 3 does not divide"):
+        ends.scattering_jacobian(tracer.room.alpha, ["level"], number=3)
 
 
 @pytest.mark.parametrize("compiled", [True, False])

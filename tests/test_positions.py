@@ -13,6 +13,7 @@ from rtcal.datasets import halls
 from rtcal.errors import DataError
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.scattering import MaterialScattering, scattered
 from rtcal.simulators import PathTracing
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
@@ -121,20 +122,21 @@ def test_positions_that_were_not_measured_are_predicted(case, result):
 
 
 def test_what_is_heard_after_is_what_the_tracer_returned_hears(result):
-    """So the coefficients belong to that tracer, not to a straight line through control runs."""
+    """So the coefficients belong to that tracer. Its last change of scattering is a linear one."""
     returned = precise(result.tracer).observe(result.alpha, MATCH).values
-    assert result.after.values.mean(axis=1) == pytest.approx(returned.mean(axis=1), abs=2e-3)
     stated = precise(tracing(result.prior)).observe(result.alpha, MATCH).values
-    assert np.abs((returned - stated).mean(axis=1)).max() > 0.01
+    after, of_scattering = result.after.values.mean(axis=1), (returned - stated).mean(axis=1)
+    assert np.abs(of_scattering).max() > 0.01
+    assert np.abs(after - returned.mean(axis=1)).max() < 0.5 * np.abs(of_scattering).max()
 
 
 def test_the_scattering_is_fitted_to_what_was_measured(case, result):
     room, _, measured = case
+    fit = result.scattering
     assert (result.room.scattering == result.tracer.scattering).all()
-    assert f"scattering {result.scattering.level:.2f}" in result.simulator
-    assert np.average(result.tracer.scattering[:, 0], weights=room.areas) == pytest.approx(
-        result.scattering.level
-    )
+    assert (fit.coefficients == result.tracer.scattering).all()
+    assert f"scattering {fit.level:.2f}" in result.simulator
+    assert np.average(fit.coefficients[:, 0], weights=room.areas) == pytest.approx(fit.level)
     low, high = (
         rt.calibrate_simulator(
             tracing(room),
@@ -153,18 +155,41 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
         models=result.controls.models[:4],
     )
     told = rt.calibrate_simulator(tracing(room), room, measured, match=MATCH, controls=few)
-    assert told.scattering is None  # four runs do not tell what scattering does
+    assert told.scattering is None  # four runs do not tell what the other model adds
+    assert (told.room.scattering == room.scattering).all()
 
 
-def test_a_scattering_with_which_the_room_sounds_less_like_it_is_not_taken(case, result):
-    """Control runs that tell the opposite of what scattering does name a wrong level."""
-    room, _, _ = case
-    measured = heard(room, room.alpha, scattering=0.15, n_paths=4000)
-    wrong = replace(result.controls, errors=-result.controls.errors)
-    kept = rt.calibrate_simulator(tracing(room), room, measured, match=MATCH, controls=wrong)
+def test_the_scattering_of_the_model_vector_is_kept(case, result):
+    """Its paths do not tell what scattering does."""
+    room, _, measured = case
+    vectors = tracing(room, scattering_model="vector")
+    kept = rt.calibrate_simulator(vectors, room, measured, match=MATCH, controls=result.controls)
     assert kept.scattering is None
-    assert (kept.room.scattering == room.scattering).all()
-    assert kept.simulator == tracing(room).name
+    assert kept.simulator == vectors.name
+    with pytest.raises(DataError, match='scattering_model = "vector"; derivatives'):
+        vectors.scattering_jacobian(room.alpha, MATCH)
+
+
+def test_what_was_measured_tells_the_scattering_of_each_material():
+    rng = np.random.default_rng(2)
+    slope, true = rng.normal(0, 0.2, (200, 4)), np.array([-1.2, 0.4, 0.0, 0.9])
+    of = MaterialScattering(slope=slope, traced=0.5 * true)
+    noise = 0.02**2 * np.eye(200)
+    measured = slope @ true + 0.02 * rng.standard_normal(200)
+    pull = np.linalg.solve(noise + of.covariance, measured)
+    assert of.likely(pull) == pytest.approx(true, abs=0.05)
+    assert slope @ of.traced + of.back == pytest.approx(np.zeros(200))
+    assert np.abs(of.likely(1e6 * pull)).max() == 3.0  # no more is believed
+
+
+def test_log_odds_change_the_coefficients_but_0_and_1():
+    stated = np.linspace(0.0, 1.0, HALL.room.n_materials)
+    other = scattered(tracing(HALL.room, scattering=stated), np.full(len(stated), 0.7), "vector")
+    inside = slice(1, -1)
+    odds = other.scattering[inside, 0] / (1 - other.scattering[inside, 0])
+    assert np.log(odds) == pytest.approx(np.log(stated[inside] / (1 - stated[inside])) + 0.7)
+    assert other.scattering[[0, -1], 0].tolist() == [0.0, 1.0]
+    assert other.scattering_model == "vector"
 
 
 def test_t20_alone_stays_the_default(case):

@@ -154,6 +154,11 @@ class ControlRuns:
         errors = common * np.sqrt(of_common)
         return replace(self, errors=errors[:, :, np.newaxis] + own * np.sqrt(of_own)[:, np.newaxis])
 
+    def with_common(self, factor: float) -> ControlRuns:
+        """Return the errors with their mean over the pairs times a factor."""
+        common = self.errors.mean(axis=2, keepdims=True)
+        return replace(self, errors=self.errors - (1 - factor) * common)
+
     def with_own(self, factor: Array) -> ControlRuns:
         """Return the errors with each pair's difference from the mean over pairs times a factor.
 

@@ -31,13 +31,13 @@ from rtcal.loop.control_runs import (
     ControlRuns,
     checked_uncertainty,
     control_runs,
-    paths_of_a_run,
     trace_ahead,
 )
 from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, measured_pairs
 from rtcal.loop.positions_result import PositionsResult, Step
-from rtcal.loop.scattering import Scattering, fitted, log_likelihood, with_scattering
+from rtcal.loop.scattering import Scattering, scattered, scattering_of
+from rtcal.loop.simulator_error import simulator_error
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observable, Observations, observe
@@ -51,17 +51,13 @@ STEPS = 4
 _HALVINGS = 4
 _SETTLED = 0.05
 """Change of alpha in prior sigmas after which no further step is taken."""
-_UNKNOWN_ERROR = 0.05
-"""Standard deviation of a simulator's error that no control run tells: one JND of T, and 0.5 dB."""
 
 MORE_PATHS = 4
 """Factor of the number of paths that are weighed: EDT of a pair has a noise of 2 to 9 % with 6000. In a
 development room with 26 surfaces the error of alpha was 1.00 times that of T20 alone with 8000 paths,
 and 0.95 times with 32,000."""
-_GROUPS = 4
-"""Groups of paths whose differences tell the noise of a control run."""
 _BATCHES = 16
-"""Batches of the paths that are weighed; a multiple of `_GROUPS`."""
+"""Batches of the paths that are weighed; a multiple of `simulator_error.GROUPS`."""
 
 _SCALES = 139
 """Factors of the simulator's error that are tried: neighbours differ by 5 %."""
@@ -116,13 +112,20 @@ def calibrate_positions(
     listener = Listener(simulator, data, first, room.alpha, seed)
     before = listener.values()
     prior = prior_covariance(room)
-    scattering, error, listener = _simulator_error(
-        listener, controls, prior, tracer if fit_scattering else None, more_paths
-    )
-    if scattering is not None and isinstance(tracer, PathTracing):
-        tracer = with_scattering(tracer, scattering)
+    listener, error, materials = simulator_error(listener, controls, prior, fit_scattering)
+    if materials is not None:
+        error = error + materials.covariance
+        listener.add(materials.back)
     path = _gauss_newton(listener, calibration, measured, prior, room, error)
-    pull = np.asarray(path.scale * np.linalg.solve(path.covariance, listener.residual()))
+    pull, residual = np.zeros(len(error)), listener.residual()
+    pull[listener.used] = path.scale * np.linalg.solve(path.covariance, residual)
+    predicted = _predicted(listener, error if controls is not None else None, pull)
+    scattering = None
+    if materials is not None and isinstance(tracer, PathTracing):
+        log_odds = materials.likely(pull)
+        tracer = scattered(tracer, log_odds, materials.model)
+        scattering = scattering_of(tracer)
+        listener.add(materials.slope @ log_odds)
     return PositionsResult(
         prior=room,
         room=_calibrated(room, tracer, scattering, path, data, controls),
@@ -133,10 +136,10 @@ def calibrate_positions(
         measured=data,
         before=_with(data.observations, before),
         after=_with(data.observations, listener.values()),
-        predicted=_predicted(listener, error if controls is not None else None, pull),
+        predicted=predicted,
         controls=controls,
         error_scale=path.scale,
-        innovation=listener.residual() + path.steps[-1].matrix @ (path.alpha - room.alpha).ravel(),
+        innovation=residual + path.steps[-1].matrix @ (path.alpha - room.alpha).ravel(),
         covariance=path.covariance,
         prior_covariance=prior,
         steps=path.steps,
@@ -231,65 +234,17 @@ def prior_covariance(room: Room) -> Array:
     return np.asarray(sigma[:, np.newaxis] * np.kron(between, of_bands) * sigma)
 
 
-def _simulator_error(
-    listener: Listener,
-    controls: ControlRuns | None,
-    prior: Array,
-    tracer: Simulator | None,
-    more_paths: int,
-) -> tuple[Scattering | None, Array, Listener]:
-    """Return the scattering that is fitted, the covariance of the error left, and who hears it.
-
-    The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator.
-    ``tracer`` is traced anew with the scattering, and the listener returned hears that. Where what was
-    measured is likelier with the scattering stated, that is kept, and None returned: a straight line
-    through control runs may name a level that is no better.
-    """
-    heard, parameters = listener.heard, listener.data.observations.parameters
-    if controls is None:
-        factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in parameters]
-        variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
-        shape = (len(parameters), *heard.values.shape[1:])
-        return None, np.diag(np.broadcast_to(variance, shape).ravel()), listener
-    controls = controls.at(parameters, heard.pairs)
-    noise = _noise(listener)
-    stated = controls.without_noise(noise).covariance()
-    if not isinstance(tracer, PathTracing):
-        return None, stated, listener
-    matrix, residual = listener.linearised(), listener.residual()
-    expected = matrix @ prior @ matrix.T + listener.data.covariance
-    fit = fitted(controls, residual, expected, listener.used, noise)
-    if fit is None:
-        return None, stated, listener
-    scattered = precise(with_scattering(tracer, fit.scattering), more_paths)
-    other = listener.scattered(scattered, fit.shift)
-    used = np.ix_(listener.used, listener.used)
-    as_fitted = log_likelihood(other.residual(), expected + fit.covariance[used])
-    if as_fitted >= log_likelihood(residual, expected + stated[used]):
-        return fit.scattering, fit.covariance, other
-    return None, stated, listener
-
-
-def _noise(listener: Listener) -> Array:
-    """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands)."""
-    tracer, parameters = listener.simulator, listener.data.observations.parameters
-    if not isinstance(tracer, PathTracing):
-        return np.zeros((len(parameters), listener.heard.values.shape[-1]))
-    groups = tracer.observe_in_groups(listener.alpha, _GROUPS, parameters, seed=listener.seed)
-    of_group = groups.var(axis=0, ddof=1).mean(axis=1)
-    return np.asarray(of_group * tracer.n_paths / _GROUPS / paths_of_a_run(tracer))
-
-
 def _predicted(listener: Listener, error: Array | None, pull: Array) -> Observations:
     """Return what every position hears, with the simulator's error as the measured pairs tell it.
 
     The error's mean given the residual r at the measured pairs: D_all (R + D)⁻¹ r, D_all its
-    covariance ``error`` between all values and those used. ``pull`` (n_used,) is (R + D)⁻¹ r.
+    covariance ``error`` between all values and those used. ``pull`` (n,) is (R + D)⁻¹ r, 0
+    where nothing was measured.
     """
     heard = listener.heard
     values = listener.everywhere()
     if error is not None:
-        values = values + (error[:, listener.used] @ pull).reshape(values.shape)
+        values = values + (error @ pull).reshape(values.shape)
     return Observations(
         parameters=listener.data.observations.parameters,
         pairs=heard.pairs,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -361,7 +361,7 @@ class PositionsResult:
             "author": self.prior.author,
             "simulator": self.simulator,
             "simulations": self.simulations,
-            "scattering": self.scattering and asdict(self.scattering),
+            "scattering": self.scattering and self.scattering.to_dict(),
             "centre_frequencies": json_numbers(self.prior.centre_frequencies),
             "parameters": list(self.parameters),
             "units": [UNITS[p] for p in self.parameters],

@@ -1,0 +1,99 @@
+"""The simulator's own error in a calibration to every position, and its scattering fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rtcal.loop.control_runs import MODELS, ControlRuns, paths_of_a_run
+from rtcal.loop.listener import Listener
+from rtcal.loop.scattering import (
+    DIGITS,
+    MaterialScattering,
+    errors_by_scattering,
+    log_likelihood,
+    material_scattering,
+    scattered,
+    scattering_of,
+)
+from rtcal.simulators import observations
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.paths import ScatteringModel
+from rtcal.support.types import Array
+
+_UNKNOWN_ERROR = 0.05
+"""Standard deviation of a simulator's error that no control run tells: one JND of T, and 0.5 dB."""
+GROUPS = 4
+"""Groups of paths whose differences tell the noise of a control run."""
+
+
+def simulator_error(
+    listener: Listener,
+    controls: ControlRuns | None,
+    prior: Array,
+    fit_scattering: bool,
+) -> tuple[Listener, Array, MaterialScattering | None]:
+    """Return who hears the scattering that is likely, and the simulator's error with it.
+
+    The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator. It
+    does not count the scattering of the materials. What that does is returned last; None where the
+    scattering stated is kept, as by every simulator but a `PathTracing` with the model "random". Only
+    its paths tell what scattering does.
+    """
+    heard, parameters = listener.heard, listener.data.observations.parameters
+    shape = (len(parameters), *heard.values.shape[1:])
+    if controls is None:
+        factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in parameters]
+        variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
+        return listener, np.diag(np.broadcast_to(variance, shape).ravel()), None
+    controls = controls.at(parameters, heard.pairs)
+    noise = _noise(listener)
+    errors = errors_by_scattering(controls, noise)
+    tracer = listener.simulator
+    if (
+        not fit_scattering
+        or errors is None
+        or not isinstance(tracer, PathTracing)
+        or tracer.scattering_model != "random"
+    ):
+        return listener, controls.without_noise(noise).covariance(), None
+    stated = _materials(listener, tracer, np.zeros(tracer.room.n_materials))
+    matrix, residual, used = listener.linearised(), listener.residual(), listener.used
+    expected = matrix @ prior @ matrix.T + listener.data.covariance
+    stated_level = scattering_of(tracer).level
+
+    def first_step(model: ScatteringModel) -> tuple[float, ScatteringModel, Array, Array]:
+        """Return the log-likelihood, the model, what it adds, and what pulls the scattering."""
+        added = np.zeros(len(stated.slope)) if model == "random" else errors.of_model.ravel()
+        error = errors.covariance(stated_level, model) + stated.covariance
+        covariance = expected + error[np.ix_(used, used)]
+        left, pull = residual - added[used], np.zeros(len(added))
+        pull[used] = np.linalg.solve(covariance, left)
+        return log_likelihood(left, covariance), model, added, pull
+
+    _, model, added, pull = max(map(first_step, MODELS), key=lambda step: step[0])
+    log_odds = stated.likely(pull).round(DIGITS)
+    other = scattered(tracer, log_odds, model)
+    change = added + stated.slope @ log_odds
+    listener = listener.scattered(other, change.reshape(shape))
+    # Only paths of the model "random" tell the slopes; those of the scattering stated serve for both.
+    materials = replace(stated, traced=log_odds, model=model)
+    if model == "random":
+        materials = _materials(listener, other, log_odds)
+    return listener, errors.covariance(scattering_of(other).level, model), materials
+
+
+def _materials(listener: Listener, tracer: PathTracing, traced: Array) -> MaterialScattering:
+    parameters = listener.data.observations.parameters
+    return material_scattering(tracer, listener.alpha, parameters, traced, listener.seed)
+
+
+def _noise(listener: Listener) -> Array:
+    """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands)."""
+    tracer, parameters = listener.simulator, listener.data.observations.parameters
+    if not isinstance(tracer, PathTracing):
+        return np.zeros((len(parameters), listener.heard.values.shape[-1]))
+    groups = tracer.observe_in_groups(listener.alpha, GROUPS, parameters, seed=listener.seed)
+    of_group = groups.var(axis=0, ddof=1).mean(axis=1)
+    return np.asarray(of_group * tracer.n_paths / GROUPS / paths_of_a_run(tracer))
