@@ -41,8 +41,9 @@ from rtcal.loop.control_runs import ControlRuns, control_runs, trace_ahead
 from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import measured_pairs
 from rtcal.loop.positions import MORE_PATHS, precise, prior_covariance
-from rtcal.simulators import PathTracing, paths
+from rtcal.simulators import PathTracing, path_trace, paths
 from rtcal.simulators.observations import Observations
+from rtcal.simulators.path_batch import ScatteringModel
 from tests.position_rooms.generate import order
 from tests.position_rooms.load import PositionRoom, at, load, stored, true_alpha, without_noise
 from tests.position_rooms.rooms import PRIORS
@@ -62,24 +63,24 @@ class Traces:
     """Counts the traces of the path tracer while it is entered."""
 
     def __enter__(self) -> Traces:
-        self.number, self._trace = 0, paths.trace
+        self.number, self._trace = 0, path_trace.trace
 
         def counted(*args: Any, **options: Any) -> Any:
             self.number += 1
             return self._trace(*args, **options)
 
-        paths.trace = counted
+        path_trace.trace = counted
         return self
 
     def __exit__(self, *_: object) -> None:
-        paths.trace = self._trace
+        path_trace.trace = self._trace
 
 
 class KeptTraces:
     """Keeps a room's traces while it is entered: they do not depend on alpha, nor on its prior."""
 
     def __enter__(self) -> KeptTraces:
-        self._trace, self._kept = paths.trace, dict[tuple[Any, ...], paths.Paths]()
+        self._trace, self._kept = path_trace.trace, dict[tuple[Any, ...], paths.Paths]()
 
         def kept(geometry: Any, *points: np.ndarray, **options: Any) -> paths.Paths:
             key = (
@@ -95,11 +96,11 @@ class KeptTraces:
                 self._kept[key] = self._trace(geometry, *points, **options)
             return self._kept[key]
 
-        paths.trace = kept
+        path_trace.trace = kept
         return self
 
     def __exit__(self, *_: object) -> None:
-        paths.trace = self._trace
+        path_trace.trace = self._trace
 
 
 def calibrate(
@@ -189,7 +190,7 @@ def judged(
 def knowing(tracer: PathTracing, population: int, index: int) -> PathTracing:
     """Return the tracer with the room's true scattering."""
     hidden = stored(population, "truth")[index]["truth"]
-    model: paths.ScatteringModel = "vector" if hidden["vectors"] else "random"
+    model: ScatteringModel = "vector" if hidden["vectors"] else "random"
     return replace(tracer, scattering=np.array(hidden["scattering"]), scattering_model=model)
 
 

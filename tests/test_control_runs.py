@@ -10,8 +10,8 @@ from rtcal.datasets import halls
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns, control_runs
 from rtcal.loop.positions import error_scale
-from rtcal.loop.scattering import basis, errors_by_scattering
-from rtcal.simulators import PathTracing, Polyhedron, paths
+from rtcal.loop.scattering import COMMON_LEFT, basis, errors_by_scattering
+from rtcal.simulators import PathTracing, Polyhedron, path_trace
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 
 PAIRS = tuple(("S", f"R{i}") for i in range(6))
@@ -53,8 +53,10 @@ def test_noise_of_the_control_runs_does_not_count_as_the_simulators_error():
     made = runs(rng, noise=0.07)
     fits = [errors_by_scattering(made, np.full((2, 3), v)) for v in (0.0, 0.07**2)]
     counted, taken_off = (np.diag(fit.covariance(0.475, "random")).mean() for fit in fits)
-    assert counted == pytest.approx(0.03**2 + 0.02**2 + 0.07**2, rel=0.1)
-    assert taken_off == pytest.approx(0.03**2 + 0.02**2, rel=0.2)
+    for variance, of_pair in ((counted, 0.02**2 + 0.07**2), (taken_off, 0.02**2)):
+        common = 0.03**2 + of_pair / len(PAIRS)
+        own = of_pair * (1 - 1 / len(PAIRS))
+        assert variance == pytest.approx(COMMON_LEFT * common + own, rel=0.1)
 
 
 def test_pairs_that_differ_by_noise_alone_share_what_the_other_model_adds():
@@ -139,13 +141,13 @@ def test_no_control_run_is_traced_twice(monkeypatch):
         receivers={"R1": [4.5, 3.5, 1.2], "R2": [3.0, 3.9, 1.2]},
         n_paths=800,
     )
-    traced, trace = [], paths.trace
+    traced, trace = [], path_trace.trace
 
     def counted(*points, **options):
         traced.append(options["seed"])
         return trace(*points, **options)
 
-    monkeypatch.setattr(paths, "trace", counted)
+    monkeypatch.setattr(path_trace, "trace", counted)
     made = control_runs(tracer, room, ("t20", "edt"))
     assert len(traced) == 1 + 16  # the simulator itself, and each run
     assert 12 <= len(made.errors) <= 16

@@ -6,7 +6,7 @@ import pytest
 from rtcal.acoustics.decay import decay_time
 from rtcal.datasets import halls
 from rtcal.errors import DataError
-from rtcal.simulators import path_numba, path_numpy, paths
+from rtcal.simulators import path_numba, path_numpy, path_trace, paths
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.tracer import jackknife
 
@@ -18,7 +18,7 @@ def trace(geometry, sources, receivers, scattering, seconds, **options):
     receivers = np.array(receivers, dtype=float)
     names = list(geometry.areas)
     settings = {"n_paths": 4000, "n_batches": 16, "scattering_model": "random", "seed": 1} | options
-    return paths.trace(
+    return path_trace.trace(
         geometry,
         np.array(sources, dtype=float),
         receivers,
@@ -165,7 +165,7 @@ def test_the_receivers_radius_does_not_bias_the_energy():
     # A sphere as large as its distance to the walls allows hears, reflection by reflection, what
     # a point hears: here the first reflections from six walls, 1 % with the noise.
     receiver = np.array([2.5, 4.4, 1.5])
-    made = paths.trace(
+    made = path_trace.trace(
         BOX,
         np.array(SOURCE),
         receiver[np.newaxis],

@@ -25,7 +25,7 @@ from rtcal.simulators import (
     Observable,
     PathTracing,
     ScatteringDelayNetwork,
-    paths,
+    path_trace,
 )
 from rtcal.simulators.observations import MATCH
 
@@ -193,8 +193,8 @@ def test_paths_that_leave_through_gaps_are_said(measured, monkeypatch):
         leaky = replace(made.batches[0][0], lost=1)
         return replace(made, batches=((leaky, *made.batches[0][1:]), *made.batches[1:]))
 
-    trace = paths.trace
-    monkeypatch.setattr(paths, "trace", traced)
+    trace = path_trace.trace
+    monkeypatch.setattr(path_trace, "trace", traced)
     tracer = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=160, scattering=0.5)
     assert tracer.lost_share == 0
     result = calibrate(tracer, measured)

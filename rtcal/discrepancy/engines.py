@@ -20,8 +20,8 @@ from rtcal.acoustics.room import Room
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.model import FEATURES, State, predict
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.paths import ScatteringModel
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
 from rtcal.simulators.tracer import LONGEST, Tracer

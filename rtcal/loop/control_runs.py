@@ -23,8 +23,8 @@ from rtcal.errors import DataError, RtcalError, TooShortError
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import Observations, observe
+from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.paths import ScatteringModel
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.simulators.tracer import eyring_seconds
 from rtcal.support import checks, kept_arrays

@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from rtcal.loop.control_runs import MODELS, SCATTERING, ControlRuns, level
+from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.paths import ScatteringModel
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
@@ -63,7 +63,7 @@ class Scattering:
     Attributes
     ----------
     model : {"random", "vector"}
-        Meaning of the coefficients; see `rtcal.simulators.paths.ScatteringModel`.
+        Meaning of the coefficients; see `rtcal.simulators.path_batch.ScatteringModel`.
     coefficients : array (n_materials, n_bands)
     level : float
         Their mean over the surfaces, by area.

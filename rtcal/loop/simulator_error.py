@@ -18,8 +18,8 @@ from rtcal.loop.scattering import (
     scattering_of,
 )
 from rtcal.simulators import observations
+from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.paths import ScatteringModel
 from rtcal.support.types import Array
 
 _UNKNOWN_ERROR = 0.05

@@ -81,7 +81,7 @@ def trace(
     receivers: Array,
     radii: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
-    """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.paths.Batch`), counts.
+    """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.path_batch.Batch`), counts.
 
     ``owners`` has the face of each triangle, ``scattering`` the coefficient of each face.
     ``counts``: paths lost; free paths, their sum and their sum of squares. A path that hits no wall is

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.errors import DataError
-from rtcal.simulators import observations, paths
+from rtcal.simulators import observations, path_trace, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.observations import MATCH, Observations
+from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.tracer import (
     LONGEST,
     Tracer,
@@ -54,7 +55,7 @@ class PathTracing(Tracer):
     scattering : float, array (n_materials,) or (n_materials, n_bands), optional
         Scattering coefficients, by default the room's. Bands with equal ones share their paths.
     scattering_model : {"random", "vector"}
-        How a wall scatters; see `rtcal.simulators.paths.ScatteringModel`. The two models give
+        How a wall scatters; see `rtcal.simulators.path_batch.ScatteringModel`. The two models give
         different decays in long or flat rooms.
     radius : float, optional
         Radius of the receivers in m, by default 0.075 times the cube root of the volume. A receiver
@@ -88,7 +89,7 @@ class PathTracing(Tracer):
 
     n_paths: int = 8000
     n_batches: int = 16
-    scattering_model: paths.ScatteringModel = "random"
+    scattering_model: ScatteringModel = "random"
     workers: int | None = None
     smooth: ClassVar[bool] = True
     _traced: dict[tuple[int, int], paths.Paths] = field(
@@ -364,7 +365,7 @@ class PathTracing(Tracer):
 
     def _trace(self, scattering: Array, longest: float, seed: int) -> paths.Paths:
         sources, receivers = self._points()
-        return paths.trace(
+        return path_trace.trace(
             self.geometry,
             sources,
             receivers,

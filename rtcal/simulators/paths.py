@@ -15,75 +15,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.errors import DataError
-from rtcal.simulators import path_numpy, rays
-from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators import path_numpy
+from rtcal.simulators.path_batch import Batch, ScatteringModel
 from rtcal.support import jit
-from rtcal.support.threads import thread_pool
 from rtcal.support.types import Array
-
-ScatteringModel = Literal["random", "vector"]
-"""How a wall with the scattering coefficient s reflects a path.
-
-``"random"``: with probability s in a random direction after Lambert's law, else specularly (Heinz
-1993; Vorlaender 2008, Sect. 11.3). ``"vector"``: along s·Lambert + (1 - s)·specular, both unit
-vectors (Christensen & Rindel 2005, Forum Acusticum; also pyroomacoustics). The two models agree at
-s = 0 and s = 1 only.
-"""
-
-MOST_LOST = 0.01
-"""Largest share of paths that may leave through gaps between the faces; they are dropped.
-
-Surveyed meshes have gaps: in CR2 of BRAS (503 triangles) 1 to 2 of 8000 paths are lost. A path has some
-100 reflections in the time of a T20. So 1 % are lost through gaps of 1/10,000 of the surface, which
-would change a mean alpha by 0.0001 if the paths were not dropped. A missing face loses far more."""
-
 
 _LARGEST_POWER = 600.0
 """Largest ln of a factor of the energy: its product with an energy that is 0 is 0, not NaN."""
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Paths from one source: wall hits and receptions in order.
-
-    ``events[starts[i]:starts[i + 1]]`` belongs to path i. A wall hit is the number of the face, plus
-    n_faces where the path was scattered under the model "random". A reception is 2 n_faces + receiver.
-    ``lengths`` (m) and ``weights`` (1/m²) have one value per reception. All arrays are read-only.
-    """
-
-    events: NDArray[np.uint16]
-    starts: NDArray[np.int64]
-    lengths: NDArray[np.float32]
-    weights: NDArray[np.float32]
-    lost: int  # paths that left through a gap; they have no events
-    free_paths: tuple[float, float, float]  # number, sum in m, sum of squares in m²
-
-    def __post_init__(self) -> None:
-        for values in self.arrays:
-            values.setflags(write=False)
-
-    @property
-    def arrays(self) -> tuple[NDArray[Any], ...]:
-        """Events, starts, lengths and weights, as the kernels take them."""
-        return self.events, self.starts, self.lengths, self.weights
-
-    @property
-    def nbytes(self) -> int:
-        """Memory in bytes."""
-        return sum(x.nbytes for x in self.arrays)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Paths:
     """Paths from every source to every receiver, in independent batches of equal size.
 
-    Made by `trace`.
+    Made by `rtcal.simulators.path_trace.trace`.
 
     Attributes
     ----------
@@ -125,7 +75,7 @@ class Paths:
 
     @property
     def lost_share(self) -> float:
-        """Share of the paths that left through gaps between the faces, at most `MOST_LOST`."""
+        """Share of the paths that left through gaps between the faces."""
         lost = sum(batch.lost for source in self.batches for batch in source)
         return lost / (self.n_paths * len(self.batches))
 
@@ -408,114 +358,3 @@ def kernels() -> ModuleType:
 
         return path_numba
     return path_numpy
-
-
-def trace(
-    geometry: Polyhedron,
-    sources: Array,
-    receivers: Array,
-    *,
-    materials: NDArray[np.int64],
-    scattering: Array,
-    radii: Array,
-    longest: float,
-    n_paths: int,
-    n_batches: int,
-    scattering_model: ScatteringModel,
-    seed: int,
-    workers: int | None = None,
-) -> Paths:
-    """Trace ``n_paths`` from each source.
-
-    A path that leaves through a gap between faces is dropped whole, and the others of its source weigh
-    the more. Receivers are spheres of radius r. A path without a diffuse reflection is weighed by
-    1 / (L² solid angle), with the sphere's solid angle at its image source, every other path by
-    1 / (pi r²). The expected energy is then that at the receiver's centre for any radius, exactly
-    if no edge shades a part of the sphere. The direct sound is not traced but calculated.
-
-    Parameters
-    ----------
-    geometry : Polyhedron
-    sources, receivers : array (n, 3)
-        In m, inside the room.
-    materials : int array (n_faces,)
-        Number of each face's material.
-    scattering : array (n_materials,)
-    radii : array (n_receivers,)
-        In m; no more than the distance to the nearest wall.
-    longest : float
-        Length in m to which each path is followed.
-    n_paths, n_batches : int
-        Paths per source, and number of independent batches.
-    scattering_model : "random" or "vector"
-        See `ScatteringModel`.
-    seed : int
-        The same seed gives the same paths for any ``longest`` and ``workers``: longer paths start
-        as the shorter ones do.
-    workers : int, optional
-        Number of threads, by default the number of processors.
-
-    Raises
-    ------
-    DataError
-        If more than `MOST_LOST` of the paths hit no wall: the faces leave gaps or cut each other.
-    """
-    planes, sides = rays.planes(geometry)
-    by_face = np.ascontiguousarray(np.asarray(scattering, dtype=float)[materials])
-    per_batch = -(-n_paths // n_batches)
-    run = kernels().trace
-
-    def trace_batch(job: tuple[int, int]) -> Batch:
-        s, b = job
-        sequence = np.random.SeedSequence([seed, s, b])
-        seeds = sequence.generate_state(per_batch, np.uint64)
-        directions = rays.sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
-        events, starts, lengths, weights, counts = run(
-            sources[s],
-            directions,
-            seeds,
-            float(longest),
-            planes,
-            sides,
-            geometry.triangle_faces,
-            by_face,
-            scattering_model == "vector",
-            receivers,
-            np.ascontiguousarray(radii, dtype=float),
-        )
-        free = (float(counts[1]), float(counts[2]), float(counts[3]))
-        return Batch(events, starts, lengths, weights, int(counts[0]), free)
-
-    jobs = [(s, b) for s in range(len(sources)) for b in range(n_batches)]
-    with thread_pool(workers) as pool:
-        done = list(pool.map(trace_batch, jobs))
-    lost = sum(batch.lost for batch in done)
-    if lost > max(1, MOST_LOST * per_batch * len(jobs)):
-        raise DataError(
-            f"{lost} of {per_batch * len(jobs)} paths hit no wall, at most {100 * MOST_LOST:g} % may: "
-            "the room's faces leave gaps or cut through each other"
-        )
-    batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
-    direct = rays.direct_lengths(geometry, sources, receivers)
-    return Paths(
-        batches=batches,
-        materials=materials.copy(),
-        scattering=np.array(scattering, dtype=float),
-        scattering_model=scattering_model,
-        n_materials=len(scattering),
-        n_paths=per_batch * n_batches,
-        longest=float(longest),
-        direct=direct,
-        first=_first(batches, direct, 2 * len(materials), longest),
-    )
-
-
-def _first(
-    batches: tuple[tuple[Batch, ...], ...], direct: Array, n_codes: int, longest: float
-) -> Array:
-    """Return the length of the first sound: direct, else first heard, else ``longest``."""
-    first = direct.copy()
-    for s, r in np.argwhere(np.isnan(direct)):
-        heard = [b.lengths[b.events[b.events >= n_codes] == n_codes + r] for b in batches[s]]
-        first[s, r] = min((float(x.min()) for x in heard if x.size), default=longest)
-    return first

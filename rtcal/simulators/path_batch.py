@@ -1,0 +1,52 @@
+"""How traced paths are stored, and what a scattering coefficient means to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+ScatteringModel = Literal["random", "vector"]
+"""How a wall with the scattering coefficient s reflects a path.
+
+``"random"``: with probability s in a random direction after Lambert's law, else specularly (Heinz
+1993; Vorlaender 2008, Sect. 11.3). ``"vector"``: along s·Lambert + (1 - s)·specular, both unit
+vectors (Christensen & Rindel 2005, Forum Acusticum; also pyroomacoustics). The two models agree at
+s = 0 and s = 1 only.
+"""
+
+LARGEST_CODE = int(np.iinfo(np.uint16).max)
+"""Largest number of an event."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Paths from one source: wall hits and receptions in order.
+
+    ``events[starts[i]:starts[i + 1]]`` belongs to path i. A wall hit is the number of the face, plus
+    n_faces where the path was scattered under the model "random". A reception is 2 n_faces + receiver.
+    ``lengths`` (m) and ``weights`` (1/m²) have one value per reception. All arrays are read-only.
+    """
+
+    events: NDArray[np.uint16]
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    lost: int  # paths that left through a gap; they have no events
+    free_paths: tuple[float, float, float]  # number, sum in m, sum of squares in m²
+
+    def __post_init__(self) -> None:
+        for values in self.arrays:
+            values.setflags(write=False)
+
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """Events, starts, lengths and weights, as the kernels take them."""
+        return self.events, self.starts, self.lengths, self.weights
+
+    @property
+    def nbytes(self) -> int:
+        """Memory in bytes."""
+        return sum(x.nbytes for x in self.arrays)
