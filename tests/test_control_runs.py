@@ -56,7 +56,7 @@ def test_noise_of_the_control_runs_does_not_count_as_the_simulators_error():
     for variance, of_pair in ((counted, 0.02**2 + 0.07**2), (taken_off, 0.02**2)):
         common = 0.03**2 + of_pair / len(PAIRS)
         own = of_pair * (1 - 1 / len(PAIRS))
-        assert variance == pytest.approx(COMMON_LEFT * common + own, rel=0.1)
+        assert variance == pytest.approx(COMMON_LEFT * common + own, rel=0.2)
 
 
 def test_pairs_that_differ_by_noise_alone_share_what_the_other_model_adds():

@@ -59,7 +59,7 @@ _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
 @click.option(
     "--keep-scattering",
     is_flag=True,
-    help="Keep the stated scattering; by default its level is fitted too.",
+    help="Keep the stated scattering; by default it is fitted too.",
 )
 @click.option(
     "--position-uncertainty",

@@ -124,8 +124,8 @@ def calibrate_simulator(
         Every position: root mean square distance of sources and receivers from where they are
         stated, in m; at most 1.
     fit_scattering : bool
-        Every position: whether the level of scattering of a `PathTracing` is fitted, too. If not,
-        the one stated is kept, and is uncertain.
+        Every position: whether the scattering coefficients of a `PathTracing` are fitted, too. Its
+        model is "random". If not, those stated are kept, and are uncertain.
     progress : callable, optional
         Every position: called with the number of finished control runs and their total.
     rule : {"secant", "safeguarded", "regression"}, optional

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.loop.control_runs import ahead_factor
+from rtcal.loop.control_runs import ahead_factor, level
 from rtcal.loop.measured_pairs import MeasuredPairs
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, jacobian, observe
@@ -20,7 +20,9 @@ their positions differ, as the true ones do. In the mean of six development room
 what was measured was 5.2 nats higher with 0.5 than with 0, and 1.3 higher than with 1."""
 
 _AHEAD = 2.0
-"""How many times Eyring's T the paths with another scattering are followed at least."""
+"""How many times Eyring's T the paths with another scattering are followed at least, where as much is
+scattered as stated. Where less is, they are followed for longer in proportion: in one of ten judged
+rooms they were traced three times with 2.0 alone."""
 
 
 @dataclass
@@ -87,7 +89,7 @@ class Listener:
             centre_frequencies=self.heard.centre_frequencies,
             values=values + expected,
         )
-        ahead = max(_AHEAD, ahead_factor(likely, tracer, self.alpha))
+        ahead = max(_AHEAD * self._less_scattered(tracer), ahead_factor(likely, tracer, self.alpha))
         tracer.trace_ahead(self.alpha, ahead, seed=self.seed)
         heard = tracer.observe(self.alpha, self.heard.parameters, seed=self.seed)
         off = expected - (heard.values[self._rows] - values)
@@ -100,6 +102,13 @@ class Listener:
             shift=_OF_CONTROLS * (off - off.mean(axis=1, keepdims=True)),
             calls=self.calls + 1,
         )
+
+    def _less_scattered(self, tracer: PathTracing) -> float:
+        """Return how many times less a tracer scatters than that which is heard, at least 1."""
+        if not isinstance(self.simulator, PathTracing):
+            return 1.0
+        now, then = (level(of.scattering, of.room.areas) for of in (self.simulator, tracer))
+        return max(now / then, 1.0)
 
     def add(self, change: Array) -> None:
         """Add ``change`` (n,), n = parameters x pairs x bands, to every value."""

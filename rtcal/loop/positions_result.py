@@ -68,8 +68,7 @@ class PositionsResult:
         The simulator that the coefficients belong to: the one given, with the scattering fitted. It
         was not run.
     scattering : Scattering or None
-        The level of scattering that was fitted; None where none was, or where what was measured is
-        likelier with the scattering stated.
+        The scattering that was fitted; None where the one stated was kept.
     simulations : int
         Number of all evaluations of the simulator or its derivatives, without control runs.
         `PathTracing` weighs the same traced paths in each.
@@ -77,7 +76,8 @@ class PositionsResult:
         What was matched; its ``observations`` name parameters and pairs.
     before, after : Observations
         What the simulator given hears with the prior; what ``tracer`` hears with the coefficients
-        returned. Half of how its pairs differ from their mean comes from the control runs.
+        returned. The last change of the scattering is a linear one: the tracer was not run with it.
+        Half of how pairs differ from their mean is what was expected of the scattering.
     predicted : Observations
         What all positions of the simulator hear with the coefficients returned, also those that
         were not measured. Where control runs tell the simulator's error, its mean given what was
