@@ -29,11 +29,12 @@ import rtcal as rt
 from benchmarks.positions_table import (
     FITTING,
     GAPS,
-    STORED,
-    STORED_BOUND,
+    JUDGED,
+    complete,
     print_bound,
-    print_tables,
     read,
+    stored_run,
+    table,
 )
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
@@ -356,25 +357,32 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("command", choices=["run", "table", "bound", "speed"])
     parser.add_argument("--folder", type=Path)
-    parser.add_argument("--population", type=int, default=1)
+    parser.add_argument("--population", type=int, default=JUDGED)
     parser.add_argument(
         "--number", type=int, default=60, help="the first rooms, as they were built"
     )
     parser.add_argument("--methods", default="stated,truth,perfect,t20,positions")
     arguments = parser.parse_args()
-    results = arguments.folder / "results.jsonl" if arguments.folder else STORED
+    population = arguments.population
+
+    def file_of(part: str) -> Path:
+        """Return where a part of a run is: in the folder, or else stored."""
+        return (
+            arguments.folder / f"{part}.jsonl" if arguments.folder else stored_run(population, part)
+        )
+
     if arguments.command == "run":
-        indices = order(arguments.population)[: arguments.number]
+        indices = order(population)[: arguments.number]
         folder = arguments.folder or Path("positions_run")
-        run(folder, arguments.population, indices, arguments.methods.split(","))
+        run(folder, population, indices, arguments.methods.split(","))
     elif arguments.command == "table":
-        print_tables(read(results))
+        table(read(file_of("results")))
+        print_bound(read(file_of("bound")), complete(read(file_of("results"))))
     elif arguments.command == "bound":
-        target = arguments.folder / "bound.jsonl" if arguments.folder else STORED_BOUND
-        bound(arguments.population, order(arguments.population)[: arguments.number], target)
-        print_bound(read(target), read(results))
+        bound(population, order(population)[: arguments.number], file_of("bound"))
+        print_bound(read(file_of("bound")), read(file_of("results")))
     else:
-        speed(arguments.population)
+        speed(population)
 
 
 if __name__ == "__main__":

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.positions import error, rounded
-from benchmarks.positions_table import STORED as RESULTS
-from benchmarks.positions_table import median_ratio, read, share
+from benchmarks.positions_table import median_ratio, read, share, stored_run
 from tests.position_rooms.generate import HERE, order
 from tests.position_rooms.load import SCATTERING, PositionRoom, load, stored, true_alpha
 from tests.position_rooms.parameters import OCTAVES
@@ -172,7 +171,7 @@ def main() -> None:
                 with target.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")
                 print(row, flush=True)
-    table(read(target), read(folder / "results.jsonl" if folder else RESULTS))
+    table(read(target), read(folder / "results.jsonl" if folder else stored_run(1)))
 
 
 if __name__ == "__main__":

@@ -15,10 +15,8 @@ from tests.position_rooms.generate import HERE
 from tests.position_rooms.rooms import PRIORS
 
 GAPS = ("edt", "c80", "g")
-STORED = HERE / "population_1_results.jsonl"
-STORED_BOUND = HERE / "population_1_bound.jsonl"
-FRESH = frozenset({5, *(10 * ten + unit for ten in range(1, 6) for unit in (4, 5))})
-"""Rooms that no earlier version of the calibration was judged on."""
+JUDGED = 2
+"""Population that no other version of the calibration was judged on. An earlier one was on 1."""
 RNG = 20261122
 ALLOWED = 0.05
 """An error of alpha that is at most so much larger than the prior's counts as no worse."""
@@ -32,6 +30,11 @@ METHODS = {
 GAP_KINDS = {"gap_without_noise": "to what is heard", "gap": "to what was measured"}
 """At the held-out pairs. What is heard has no noise. What was measured has it, and with it a gap that
 no alpha closes: that of the true one."""
+
+
+def stored_run(population: int, part: str = "results") -> Path:
+    """Return the file of a stored run: "results", or "bound"."""
+    return HERE / f"population_{population}_{part}.jsonl"
 
 
 def read(path: Path) -> list[dict[str, Any]]:
@@ -149,11 +152,6 @@ def print_bound(bounds: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]]
             )
 
 
-def fresh(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows of the rooms that no earlier version was judged on."""
-    return [r for r in rows if r["index"] in FRESH]
-
-
 def table(rows: Sequence[dict[str, Any]]) -> None:
     """Print the figures of the complete rooms, and what a room with the wide prior cost.
 
@@ -176,13 +174,3 @@ def table(rows: Sequence[dict[str, Any]]) -> None:
                 f"{method}: median {seconds:.1f} s, {processor:.1f} s of processor, {traces:.0f} "
                 f"traces, at most {most}"
             )
-
-
-def print_tables(rows: Sequence[dict[str, Any]]) -> None:
-    """Print the table of the rooms that no earlier version was judged on, and of those judged again."""
-    bounds = read(STORED_BOUND)
-    again = [r for r in rows if r["index"] not in FRESH]
-    for name, chosen in (("not judged before", fresh(rows)), ("judged again", again)):
-        print(f"\n{name}:")
-        table(chosen)
-        print_bound(bounds, complete(chosen))

@@ -148,7 +148,7 @@ def test_measured_values_scatter_as_theory_says() -> None:
     assert noisy.mean() == pytest.approx(energy.mean(), rel=0.01)
 
 
-@pytest.mark.parametrize(("population", "index"), [(0, 1), (1, 10), (1, 31)])
+@pytest.mark.parametrize(("population", "index"), [(0, 1), (1, 10), (1, 31), (2, 6), (2, 41)])
 def test_a_frozen_room_is_what_its_seed_draws(population: int, index: int) -> None:
     stated, _, sources, truths = rooms.draw(population, index)
     frozen = generate.read(population, "rooms")[index]["stated"]
