@@ -228,7 +228,7 @@ def decided(
         "right family, by means alone": portion(
             family_of(r) in right_families(t["kind"]) for t, r in asked.only(HIDDEN) if over(r)
         ),
-        "absorbers detected, on the right surface": placed.pop(
+        "absorbers detected, on the correct surface": placed.pop(
             "right surface, of absorbers detected"
         ),
         **placed,

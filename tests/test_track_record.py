@@ -86,7 +86,7 @@ def test_what_a_finding_with_a_geometry_says_is_the_study_s(data: str, column: i
     for label, stated in (
         ("nothing hidden, flagged", where_record.FLAGGED),
         ("something hidden, detected", where_record.DETECTED),
-        ("absorbers detected, on the right surface", where_record.SURFACE),
+        ("absorbers detected, on the correct surface", where_record.SURFACE),
     ):
         (row,) = (line for line in WHERE.splitlines() if line.startswith(f"| {label} |"))
         cell = row.split("|")[column].split()
@@ -103,7 +103,7 @@ def test_what_it_says_of_a_handbook_s_coefficients_is_the_study_s() -> None:
     said = (
         f"{detected[0][0]} and {detected[1][0]} of {detected[0][1]} detected, "
         f"{flagged[0]} of {flagged[1]} flagged, {right[0][0]} of {right[0][1]} and {right[1][0]} of "
-        f"{right[1][1]} on the right surface"
+        f"{right[1][1]} on the correct surface"
     )
     assert said in " ".join(WHERE.split())
 

@@ -40,5 +40,5 @@ def sentence(room: Room, match: Sequence[str]) -> str:
         f"In simulated rooms with coefficients {stated} that were not used to make this finder, "
         f"{JUDGED[stated]} detected {detected[0]} of {detected[1]} hidden effects, flagged "
         f"{flagged[0]} of {flagged[1]} rooms that lacked nothing, and put {right[0]} of {right[1]} "
-        "absorbers that it detected on the right surface."
+        "absorbers that it detected on the correct surface."
     )
