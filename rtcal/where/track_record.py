@@ -12,17 +12,17 @@ from rtcal.acoustics.room import Room
 from rtcal.where.prior import HANDBOOK, IN_SITU, statement
 
 DETECTED = {
-    IN_SITU: {"without level": (12, 35), "with level": (11, 35)},
+    IN_SITU: {"without level": (17, 52), "with level": (15, 52)},
     HANDBOOK: {"without level": (2, 12), "with level": (3, 12)},
 }
 """Rooms in which something was detected, and rooms in which something was hidden."""
 FLAGGED = {
-    IN_SITU: {"without level": (2, 27), "with level": (3, 27)},
+    IN_SITU: {"without level": (4, 37), "with level": (4, 37)},
     HANDBOOK: {"without level": (1, 8), "with level": (1, 8)},
 }
 """Rooms in which something was detected, and rooms in which nothing was hidden."""
 SURFACE = {
-    IN_SITU: {"without level": (6, 10), "with level": (4, 9)},
+    IN_SITU: {"without level": (9, 15), "with level": (6, 13)},
     HANDBOOK: {"without level": (2, 2), "with level": (2, 3)},
 }
 """Rooms in which the most probable surface was right, and rooms with an absorber detected."""
