@@ -17,7 +17,7 @@ from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import COEFFICIENTS, Prior
 from rtcal.discrepancy.size import Size
 from rtcal.discrepancy.verdict import Fit
-from rtcal.discrepancy.wording import NATS, amount, engine_title, listed
+from rtcal.discrepancy.wording import NATS, amount, as_sentence, engine_title, listed
 from rtcal.errors import DataError
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
@@ -196,7 +196,7 @@ class Finding:
     def reason_for_none(self) -> str | None:
         """Why there is no effect to add, in words; None where there is one."""
         if self.verdict == "hint" and self.reasons:
-            return f"Nothing to add: a hint of {self.title} only. {_sentence(self.reasons[0])}"
+            return f"Nothing to add: a hint of {self.title} only. {as_sentence(self.reasons[0])}"
         return {
             "none": "Nothing to add: prior, measurement and model agree (verdict none).",
             "hint": f"Nothing to add: a hint of {self.title} only, {self.score:.1f} nats of the "
@@ -333,10 +333,10 @@ class Finding:
         others = ", ".join(f"{self.title_of(c)} ({self.percent(c)})" for c in self.candidates)
         hint = f"A hint of {self.title}, under the threshold."
         if self.reasons:
-            hint = f"{_sentence(self.reasons[0])} So it is a hint of {self.title} only."
+            hint = f"{as_sentence(self.reasons[0])} So it is a hint of {self.title} only."
         named = f"{self.kind}: {self.title}."
         if self.best == COEFFICIENTS:
-            named = f"{_sentence(self.title)}"
+            named = f"{as_sentence(self.title)}"
         return {
             "none": "No disagreement beyond what prior, measurement and model error allow.",
             "hint": hint,
@@ -400,11 +400,6 @@ class Finding:
 
 _SAID = 0.03
 """Probability below which an effect is not printed."""
-
-
-def _sentence(words: str) -> str:
-    """Return words as a sentence of its own."""
-    return words[:1].upper() + words[1:].rstrip(".") + "."
 
 
 def _size(size: Size | None) -> dict[str, Any] | None:

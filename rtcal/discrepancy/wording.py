@@ -34,3 +34,12 @@ def listed(names: Sequence[str]) -> str:
     'a, b and c'
     """
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def as_sentence(words: str) -> str:
+    """Return words as a sentence of its own.
+
+    >>> as_sentence("the coefficients are off together")
+    'The coefficients are off together.'
+    """
+    return words[:1].upper() + words[1:].rstrip(".") + "."

@@ -7,7 +7,7 @@ import numpy as np
 from rtcal.discrepancy.bootstrap import QUANTILE
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.verification import Verification
-from rtcal.discrepancy.wording import listed
+from rtcal.discrepancy.wording import as_sentence, listed
 
 _FAMILIES = {
     "added absorption": "something that absorbs sound",
@@ -50,8 +50,8 @@ def level(finding: Finding) -> str:
 def sizes(finding: Finding) -> list[str]:
     """Return the sizes of the candidates, and how the coefficients are off, a sentence each."""
     off = [finding.coefficients_in_words] if finding.coefficients is not None else []
-    return [_sentence(words) for c in finding.candidates if (words := finding.size_of(c))] + [
-        _sentence(words) for words in off
+    return [as_sentence(words) for c in finding.candidates if (words := finding.size_of(c))] + [
+        as_sentence(words) for words in off
     ]
 
 
@@ -70,7 +70,7 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
             "These rooms, and how large a model's errors are, come from simulations with "
             f"{listed(finding.engines)}."
         )
-    sentences += [_sentence(reason) for reason in finding.reasons]
+    sentences += [as_sentence(reason) for reason in finding.reasons]
     if verification is not None:
         sentences.append(_proof(verification))
     return [*sentences, f"Probabilities: {', '.join(said)}.", finding.track_record]
@@ -78,7 +78,7 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
 
 def to_do(finding: Finding, verification: Verification | None) -> list[str]:
     """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
-    steps = [] if finding.verdict == "none" else [_sentence(finding.advice)]
+    steps = [] if finding.verdict == "none" else [as_sentence(finding.advice)]
     if verification is not None:
         steps.append(
             {
@@ -127,7 +127,3 @@ def _proof(verification: Verification) -> str:
 def _candidates(finding: Finding) -> str:
     names = [f"{finding.title_of(c)} ({finding.percent(c)})" for c in finding.candidates]
     return listed(names).replace(" and ", " or ")
-
-
-def _sentence(words: str) -> str:
-    return words[:1].upper() + words[1:].rstrip(".") + "."

@@ -11,7 +11,7 @@ from rtcal.discrepancy.probabilities import family_of
 from rtcal.discrepancy.recalibration import recalibrate
 from rtcal.discrepancy.several import TWO
 from rtcal.discrepancy.several_finding import SeveralFinding
-from rtcal.discrepancy.wording import listed
+from rtcal.discrepancy.wording import as_sentence, listed
 from rtcal.report import gap_figures, gap_words
 from rtcal.report.figures import BLACK, ORANGE, new_figure, shown
 from rtcal.report.rows import material_rows
@@ -75,7 +75,7 @@ def summary(finding: SeveralFinding) -> dict[str, Any]:
     return {
         "headline": _headline(finding),
         "level": gap_words.level(finding.single),
-        "sizes": [_sentence(s) for name in finding.members for s in finding.in_words(name)],
+        "sizes": [as_sentence(s) for name in finding.members for s in finding.in_words(name)],
         "rests_on": _rests_on(finding),
         "to_do": _to_do(finding),
         "notes": list(finding.notes),
@@ -117,20 +117,20 @@ def _rests_on(finding: SeveralFinding) -> list[str]:
     """Return what the verdict rests on, a sentence each."""
     sentences = [
         gap_words.evidence(finding.single),
-        _sentence(finding.numbers_in_words),
+        as_sentence(finding.numbers_in_words),
         f"An effect or a family is claimed if the probability that it is there is at least "
         f"{100 * CLAIMED:.0f} %, and if it passes the checks of a single finding. More than one is "
         f"claimed from {100 * TWO:.0f} % for more than one effect.",
     ]
     if finding.coefficients is not None:
         words = finding.coefficients.words(finding.case.room.centre_frequencies)
-        sentences.append(_sentence(f"the coefficients are off together: {words}"))
+        sentences.append(as_sentence(f"the coefficients are off together: {words}"))
     return sentences + finding.track_record
 
 
 def _to_do(finding: SeveralFinding) -> list[str]:
     """Return what to do, a sentence each."""
-    steps = [] if finding.verdict == "none" else [_sentence(finding.single.advice)]
+    steps = [] if finding.verdict == "none" else [as_sentence(finding.single.advice)]
     if finding.can_be_added:
         return [
             *steps,
@@ -153,7 +153,3 @@ def _corrected(finding: SeveralFinding) -> Mapping[str, Any]:
             room.materials, room.areas, room.alpha, calibrated.alpha, calibrated.interval
         ),
     }
-
-
-def _sentence(words: str) -> str:
-    return words[:1].upper() + words[1:].rstrip(".") + "."
