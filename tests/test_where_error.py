@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns
+from rtcal.where.responses import _at_shares
 from rtcal.where.simulator_error import COMMON, OWN, simulator_error
 
 RUNS, GROUPS = 400, 200
@@ -68,3 +73,17 @@ def test_the_shift_of_scattering_is_the_control_runs_slope() -> None:
     )
     unknown = simulator_error(controls(runs), np.zeros((8, *SHAPE)), 8)
     assert not unknown.scattering(np.array([0.5])).any()
+
+
+def test_a_surface_that_leaves_a_decay_without_a_parameter_is_that_of_a_smaller_share() -> None:
+    """Room 163 of the geometric world: a search ended in an error where one surface was open."""
+
+    def parameters(energy: float) -> np.ndarray:
+        if energy <= 0:
+            raise DataError("the decay has no EDT")
+        return np.array([energy])
+
+    weighing: Any = SimpleNamespace(parameters=parameters)
+    assert np.ravel(_at_shares(weighing, [3.0, 1.0, 0.0, 2.0])).tolist() == [3.0, 1.0, 1.0, 2.0]
+    with pytest.raises(DataError, match="no EDT"):
+        _at_shares(weighing, [0.0, 1.0])

@@ -8,13 +8,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from rtcal.acoustics.air import Air
+from rtcal.errors import DataError, TooShortError
 from rtcal.simulators.observations import MATCH, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import LONGEST
@@ -178,7 +179,7 @@ def _of_surfaces(case: Case, weighing: Weighing, base: Array) -> tuple[Array, Ar
     shares = [*(min(t, 0.98) for t in SHARES), STEP]
     shifts, apertures = {}, {}
     for members, decays in zip(groups, weighing.of_groups([*groups.values()], shares), strict=True):
-        heard = np.stack([weighing.parameters(energy) for energy in decays], axis=-1)
+        heard = np.stack(_at_shares(weighing, decays), axis=-1)
         shifts[members] = heard - base[..., np.newaxis]
         if members in names:
             apertures[members] = _apertures(case, weighing, names[members], decays, base)
@@ -190,6 +191,25 @@ def _of_surfaces(case: Case, weighing: Weighing, base: Array) -> tuple[Array, Ar
         np.array([apertures[members] for members in by_surface]),
         np.stack(by_material, axis=-1),
     )
+
+
+def _at_shares(weighing: Weighing, decays: Iterable[Array]) -> list[Array]:
+    """Return the parameters of decays at rising shares.
+
+    A surface that takes nearly all may leave a decay without EDT or T. Then the parameters are those
+    at the share before: more absorption is not told from it.
+    """
+    heard: list[Array] = []
+    for energy in decays:
+        try:
+            heard.append(weighing.parameters(energy))
+        except TooShortError:
+            raise
+        except DataError:
+            if not heard:
+                raise
+            heard.append(heard[-1])
+    return heard
 
 
 def _apertures(case: Case, weighing: Weighing, name: str, decays: Array, base: Array) -> Array:

@@ -22,7 +22,7 @@ FLAGGED = {
 }
 """Rooms in which something was detected, and rooms in which nothing was hidden."""
 SURFACE = {
-    IN_SITU: {"without level": (9, 15), "with level": (6, 13)},
+    IN_SITU: {"without level": (9, 16), "with level": (7, 14)},
     HANDBOOK: {"without level": (2, 2), "with level": (2, 3)},
 }
 """Rooms in which the most probable surface was right, and rooms with an absorber detected."""
