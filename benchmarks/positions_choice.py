@@ -1,7 +1,7 @@
 """What chose the calibration to every position: the wide prior in rooms that are not judged.
 
     python -m benchmarks.positions_choice run --variant "this version" --folder out  # resumes
-    python -m benchmarks.positions_choice table                                      # of the stored runs
+    python -m benchmarks.positions_choice table                                      # what is stored
 
 A variant has other numbers in `rtcal.loop.scattering`. The version before is stored alone.
 """
