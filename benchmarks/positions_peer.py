@@ -171,7 +171,7 @@ def main() -> None:
                 with target.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")
                 print(row, flush=True)
-    table(read(target), read(folder / "results.jsonl" if folder else stored_run(1)))
+    table(read(target), read(folder / "results.jsonl" if folder else stored_run(1, "beside_peer")))
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ no alpha closes: that of the true one."""
 
 
 def stored_run(population: int, part: str = "results") -> Path:
-    """Return the file of a stored run: "results", or "bound"."""
+    """Return the file of a stored run: "results", "bound" or "beside_peer"."""
     return HERE / f"population_{population}_{part}.jsonl"
 
 
