@@ -11,6 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.errors import DataError
+from rtcal.loop.listener import Listener
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.scattering import MaterialScattering, scattered
@@ -121,13 +122,47 @@ def test_positions_that_were_not_measured_are_predicted(case, result):
     assert gaps["predicted"] < gaps["stated scattering"] < gaps["prior"]
 
 
-def test_what_is_heard_after_is_what_the_tracer_returned_hears(result):
-    """So the coefficients belong to that tracer. Its last change of scattering is a linear one."""
+def test_what_is_heard_after_is_expected_until_it_is_traced(result):
+    """Then it is what a user of the tracer hears. The last change of scattering is a linear one."""
+    assert "`result.traced()` simulates them" in str(result)
+    traced = result.traced()
     returned = precise(result.tracer).observe(result.alpha, MATCH).values
     stated = precise(tracing(result.prior)).observe(result.alpha, MATCH).values
-    after, of_scattering = result.after.values.mean(axis=1), (returned - stated).mean(axis=1)
+    assert (traced.after.values == returned).all()
+    assert "simulates them" not in str(traced)
+    assert (traced.alpha == result.alpha).all()
+    off = (result.after.values - returned).mean(axis=1)
+    of_scattering = (returned - stated).mean(axis=1)
     assert np.abs(of_scattering).max() > 0.01
-    assert np.abs(after - returned.mean(axis=1)).max() < 0.5 * np.abs(of_scattering).max()
+    assert np.abs(off).max() < 0.5 * np.abs(of_scattering).max()
+
+
+def test_scattering_that_cannot_be_fitted_is_kept_and_said(case, result):
+    """Coefficients of 0 and 1 have no derivatives, and the model "vector" has none at all."""
+    room, _, measured = case
+    for options, said in (
+        ({"scattering": 1.0}, "coefficients of 0 and 1 are not changed"),
+        ({"scattering_model": "vector"}, 'only "random" paths tell'),
+    ):
+        simulator = tracing(room, **options)
+        kept = rt.calibrate_simulator(
+            simulator, room, measured, match=MATCH, controls=result.controls
+        )
+        assert kept.scattering is None
+        assert said in " ".join(str(kept).split())
+        assert kept.simulator == simulator.name
+        assert (kept.room.scattering == simulator.scattering).all()
+        assert kept.traced() is kept
+    with pytest.raises(DataError, match='scattering_model = "vector"; derivatives'):
+        simulator.scattering_jacobian(room.alpha, MATCH)
+
+
+def test_less_scattering_is_traced_for_longer_and_none_for_no_longer(case, result):
+    room = case[0]
+    listener = Listener(tracing(room), result.measured, result.before, room.alpha, 0)
+    assert listener._less_scattered(tracing(room, scattering=0.25)) == pytest.approx(2.0)
+    assert listener._less_scattered(tracing(room, scattering=0.8)) == 1.0
+    assert listener._less_scattered(tracing(room, scattering=0.0)) == pytest.approx(25.0)
 
 
 def test_the_scattering_is_fitted_to_what_was_measured(case, result):
@@ -135,8 +170,8 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
     fit = result.scattering
     assert (result.room.scattering == result.tracer.scattering).all()
     assert (fit.coefficients == result.tracer.scattering).all()
-    assert f"scattering {fit.level:.2f}" in result.simulator
-    assert np.average(fit.coefficients[:, 0], weights=room.areas) == pytest.approx(fit.level)
+    assert f"scattering {fit.mean:.2f}" in result.simulator
+    assert np.average(fit.coefficients[:, 0], weights=room.areas) == pytest.approx(fit.mean)
     low, high = (
         rt.calibrate_simulator(
             tracing(room),
@@ -144,7 +179,7 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
             heard(room, room.alpha, scattering=scattering, n_paths=4000),
             match=MATCH,
             controls=result.controls,
-        ).scattering.level
+        ).scattering.mean
         for scattering in (0.15, 0.8)
     )
     assert low + 0.1 < high
@@ -156,18 +191,7 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
     )
     told = rt.calibrate_simulator(tracing(room), room, measured, match=MATCH, controls=few)
     assert told.scattering is None  # four runs do not tell what the other model adds
-    assert (told.room.scattering == room.scattering).all()
-
-
-def test_the_scattering_of_the_model_vector_is_kept(case, result):
-    """Its paths do not tell what scattering does."""
-    room, _, measured = case
-    vectors = tracing(room, scattering_model="vector")
-    kept = rt.calibrate_simulator(vectors, room, measured, match=MATCH, controls=result.controls)
-    assert kept.scattering is None
-    assert kept.simulator == vectors.name
-    with pytest.raises(DataError, match='scattering_model = "vector"; derivatives'):
-        vectors.scattering_jacobian(room.alpha, MATCH)
+    assert "too few control runs" in str(told)
 
 
 def test_what_was_measured_tells_the_scattering_of_each_material():
@@ -180,6 +204,8 @@ def test_what_was_measured_tells_the_scattering_of_each_material():
     assert of.likely(pull) == pytest.approx(true, abs=0.05)
     assert slope @ of.traced + of.back == pytest.approx(np.zeros(200))
     assert np.abs(of.likely(1e6 * pull)).max() == 3.0  # no more is believed
+    left = of.posterior(np.arange(200), noise + of.covariance)
+    assert left == pytest.approx(0.02 / (0.2 * np.sqrt(200)), rel=0.2)
 
 
 def test_log_odds_change_the_coefficients_but_0_and_1():

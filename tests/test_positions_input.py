@@ -124,6 +124,24 @@ def test_a_missing_value_is_left_out_alone(tracer, measured):
     assert np.isnan(result.gap_after[1, 0, 2])
     assert np.isfinite(result.alpha).all()
     assert json.loads(result.to_json())["gap_after_jnd"][1][0][2] is None
+    assert "Left out, since missing: 1 of" in " ".join(str(result).split())
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9])
+def test_an_uncertainty_that_no_measurement_has_is_refused(tracer, measured, size):
+    sure = rt.Measurement(
+        centre_frequencies=measured.centre_frequencies,
+        pairs=measured.pairs,
+        values=measured.values,
+        uncertainty={p: np.full_like(v, size) for p, v in measured.values.items()},
+    )
+    with pytest.raises(DataError, match=r"the uncertainty of .* below 1e-06"):
+        calibrate(tracer, sure)
+
+
+def test_whether_the_scattering_is_fitted_is_true_or_false(tracer, measured):
+    with pytest.raises(DataError, match="fit_scattering"):
+        calibrate(tracer, measured, fit_scattering="no")
 
 
 def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):

@@ -54,7 +54,11 @@ _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
     help="Scattering coefficient of all materials, if the room states none.",
 )
 @click.option(
-    "--paths", type=click.IntRange(100), default=8000, show_default=True, help="Paths to trace."
+    "--paths",
+    type=click.IntRange(100),
+    default=8000,
+    show_default=True,
+    help="Paths; four times as many are weighed.",
 )
 @click.option(
     "--keep-scattering",
@@ -148,7 +152,7 @@ def fit(
                 fit_scattering=not keep_scattering,
                 seed=seed,
                 progress=lambda done, total: shown.update(1),
-            )
+            ).traced()
     text = str(result)
     if folder is not None:
         paths_written = positions_folder.write(

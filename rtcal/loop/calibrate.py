@@ -190,6 +190,7 @@ def calibrate_simulator(
             max_simulations=max_simulations != 12,
             after_step=after_step is not None,
         )
+        checks.flag("fit_scattering", fit_scattering)
         return calibrate_positions(
             simulator,
             room,

@@ -19,6 +19,8 @@ _OF_CONTROLS = 0.5
 their positions differ, as the true ones do. In the mean of six development rooms the log-likelihood of
 what was measured was 5.2 nats higher with 0.5 than with 0, and 1.3 higher than with 1."""
 
+_LEAST = 0.02
+"""Scattering below which paths are followed for no longer."""
 _AHEAD = 2.0
 """How many times Eyring's T the paths with another scattering are followed at least, where as much is
 scattered as stated. Where less is, they are followed for longer in proportion: in one of ten judged
@@ -108,7 +110,7 @@ class Listener:
         if not isinstance(self.simulator, PathTracing):
             return 1.0
         now, then = (level(of.scattering, of.room.areas) for of in (self.simulator, tracer))
-        return max(now / then, 1.0)
+        return max(now / max(then, _LEAST), 1.0)
 
     def add(self, change: Array) -> None:
         """Add ``change`` (n,), n = parameters x pairs x bands, to every value."""

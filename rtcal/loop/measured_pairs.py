@@ -33,6 +33,9 @@ _AS = {"ts": "edt", "c50": "c80", "level": "g"}
 _COMMON = 0.5
 """Share that all pairs of a team have in common, of what teams differ by at one pair
 (`rtcal.acoustics.uncertainty.REPRODUCIBILITY`). Positions differed between teams, too."""
+_LEAST = 1e-6
+"""Least standard uncertainty that is taken, of a value's share or in dB. Covariances of smaller ones
+cannot be factored."""
 _OFFSET = 100.0
 """Standard deviation in dB of a source's unknown power: far more than any, so that it says nothing."""
 _BINS = 4000
@@ -85,7 +88,8 @@ def measured_pairs(
     ------
     DataError
         If the measurement is a summary over pairs, if no pair is the simulator's, if none of the
-        parameters was measured, or if ``exclude`` names a pair that was not measured.
+        parameters was measured, if ``exclude`` names a pair that was not measured, or for a stated
+        uncertainty below a millionth.
     """
     if measured.is_summary:
         raise DataError(
@@ -131,6 +135,9 @@ def measured_pairs(
         )
         present = [p for p in match if p not in absent]
         observations = Observations.of_measurement(in_room, present, kept)
+    missing = np.count_nonzero(np.isnan(observations.values))
+    if missing:
+        notes.append(f"Left out, since missing: {missing} of {observations.values.size} values.")
     return MeasuredPairs(
         observations=observations,
         covariance=_covariance(observations, in_room, level, simulated),
@@ -176,6 +183,13 @@ def _covariance(
     assumed = _COMMON * np.array([between_teams(_AS.get(p, p), frequencies) for p in parameters])
     alone = _stated(observations, measured, measured.uncertainty)
     common = _stated(observations, measured, measured.common_uncertainty)
+    if (small := alone < _LEAST).any():
+        p, i, k = np.argwhere(small)[0]
+        raise DataError(
+            f"the uncertainty of {parameter_label(parameters[p])} at {' to '.join(pairs[i])}, "
+            f"{bands.label(frequencies[k])}, is {alone[p, i, k]:.1g} of the value or dB, below "
+            f"{_LEAST:g}: no measurement is so sure"
+        )
     of_team = np.where(np.isfinite(alone), 0.0, assumed[:, np.newaxis])
     shared = np.where(np.isfinite(common), common, of_team)
     direct = np.zeros((n_pairs, n_bands))

@@ -36,7 +36,7 @@ from rtcal.loop.control_runs import (
 from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, measured_pairs
 from rtcal.loop.positions_result import PositionsResult, Step
-from rtcal.loop.scattering import Scattering, scattered, scattering_of
+from rtcal.loop.scattering import Scattering, fitted, scattered
 from rtcal.loop.simulator_error import simulator_error
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
@@ -113,6 +113,8 @@ def calibrate_positions(
     before = listener.values()
     prior = prior_covariance(room)
     listener, error, materials = simulator_error(listener, controls, prior, fit_scattering)
+    if fit_scattering and materials is None and isinstance(tracer, PathTracing):
+        notes = (*notes, _kept(tracer))
     if materials is not None:
         error = error + materials.covariance
         listener.add(materials.back)
@@ -124,13 +126,16 @@ def calibrate_positions(
     if materials is not None and isinstance(tracer, PathTracing):
         log_odds = materials.likely(pull)
         tracer = scattered(tracer, log_odds, materials.model)
-        scattering = scattering_of(tracer)
+        unknown = path.covariance + path.steps[-1].matrix @ prior @ path.steps[-1].matrix.T
+        scattering = fitted(tracer, log_odds, materials.posterior(listener.used, unknown))
         listener.add(materials.slope @ log_odds)
     return PositionsResult(
         prior=room,
         room=_calibrated(room, tracer, scattering, path, data, controls),
         simulator=_named(tracer, scattering),
         tracer=tracer,
+        weighed=precise(tracer, more_paths),
+        seed=seed,
         scattering=scattering,
         simulations=listener.calls,
         measured=data,
@@ -199,7 +204,11 @@ def _gauss_newton(
             alpha, share = start, 0.0
             listener.alpha, listener.heard = start, start_heard
         steps.append(Step(start, matrix, share, answer))
-        settled = bool(np.max(np.abs(alpha - start) * inverse_sigma) < _SETTLED)
+        # A step that is refused says as much as the smallest that was tried.
+        moved = np.abs(answer.alpha - start) * (share or 2.0**-_HALVINGS)
+        settled = bool(np.max(moved * inverse_sigma) < _SETTLED)
+        if share == 0:
+            break
     return _Path(alpha, tuple(steps), settled, scale, covariance)
 
 
@@ -263,7 +272,7 @@ def _calibrated(
 ) -> Room:
     """Return the room with its coefficients, their sigma where it is known, and a record.
 
-    It has the scattering coefficients that were fitted, too.
+    It has the scattering coefficients of a `PathTracing`, too.
     """
     answer = path.steps[-1].answer
     record = CalibrationRecord(
@@ -274,7 +283,7 @@ def _calibrated(
         version=__version__,
     )
     sigma = room.sigma if controls is None else np.minimum(answer.posterior_sigma, 1.0)
-    if scattering is not None and isinstance(simulator, PathTracing):
+    if isinstance(simulator, PathTracing):
         room = room.replace(scattering=simulator.scattering)
     return room.replace(alpha=np.clip(path.alpha, 0.0, 1.0), sigma=sigma, calibration=record)
 
@@ -341,11 +350,20 @@ def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator:
     return replace(simulator, n_paths=more_paths * simulator.n_paths, n_batches=_BATCHES)
 
 
+def _kept(tracer: PathTracing) -> str:
+    """Return why the scattering was not fitted."""
+    if tracer.scattering_model != "random":
+        return 'The scattering stated was kept: only "random" paths tell what another would change.'
+    if np.isin(tracer.scattering, (0.0, 1.0)).all():
+        return "The scattering stated was kept: coefficients of 0 and 1 are not changed."
+    return "The scattering stated was kept: too few control runs tell what it changes."
+
+
 def _named(simulator: Simulator, scattering: Scattering | None) -> str:
     """Return what the coefficients belong to."""
     if scattering is None:
         return simulator.name
-    return f"{simulator.name}, scattering {scattering.level:.2f}"
+    return f"{simulator.name}, scattering {scattering.mean:.2f}"
 
 
 def _composed(calibration: Calibration) -> Calibration:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from rtcal.loop.measured_pairs import MeasuredPairs, Pair
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.observations import Observations
+from rtcal.simulators.observations import Observations, observe
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers, write_text
@@ -67,6 +67,9 @@ class PositionsResult:
     tracer : Simulator
         The simulator that the coefficients belong to: the one given, with the scattering fitted. It
         was not run.
+    weighed : Simulator
+        The same with as many paths as were weighed.
+    seed : int
     scattering : Scattering or None
         The scattering that was fitted; None where the one stated was kept.
     simulations : int
@@ -75,9 +78,9 @@ class PositionsResult:
     measured : MeasuredPairs
         What was matched; its ``observations`` name parameters and pairs.
     before, after : Observations
-        What the simulator given hears with the prior; what ``tracer`` hears with the coefficients
-        returned. The last change of the scattering is a linear one: the tracer was not run with it.
-        Half of how pairs differ from their mean is what was expected of the scattering.
+        What the simulator given hears with the prior; what is expected of ``tracer`` with the
+        coefficients returned. It was not run with the last change of the scattering, which is taken
+        into account by derivatives. `traced` runs it.
     predicted : Observations
         What all positions of the simulator hear with the coefficients returned, also those that
         were not measured. Where control runs tell the simulator's error, its mean given what was
@@ -102,6 +105,8 @@ class PositionsResult:
     room: Room
     simulator: str
     tracer: Simulator
+    weighed: Simulator
+    seed: int
     scattering: Scattering | None
     simulations: int
     measured: MeasuredPairs
@@ -116,6 +121,20 @@ class PositionsResult:
     steps: tuple[Step, ...]
     settled: bool
     notes: tuple[str, ...]
+    is_traced: bool = False
+
+    def traced(self) -> PositionsResult:
+        """Return the result with ``after`` as ``tracer`` hears it: one more trace.
+
+        Nothing else changes. Where the scattering was kept, ``after`` is so already, and nothing is
+        traced. Raises as the simulator does.
+        """
+        if self.scattering is None:
+            return self
+        heard = observe(self.weighed, self.alpha, self.parameters, seed=self.seed)
+        rows = [heard.pairs.index(pair) for pair in self.pairs]
+        after = replace(self.after, values=heard.values[:, rows])
+        return replace(self, after=after, is_traced=True)
 
     @property
     def alpha(self) -> Array:
@@ -305,23 +324,34 @@ class PositionsResult:
     def _material_table(self) -> tuple[list[str], list[list[str]]]:
         """Return header and rows: what was learned of each material, most first."""
         header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
+        if self.scattering is not None:
+            header.append("scattering")
         strength = np.abs(self.pulls).mean(axis=2)
         shift = np.sqrt((self.shift**2).mean(axis=1))
         rows = []
         for name, before, after in self.learned:
             i = self.prior.material_index(name)
-            pair = " to ".join(self.pairs[int(np.argmax(strength[:, i]))])
-            rows.append([name, f"{before:.3f}", f"{after:.3f}", f"{shift[i]:.1f}", pair])
+            pair = "-"
+            if strength[:, i].any():
+                pair = " to ".join(self.pairs[int(np.argmax(strength[:, i]))])
+            row = [name, f"{before:.3f}", f"{after:.3f}", f"{shift[i]:.1f}", pair]
+            if self.scattering is not None:
+                s, sigma = (
+                    a[i].mean() for a in (self.scattering.coefficients, self.scattering.sigma)
+                )
+                row.append(f"{s:.2f} ± {sigma:.2f}")
+            rows.append(row)
         return header, rows
 
     def _notes(self) -> list[str]:
         notes = list(self.notes)
         if self.farther:
-            names = " and ".join(parameter_label(p) for p in self.farther)
+            names = ", ".join(parameter_label(p) for p in self.farther)
             notes.insert(
                 0,
                 f"In {names} the calibrated simulator is farther from what was measured than before: "
-                "do not simulate with it. Its scattering or geometry is wrong; look at `predicted`.",
+                "do not simulate with it. The model misses something, or a constraint keeps alpha "
+                "away; look at `predicted`.",
             )
         if "level" in self.parameters:
             notes.append(
@@ -330,10 +360,9 @@ class PositionsResult:
                 else "Level: relative between the positions of a source."
             )
         if self.scattering is not None:
-            notes.append(
-                f"Scattering: {self.scattering}, with which the simulator predicts best. It is no "
-                "measurement."
-            )
+            notes += self.scattering.notes(self.prior.materials)
+            if not self.is_traced:
+                notes.append("The gaps after are expected ones. `result.traced()` simulates them.")
         if self.controls is None:
             notes.append("No interval: no control run tells this simulator's error.")
         if self.error_scale > 1:
@@ -348,7 +377,7 @@ class PositionsResult:
             )
         if not self.settled:
             notes.append(
-                "Not settled: the last step still moved alpha. Calibrate again with more paths."
+                "Not settled: the last step moved alpha, or was refused. Calibrate with more paths."
             )
         return notes
 

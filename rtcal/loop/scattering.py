@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from rtcal.loop.control_runs import MODELS, SCATTERING, ControlRuns, level
@@ -65,22 +65,50 @@ class Scattering:
     model : {"random", "vector"}
         Meaning of the coefficients; see `rtcal.simulators.path_batch.ScatteringModel`.
     coefficients : array (n_materials, n_bands)
-    level : float
-        Their mean over the surfaces, by area.
+    sigma : array (n_materials, n_bands)
+        Their posterior standard deviations, linear in the log odds; 0 where they are 0 or 1.
+    mean : float
+        Mean coefficient over the surfaces, by area.
+    limited : tuple of int
+        Numbers of the materials whose coefficients moved as far as they may.
     """
 
     model: ScatteringModel
     coefficients: Array
-    level: float
+    sigma: Array
+    mean: float
+    limited: tuple[int, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return model, level and coefficients as text and numbers."""
-        numbers = json_numbers(self.coefficients)
-        return {"model": self.model, "level": self.level, "coefficients": numbers}
+        """Return model, mean, coefficients and their sigma as text and numbers."""
+        return {
+            "model": self.model,
+            "mean": self.mean,
+            "coefficients": json_numbers(self.coefficients),
+            "sigma": json_numbers(self.sigma),
+        }
+
+    def notes(self, materials: Sequence[str]) -> list[str]:
+        """Return what is to be known of it; ``materials`` are the room's."""
+        notes = [
+            f"Scattering: {self}, fitted with alpha. It is no measurement: another seed or more paths "
+            "may give other coefficients."
+        ]
+        if self.model == "vector":
+            notes.append(
+                'The coefficients are of the model "vector": trace with scattering_model="vector". A '
+                "room file does not keep the model."
+            )
+        if self.limited:
+            names = ", ".join(materials[i] for i in self.limited)
+            notes.append(
+                f"The scattering of {names} moved as far as it may: the data do not tell it."
+            )
+        return notes
 
     def __str__(self) -> str:
         low, high = self.coefficients.min(), self.coefficients.max()
-        return f"{self.level:.2f} in the mean, {low:.2f} to {high:.2f} ({self.model})"
+        return f"{self.mean:.2f} in the mean, {low:.2f} to {high:.2f} ({self.model})"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,6 +154,15 @@ class MaterialScattering:
         likeliest = self.prior @ (self.slope.T @ pull)
         return np.asarray(np.clip(likeliest, -_MOST, _MOST))
 
+    def posterior(self, used: NDArray[np.int64], covariance: Array) -> Array:
+        """Return the standard deviations of the log odds after what was measured, (n_materials,).
+
+        ``covariance`` (n_used, n_used) is that of the values used, with alpha and scattering unknown.
+        """
+        across = self.slope[used] @ self.prior
+        left = self.prior - across.T @ np.linalg.solve(covariance, across)
+        return np.asarray(np.sqrt(np.maximum(np.diag(left), 0.0)))
+
 
 def material_scattering(
     tracer: PathTracing, alpha: Array, parameters: Sequence[str], traced: Array, seed: int
@@ -162,12 +199,18 @@ def scattered(tracer: PathTracing, log_odds: Array, model: ScatteringModel) -> P
     return replace(tracer, scattering=s * odds / (1 - s + s * odds), scattering_model=model)
 
 
-def scattering_of(tracer: PathTracing) -> Scattering:
-    """Return the scattering of a tracer."""
+def fitted(tracer: PathTracing, log_odds: Array, posterior: Array) -> Scattering:
+    """Return the scattering of a tracer, whose log odds were changed and have standard deviations.
+
+    Both (n_materials,).
+    """
+    s = tracer.scattering
     return Scattering(
         model=tracer.scattering_model,
-        coefficients=tracer.scattering,
-        level=level(tracer.scattering, tracer.room.areas),
+        coefficients=s,
+        sigma=s * (1 - s) * posterior[:, np.newaxis],
+        mean=level(s, tracer.room.areas),
+        limited=tuple(np.flatnonzero(np.abs(log_odds) >= _MOST).tolist()),
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal.loop.control_runs import MODELS, ControlRuns, paths_of_a_run
+from rtcal.loop.control_runs import MODELS, ControlRuns, level, paths_of_a_run
 from rtcal.loop.listener import Listener
 from rtcal.loop.scattering import (
     DIGITS,
@@ -15,7 +15,6 @@ from rtcal.loop.scattering import (
     log_likelihood,
     material_scattering,
     scattered,
-    scattering_of,
 )
 from rtcal.simulators import observations
 from rtcal.simulators.path_batch import ScatteringModel
@@ -39,7 +38,7 @@ def simulator_error(
     The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator. It
     does not count the scattering of the materials. What that does is returned last; None where the
     scattering stated is kept, as by every simulator but a `PathTracing` with the model "random". Only
-    its paths tell what scattering does.
+    its paths tell what scattering does. Coefficients of 0 and 1 are kept, too.
     """
     heard, parameters = listener.heard, listener.data.observations.parameters
     shape = (len(parameters), *heard.values.shape[1:])
@@ -59,9 +58,11 @@ def simulator_error(
     ):
         return listener, controls.without_noise(noise).covariance(), None
     stated = _materials(listener, tracer, np.zeros(tracer.room.n_materials))
+    if not stated.slope.any():  # every coefficient is 0 or 1
+        return listener, controls.without_noise(noise).covariance(), None
     matrix, residual, used = listener.linearised(), listener.residual(), listener.used
     expected = matrix @ prior @ matrix.T + listener.data.covariance
-    stated_level = scattering_of(tracer).level
+    stated_level = level(tracer.scattering, tracer.room.areas)
 
     def first_step(model: ScatteringModel) -> tuple[float, ScatteringModel, Array, Array]:
         """Return the log-likelihood, the model, what it adds, and what pulls the scattering."""
@@ -81,7 +82,7 @@ def simulator_error(
     materials = replace(stated, traced=log_odds, model=model)
     if model == "random":
         materials = _materials(listener, other, log_odds)
-    return listener, errors.covariance(scattering_of(other).level, model), materials
+    return listener, errors.covariance(level(other.scattering, other.room.areas), model), materials
 
 
 def _materials(listener: Listener, tracer: PathTracing, traced: Array) -> MaterialScattering:
