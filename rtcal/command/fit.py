@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -61,6 +62,13 @@ _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
     help="Paths; four times as many are weighed.",
 )
 @click.option(
+    "--scattering-model",
+    type=click.Choice(["random", "vector"]),
+    default="random",
+    show_default=True,
+    help="Meaning of the coefficients; fitted with random alone.",
+)
+@click.option(
     "--keep-scattering",
     is_flag=True,
     help="Keep the stated scattering; by default it is fitted too.",
@@ -96,6 +104,7 @@ def fit(
     match: tuple[str, ...],
     exclude: tuple[str, ...],
     scattering: float | None,
+    scattering_model: Literal["random", "vector"],
     keep_scattering: bool,
     paths: int,
     position_uncertainty: float,
@@ -138,6 +147,7 @@ def fit(
             sources=sources,
             receivers=receivers,
             scattering=scattering,
+            scattering_model=scattering_model,
             n_paths=paths,
         )
         with bar(RUNS, "control run", bar_wanted(quiet)) as shown:

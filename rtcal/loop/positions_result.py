@@ -66,7 +66,7 @@ class PositionsResult:
         Name of the simulator and its scattering. The coefficients belong to no other.
     tracer : Simulator
         The simulator that the coefficients belong to: the one given, with the scattering fitted. It
-        was not run.
+        was not run. Do not calibrate it on the same data again: its scattering comes from them.
     weighed : Simulator
         The same with as many paths as were weighed.
     seed : int
