@@ -362,6 +362,14 @@ def test_the_command_writes_room_and_record_whole(folder):
     assert "Left out, as asked for: S1 to R1" in without.output
 
 
+def scattered(record, coefficient):
+    """Return what a record has of a scattering that was fitted, the same everywhere."""
+    shape = (len(record["materials"]), len(record["centre_frequencies"]))
+    numbers = {"coefficients": coefficient, "sigma": 0.1}
+    arrays = {name: np.full(shape, number).tolist() for name, number in numbers.items()}
+    return {"model": "random", "mean": 0.35, **arrays}
+
+
 def test_the_page_of_a_fit_shows_what_was_learned_and_what_not_to_believe(folder):
     made = folder / "made"
     assert fit(folder, "--match", "t20", "--match", "c80", "--out", str(made)).exit_code == 0
@@ -379,6 +387,12 @@ def test_the_page_of_a_fit_shows_what_was_learned_and_what_not_to_believe(folder
     text = page.page_of(made)
     assert text.count("data:image/svg+xml;base64,") == 1
     assert f"--exclude {':'.join(record['pairs'][0])}" in text
+    fitted = {**bare, "scattering": scattered(record, 0.35)}
+    (made / "result.json").write_text(json.dumps(fitted))
+    assert page.page_of(made).count("0.35 ± 0.10") == len(ROOM.materials)
+    (made / "result.json").write_text(json.dumps({**bare, "scattering": scattered(record, 1.35)}))
+    with pytest.raises(DataError, match=r"scattering.*1\.35"):
+        page.page_of(made)
 
 
 @pytest.mark.parametrize(

@@ -120,7 +120,7 @@ def _plan(saved: SavedPositions, step: Callable[[], None]) -> dict[str, str] | N
 
 
 def _learned(saved: SavedPositions, i: int) -> dict[str, Any]:
-    """Return a material's row: its prior and posterior sigma, its shift, and who pulls it most."""
+    """Return a material's row: sigma before and after, shift, who pulls it most, and scattering."""
     strength = np.abs(saved.pulls[:, i]).mean(axis=1)
     return {
         "name": saved.materials[i],
@@ -128,6 +128,7 @@ def _learned(saved: SavedPositions, i: int) -> dict[str, Any]:
         "after": _rms(saved.sigma_after[i]),
         "shift": _rms(saved.shift[i]),
         "pair": " to ".join(saved.pairs[int(np.argmax(strength))]),
+        "scattering": saved.scattering and tuple(float(a[i].mean()) for a in saved.scattering),
         "share": float(strength.max() / strength.sum()) if strength.sum() > 0 else 0.0,
     }
 

@@ -36,6 +36,8 @@ class SavedPositions:
     areas : array (n_materials,)
     alpha_before, sigma_before, alpha_after, sigma_after : array (n_materials, n_bands)
     interval : array (2, n_materials, n_bands) or None
+    scattering : (array, array) or None
+        Coefficients and their sigma, (n_materials, n_bands), if they were fitted.
     pulls : array (n_pairs, n_materials, n_bands)
     misfit : array (n_pairs,)
     faces : list of array (n_corners, 3)
@@ -56,6 +58,7 @@ class SavedPositions:
     alpha_after: Array
     sigma_after: Array
     interval: Array | None
+    scattering: tuple[Array, Array] | None
     pulls: Array
     misfit: Array
     faces: list[Array]
@@ -111,6 +114,14 @@ def _read(record: Mapping[str, Any]) -> SavedPositions:
     if not materials:
         raise DataError("it has no material")
     columns = {key: [m[key] for m in materials] for key in rules}
+    coefficients = partial(Entries.array, shape=(len(materials), n_bands), limits=_ALPHA)
+    rules_of_scattering: dict[str, Rule] = {
+        "model": Entries.text,
+        "mean": partial(Entries.number, limits=_ALPHA),
+        "coefficients": coefficients,
+        "sigma": coefficients,
+    }
+    scattering = optional(record_of(rules_of_scattering))(entries, "scattering")
     intervals = columns["interval_after"]
     plan = optional(record_of(_PLAN))(entries, "plan") or {
         "sources": {},
@@ -139,6 +150,7 @@ def _read(record: Mapping[str, Any]) -> SavedPositions:
         alpha_after=np.array(columns["alpha_after"]),
         sigma_after=np.array(columns["sigma_after"]),
         interval=None if any(i is None for i in intervals) else np.stack(intervals, axis=1),
+        scattering=scattering and (scattering["coefficients"], scattering["sigma"]),
         pulls=np.stack(columns["pulls"], axis=1),
         misfit=entries.array("misfit", (n_pairs,), limits=(0.0, np.inf)),
         faces=plan["faces"],
@@ -180,4 +192,5 @@ _KEYS = (
     "misfit",
     "contradictions",
     "plan",
+    "scattering",
 )
