@@ -142,6 +142,12 @@ POSITIONS = (
             "author": "",
             "simulator": "tracer",
             "level": "",
+            "scattering": {
+                "model": "random",
+                "mean": 0.4,
+                "coefficients": [[0.4]],
+                "sigma": [[0.1]],
+            },
             "control_runs": 16,
             "error_scale": 1.0,
             "settled": True,
