@@ -1,9 +1,9 @@
 """The position rooms: what is stated of a room, what was measured in it, and the truth of it.
 
 It imports nothing of rtcal. A room is drawn from the seed (population, index). Population 0, ten rooms,
-is for development. Populations 1 and 2, sixty rooms each, are for judging. Of 2 all
-were built, and 49 judged. Population 1 was frozen on 2026-11-22, before the calibration to every position was tried on it,
-2 on 2026-11-23, before the version that fits the scattering of each material was judged. Even rooms are
+is for development. Populations 1 and 2, sixty rooms each, are for judging; of 2 49 were judged.
+Population 1 was frozen on 2026-11-22, before the calibration to every position was tried on it, 2 on
+2026-11-23, before the version that fits the scattering of each material was judged. Even rooms are
 boxes of six surfaces, odd ones polyhedra of 10 to 30. Every surface has a material of its own.
 
 - Volumes: 120 to 5,000 m³, log-uniform in as many strata as rooms. Six octaves or eight.
