@@ -146,6 +146,35 @@ def test_the_derivative_by_scattering_is_that_of_other_paths():
         assert slope[wall] == pytest.approx((after - before) / 0.8, abs=0.03)
 
 
+def test_a_material_without_a_face_has_no_derivatives():
+    """Furniture may be in the room alone."""
+    hall = halls.lecture_hall()
+    stated = hall.room
+    more = [[0.1] * stated.n_bands]
+    room = rt.Room(
+        name=stated.name,
+        volume=stated.volume,
+        materials=[*stated.materials, "chairs"],
+        areas=[*stated.areas, 5.0],
+        centre_frequencies=stated.centre_frequencies,
+        air=stated.air,
+        alpha=np.vstack([stated.alpha, more]),
+        sigma=np.vstack([stated.sigma, more]),
+    )
+    made = PathTracing(
+        geometry=hall.geometry,
+        room=room,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=320,
+        scattering=0.4,
+    )
+    for slope in (made.jacobian(room.alpha, ["ts"]), made.scattering_jacobian(room.alpha, ["ts"])):
+        assert slope.shape[-1] == room.n_materials
+        assert slope[..., :-1].any()
+        assert not slope[..., -1].any()
+
+
 def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tracer):
     stated = np.linspace(0.0, 1.0, tracer.room.n_materials)
     ends = replace(tracer, scattering=stated)

@@ -32,7 +32,7 @@ _REFLECTING = 0.7
 
 _Weighing = tuple[Array, Array, float]
 _Gradient = Callable[[paths.Paths, int, _Weighing], tuple[Array, Array]]
-"""Energies and gradients of a source's paths, for alpha, air attenuation and the length of a bin."""
+"""Energies of a source's paths and gradients of groups of them, for alpha, air and bin length."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -250,19 +250,14 @@ class PathTracing(Tracer):
         surface = observations.by_surface(by)
         groups = np.arange(len(owners)) if surface else owners
         n_unknowns = len(owners) if surface else self.room.n_materials
-        decays, sweeps = self._swept(
+        (derivatives,) = self._derivatives(
             alpha,
             match,
             seed,
-            lambda traced, source, by: traced.energy_gradient(source, *by, groups),
+            lambda traced, source, by: _in_one_group(traced.energy_gradient(source, *by, groups)),
+            (1, n_unknowns),
         )
-        out = np.zeros((len(match), *decays.shape[:3], n_unknowns))
-        for bands, sweep in zip(self._bands_by_scattering(), sweeps, strict=True):
-            for s, (_, gradient) in enumerate(sweep):
-                out[:, s][:, :, bands, : gradient.shape[2]] = observations.chained(
-                    decays[s][:, bands], gradient[:, : decays.shape[-1]], self.bin_width, match
-                )
-        return out.reshape(len(match), len(self.pairs), self.room.n_bands, n_unknowns)
+        return np.asarray(derivatives)
 
     def scattering_jacobian(
         self, alpha: Array, match: Sequence[str] = MATCH, *, number: int = 2, seed: int = 0
@@ -294,33 +289,31 @@ class PathTracing(Tracer):
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
         self._check_number(number)
-        decays, sweeps = self._swept(
+        return self._derivatives(
             alpha,
             match,
             seed,
             lambda traced, source, by: traced.scattering_gradient(source, *by, number),
+            (number, self.room.n_materials),
         )
-        shape = (number, len(match), *decays.shape[:3], self.room.n_materials)
-        out = np.zeros(shape)
-        for bands, sweep in zip(self._bands_by_scattering(), sweeps, strict=True):
-            for s, (_, groups) in enumerate(sweep):
-                for of_group, gradient in zip(out, groups, strict=True):
-                    of_group[:, s][:, :, bands] = observations.chained(
-                        decays[s][:, bands], gradient[:, : decays.shape[-1]], self.bin_width, match
-                    )
-        return out.reshape(*shape[:2], len(self.pairs), *shape[4:])
 
     def _weighing(self, alpha: Array, bands: NDArray[np.int64]) -> _Weighing:
         """Return what the paths of some bands are weighed with."""
         bin_length = self.room.speed_of_sound * self.bin_width
         return alpha[:, bands], self.room.air_attenuation[bands], bin_length
 
-    def _swept(
-        self, alpha: Array, match: Sequence[str], seed: int, gradient: _Gradient
-    ) -> tuple[Array, list[list[tuple[Array, Array]]]]:
-        """Return decays (n_sources, n_receivers, n_bands, n_bins), and energies with gradients.
+    def _derivatives(
+        self,
+        alpha: Array,
+        match: Sequence[str],
+        seed: int,
+        gradient: _Gradient,
+        size: tuple[int, int],
+    ) -> Array:
+        """Return the derivatives of `observe`, (number, n_parameters, n_pairs, n_bands, n_unknowns).
 
-        The latter by bands of equal scattering and by source.
+        ``gradient`` gives those of the energies in ``number`` groups; ``size`` is (number, n_unknowns).
+        Unknowns that no face has are 0.
         """
         sweeps: list[list[tuple[Array, Array]]] = []
         groups, sources = self._bands_by_scattering(), range(len(self.sources))
@@ -339,7 +332,16 @@ class PathTracing(Tracer):
                     out[0, s][:, bands] = energy[..., :n_bins]
             return out
 
-        return decay_long_enough(trace, self.room, alpha, _longest(match))[0], sweeps
+        decays = decay_long_enough(trace, self.room, alpha, _longest(match))[0]
+        number, n_unknowns = size
+        out = np.zeros((number, len(match), *decays.shape[:3], n_unknowns))
+        for bands, sweep in zip(groups, sweeps, strict=True):
+            for s, (_, of_groups) in enumerate(sweep):
+                for of_group, by_bin in zip(out, of_groups, strict=True):
+                    of_group[:, s][:, :, bands, : by_bin.shape[2]] = observations.chained(
+                        decays[s][:, bands], by_bin[:, : decays.shape[-1]], self.bin_width, match
+                    )
+        return out.reshape(number, len(match), len(self.pairs), self.room.n_bands, n_unknowns)
 
     def traced(self, band: int, seconds: float, *, seed: int = 0) -> paths.Paths:
         """Return the paths of a band, followed for ``seconds`` or longer.
@@ -379,6 +381,12 @@ class PathTracing(Tracer):
             seed=seed,
             workers=self.workers,
         )
+
+
+def _in_one_group(swept: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return energy and gradient as if of one group of the paths."""
+    energy, gradient = swept
+    return energy, gradient[np.newaxis]
 
 
 def _longest(match: Sequence[str]) -> str:
