@@ -146,6 +146,11 @@ def mean_gaps(model: Measurement, measured: Measurement) -> dict[str, float]:
     }
 
 
+def mean_gap(simulator: PathTracing, alpha: np.ndarray, measured: Measurement) -> float:
+    """Return the mean of `mean_gaps` over the parameters, of what a tracer hears, in JND."""
+    return float(np.mean(list(mean_gaps(simulated(simulator, alpha, measured), measured).values())))
+
+
 def error(room: rt.Room, alpha: np.ndarray, truth: np.ndarray) -> float:
     """Return the area-weighted RMSE of alpha over surfaces and bands."""
     return float(np.sqrt(np.average(((alpha - truth) ** 2).mean(1), weights=room.areas)))

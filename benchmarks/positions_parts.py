@@ -32,9 +32,8 @@ from benchmarks.positions import (
     error,
     knowing,
     least_error,
-    mean_gaps,
+    mean_gap,
     rounded,
-    simulated,
 )
 from benchmarks.positions_table import read
 from rtcal.loop import control_runs
@@ -114,10 +113,6 @@ def judged(index: int, prior: str) -> dict[str, Any]:
     held_out = at(without_noise(_POPULATION, index, prior), HELD_OUT)
     judge = case.simulator(HELD_OUT, n_paths=JUDGING_PATHS)
 
-    def gap(tracer: PathTracing, alpha: np.ndarray) -> float:
-        gaps = mean_gaps(simulated(tracer, alpha, held_out), held_out)
-        return float(np.mean(list(gaps.values())))
-
     many = MORE_PATHS * PATHS
     alone = calibrate("t20", case.simulator(n_paths=many), case.room, case.measured)
     half = calibrate(
@@ -128,7 +123,7 @@ def judged(index: int, prior: str) -> dict[str, Any]:
         "prior": prior,
         "volume": round(case.room.volume),
         "error of T20 alone": error(case.room, alone.alpha, truth),
-        "gap of T20 alone": gap(judge, half.alpha),
+        "gap of T20 alone": mean_gap(judge, half.alpha, held_out),
         "least error": least_error(_POPULATION, index, prior),
     }
     for told in TOLD:
@@ -141,7 +136,7 @@ def judged(index: int, prior: str) -> dict[str, Any]:
         half_of_it: Any = rt.calibrate_simulator(tracer, case.room, fitted, match=MATCH, **options)
         known = knowing(judge, _POPULATION, index)
         tracer = calibrated(judge, half_of_it) if told == "nothing" else known
-        row[f"gap, told {told}"] = gap(tracer, half_of_it.alpha)
+        row[f"gap, told {told}"] = mean_gap(tracer, half_of_it.alpha, held_out)
     return row
 
 

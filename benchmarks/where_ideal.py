@@ -29,6 +29,7 @@ from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import ABSORBERS, DATA
 from rtcal.where import unevenness
 from rtcal.where.evidence import Likelihood
+from rtcal.where.finding import LIKELY
 from rtcal.where.hypotheses import COUPLED
 from rtcal.where.model import Model
 from rtcal.where.search import Hypotheses, evaluate, weights
@@ -39,8 +40,6 @@ STORED = Path(__file__).with_name("where_ideal.json.gz")
 DRAWS = 12
 """Rooms of each kind, with and without something hidden, that are drawn in one geometry."""
 FALSE_ALARMS = 0.05
-HELD = 0.85
-"""Probability that the candidates hold."""
 HIDDEN = (*ABSORBERS, COUPLED.name, POSITION)
 """Effects that are drawn: those that tests/geometric_world hides."""
 Likelihoods = tuple[Likelihood, list[Likelihood], list[Likelihood]]
@@ -144,7 +143,7 @@ def said(
             order = np.argsort(-chance[:, column])
             held = np.cumsum(chance[order, column])
             row["rank"] = int(np.flatnonzero(order == what.surface)[0])
-            row["candidates"] = int(np.searchsorted(held, HELD)) + 1
+            row["candidates"] = int(np.searchsorted(held, LIKELY)) + 1
         out.append(row)
     return out
 

@@ -149,8 +149,8 @@ class ControlRuns:
         n_pairs = self.errors.shape[2]
         common = self.errors.mean(axis=2)
         own = self.errors - common[:, :, np.newaxis]
-        of_common = _share_left((common**2).mean(axis=0), noise / n_pairs)
-        of_own = _share_left((own**2).mean(axis=(0, 2)), noise * (1 - 1 / n_pairs))
+        of_common = _left((common**2).mean(axis=0), noise / n_pairs)
+        of_own = _left((own**2).mean(axis=(0, 2)), noise * (1 - 1 / n_pairs))
         errors = common * np.sqrt(of_common)
         return replace(self, errors=errors[:, :, np.newaxis] + own * np.sqrt(of_own)[:, np.newaxis])
 
@@ -173,10 +173,17 @@ _LEAST = 0.1
 """Share of a variance that is left at least where noise is taken off."""
 
 
-def _share_left(variance: Array, noise: Array) -> Array:
-    """Return which share of a variance is not noise, at least `_LEAST`."""
-    share = np.divide(noise, variance, out=np.zeros_like(variance), where=variance > 0)
-    return np.asarray(np.clip(1 - share, _LEAST, 1.0))
+def _left(variance: Array, noise: Array) -> Array:
+    return np.asarray(np.maximum(share_of_signal(variance, noise), _LEAST))
+
+
+def share_of_signal(square: Array, noise: Array) -> Array:
+    """Return which share of mean squares is not noise, 0 where noise is all of it.
+
+    It is signal over signal and noise (James & Stein 1961, with the variances estimated).
+    """
+    share = np.divide(noise, square, out=np.ones_like(square), where=square > noise)
+    return np.asarray(1 - share)
 
 
 _SHRINKAGE = 0.7

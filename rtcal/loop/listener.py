@@ -15,9 +15,10 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
 
 _OF_CONTROLS = 0.5
-"""Share of the control runs in how a pair differs from the mean over pairs. They have fewer paths, but
-their positions differ, as the true ones do. In the mean of six development rooms the log-likelihood of
-what was measured was 5.2 nats higher with 0.5 than with 0, and 1.3 higher than with 1."""
+"""Share of what is expected in how a pair differs from the mean over pairs. It was chosen for what
+control runs let expect. They have fewer paths, but their positions differ, as the true ones do. In the
+mean of six development rooms the log-likelihood of what was measured was 5.2 nats higher with 0.5 than
+with 0, and 1.3 higher than with 1."""
 
 _LEAST = 0.02
 """Scattering below which paths are followed for no longer."""

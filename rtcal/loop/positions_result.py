@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -18,6 +17,7 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair
+from rtcal.loop.positions_tables import Table, gap_table, material_table, rms
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import Polyhedron
@@ -188,7 +188,7 @@ class PositionsResult:
 
         The root mean square gap over pairs and bands is larger by over half a JND.
         """
-        before, after = (_rms(gap**2) for gap in (self.gap_before, self.gap_after))
+        before, after = (rms(gap) for gap in (self.gap_before, self.gap_after))
         each = zip(self.parameters, before, after, strict=True)
         return tuple(p for p, old, new in each if new > old + _FARTHER)
 
@@ -290,7 +290,8 @@ class PositionsResult:
 
     def __str__(self) -> str:
         lines = [f"Coefficients only for {self.simulator}"]
-        for header, rows in (self._gap_table(), self._material_table()):
+        gaps = gap_table(self.parameters, self.pairs, self.gap_before, self.gap_after)
+        for header, rows in (gaps, self._material_table()):
             lines += [
                 "",
                 *text.table([(r[0], r[1:]) for r in rows], header=(header[0], header[1:])),
@@ -309,39 +310,11 @@ class PositionsResult:
             row[2] = html.Cell(str(row[2]), float(np.clip(share, 0, 1)))
         return html.table(self._description, header, cells, self._notes())
 
-    def _gap_table(self) -> tuple[list[str], list[list[str]]]:
-        """Return header and rows: rms gaps by pair, before and after, and over all pairs."""
-        header = ["rms gap / JND", *(parameter_label(p) for p in self.parameters)]
-        squares = [self.gap_before**2, self.gap_after**2]
-
-        def row(name: str, pairs: Any) -> list[str]:
-            ends = [_rms(s[:, pairs]) for s in squares]
-            return [name, *(f"{_n(a)} to {_n(b)}" for a, b in zip(*ends, strict=True))]
-
-        rows = [row(" to ".join(pair), [i]) for i, pair in enumerate(self.pairs)]
-        return header, [*rows, row("all", list(range(len(self.pairs))))]
-
-    def _material_table(self) -> tuple[list[str], list[list[str]]]:
-        """Return header and rows: what was learned of each material, most first."""
-        header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
-        if self.scattering is not None:
-            header.append("scattering")
-        strength = np.abs(self.pulls).mean(axis=2)
-        shift = np.sqrt((self.shift**2).mean(axis=1))
-        rows = []
-        for name, before, after in self.learned:
-            i = self.prior.material_index(name)
-            pair = "-"
-            if strength[:, i].any():
-                pair = " to ".join(self.pairs[int(np.argmax(strength[:, i]))])
-            row = [name, f"{before:.3f}", f"{after:.3f}", f"{shift[i]:.1f}", pair]
-            if self.scattering is not None:
-                s, sigma = (
-                    a[i].mean() for a in (self.scattering.coefficients, self.scattering.sigma)
-                )
-                row.append(f"{s:.2f} ± {sigma:.2f}")
-            rows.append(row)
-        return header, rows
+    def _material_table(self) -> Table:
+        scattering = self.scattering
+        return material_table(
+            self.prior, self.learned, self.shift, self.pulls, self.pairs, scattering
+        )
 
     def _notes(self) -> list[str]:
         notes = list(self.notes)
@@ -448,13 +421,3 @@ class PositionsResult:
     def save(self, path: str) -> None:
         """Write the text of `to_json` to a file; a failure leaves no part of it."""
         write_text(path, self.to_json())
-
-
-def _rms(squares: Array) -> list[float]:
-    """Return the root mean square over pairs and bands by parameter, NaN without a value."""
-    values: Sequence[Array] = [s[np.isfinite(s)] for s in squares]
-    return [float(np.sqrt(v.mean())) if v.size else float("nan") for v in values]
-
-
-def _n(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:.1f}"

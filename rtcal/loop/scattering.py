@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-from rtcal.loop.control_runs import MODELS, SCATTERING, ControlRuns, level
+from rtcal.loop.control_runs import MODELS, SCATTERING, ControlRuns, level, share_of_signal
 from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.files import json_numbers
@@ -56,9 +56,7 @@ _FREEDOM = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scattering:
-    """Scattering that what was measured tells.
-
-    It is the scattering with which this tracer predicts best, and no measurement of the room's.
+    """Scattering of a tracer, fitted with alpha. It is no measurement of the room's.
 
     Attributes
     ----------
@@ -177,16 +175,10 @@ def material_scattering(
     common = slope.mean(axis=1, keepdims=True)
     off = (groups[0] - groups[1]) / 2
     noise = ((off - off.mean(axis=1, keepdims=True)) ** 2).mean(axis=(1, 2, 3), keepdims=True)
-    share = _share_of_signal(((slope - common) ** 2).mean(axis=(1, 2, 3), keepdims=True), noise)
+    share = share_of_signal(((slope - common) ** 2).mean(axis=(1, 2, 3), keepdims=True), noise)
     return MaterialScattering(
         slope=(common + share * (slope - common)).reshape(-1, slope.shape[-1]), traced=traced
     )
-
-
-def _share_of_signal(square: Array, noise: Array) -> Array:
-    """Return signal over signal and noise (James & Stein 1961, with the variances estimated)."""
-    share = np.divide(noise, square, out=np.ones_like(noise), where=square > noise)
-    return np.asarray(1 - share)
 
 
 def scattered(tracer: PathTracing, log_odds: Array, model: ScatteringModel) -> PathTracing:
@@ -341,7 +333,7 @@ def _pooled(coefficients: Array, left: Array, spread: Array) -> tuple[Array, Arr
     noise = ((left - left.mean(axis=2, keepdims=True)) ** 2).mean(axis=0).sum(axis=(1, 2))
     noise = spread[:, np.newaxis] * noise
     differences = ((coefficients - common) ** 2).sum(axis=(2, 3))
-    share = _share_of_signal(differences, noise)
+    share = share_of_signal(differences, noise)
     return common + share[..., np.newaxis, np.newaxis] * (coefficients - common), share
 
 

@@ -47,19 +47,18 @@ def simulator_error(
         variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
         return listener, np.diag(np.broadcast_to(variance, shape).ravel()), None
     controls = controls.at(parameters, heard.pairs)
-    noise = _noise(listener)
-    errors = errors_by_scattering(controls, noise)
-    tracer = listener.simulator
+    noise, tracer = _noise(listener), listener.simulator
+    without_noise = controls.without_noise(noise)
     if (
         not fit_scattering
-        or errors is None
         or not isinstance(tracer, PathTracing)
         or tracer.scattering_model != "random"
     ):
-        return listener, controls.without_noise(noise).covariance(), None
+        return listener, without_noise.covariance(), None
+    errors = errors_by_scattering(controls, noise)
     stated = _materials(listener, tracer, np.zeros(tracer.room.n_materials))
-    if not stated.slope.any():  # every coefficient is 0 or 1
-        return listener, controls.without_noise(noise).covariance(), None
+    if errors is None or not stated.slope.any():  # without a slope every coefficient is 0 or 1
+        return listener, without_noise.covariance(), None
     matrix, residual, used = listener.linearised(), listener.residual(), listener.used
     expected = matrix @ prior @ matrix.T + listener.data.covariance
     stated_level = level(tracer.scattering, tracer.room.areas)

@@ -44,9 +44,7 @@ class SimulatorError:
     @property
     def assumed(self) -> Array:
         """The errors, what is common to all pairs as large as is assumed; (n_runs, p, i, k)."""
-        errors = self.runs.errors
-        common = errors.mean(axis=2, keepdims=True)
-        return np.asarray(errors - (1 - np.sqrt(self.common)) * common)
+        return self.runs.with_common(self.common**0.5).errors
 
     @property
     def _columns(self) -> Array | None:
