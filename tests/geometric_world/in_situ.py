@@ -18,6 +18,7 @@ FROZEN = {
     0: "b577e1279222860b0142cadf7afe9e9cd4b324220e7f73fc2d2eb7dc7fa1b62d",
     1: "287b2e6b1a26827a54d406c1aae5611daf07e28bcdd2183bd364dd1db7ce4c79",
     2: "07528e68a9398c18e4d3fe6be550da3421f844c2f1c10ad039b07e0ed98872ab",
+    3: "93cb3e889586549e9ce1ccafbcf6528c02896a9b74c6dfbdc31775c5ccaf863e",
 }
 """`digest` of what is stated in the first twelve rooms of each population."""
 

@@ -4,7 +4,8 @@ It imports nothing of rtcal. A room is drawn from the seed (population, index). 
 development, population 1 for judging: 150 rooms with something hidden and 100 without, in an order in
 which the kinds are mixed, so that the first N rooms are a fair sample. It was frozen on 2026-11-22,
 before the finder that it judges was tried on it. Population 2 has further rooms for development,
-drawn as those for judging; the first 40 are built.
+drawn as those for judging; the first 40 are built. Population 3 is for judging again: its first 150
+rooms were frozen on 2026-11-23, before any finder was tried on them.
 
 - Shapes: half are boxes, the others polyhedra of 6 to 10 surfaces (`tests.position_rooms.shapes`), 90
   to 3,000 m³. In half of the rooms every surface has a material of its own; in the others walls share.
@@ -54,6 +55,7 @@ COUNTS = {
     0: {**dict.fromkeys(KINDS, 3), NOTHING: 16},
     1: KINDS,
     2: {**dict.fromkeys(KINDS, 5), NOTHING: 40},
+    3: KINDS,
 }
 SHARES = 0.08, 0.6
 REFLECTIONS = 1.2e7
@@ -62,6 +64,7 @@ FROZEN = {
     0: "64c5406e47457c82b6d097a89b9d02532f379aefb02eeb797bdf443dc52fe124",
     1: "142d07bf4fe2b6cb7ff03a59c911005adadf08eea830cba33a9999d50feed5be",
     2: "5679c802cb9e5c983f535eb50e63462c4d34a465f05267790f08b137d485a141",
+    3: "853d857976c1f5e67e587daa9fc294eeb48e5c045bbd9f6e55a8beaa5b1818d6",
 }
 """`tests.geometric_world.generate.digest` of the first twelve rooms of each population."""
 LARGEST = 0.9  # share of a surface that something may take
