@@ -193,7 +193,7 @@ def said(finding: Any, case: Any, face: int) -> dict[str, Any]:
         "families": rounded(finding.families),
         "score": float(finding.score),
         "threshold": float(finding.threshold),
-        "nats_of_positions": finding.detection.positions,
+        "nats_of_noise": finding.detection.noise,
         "nats_of_means": finding.detection.means,
     }
 

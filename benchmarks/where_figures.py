@@ -10,7 +10,6 @@ import numpy as np
 
 from benchmarks.judging import FLAGS, NOTHING, families_of
 from benchmarks.positions_table import bootstrap, share
-from rtcal.where.detection import MEANS
 from tests.geometric_world import rooms
 from tests.geometric_world.load import truth
 
@@ -21,6 +20,8 @@ WHOLE_PLACES = ("audience",)
 MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
+MEANS = 2.4
+"""Least threshold of means over positions where they were the rule, in nats."""
 ROOMS = {
     "fifth": "127 to 144 and from 154, where means detect something: judged once, by the present rule",
     "fresh": "128 to 144 and from 154: means alone, for the rule that they decide",

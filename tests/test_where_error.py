@@ -10,7 +10,7 @@ import pytest
 
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns
-from rtcal.where.responses import _at_shares
+from rtcal.where.responses import TRACINGS, _at_shares, without_noise
 from rtcal.where.simulator_error import COMMON, OWN, simulator_error
 
 RUNS, GROUPS = 400, 200
@@ -23,29 +23,55 @@ def controls(errors: np.ndarray, **more: object) -> ControlRuns:
     return ControlRuns(parameters=("t20", "edt"), pairs=PAIRS, errors=errors, **more)  # type: ignore[arg-type]
 
 
-def test_the_noise_of_fewer_paths_is_taken_off() -> None:
+STILL = np.zeros((*SHAPE, 2))
+"""Derivatives by the scattering of two materials that change nothing."""
+
+
+def error_of(runs: ControlRuns, noise: np.ndarray, scattering: np.ndarray = STILL) -> Any:
+    return simulator_error(runs, noise, scattering, TRACINGS)
+
+
+def test_the_noise_of_one_tracing_is_taken_off() -> None:
     rng = np.random.default_rng(1)
     error, noise = 0.1, 0.2
     runs = error * rng.standard_normal((RUNS, *SHAPE))
     runs += noise * np.sqrt(2) * rng.standard_normal(runs.shape)  # of both tracings
-    left = simulator_error(controls(runs), noise * rng.standard_normal((GROUPS, *SHAPE)), 8)
-    expected = error**2 + noise**2 / 8
-    assert left.runs.errors.var() == pytest.approx(expected, rel=0.25)
-    assert runs.var() > 5 * expected
+    left = error_of(controls(runs), noise * rng.standard_normal((GROUPS, *SHAPE)))
+    assert left.runs.errors.var() == pytest.approx(error**2 + noise**2, rel=0.1)
+
+
+def test_what_is_compared_has_noise_of_its_own() -> None:
+    # All parameters and bands of a pair share its paths, and no pair shares those of another.
+    rng = np.random.default_rng(5)
+    of_pair = 0.2 * rng.standard_normal((GROUPS, 1, SHAPE[1], 1))
+    error = error_of(controls(np.zeros((16, *SHAPE))), of_pair * np.ones(SHAPE))
+    covariance = error.covariance().reshape(*SHAPE, *SHAPE)
+    expected = 0.2**2 / GROUPS
+    assert covariance[0, 2, 1, 1, 2, 2] == pytest.approx(expected, rel=0.15)
+    assert covariance[0, 2, 1, 0, 3, 1] == 0
+
+
+def test_what_the_scattering_of_a_material_changes_is_no_evidence() -> None:
+    rng = np.random.default_rng(6)
+    slope = rng.standard_normal((*SHAPE, 2))
+    error = error_of(controls(np.zeros((16, *SHAPE))), np.zeros((GROUPS, *SHAPE)), slope)
+    covariance = error.covariance()
+    rows = slope.reshape(-1, 2)
+    assert covariance == pytest.approx(rows @ (0.8**2 * np.eye(2) + 1.0) @ rows.T)
 
 
 def test_errors_that_are_all_noise_do_not_vanish() -> None:
     rng = np.random.default_rng(2)
     runs = rng.standard_normal((RUNS, *SHAPE))
-    left = simulator_error(controls(runs), rng.standard_normal((GROUPS, *SHAPE)), 8)
-    assert left.runs.errors.var() > 0.1
+    left = error_of(controls(runs), 2 * rng.standard_normal((GROUPS, *SHAPE)))
+    assert left.runs.errors.var() == pytest.approx(0.1, rel=0.2)
 
 
-def test_half_of_a_variance_is_the_value_s_own() -> None:
+def test_a_share_of_a_variance_is_the_value_s_own() -> None:
     # All errors of a run are alike, so that only the values' own parts leave other combinations open.
     rng = np.random.default_rng(3)
     runs = np.ones(SHAPE) * rng.standard_normal((16, 1, 1, 1))
-    error = simulator_error(controls(runs), np.zeros((8, *SHAPE)), 8)
+    error = error_of(controls(runs), np.zeros((8, *SHAPE)))
     covariance = error.covariance()
     assert np.linalg.eigvalsh(covariance).min() > 0.99 * OWN * covariance.diagonal().min()
     fewer = error.covariance(np.array([0, 1]))
@@ -56,7 +82,7 @@ def test_only_what_is_common_to_all_pairs_is_assumed_smaller() -> None:
     rng = np.random.default_rng(4)
     common, own = rng.standard_normal((2, 2000, *SHAPE))
     runs = own - own.mean(axis=2, keepdims=True) + 3 * common[:, :, :1]
-    error = simulator_error(controls(runs), np.zeros((8, *SHAPE)), 8)
+    error = error_of(controls(runs), np.zeros((8, *SHAPE)))
     covariance = error.covariance().reshape(*SHAPE, *SHAPE)
     variance = np.einsum("pikpik->pik", covariance)
     assert variance == pytest.approx(np.full(SHAPE, COMMON * 9 + 1 - 1 / SHAPE[1]), rel=0.1)
@@ -67,12 +93,30 @@ def test_the_shift_of_scattering_is_the_control_runs_slope() -> None:
     levels = np.linspace(0.1, 0.8, 16)
     runs = np.ones(SHAPE) * levels[:, np.newaxis, np.newaxis, np.newaxis]
     more = {"levels": levels, "models": ("random", "vector") * 8}
-    error = simulator_error(controls(runs, **more), np.zeros((8, *SHAPE)), 8)
+    error = error_of(controls(runs, **more), np.zeros((8, *SHAPE)))
     assert error.scattering(np.array([-0.3, 0.5])) == pytest.approx(
         np.ones((*SHAPE, 2)) * [-0.3, 0.5], abs=1e-6
     )
-    unknown = simulator_error(controls(runs), np.zeros((8, *SHAPE)), 8)
+    unknown = error_of(controls(runs), np.zeros((8, *SHAPE)))
     assert not unknown.scattering(np.array([0.5])).any()
+
+
+@pytest.mark.parametrize(("pattern", "kept"), [(1.0, 1.0), (0.0, 0.0)])
+def test_patterns_over_the_pairs_that_are_noise_are_drawn_to_their_mean(
+    pattern: float, kept: float
+) -> None:
+    rng = np.random.default_rng(7)
+    surfaces, nodes = 40, 3
+    true = 5.0 + pattern * rng.standard_normal((surfaces, *SHAPE, 1)) * np.ones(nodes)
+    noise = 0.1 * rng.standard_normal((TRACINGS, surfaces, *SHAPE, nodes))
+    noise -= noise.mean(axis=-3, keepdims=True)
+    shifts = without_noise(true + noise)
+    assert shifts.mean(axis=-3) == pytest.approx(true.mean(axis=-3) + 0 * shifts.mean(axis=-3))
+    off = shifts - shifts.mean(axis=-3, keepdims=True)
+    expected = true - true.mean(axis=-3, keepdims=True)
+    assert np.sqrt((off**2).mean()) == pytest.approx(
+        kept * np.sqrt((expected**2).mean()), rel=0.05, abs=0.02
+    )
 
 
 def test_a_surface_that_leaves_a_decay_without_a_parameter_is_that_of_a_smaller_share() -> None:

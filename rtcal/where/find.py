@@ -20,7 +20,13 @@ from rtcal.support.types import Array
 from rtcal.where import track_record
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
-from rtcal.where.detection import Detection, Means, evidence_of_means
+from rtcal.where.detection import (
+    OF_PROGRAMS,
+    THRESHOLD,
+    Detection,
+    Means,
+    evidence_of_means,
+)
 from rtcal.where.evidence import Likelihood
 from rtcal.where.finding import Finding
 from rtcal.where.hypotheses import COUPLED, library, shifts, spreads
@@ -33,6 +39,7 @@ from rtcal.where.search import (
     Weights,
     evaluate,
     prior_off,
+    scores,
     weights,
     with_families,
 )
@@ -140,10 +147,15 @@ def find_by_positions(
     hypotheses = every_hypothesis(case, made, numbers, left_out)
     likelihoods = numbers.likelihoods()
     evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
-    detected = Detection(float(weights(evidence, hypotheses).score[0]))
+    score, noise = scores(weights(evidence, hypotheses), hypotheses)
+    detected = Detection(
+        float(score[0]),
+        float(noise[0]) if np.isfinite(noise[0]) else None,
+        None if means is None else means.score,
+        THRESHOLD if case.simulated is None else OF_PROGRAMS,
+    )
     posterior = weights(evidence, hypotheses, TOLD_TEMPER)
     if means is not None:
-        detected = Detection(detected.positions, means.score, means.threshold)
         posterior = with_families(posterior, hypotheses, means.families)
     finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0], detected)
     return replace(finding, notes=(*finding.notes, CHOSEN)) if left_out else finding

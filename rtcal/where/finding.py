@@ -55,7 +55,7 @@ class Finding:
     probabilities, families : mapping of str to float
         Of each effect and family, of "none", "coefficients" and "unknown".
     detection : Detection
-        Evidence that something is other than stated, of the positions and of means over them.
+        Evidence that something is other than stated.
     map : array (n_parameters, n_pairs, n_bands)
         Simulated less measured in standard deviations of what prior, simulator and measurement leave
         open; NaN where nothing was measured.
@@ -114,7 +114,7 @@ class Finding:
 
     @property
     def likely_surfaces(self) -> tuple[str, ...]:
-        """The fewest surfaces that hold 0.85 of the probability."""
+        """The fewest surfaces that hold `LIKELY` of the probability."""
         held, out = 0.0, []
         for name, probability in self.surfaces.items():
             out.append(name)
@@ -256,7 +256,7 @@ class Finding:
             "families": dict(self.families),
             "score": self.score,
             "threshold": self.threshold,
-            "nats_of_positions": self.detection.positions,
+            "nats_of_noise": self.detection.noise,
             "nats_of_means": self.detection.means,
             "parameters": list(self.parameters),
             "pairs": [list(pair) for pair in self.pairs],
@@ -276,7 +276,7 @@ class Finding:
         write_text(path, self.to_json())
 
 
-LIKELY = 0.85
+LIKELY = 0.7
 """Probability that the likely surfaces hold."""
 
 

@@ -19,7 +19,7 @@ from rtcal.where import scales, unevenness
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood, band_first, flat, reordered
 from rtcal.where.prior import climate_error, usual_errors
-from rtcal.where.responses import AIR, BASE, STEP, Responses
+from rtcal.where.responses import AIR, STEP, TRACINGS, Responses
 from rtcal.where.shift import SCATTERING as SCATTERED
 from rtcal.where.shift import interpolation
 from rtcal.where.simulator_error import SimulatorError, simulator_error
@@ -146,7 +146,10 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
     nodes |= {f"aperture {j}": shifted(s) for j, s in enumerate(made.apertures)}
     nodes |= _of_materials(case, nodes)
     error = simulator_error(
-        controls.at(wanted.parameters, wanted.pairs), made.noise[:, rows][:, :, columns], BASE
+        controls.at(wanted.parameters, wanted.pairs),
+        made.noise[:, rows][:, :, columns],
+        at_pairs(made.scattering),
+        TRACINGS,
     )
     ends = SCATTERING - level(tracer.scattering, room.areas)
     scattered = _linear(

@@ -1,6 +1,7 @@
 """What the positions hear if something of the room is other than stated: the shifts of every parameter.
 
-All of them belong to one tracing, so they are computed once per room and kept.
+They come from two tracings of the room, so what differs between them is their noise. They are computed
+once per room and kept.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from rtcal.acoustics.air import Air
 from rtcal.errors import DataError, TooShortError
+from rtcal.loop.control_runs import share_of_signal
 from rtcal.simulators.observations import MATCH, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import LONGEST
@@ -51,6 +53,10 @@ BASE = 8
 """Factor of the number of paths that are weighed. The shifts of T20, EDT and C80 differ little between
 the pairs: with 6000 paths per source, noise had five times the spread of what is there, and with 48,000
 less than twice the spread. A weighing of 48,000 paths takes 0.05 s."""
+TRACINGS = 2
+"""Independent tracings that are weighed. Where a surface changes, T20 changes by nearly as much at any
+pair: in four rooms of the geometric world what differed was noise. So a single tracing gave every
+surface a pattern over the pairs that no room has."""
 STEP = 0.08
 """Share of the way to 1 by which a material's alpha moves for the derivatives by alpha."""
 _TASKS = ("paths", "surfaces", "places")
@@ -65,7 +71,7 @@ class Responses:
     ----------
     parameters : tuple of str
     base : array (n_parameters, n_pairs, n_bands)
-        What the simulator hears as stated, with `BASE` times its paths.
+        What the simulator hears as stated, with `TRACINGS` times `BASE` times its paths.
     surfaces : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
         At the nodes `SHARES` of each surface.
     parts : array (n_parts, n_parameters, n_pairs, n_bands, n_nodes)
@@ -78,8 +84,11 @@ class Responses:
         Where a source or receiver is displaced by `MOVE`, by its name.
     materials : array (n_parameters, n_pairs, n_bands, n_materials)
         Where a material's alpha is larger by `STEP` of the way to 1.
+    scattering : array (n_parameters, n_pairs, n_bands, n_materials)
+        Derivatives by the log odds of each material's scattering coefficient.
     noise : array (n_groups, n_parameters, n_pairs, n_bands)
-        Deviations from their mean of what groups of paths hear, each as many as the simulator's.
+        Deviations of what groups of paths hear from the mean of their tracing. Each group has as many
+        paths as the simulator.
     """
 
     parameters: tuple[str, ...]
@@ -91,6 +100,7 @@ class Responses:
     volume: Array
     moved: Mapping[str, Array]
     materials: Array
+    scattering: Array
     noise: Array
 
 
@@ -118,14 +128,26 @@ def responses(
 
 
 def _weighed(case: Case, seed: int, progress: TaskProgress | None) -> Responses:
-    def tell(task: str) -> None:
-        if progress is not None:
-            progress(task, _TASKS.index(task) + 1, len(_TASKS))
+    match, done = parameters(case), 0
 
+    def tell(task: str) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(task, done, TRACINGS * len(_TASKS))
+
+    seconds = _seconds(case, match, seed)
+    seeds = range(TRACINGS * seed, TRACINGS * (seed + 1))
+    return _mean([_of_tracing(case, match, each, seconds, tell) for each in seeds])
+
+
+def _of_tracing(
+    case: Case, match: tuple[str, ...], seed: int, seconds: float, tell: Callable[[str], None]
+) -> Responses:
+    """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least."""
     tell("paths")
-    match = parameters(case)
     tracer = _retraced(precisely(case.simulator), geometry=case.divided.geometry)
-    weighing = Weighing(tracer, match, seed, _seconds(case, match, seed))
+    weighing = Weighing(tracer, match, seed, seconds)
     energy = weighing.energy(weighing.alpha, number=BASE)
     base = weighing.parameters(energy.mean(axis=0))
     groups = np.array([weighing.parameters(group) for group in energy])
@@ -138,6 +160,10 @@ def _weighed(case: Case, seed: int, progress: TaskProgress | None) -> Responses:
         for t in AIR
     ]
     volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
+    # Only paths of the model "random" tell the derivatives.
+    if tracer.scattering_model != "random":
+        tracer = _retraced(tracer, scattering_model="random")
+    scattering = tracer.scattering_jacobian(room.alpha, match, number=1, seed=seed)[0]
     tell("places")
     return Responses(
         parameters=match,
@@ -149,8 +175,53 @@ def _weighed(case: Case, seed: int, progress: TaskProgress | None) -> Responses:
         volume=np.stack(volume, axis=-1) - base[..., np.newaxis],
         moved=_moved(case, match, base, seed),
         materials=materials,
+        scattering=scattering,
         noise=groups - groups.mean(axis=0),
     )
+
+
+def _mean(tracings: Sequence[Responses]) -> Responses:
+    """Return the mean of tracings, its shifts as far as they differ between the pairs by no noise."""
+    first = tracings[0]
+
+    def likely(name: str) -> Array:
+        return without_noise(np.array([getattr(made, name) for made in tracings]))
+
+    return Responses(
+        parameters=first.parameters,
+        base=np.mean([made.base for made in tracings], axis=0),
+        surfaces=likely("surfaces"),
+        parts=likely("parts") if len(first.parts) else first.parts,
+        apertures=likely("apertures"),
+        air=likely("air"),
+        volume=likely("volume"),
+        moved={
+            name: np.mean([made.moved[name] for made in tracings], axis=0) for name in first.moved
+        },
+        materials=likely("materials"),
+        scattering=likely("scattering"),
+        noise=np.concatenate([made.noise for made in tracings]),
+    )
+
+
+def without_noise(shifts: Array) -> Array:
+    """Return the mean of shifts of tracings, their differences between pairs drawn to their mean.
+
+    They are drawn as far as they are noise, by parameter. ``shifts`` (n_tracings, ..., n_parameters,
+    n_pairs, n_bands, n_nodes).
+    """
+    mean = shifts.mean(axis=0)
+    common = mean.mean(axis=-3, keepdims=True)
+    off = shifts - mean
+    off = off - off.mean(axis=-3, keepdims=True)
+    n = len(shifts)
+
+    def square(values: Array) -> Array:
+        axes = tuple(a for a in range(mean.ndim) if a != mean.ndim - 4)
+        return np.asarray((values**2).mean(axis=axes, keepdims=True))
+
+    noise = np.mean([square(one) for one in off], axis=0) / (n - 1)
+    return np.asarray(common + share_of_signal(square(mean - common), noise) * (mean - common))
 
 
 def _seconds(case: Case, match: Sequence[str], seed: int) -> float:
@@ -280,6 +351,7 @@ def _packed(made: Responses) -> Array:
     columns = [
         made.base[..., np.newaxis],
         made.materials,
+        made.scattering,
         made.air,
         made.volume,
         np.moveaxis(made.noise, 0, -1),
@@ -294,7 +366,8 @@ def _read(path: Path, case: Case) -> Responses | None:
     packed = kept_arrays.read(path)
     tracer, n_moves = case.simulator, 6
     names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
-    sizes = [1, case.room.n_materials, len(AIR), len(VOLUME), BASE]
+    n_materials = case.room.n_materials
+    sizes = [1, n_materials, n_materials, len(AIR), len(VOLUME), TRACINGS * BASE]
     n_surfaces, n_parts = len(case.faces), len(case.divided.parts)
     sizes += [len(SHARES)] * (n_surfaces + n_parts)
     sizes += [len(OPEN) * len(SECOND_ROOMS)] * n_surfaces + [n_moves] * len(names)
@@ -302,7 +375,7 @@ def _read(path: Path, case: Case) -> Responses | None:
     if packed is None or packed.shape != shape or not np.isfinite(packed).all():
         return None
     columns = iter(np.split(packed, np.cumsum(sizes)[:-1], axis=-1))
-    base, materials, air, volume, noise = (next(columns) for _ in range(5))
+    base, materials, scattering, air, volume, noise = (next(columns) for _ in range(6))
     surfaces, parts, apertures = (
         [next(columns) for _ in range(number)] for number in (n_surfaces, n_parts, n_surfaces)
     )
@@ -310,6 +383,7 @@ def _read(path: Path, case: Case) -> Responses | None:
         parameters=parameters(case),
         base=base[..., 0],
         materials=materials,
+        scattering=scattering,
         noise=np.moveaxis(noise, -1, 0),
         air=air,
         volume=volume,
@@ -326,6 +400,7 @@ def _key(case: Case, seed: int) -> str:
     content = [
         "where",
         tracer.name,
+        tracer.scattering_model,
         [tracer.n_paths, tracer.n_batches, tracer.radius, tracer.bin_width],
         [room.to_dict()[name] for name in ("alpha", "centre_frequencies", "air")],
         geometry.vertices.tolist(),
@@ -336,6 +411,6 @@ def _key(case: Case, seed: int) -> str:
         {name: list(map(float, p)) for name, p in {**tracer.sources, **tracer.receivers}.items()},
         np.asarray(tracer.scattering).tolist(),
         list(parameters(case)),
-        [BASE, STEP, seed, SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, __version__],
+        [TRACINGS, BASE, STEP, seed, SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

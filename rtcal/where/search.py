@@ -13,13 +13,13 @@ from rtcal.discrepancy.prior import COEFFICIENTS, NO_EFFECT, NONE, off_together
 from rtcal.support.types import Array
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood
-from rtcal.where.shift import MEASUREMENT, ODDS, UNKNOWN, Shift, Spread
+from rtcal.where.shift import MEASUREMENT, NOISE, ODDS, UNKNOWN, Shift, Spread
 
 TEMPER = 1.25
 """Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms
 (`python -m benchmarks.where_threshold`). It would be 1 if few control runs told their covariance
 without error."""
-TOLD_TEMPER = 3.0
+TOLD_TEMPER = 2.0
 """Divisor of log evidences where effects and surfaces are told apart. Their probabilities are then as
 often right as they say (`python -m benchmarks.where_temper`). The shifts of two surfaces differ by less
 than the simulator errs by, in ways that control runs do not show."""
@@ -28,6 +28,10 @@ MEANS_POWER = 0.5
 positions (`python -m benchmarks.where_temper`). Both see the same T, so neither counts in full."""
 LEAST_BY_MEANS = 1e-3
 """Least probability of a family by means: they have other effects, and err by more than they know."""
+
+
+_TINY = 1e-9
+"""Prior probability below which nothing else than a noisy pair is tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,19 +128,36 @@ class Weights:
     spreads: list[Array]
 
     @property
-    def score(self) -> Array:
-        """Evidence in nats that something is other than stated, (n_draws,)."""
-        every = [self.coefficients, self.unknown, *self.spreads]
-        every += [np.asarray(logsumexp(w, axis=0)) for w in self.shifts]
-        prior = np.log1p(-np.exp(self.none)) - self.none
-        return np.asarray(logsumexp(np.array(every), axis=0) - self.none - prior)
-
-    @property
     def total(self) -> Array:
         """Log of the sum of all weights, (n_draws,)."""
         every = [self.none, self.coefficients, self.unknown, *self.spreads]
         every += [np.asarray(logsumexp(w, axis=0)) for w in self.shifts]
         return np.asarray(logsumexp(np.array(every), axis=0))
+
+
+def scores(posterior: Weights, hypotheses: Hypotheses) -> tuple[Array, Array]:
+    """Return the evidence in nats that something is other than stated, and that a pair is noisy.
+
+    Both (n_draws,). The first is against both others: nothing, and a noisy pair. The second is against
+    nothing. Where nothing else is tried than a noisy pair, the first is the second.
+    """
+    noisy = [
+        w for s, w in zip(hypotheses.spreads, posterior.spreads, strict=True) if s.effect == NOISE
+    ]
+    other = [
+        w for s, w in zip(hypotheses.spreads, posterior.spreads, strict=True) if s.effect != NOISE
+    ]
+    other += [posterior.coefficients, posterior.unknown]
+    other += [np.asarray(logsumexp(w, axis=0)) for w in posterior.shifts]
+    noise = logsumexp(np.array([np.full_like(posterior.none, -np.inf), *noisy]), axis=0)
+    nothing = np.logaddexp(posterior.none, noise)
+    of_noise = sum(s.odds for s in hypotheses.spreads if s.effect == NOISE)
+    of_nothing = np.logaddexp(posterior.none, hypotheses.log_prior(of_noise))
+    if (of_nothing > -_TINY).all():
+        return noise - posterior.none, noise - posterior.none
+    prior = np.log1p(-np.exp(of_nothing)) - of_nothing
+    score = logsumexp(np.array(other), axis=0) - nothing - prior
+    return np.asarray(score), np.asarray(noise - posterior.none)
 
 
 def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float = TEMPER) -> Weights:

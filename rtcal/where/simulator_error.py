@@ -1,7 +1,9 @@
-"""The error of what is compared with the measurement, as control runs tell it.
+"""The error of what is compared with the measurement: scattering, noise, and what control runs tell.
 
-Control runs have fewer paths than what is compared. Their noise is taken off. A separate covariance of
-what depends on the scattering did not pay: control runs that it had not seen lay further outside it.
+The scattering of each material is not known. The traced paths tell what it changes
+(`PathTracing.scattering_jacobian`), with the prior of a calibration to every position
+(`rtcal.loop.scattering`). Control runs tell the rest, without the noise of their few paths. What is
+compared has noise of its own.
 """
 
 from __future__ import annotations
@@ -12,18 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.loop.control_runs import MODELS, ControlRuns
-from rtcal.loop.scattering import basis
+from rtcal.loop.scattering import MaterialScattering, basis
 from rtcal.support.types import Array
 
-OWN = 0.5
-"""Share of the variance that is each value's own. Without it, combinations of values decide that hardly
-differ between so few runs. In four development rooms the log likelihood ratio of the true change then
-was 37, 17, 0 and -26 nats, and with it 50, 12, 6 and 8."""
+OWN = 0.1
+"""Share of the control runs' variance that is each value's own. Without it, combinations of values
+decide that hardly differ between so few runs."""
 COMMON = 0.25
 """Share of the variance common to all pairs that is assumed. Control runs scatter from hardly at all to
-nearly everything, by which T of the whole room differs most. What was measured in an empty development
-room is likelier by 60 nats than with all of it (`python -m benchmarks.where_threshold --measured`).
-The pairs' own part stays: with less of it another volume took the place of an open window."""
+nearly everything, by which T of the whole room differs most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +33,14 @@ class SimulatorError:
     ----------
     runs : ControlRuns
         Without their noise.
+    rest : array (n, n)
+        Covariance by the scattering of the materials and by noise, n = parameters x pairs x bands.
     common : float
         Share of the variance common to all pairs that is assumed.
     """
 
     runs: ControlRuns
+    rest: Array
     common: float = COMMON
 
     @property
@@ -54,13 +56,14 @@ class SimulatorError:
         return basis(self.runs.levels, [MODELS.index(m) for m in self.runs.models])
 
     def covariance(self, without: NDArray[np.int64] | None = None) -> Array:
-        """Return the covariance, (n, n), n = parameters x pairs x bands, from all runs but some."""
+        """Return the covariance, (n, n), from all runs but some."""
         kept = np.ones(len(self.runs.errors), dtype=bool)
         if without is not None:
             kept[without] = False
         runs = replace(self.runs, errors=self.assumed[kept], levels=None, models=())
         covariance = runs.covariance()
-        return np.asarray((1 - OWN) * covariance + OWN * np.diag(np.diag(covariance)))
+        of_runs = (1 - OWN) * covariance + OWN * np.diag(np.diag(covariance))
+        return np.asarray(of_runs + self.rest)
 
     def scattering(self, levels: Array) -> Array:
         """Return the shifts where the level changes by these, (parameters, pairs, bands, levels)."""
@@ -72,17 +75,31 @@ class SimulatorError:
         return np.asarray(slope.reshape(*shape, 1) * levels)
 
 
-def simulator_error(controls: ControlRuns, noise: Array, more_paths: int) -> SimulatorError:
-    """Return the error of a tracing with ``more_paths`` times the paths of the control runs.
+def simulator_error(
+    controls: ControlRuns, noise: Array, scattering: Array, tracings: int
+) -> SimulatorError:
+    """Return the error of the mean of some tracings.
 
     Parameters
     ----------
     controls : ControlRuns
-        Each the difference of two tracings with as many paths.
+        With as many paths as a group of the tracings.
     noise : array (n_groups, n_parameters, n_pairs, n_bands)
-        Deviations from their mean of as many paths.
-    more_paths : int
+        Deviations of all groups of paths from the mean of their tracing.
+    scattering : array (n_parameters, n_pairs, n_bands, n_materials)
+        Derivatives by the log odds of each material's scattering coefficient.
+    tracings : int
     """
-    variance = (noise**2).sum(axis=0).mean(axis=1) / (len(noise) - 1)  # (n_parameters, n_bands)
-    # Each error is the difference of two tracings; what is compared has more paths.
-    return SimulatorError(controls.without_noise((2 - 1 / more_paths) * variance))
+    n_groups, p, i, k = noise.shape
+    free = n_groups - tracings
+    variance = (noise**2).sum(axis=0).mean(axis=1) / free  # (n_parameters, n_bands)
+    slope = scattering.reshape(-1, scattering.shape[-1])
+    materials = MaterialScattering(slope=slope, traced=np.zeros(slope.shape[1]))
+    # A control run is the difference of two tracings. The noise of one is taken off: with that of both,
+    # what was measured was likelier by 5 nats in 27 rooms, and the right surface less likely.
+    runs = controls.without_noise(variance)
+    # Each pair has noise of its own, which its parameters and bands share, as they share the paths.
+    rows = np.moveaxis(noise, 2, 1).reshape(n_groups * i, -1)
+    of_pair = (rows.T @ rows / (free * i * n_groups)).reshape(p, k, p, k)
+    of_noise = np.einsum("pkql,ij->pikqjl", of_pair, np.eye(i)).reshape(p * i * k, -1)
+    return SimulatorError(runs, materials.covariance + of_noise)
