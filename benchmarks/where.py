@@ -4,7 +4,7 @@
     python -m benchmarks.where run --folder out --number 40 --statement "in situ"    # can be resumed
     python -m benchmarks.where gaps --folder out --number 40     # at held-out pairs, the same rooms
     python -m benchmarks.where means --folder out --number 40    # means over positions, the same rooms
-    python -m benchmarks.where decided --statement "in situ"     # what the present rule gives
+    python -m benchmarks.where table --statement "in situ"       # what the present finder gives
     python -m benchmarks.where table --rooms fourth              # as judged by an earlier finder
     python -m benchmarks.where store --folder out                # the run that the study shows
     python -m benchmarks.where speed --folder out                # first and second run of one room
@@ -36,7 +36,7 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks.judging import FLAGS, rounded, row_of
-from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, decided, table
+from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.discrepancy import find
 from rtcal.loop.control_runs import control_runs
@@ -60,7 +60,19 @@ from tests.geometric_world.load import (
 PATHS = 6000
 STATEMENTS = IN_SITU, HANDBOOK
 MATCH = ("t20", "edt", "c80", "ts", "level")
-STORED = HERE / "population_1_results.jsonl.gz"
+STORED = HERE / "population_{}_results.jsonl.gz"
+PRESENT = "sixth"
+"""Rooms that the present finder judged."""
+
+
+def population_of(which: str) -> int:
+    """Return the population that rooms ``which`` of `ROOMS` belong to."""
+    return 3 if which == PRESENT else 1
+
+
+def stored_in(which: str) -> Path:
+    """Return the file that has the rows of rooms ``which``."""
+    return Path(str(STORED).format(population_of(which)))
 
 
 def case_of(room: GeometricRoom, data: str) -> rt.where.Case:
@@ -248,11 +260,9 @@ def results(judging: Judging) -> tuple[list[dict[str, Any]], list[dict[str, Any]
     return found, every["means"]
 
 
-def kept(
-    statement: str, which: str = "fourth"
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def kept(statement: str, which: str = PRESENT) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the stored rows of some of the rooms (`ROOMS`), as `results` does."""
-    rows = [r for r in read(STORED) if r["statement"] == statement]
+    rows = [r for r in read(stored_in(which)) if r["statement"] == statement]
     found = [r for r in chosen(rows, which) if r["finder"] == "where"]
     # Means were not run a second time.
     earlier = {"third": "second", "fifth": "fresh"}.get(which, "")
@@ -262,17 +272,20 @@ def kept(
 
 def store(folder: Path, which: str) -> None:
     """Put the rows of a run into the repository, as rooms ``which`` of `ROOMS`, beside the others."""
-    every = [r for r in read(STORED) if r["rooms"] != which]
+    file = stored_in(which)
+    every = [r for r in read(file) if r["rooms"] != which]
     every += [
         {"finder": finder, "statement": statement, "rooms": which, **row}
         for statement in STATEMENTS
         for finder, rows in zip(
-            ("where", "means"), results(Judging(1, statement, folder)), strict=True
+            ("where", "means"),
+            results(Judging(population_of(which), statement, folder)),
+            strict=True,
         )
         for row in rows
     ]
     lines = [json.dumps(row, separators=(",", ":")) for row in every]
-    STORED.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
+    file.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
 
 
 def listed() -> None:
@@ -312,29 +325,22 @@ STEPS: dict[str, Callable[[Judging, int, str], dict[str, Any]]] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=("list", *STEPS, "table", "decided", "store", "speed"))
+    parser.add_argument("command", choices=("list", *STEPS, "table", "store", "speed"))
     parser.add_argument("--folder", type=Path)
-    parser.add_argument("--population", type=int, default=1)
+    parser.add_argument("--population", type=int, default=3)
     parser.add_argument("--statement", choices=STATEMENTS, default=HANDBOOK)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--number", type=int, default=250, help="of rooms, in a fair order")
-    parser.add_argument("--rooms", choices=ROOMS, default="fourth", help="which ones a table is of")
+    parser.add_argument("--rooms", choices=ROOMS, default=PRESENT, help="which ones a table is of")
     parser.add_argument("--data", default=",".join(DATA))
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     if given.command == "list":
         listed()
-    elif given.command == "decided":
-        found, means = kept(given.statement, "fifth")
-        for data, words in DATA.items():
-            for name, line in decided(means, found, given.population, data).items():
-                print(
-                    f"{words:14} {name:42} {line[0]:.2f} [{line[1]:.2f}, {line[2]:.2f}] of {line[3]}"
-                )
     elif given.command == "table":
         if given.folder is None:
             print(f"rooms {ROOMS[given.rooms]}; coefficients: {given.statement}")
-            table(*kept(given.statement, given.rooms), given.population)
+            table(*kept(given.statement, given.rooms), population_of(given.rooms))
         else:
             judging = Judging(given.population, given.statement, given.folder)
             table(*results(judging), given.population)

@@ -1,55 +1,67 @@
-"""Whether means or positions should decide that something is missing.
+"""Whether positions or means over them should decide that something is missing.
 
     python -m benchmarks.where_decides
 
-`where_scores.json` holds two scores in nats of each room of the geometric world that was read before
-the rule was chosen, in situ: that of the positions and that of the means over them. The rooms are those
-for development (populations 0 and 2) and those that had been judged (population 1), as
-`python -m benchmarks.where run` and `means` scored them. Prints how many hidden things each rule
-detects where all flag as many rooms that lack nothing, and how many of these exceed the thresholds.
+Reads the rows of `python -m benchmarks.where_temper run`: rooms of the geometric world that were read
+before the rule was chosen, in situ. Prints how many hidden things each rule detects where all flag as
+many rooms that lack nothing, in the rooms of populations 0 and 2, which no finder has chosen; then what
+the thresholds detect and flag there. Rooms of population 1 are those in which means had detected
+something.
 """
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Callable
-from pathlib import Path
+from typing import Any
 
-from rtcal.where.detection import MEANS, POSITIONS
+from benchmarks.where_figures import DATA
+from benchmarks.where_temper import STORED
+from rtcal.where.detection import THRESHOLD
+from tests.geometric_world.rooms import NOTHING
 
-Row = dict[str, float]
-SCORES = Path(__file__).with_name("where_scores.json")
-FLAGGED = 3
-"""Rooms without anything hidden that each rule flags: 5 % of 60."""
+Row = dict[str, Any]
+FLAGGED = 1
+"""Rooms without anything hidden that each rule flags: 5 % of 21."""
 RULES: dict[str, Callable[[Row], float]] = {
-    "means": lambda row: row["means"],
-    "means + positions / 4": lambda row: row["means"] + row["positions"] / 4,
-    "positions": lambda row: row["positions"],
+    "positions": lambda row: row["score"],
+    "positions, noisy pairs too": lambda row: max(row["score"], row["noise"]),
+    "positions + means / 2": lambda row: row["score"] + row["score_of_means"] / 2,
+    "positions + means": lambda row: row["score"] + row["score_of_means"],
+    "means": lambda row: row["score_of_means"],
 }
 
 
 def detected(rows: list[Row], score: Callable[[Row], float]) -> tuple[float, int]:
     """Return the threshold that `FLAGGED` rooms without anything hidden exceed, and what it detects."""
-    empty = sorted((score(row) for row in rows if not row["hidden"]), reverse=True)
+    empty = sorted((score(row) for row in rows if row["kind"] == NOTHING), reverse=True)
     threshold = empty[FLAGGED]
-    return threshold, sum(score(row) > threshold for row in rows if row["hidden"])
+    return threshold, sum(score(row) > threshold for row in rows if row["kind"] != NOTHING)
+
+
+def counted(rows: list[Row], above: Callable[[Row], bool]) -> str:
+    """Return how many rooms with something and with nothing hidden are above a threshold."""
+    hidden = [above(row) for row in rows if row["kind"] != NOTHING]
+    empty = [above(row) for row in rows if row["kind"] == NOTHING]
+    return f"detects {sum(hidden)} of {len(hidden)}, flags {sum(empty)} of {len(empty)}"
 
 
 def main() -> None:
-    stored: list[Row] = json.loads(SCORES.read_text(encoding="utf-8"))
-    for level in (False, True):
-        rows = [row for row in stored if row["level"] == level]
-        hidden = sum(bool(row["hidden"]) for row in rows)
-        print(
-            f"{'with' if level else 'without'} level: {FLAGGED} of {len(rows) - hidden} flagged, "
-            f"detected of {hidden} above a threshold in nats"
-        )
+    with gzip.open(STORED, "rt", encoding="utf-8") as stream:
+        stored = [json.loads(words) for words in stream]
+    for data, words in DATA.items():
+        rows = [row for row in stored if row["data"] == data and row["population"] != 1]
+        read = [row for row in stored if row["data"] == data and row["population"] == 1]
+        print(f"{words}, populations 0 and 2: {FLAGGED} flagged, detected, threshold in nats")
         for name, score in RULES.items():
             threshold, number = detected(rows, score)
-            print(f"  {name:22} {number:3}  {threshold:5.1f}")
-        for name, limit in (("means", MEANS), ("positions", POSITIONS)):
-            above = sum(row[name] > limit for row in rows if not row["hidden"])
-            print(f"  with nothing hidden, {name} above {limit:g}: {above}")
+            print(f"  {name:28} {number:3}  {threshold:5.1f}")
+        positions = counted(rows, lambda row: row["score"] > THRESHOLD)
+        means = counted(rows, lambda row: row["score_of_means"] > row["threshold_of_means"])
+        print(f"  positions above {THRESHOLD:g}: {positions}; means above their own: {means}")
+        of_read = counted(read, lambda row: row["score"] > THRESHOLD)
+        print(f"  population 1, where means had detected: positions above {THRESHOLD:g}: {of_read}")
 
 
 if __name__ == "__main__":

@@ -20,17 +20,17 @@ WHOLE_PLACES = ("audience",)
 MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
-MEANS = 2.4
-"""Least threshold of means over positions where they were the rule, in nats."""
 ROOMS = {
-    "fifth": "127 to 144 and from 154, where means detect something: judged once, by the present rule",
-    "fresh": "128 to 144 and from 154: means alone, for the rule that they decide",
+    "sixth": "of population 3: judged once, by the present rule",
+    "fifth": "127 to 144 and from 154, where means detect something: the rule that they decide",
+    "fresh": "128 to 144 and from 154: means alone, for the same rule",
     "fourth": "104 to 153: judged once, by the sum of the means and a quarter of the positions",
     "third": "43 to 113: judged by the finder that asked the positions alone, 43 to 84 a second time",
     "second": "43 to 84: judged by the finder before the error common to all pairs was smaller",
     "first": "0 to 42: judged by the finder before it had apertures, parts and errors of a place",
 }
-"""Which rooms the stored rows are of, and which finder judged them."""
+"""Which rooms the stored rows are of, and which finder judged them. All but the first are of
+population 1."""
 
 
 OF_KIND = {
@@ -206,34 +206,6 @@ def asked(data: str) -> dict[str, tuple[float, float]]:
         "a single surface claimed: right": (0.9, 1),
         "gap corrected / plain, median": (0, 0.7),
         "rooms in which it shrinks": (0.85, 1),
-    }
-
-
-def decided(
-    means: Iterable[dict[str, Any]], found: Iterable[dict[str, Any]], population: int, data: str
-) -> dict[str, Line]:
-    """Return what the present rule gives: means decide whether, positions say what and where.
-
-    ``means`` are of all rooms judged, ``found`` of those in which means detect something.
-    """
-
-    def over(row: dict[str, Any]) -> bool:
-        return bool(row["score"] > max(MEANS, row["threshold"]))
-
-    asked, rows = Rows(means, population, data), Rows(found, population, data)
-    placed = places(rows)
-    return {
-        "nothing hidden, flagged": portion(over(r) for _, r in asked.only((rooms.NOTHING,))),
-        "something hidden, detected": portion(over(r) for _, r in asked.only(HIDDEN)),
-        "right family, of the detected": common(rows)["right family, of the detected"],
-        "right family, by means alone": portion(
-            family_of(r) in right_families(t["kind"]) for t, r in asked.only(HIDDEN) if over(r)
-        ),
-        "absorbers detected, on the correct surface": placed.pop(
-            "right surface, of absorbers detected"
-        ),
-        **placed,
-        **gaps(rows),
     }
 
 

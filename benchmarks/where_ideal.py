@@ -32,7 +32,7 @@ from rtcal.where.evidence import Likelihood
 from rtcal.where.finding import LIKELY
 from rtcal.where.hypotheses import COUPLED
 from rtcal.where.model import Model
-from rtcal.where.search import Hypotheses, evaluate, weights
+from rtcal.where.search import Hypotheses, evaluate, scores, weights
 from rtcal.where.shift import MEASUREMENT, POSITION, Shift, Spread
 from tests.geometric_world.load import IN_SITU, load
 
@@ -122,6 +122,7 @@ def said(
 ) -> list[Row]:
     """Return what the observer says of each draw."""
     posterior = weights(evaluate(likelihoods, every, residuals), every, temper=1.0)
+    score = scores(posterior, every)[0]
     surfaces = np.full((n_surfaces, residuals.shape[1]), -np.inf)
     families = {"coefficients": [posterior.coefficients], MEASUREMENT: list(posterior.spreads)}
     for shift, logs in zip(every.shifts, posterior.shifts, strict=True):
@@ -134,7 +135,7 @@ def said(
     chance = np.exp(surfaces - logsumexp(surfaces, axis=0))
     out = []
     for column, what in enumerate(hidden):
-        row: Row = {"score": round(float(posterior.score[column]), 2)}
+        row: Row = {"score": round(float(score[column]), 2)}
         if what is not None:
             best = names[int(by_family[:, column].argmax())]
             family = what.family if isinstance(what, Shift) else MEASUREMENT

@@ -5,8 +5,9 @@
 
 Log evidences are divided by a temper, and the probabilities of families by means over positions are
 multiplied in with a power. Both are chosen by the log score of the true family and of the true surface,
-in rooms that had been read and in which means detected something: the probability that was given to
-the truth, in nats. `table` also prints the score of a temper that the other populations chose.
+in rooms that had been read and in which something is detected: the probability that was given to
+the truth, in nats. `table` also prints the score of a temper that the other populations chose. The
+candidates hold different probabilities.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import ABSORBERS, DATA, family_of, right_families
 from benchmarks.where_threshold import numbers_of
 from rtcal.discrepancy.prior import COEFFICIENTS, NONE
-from rtcal.where.detection import Detection, evidence_of_means
+from rtcal.where import search
+from rtcal.where.detection import THRESHOLD, evidence_of_means
 from rtcal.where.find import CLAIMED
-from rtcal.where.finding import LIKELY
 from rtcal.where.hypotheses import COUPLED
 from rtcal.where.search import LEAST_BY_MEANS, evaluate, weights
 from rtcal.where.shift import MEASUREMENT, UNKNOWN
@@ -36,7 +37,9 @@ from tests.geometric_world.load import IN_SITU, load, truth
 from tests.geometric_world.rooms import NOTHING
 
 STORED = Path(__file__).with_name("where_temper.jsonl.gz")
-TEMPERS = (1.25, 2.0, 3.0, 4.0, 6.0)
+TEMPERS = (1.25, 1.5, 2.0, 3.0, 4.0)
+HELD = (0.6, 0.7, 0.8, 0.85)
+"""Probabilities that the candidates may hold."""
 POWERS = (0.0, 0.25, 0.5, 1.0)
 ADDED = "added absorption"
 _SMALLEST = 1e-6
@@ -44,13 +47,14 @@ Row = dict[str, Any]
 
 
 def of_room(population: int, index: int, data: str, cache: Path) -> Row | None:
-    """Return the probabilities of a room by family and surface; None where means detect nothing."""
+    """Return the probabilities of a room by family and surface; None where means say nothing."""
     case = case_of(load(population, index, IN_SITU), data)
     means = evidence_of_means(case, cache=cache)
-    if means is None or Detection(0.0, means.score, means.threshold).verdict is not None:
+    if means is None:
         return None
     numbers, every = prepared(case, cache)
     evidence = evaluate(numbers.likelihoods(), every, numbers.residual[:, np.newaxis])
+    score, noise = search.scores(weights(evidence, every), every)
     by_temper = {}
     for temper in TEMPERS:
         posterior = weights(evidence, every, temper)
@@ -78,6 +82,10 @@ def of_room(population: int, index: int, data: str, cache: Path) -> Row | None:
         "kind": hidden["kind"],
         "surface": faces[0] if faces and hidden["kind"] in ABSORBERS else -1,
         "n_surfaces": len(case.faces),
+        "score": round(float(score[0]), 2),
+        "noise": round(float(noise[0]), 2),
+        "score_of_means": round(means.score, 2),
+        "threshold_of_means": means.threshold,
         "means": {f: round(p, 5) for f, p in means.families.items()},
         "positions": by_temper,
     }
@@ -143,25 +151,36 @@ def line(rows: Sequence[Row], temper: float, power: float) -> str:
     family, surface = scores(rows, temper, power)
     hidden = [row for row in rows if row["kind"] != NOTHING]
     named = sum(names_family(row, temper, power) for row in hidden)
-    claimed = first = held = candidates = absorbers = claims = 0
+    claimed = claims = 0
     for row in rows:
         chance = of_surfaces(row, temper, power)
-        order = np.argsort(-chance)
-        right = int(order[0]) == row["surface"]
+        best = int(chance.argmax())
         table = pooled(row, temper, power)
         aperture = max(table, key=lambda key: table[key])[0] == COUPLED.family
-        if chance[order[0]] >= CLAIMED and not aperture:
-            claims, claimed = claims + 1, claimed + right
-        if row["surface"] >= 0:
-            number = int(np.searchsorted(np.cumsum(chance[order]) / chance.sum(), LIKELY)) + 1
-            absorbers, candidates, first = absorbers + 1, candidates + number, first + right
-            held += row["surface"] in order[:number]
+        if chance[best] >= CLAIMED and not aperture:
+            claims, claimed = claims + 1, claimed + (best == row["surface"])
+    absorbers = [row for row in rows if row["surface"] >= 0]
+    ranked = [rank_and_numbers(row, temper, power) for row in absorbers]
+    first = sum(rank == 0 for rank, _ in ranked)
+    held = "; ".join(
+        f"{share:g} in {sum(rank < numbers[h] for rank, numbers in ranked)} "
+        f"(mean {np.mean([numbers[h] for _, numbers in ranked]):.2f})"
+        for h, share in enumerate(HELD)
+    )
     return (
         f"temper {temper:4} power {power:4}: log score of family {family:.2f}, "
-        f"of surface {surface:.2f}; families {named} of {len(hidden)}; first {first} of {absorbers}, "
-        f"among the candidates {held} (mean {candidates / absorbers:.2f}), "
-        f"claimed {claims}, right {claimed}"
+        f"of surface {surface:.2f}; families {named} of {len(hidden)}; first {first} of "
+        f"{len(absorbers)}, claimed {claims}, right {claimed}; candidates that hold {held}"
     )
+
+
+def rank_and_numbers(row: Row, temper: float, power: float) -> tuple[int, list[int]]:
+    """Return the true surface's rank, and how many surfaces hold each of `HELD`."""
+    chance = of_surfaces(row, temper, power)
+    order = np.argsort(-chance)
+    held = np.cumsum(chance[order]) / chance.sum()
+    numbers = [int(np.searchsorted(held, share)) + 1 for share in HELD]
+    return int(np.flatnonzero(order == row["surface"])[0]), numbers
 
 
 def left_out(rows: Sequence[Row]) -> str:
@@ -199,10 +218,10 @@ def main() -> None:
     with gzip.open(given.out, "rt", encoding="utf-8") as stream:
         rows = [json.loads(words) for words in stream]
     for data, words in DATA.items():
-        some = [row for row in rows if row["data"] == data]
+        some = [row for row in rows if row["data"] == data and row["score"] > THRESHOLD]
         hidden = [row for row in some if row["kind"] != NOTHING]
         named = sum(right_name(row, row["means"]) for row in hidden)
-        print(f"{words}: {len(some)} rooms in which means detect something; means alone name")
+        print(f"{words}: {len(some)} rooms in which something is detected; means alone name")
         print(f"  the right family of {named} of {len(hidden)}")
         for power in POWERS:
             for temper in TEMPERS:

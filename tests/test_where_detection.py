@@ -1,4 +1,4 @@
-"""Whether something is other than stated: positions and means over them in one score."""
+"""Whether something is other than stated: the positions decide."""
 
 from __future__ import annotations
 
@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.where.detection import MEANS, POSITIONS, Detection, evidence_of_means, of_means
+from rtcal.where.detection import (
+    OF_PROGRAMS,
+    THRESHOLD,
+    Detection,
+    evidence_of_means,
+    of_means,
+)
+from rtcal.where.hypotheses import shifts
+from rtcal.where.search import Evidence, Hypotheses, scores, weights
+from rtcal.where.shift import NOISE, POSITION, Spread
 from tests.test_where import MATCH, measured, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
@@ -20,14 +29,41 @@ def case() -> rt.where.Case:
     return rt.where.Case(simulator=tracing(stated()), measured=measured(True))
 
 
-def test_the_means_decide_where_they_are_asked() -> None:
-    alone = Detection(positions=20.0)
-    assert (alone.score, alone.threshold, alone.verdict) == (20.0, POSITIONS, None)
-    assert Detection(positions=20.0, means=-1.0).verdict == "hint"
-    assert Detection(positions=-1.0, means=-1.0).verdict == "none"
-    assert Detection(positions=-1.0, means=3.0).verdict is None
-    assert Detection(positions=-1.0, means=3.0, threshold_of_means=4.0).verdict == "hint"
-    assert Detection(positions=9.0, means=2.0, threshold_of_means=1.6).threshold == MEANS
+def test_the_positions_decide() -> None:
+    above, below = THRESHOLD + 0.1, THRESHOLD - 0.1
+    assert Detection(above).verdict is None
+    assert Detection(above, means=-1.0).verdict is None
+    assert Detection(below, means=9.0).verdict == "hint"
+    assert Detection(-0.1).verdict == "none"
+    assert Detection(above, threshold=OF_PROGRAMS).verdict == "hint"
+
+
+def test_a_noisy_pair_is_a_hint() -> None:
+    assert Detection(-5.0, noise=3.0).verdict == "hint"
+    assert Detection(-5.0, noise=-3.0).verdict == "none"
+
+
+def spread(effect: str) -> Spread:
+    return Spread(effect, "S1", 3.0, "", np.arange(1), np.eye(1), 0.5)
+
+
+def scored(of_noise: float, of_position: float, of_shift: float, case: rt.where.Case) -> float:
+    """The score where hypotheses have these log evidences, over that of nothing."""
+    one = next(s for s in shifts(case) if s.effect == "opening").some(slice(0, 1))
+    every = Hypotheses([one], [spread(NOISE), spread(POSITION)], off=0.0, unknown=False)
+    none = np.zeros(1)
+    spreads = [np.full(1, of_noise), np.full(1, of_position)]
+    evidence = Evidence(none, none - 99, none - 99, [np.full((1, 1), of_shift)], spreads)
+    return float(scores(weights(evidence, every, 1.0), every)[0][0])
+
+
+def test_a_noisy_pair_is_no_evidence_that_the_room_is_other_than_stated(
+    case: rt.where.Case,
+) -> None:
+    assert scored(0, 0, 0, case) == pytest.approx(0, abs=1e-9)
+    assert scored(20, 0, 0, case) < -10
+    assert scored(-50, 20, 0, case) > 10
+    assert scored(20, 0, 40, case) == pytest.approx(scored(0, -20, 20, case), abs=1e-3)
 
 
 def test_the_means_have_the_pairs_and_the_geometry_of_the_case(case: rt.where.Case) -> None:
@@ -64,8 +100,17 @@ def test_fewer_effects_are_asked_of_the_positions_alone(
     assert rt.where.find(case, **options) is None
 
 
+def test_a_search_for_a_noisy_pair_alone_has_its_evidence(case: rt.where.Case) -> None:
+    finding = rt.where.find(case, only=["noise"])
+    assert finding.score == finding.detection.noise
+    assert finding.to_dict()["nats_of_noise"] == finding.score
+    without = rt.where.find(case, without=["noise"])
+    assert without.detection.noise is None
+
+
 def test_a_finding_tells_what_means_and_positions_say(case: rt.where.Case) -> None:
     finding = rt.where.find(replace(case, match=MATCH))
     assert finding.detection.means is not None
     assert finding.detected == (finding.score > finding.threshold)
+    assert f"{finding.detection.means:+.1f} nats" in " ".join(str(finding).split())
     assert finding.to_dict()["nats_of_means"] == finding.detection.means

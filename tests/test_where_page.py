@@ -46,7 +46,7 @@ def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = (
         candidates=candidates,
         probabilities={"porous": 0.9, "none": 0.1},
         families={"added absorption": 0.9, "none": 0.1},
-        detection=Detection(positions=12.0, means=3.0),
+        detection=Detection(12.0, means=3.0),
         map=np.arange(8.0).reshape(shape) - 3,
         parameters=("t20", "edt"),
         pairs=case.simulator.pairs,

@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import rtcal as rt
-from rtcal.where.detection import Means
+from rtcal.where.detection import THRESHOLD, Means
 from rtcal.where.hypotheses import shifts
 from rtcal.where.search import (
     LEAST_BY_MEANS,
@@ -55,7 +55,7 @@ def test_the_families_of_the_means_are_multiplied_in(case: rt.where.Case) -> Non
 def test_a_finding_names_the_family_that_means_know_of(
     case: rt.where.Case, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The score of the means is the same; their families differ."""
+    """The positions say the same; the families of the means differ."""
     found = {}
     for family in ("added absorption, flat", "scale"):
         means = Means(5.0, 2.4, {family: 0.999, "none": 0.001})
@@ -66,8 +66,7 @@ def test_a_finding_names_the_family_that_means_know_of(
     flat, scale = found.values()
     assert flat.families["added absorption, flat"] > scale.families["added absorption, flat"]
     assert flat.families.get("scale", 0.0) < scale.families["scale"]
-    assert flat.detection.positions == pytest.approx(scale.detection.positions)
-    assert flat.score == scale.score == 5.0
+    assert flat.score == pytest.approx(scale.score)
     assert sum(flat.probabilities.values()) == pytest.approx(1)
 
 
@@ -75,6 +74,7 @@ def test_a_finding_names_the_family_that_means_know_of(
 def test_the_temper_is_that_of_the_best_score_in_the_rooms_that_chose_it(data: str) -> None:
     lines = decompress(where_temper.STORED.read_bytes()).splitlines()
     rows = [row for row in map(json.loads, lines) if row["data"] == data]
+    rows = [row for row in rows if row["score"] > THRESHOLD]
     by_temper = {
         temper: sum(where_temper.scores(rows, temper, MEANS_POWER))
         for temper in where_temper.TEMPERS
