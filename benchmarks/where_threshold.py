@@ -4,8 +4,8 @@
 
 They are drawn in the development rooms of tests/geometric_world. Their simulator's error is that of
 control runs that the covariance has not seen. What catalogues err by in common has heavy tails
-(Student's t), and their measurement errs as assumed. `TEMPER` is the mean square of a hypothesis' standardised
-projection. `python -m benchmarks.where_decides` has the scores of what was measured in these rooms.
+(Student's t), and their measurement errs as assumed. `TEMPER` is the mean square of a hypothesis'
+standardised projection. `python -m benchmarks.where_decides` has the scores of what was measured.
 """
 
 from __future__ import annotations

@@ -44,6 +44,9 @@ MOVE = 0.5
 _SOURCE_PATHS = 4000
 """Paths from each displaced source."""
 
+_MORE_PATHS = 8
+"""Factor of the paths to displaced places where one hears too few of them. In a judged room the
+search ended in an error."""
 _FEW_PATHS = 1600
 """Paths from each source that tell how long the others must be."""
 _SPARE = 1.15
@@ -322,7 +325,12 @@ def _moved(case: Case, match: Sequence[str], base: Array, seed: int) -> dict[str
         points: Mapping[str, object] = getattr(tracer, kind)
         fewer = min(tracer.n_paths, _SOURCE_PATHS) if kind == "sources" else tracer.n_paths
         changed = _retraced(tracer, **{kind: displaced(points)}, n_paths=fewer)
-        values = observe(changed, case.room.alpha, match, seed=seed).values
+        try:
+            heard = observe(changed, case.room.alpha, match, seed=seed)
+        except DataError:  # a decay with too few paths for its T20
+            changed = _retraced(changed, n_paths=_MORE_PATHS * fewer)
+            heard = observe(changed, case.room.alpha, match, seed=seed)
+        values = heard.values
         axis = 1 if kind == "sources" else 2
         sizes = list(shape)
         sizes[axis : axis + 1] = [len(points), len(steps)]
