@@ -142,7 +142,8 @@ def scores(rows: Sequence[Row], temper: float, power: float) -> tuple[float, flo
     for row in rows:
         if row["surface"] >= 0:
             chance = of_surfaces(row, temper, power)
-            surface.append(np.log(max(chance[row["surface"]] / chance.sum(), 1e-4)))
+            share = chance[row["surface"]] / max(chance.sum(), _SMALLEST)
+            surface.append(np.log(max(share, 1e-4)))
     return float(np.mean(family)), float(np.mean(surface))
 
 
@@ -178,8 +179,8 @@ def rank_and_numbers(row: Row, temper: float, power: float) -> tuple[int, list[i
     """Return the true surface's rank, and how many surfaces hold each of `HELD`."""
     chance = of_surfaces(row, temper, power)
     order = np.argsort(-chance)
-    held = np.cumsum(chance[order]) / chance.sum()
-    numbers = [int(np.searchsorted(held, share)) + 1 for share in HELD]
+    held = np.cumsum(chance[order]) / max(chance.sum(), _SMALLEST)
+    numbers = [min(int(np.searchsorted(held, share)) + 1, len(order)) for share in HELD]
     return int(np.flatnonzero(order == row["surface"])[0]), numbers
 
 
