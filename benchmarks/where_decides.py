@@ -23,7 +23,7 @@ from tests.geometric_world.rooms import NOTHING
 
 Row = dict[str, Any]
 FLAGGED = 1
-"""Rooms without anything hidden that each rule flags: 5 % of 21."""
+"""Rooms without anything hidden that each rule flags: one of 23."""
 RULES: dict[str, Callable[[Row], float]] = {
     "positions": lambda row: row["score"],
     "positions, noisy pairs too": lambda row: max(row["score"], row["noise"]),

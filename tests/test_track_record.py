@@ -82,7 +82,6 @@ def test_the_record_is_that_of_the_case_s_own_kind_of_data() -> None:
 
 @pytest.mark.parametrize(("data", "column"), [("without level", 3), ("with level", 4)])
 def test_what_a_finding_with_a_geometry_says_is_the_study_s(data: str, column: int) -> None:
-    """The table of the rule that means decide."""
     for label, stated in (
         ("nothing hidden, flagged", where_record.FLAGGED),
         ("something hidden, detected", where_record.DETECTED),

@@ -22,7 +22,7 @@ from rtcal.support.types import Array
 from rtcal.where.case import Case
 
 THRESHOLD = 2.5
-"""Of the evidence of the positions, in nats. In situ 1 of 21 rooms for development with nothing hidden
+"""Of the evidence of the positions, in nats. In situ 1 of 23 rooms for development with nothing hidden
 exceeds it without level, and 1 with it (`python -m benchmarks.where_decides`)."""
 OF_PROGRAMS = 13.0
 """The same where another program's values are compared, which errs in ways that control runs do not
