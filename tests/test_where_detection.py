@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.where import track_record
 from rtcal.where.detection import (
     OF_PROGRAMS,
     THRESHOLD,
@@ -41,6 +43,8 @@ def test_the_positions_decide() -> None:
 def test_a_noisy_pair_is_a_hint() -> None:
     assert Detection(-5.0, noise=3.0).verdict == "hint"
     assert Detection(-5.0, noise=-3.0).verdict == "none"
+    assert "noisier than assumed: +3.0 nats" in Detection(-5.0, noise=3.0).in_words
+    assert "noisier" not in Detection(THRESHOLD + 1, noise=3.0).in_words
 
 
 def spread(effect: str) -> Spread:
@@ -100,12 +104,38 @@ def test_fewer_effects_are_asked_of_the_positions_alone(
     assert rt.where.find(case, **options) is None
 
 
-def test_a_search_for_a_noisy_pair_alone_has_its_evidence(case: rt.where.Case) -> None:
+def test_a_search_for_a_noisy_pair_alone_detects_nothing(case: rt.where.Case) -> None:
     finding = rt.where.find(case, only=["noise"])
-    assert finding.score == finding.detection.noise
-    assert finding.to_dict()["nats_of_noise"] == finding.score
+    assert (finding.detected, finding.score) == (False, 0.0)
+    assert finding.to_dict()["nats_of_noise"] == finding.detection.noise
     without = rt.where.find(case, without=["noise"])
     assert without.detection.noise is None
+
+
+@pytest.mark.parametrize("effect", ["coefficients", "unknown"])
+def test_a_candidate_without_a_size_has_none_in_words_and_in_json(
+    case: rt.where.Case, effect: str
+) -> None:
+    """A full search ended `to_json` in a ValueError where one was among the first twenty."""
+    finding = rt.where.find(case, only=[effect])
+    said = json.loads(finding.to_json())["candidates"]
+    assert any(c["size"] is None for c in said)
+    assert "nan" not in str(finding)
+
+
+def test_the_record_is_that_of_what_was_measured(case: rt.where.Case) -> None:
+    """It was that of all that may be matched, with level, though none had been measured."""
+    whole = measured(True)
+    without = rt.Measurement(
+        centre_frequencies=whole.centre_frequencies,
+        values={name: v for name, v in whole.values.items() if name != "g"},
+        pairs=whole.pairs,
+    )
+    lacking = rt.where.Case(simulator=case.simulator, measured=without)
+    assert "level" in lacking.match
+    finding = rt.where.find(lacking)
+    assert track_record.sentence(case.room, finding.parameters) == finding.notes[0]
+    assert "level" not in finding.parameters
 
 
 def test_a_finding_tells_what_means_and_positions_say(case: rt.where.Case) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from rtcal.discrepancy.effects.coupled_room import CoupledRoom
 from rtcal.discrepancy.wording import amount
 from rtcal.support.files import json_numbers
@@ -30,7 +32,8 @@ class Candidate:
         the whole room.
     probability : float
     size, low, high : float
-        Posterior mean and 90 % interval, in ``unit``.
+        Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
+        "unknown".
     unit : str
     parameters : mapping of str to float
         The most probable ones.
@@ -81,17 +84,20 @@ class Candidate:
 
     @property
     def in_words(self) -> str:
-        """Size with its interval."""
+        """Size with its interval; "" where there is none."""
+        if not np.isfinite(self.size):
+            return ""
         return f"{amount(self.size, self.unit)} (90 %: {self.low:.3g} to {self.high:.3g})"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return {
             **{k: v for k, v in vars(self).items() if k not in _CONVERTED},
+            **{k: json_numbers(getattr(self, k)) for k in ("size", "low", "high")},
             "parameters": dict(self.parameters),
             "spectrum": json_numbers(self.spectrum),
             "parts": [{"middle": list(m), "probability": p} for m, p in self.parts],
         }
 
 
-_CONVERTED = ("spectrum", "parameters", "parts")
+_CONVERTED = ("size", "low", "high", "spectrum", "parameters", "parts")

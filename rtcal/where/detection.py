@@ -82,6 +82,8 @@ class Detection:
             f"Evidence that something is other than stated: {self.score:+.1f} nats; "
             f"threshold {self.threshold:.1f}."
         )
+        if self.verdict is not None and self.noise is not None and self.noise > 0:
+            said += f" That one pair is noisier than assumed: {self.noise:+.1f} nats."
         if self.means is None:
             return said
         return f"{said} Means over positions alone give {self.means:+.1f} nats."

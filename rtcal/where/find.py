@@ -291,14 +291,15 @@ def _misplaced(effect: str, place: str, members: Sequence[tuple[float, float, st
     sizes = np.array([size for _, size, _ in members])
     total = float(chances.sum())
     share = chances / total if total > 0 else np.full(len(chances), 1 / len(chances))
-    likely = sizes[share > 0.05]
+    likely = sizes[share >= min(0.05, share.max())]
+    size = float(np.clip(share @ sizes, likely.min(), likely.max()))
     return Candidate(
         effect=effect,
         family=MEASUREMENT,
         surface=None,
         place=place,
         probability=total,
-        size=float(share @ sizes),
+        size=size,
         low=float(likely.min()),
         high=float(likely.max()),
         unit=members[0][2],
@@ -355,7 +356,7 @@ def _finding(
         parameters=observations.parameters,
         pairs=observations.pairs,
         reasons=reasons,
-        notes=(track_record.sentence(case.room, case.match), *numbers.data.notes),
+        notes=(track_record.sentence(case.room, observations.parameters), *numbers.data.notes),
         controls=numbers.controls,
     )
 

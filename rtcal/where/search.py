@@ -139,7 +139,7 @@ def scores(posterior: Weights, hypotheses: Hypotheses) -> tuple[Array, Array]:
     """Return the evidence in nats that something is other than stated, and that a pair is noisy.
 
     Both (n_draws,). The first is against both others: nothing, and a noisy pair. The second is against
-    nothing. Where nothing else is tried than a noisy pair, the first is the second.
+    nothing. Where nothing else is tried than a noisy pair, the first is 0.
     """
     noisy = [
         w for s, w in zip(hypotheses.spreads, posterior.spreads, strict=True) if s.effect == NOISE
@@ -154,7 +154,7 @@ def scores(posterior: Weights, hypotheses: Hypotheses) -> tuple[Array, Array]:
     of_noise = sum(s.odds for s in hypotheses.spreads if s.effect == NOISE)
     of_nothing = np.logaddexp(posterior.none, hypotheses.log_prior(of_noise))
     if (of_nothing > -_TINY).all():
-        return noise - posterior.none, noise - posterior.none
+        return np.zeros_like(posterior.none), np.asarray(noise - posterior.none)
     prior = np.log1p(-np.exp(of_nothing)) - of_nothing
     score = logsumexp(np.array(other), axis=0) - nothing - prior
     return np.asarray(score), np.asarray(noise - posterior.none)
