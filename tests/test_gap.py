@@ -328,9 +328,10 @@ def differences(index: int) -> list[str]:
     finding = find(
         one, controls=[ControlRooms(c.engine, c.errors[:, :1]) for c in control_rooms(case)]
     )
-    # The control rooms were kept in single precision.
+    # The control rooms were kept in single precision. The threshold is a quantile of simulated rooms:
+    # on another processor it was 0.04 nats off.
     near = {
-        "threshold": finding.threshold == pytest.approx(stored_["threshold"], rel=0.02),
+        "threshold": finding.threshold == pytest.approx(stored_["threshold"], rel=0.02, abs=0.06),
         "verdict": finding.verdict == stored_["verdict"],
         "candidates": list(finding.candidates) == stored_["candidates"],
     } | {
