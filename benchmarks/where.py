@@ -60,7 +60,6 @@ from tests.geometric_world.load import (
 PATHS = 6000
 STATEMENTS = IN_SITU, HANDBOOK
 MATCH = ("t20", "edt", "c80", "ts", "level")
-STORED = HERE / "population_{}_results.jsonl.gz"
 PRESENT = "sixth"
 """Rooms that the present finder judged."""
 
@@ -72,7 +71,7 @@ def population_of(which: str) -> int:
 
 def stored_in(which: str) -> Path:
     """Return the file that has the rows of rooms ``which``."""
-    return Path(str(STORED).format(population_of(which)))
+    return HERE / f"population_{population_of(which)}_results.jsonl.gz"
 
 
 def case_of(room: GeometricRoom, data: str) -> rt.where.Case:

@@ -11,11 +11,10 @@ something.
 
 from __future__ import annotations
 
-import gzip
-import json
 from collections.abc import Callable
 from typing import Any
 
+from benchmarks.where import read
 from benchmarks.where_figures import DATA
 from benchmarks.where_temper import STORED
 from rtcal.where.detection import THRESHOLD
@@ -48,11 +47,10 @@ def counted(rows: list[Row], above: Callable[[Row], bool]) -> str:
 
 
 def main() -> None:
-    with gzip.open(STORED, "rt", encoding="utf-8") as stream:
-        stored = [json.loads(words) for words in stream]
+    stored = read(STORED)
     for data, words in DATA.items():
         rows = [row for row in stored if row["data"] == data and row["population"] != 1]
-        read = [row for row in stored if row["data"] == data and row["population"] == 1]
+        earlier = [row for row in stored if row["data"] == data and row["population"] == 1]
         print(f"{words}, populations 0 and 2: {FLAGGED} flagged, detected, threshold in nats")
         for name, score in RULES.items():
             threshold, number = detected(rows, score)
@@ -60,8 +58,10 @@ def main() -> None:
         positions = counted(rows, lambda row: row["score"] > THRESHOLD)
         means = counted(rows, lambda row: row["score_of_means"] > row["threshold_of_means"])
         print(f"  positions above {THRESHOLD:g}: {positions}; means above their own: {means}")
-        of_read = counted(read, lambda row: row["score"] > THRESHOLD)
-        print(f"  population 1, where means had detected: positions above {THRESHOLD:g}: {of_read}")
+        of_earlier = counted(earlier, lambda row: row["score"] > THRESHOLD)
+        print(
+            f"  population 1, where means had detected: positions above {THRESHOLD:g}: {of_earlier}"
+        )
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from benchmarks.where import case_of, prepared
+from benchmarks.where import case_of, prepared, read
 from benchmarks.where_figures import ABSORBERS, DATA, family_of, right_families
 from benchmarks.where_threshold import numbers_of
 from rtcal.discrepancy.prior import COEFFICIENTS, NONE
@@ -216,8 +216,7 @@ def main() -> None:
                         stream.write(json.dumps(row, separators=(",", ":")) + "\n")
                 print(index, data, None if row is None else row["kind"], flush=True)
         return
-    with gzip.open(given.out, "rt", encoding="utf-8") as stream:
-        rows = [json.loads(words) for words in stream]
+    rows = read(given.out)
     for data, words in DATA.items():
         some = [row for row in rows if row["data"] == data and row["score"] > THRESHOLD]
         hidden = [row for row in some if row["kind"] != NOTHING]

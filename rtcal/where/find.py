@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,7 +43,8 @@ from rtcal.where.search import (
     weights,
     with_families,
 )
-from rtcal.where.shift import MEASUREMENT, NOISE, POSITION, SCATTERING, UNKNOWN, Shift
+from rtcal.where.shift import NOISE, POSITION, SCATTERING, UNKNOWN, Shift
+from rtcal.where.summary import Summary, summary_of
 
 EFFECTS = (
     *(e.name for e in library()),
@@ -66,10 +67,6 @@ _ANYWHERE = (
     "one was detected, its aperture was on another surface than the most probable one."
 )
 """Why the surface of an aperture is not claimed (docs/where_study.md)."""
-_SPACING = 0.1
-"""Standard deviation of ln size within the grid's distance, which is 0.26."""
-_ADDED = "added absorption"
-_NORMAL_90 = 1.6449
 
 
 @single_threaded_blas()
@@ -195,135 +192,6 @@ def left_out_of(only: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
     return tuple(sorted(left))
 
 
-@dataclass(frozen=True, eq=False)
-class _Posterior:
-    """Probabilities of everything that may be other than stated."""
-
-    candidates: tuple[Candidate, ...]
-    probabilities: dict[str, float]
-    families: dict[str, float]
-    surfaces: dict[str, float]
-    on_surfaces: float
-
-
-def _posterior(case: Case, hypotheses: Hypotheses, posterior: Weights) -> _Posterior:
-    total = float(posterior.total[0])
-    names = list(case.faces)
-    grouped: dict[tuple[str, int | None, str], list[tuple[Shift, Array]]] = {}
-    for shift, logs in zip(hypotheses.shifts, posterior.shifts, strict=True):
-        key = (shift.effect, shift.surface, shift.place)
-        grouped.setdefault(key, []).append((shift, np.exp(logs[:, 0] - total)))
-    candidates = [_candidate(case, members) for members in grouped.values()]
-    places: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
-    for spread, log in zip(hypotheses.spreads, posterior.spreads, strict=True):
-        chance = float(np.exp(log[0] - total))
-        places.setdefault((spread.effect, spread.place), []).append(
-            (chance, spread.size, spread.unit)
-        )
-    for (effect, place), members in places.items():
-        candidates.append(_misplaced(effect, place, members))
-    for effect, log in ((COEFFICIENTS, posterior.coefficients), (UNKNOWN, posterior.unknown)):
-        chance = float(np.exp(log[0] - total))
-        if chance > 0:
-            candidates.append(_plain(effect, chance))
-    candidates.sort(key=lambda c: -c.probability)
-    probabilities = {NONE: float(np.exp(posterior.none[0] - total))}
-    families = dict(probabilities)
-    surfaces = dict.fromkeys(names, 0.0)
-    for c in candidates:
-        probabilities[c.effect] = probabilities.get(c.effect, 0.0) + c.probability
-        families[c.family] = families.get(c.family, 0.0) + c.probability
-        if c.surface is not None:
-            surfaces[c.surface] += c.probability
-    added = [p for f, p in families.items() if f.startswith(_ADDED)]
-    if len(added) > 1:
-        families[_ADDED] = sum(added)
-    on_surfaces = sum(surfaces.values())
-    shares = {n: p / on_surfaces if on_surfaces > 0 else 0.0 for n, p in surfaces.items()}
-    return _Posterior(
-        tuple(candidates), _sorted(probabilities), _sorted(families), _sorted(shares), on_surfaces
-    )
-
-
-def _sorted(values: Mapping[str, float]) -> dict[str, float]:
-    return dict(sorted(values.items(), key=lambda kv: -kv[1]))
-
-
-def _candidate(case: Case, members: Sequence[tuple[Shift, Array]]) -> Candidate:
-    """Return the candidate of an effect in one place: spread over a surface, and on its parts."""
-    shift = members[0][0]
-    chances = np.concatenate([some for _, some in members])
-    sizes = np.concatenate([member.sizes for member, _ in members])
-    total = float(chances.sum())
-    share = chances / total if total > 0 else np.full(len(chances), 1 / len(chances))
-    likely = int(np.argmax(share))
-    signed = bool((sizes <= 0).any())
-    scale = sizes if signed else np.log(sizes)
-    mean = float(share @ scale)
-    more = 0.0 if signed else _SPACING**2 + shift.size_error**2
-    deviation = float(np.sqrt(share @ (scale - mean) ** 2 + more))
-    ends = [mean, mean - _NORMAL_90 * deviation, mean + _NORMAL_90 * deviation]
-    size, low, high = ends if signed else np.exp(ends).tolist()
-    surface = None if shift.surface is None else list(case.faces)[shift.surface]
-    return Candidate(
-        effect=shift.effect,
-        family=shift.family,
-        surface=surface,
-        place=surface or shift.place,
-        probability=total,
-        size=size,
-        low=low,
-        high=high,
-        unit=shift.unit,
-        parameters=[p for member, _ in members for p in member.parameters][likely],
-        spectrum=np.asarray(share @ np.concatenate([member.spectra for member, _ in members])),
-        parts=tuple(
-            (case.divided.parts[member.part].middle, float(some.sum()))
-            for member, some in members
-            if member.part is not None
-        ),
-    )
-
-
-def _misplaced(effect: str, place: str, members: Sequence[tuple[float, float, str]]) -> Candidate:
-    """Return a candidate of the measurement: its sizes are those that are tried."""
-    chances = np.array([chance for chance, _, _ in members])
-    sizes = np.array([size for _, size, _ in members])
-    total = float(chances.sum())
-    share = chances / total if total > 0 else np.full(len(chances), 1 / len(chances))
-    likely = sizes[share >= min(0.05, share.max())]
-    size = float(np.clip(share @ sizes, likely.min(), likely.max()))
-    return Candidate(
-        effect=effect,
-        family=MEASUREMENT,
-        surface=None,
-        place=place,
-        probability=total,
-        size=size,
-        low=float(likely.min()),
-        high=float(likely.max()),
-        unit=members[0][2],
-        parameters={},
-        spectrum=np.zeros(0),
-    )
-
-
-def _plain(effect: str, chance: float) -> Candidate:
-    return Candidate(
-        effect=effect,
-        family=effect,
-        surface=None,
-        place="",
-        probability=chance,
-        size=float("nan"),
-        low=float("nan"),
-        high=float("nan"),
-        unit="",
-        parameters={},
-        spectrum=np.zeros(0),
-    )
-
-
 def _finding(
     case: Case,
     numbers: Model,
@@ -332,7 +200,7 @@ def _finding(
     likelihood: Likelihood,
     detected: Detection,
 ) -> Finding:
-    summary = _posterior(case, hypotheses, posterior)
+    summary = summary_of(case, hypotheses, posterior)
     groups = _groups(case, hypotheses, summary, likelihood)
     verdict, effect, family = _claimed(summary, detected)
     reasons = _reasons(hypotheses, summary, verdict)
@@ -361,7 +229,7 @@ def _finding(
     )
 
 
-def _claimed(summary: _Posterior, detected: Detection) -> tuple[str, str | None, str | None]:
+def _claimed(summary: Summary, detected: Detection) -> tuple[str, str | None, str | None]:
     """Return the verdict, and the effect and the family that are claimed."""
     if detected.verdict is not None:
         return detected.verdict, None, None
@@ -376,7 +244,7 @@ def _claimed(summary: _Posterior, detected: Detection) -> tuple[str, str | None,
     return ("ambiguous" if family is None else "family"), None, family
 
 
-def _reasons(hypotheses: Hypotheses, summary: _Posterior, verdict: str) -> tuple[str, ...]:
+def _reasons(hypotheses: Hypotheses, summary: Summary, verdict: str) -> tuple[str, ...]:
     """Return why the most probable surface is not claimed."""
     if verdict not in ("named", "family", "ambiguous"):
         return ()
@@ -402,7 +270,7 @@ def _map(numbers: Model, likelihood: Likelihood) -> Array:
 def _groups(
     case: Case,
     hypotheses: Hypotheses,
-    summary: _Posterior,
+    summary: Summary,
     likelihood: Likelihood,
 ) -> tuple[tuple[str, ...], ...]:
     """Return the surfaces that the most probable effect, in its size, does not tell apart.

@@ -327,6 +327,8 @@ def _moved(case: Case, match: Sequence[str], base: Array, seed: int) -> dict[str
         changed = _retraced(tracer, **{kind: displaced(points)}, n_paths=fewer)
         try:
             heard = observe(changed, case.room.alpha, match, seed=seed)
+        except TooShortError:  # more paths would be as short
+            raise
         except DataError:  # a decay with too few paths for its T20
             changed = _retraced(changed, n_paths=_MORE_PATHS * fewer)
             heard = observe(changed, case.room.alpha, match, seed=seed)

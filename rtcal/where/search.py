@@ -28,8 +28,6 @@ MEANS_POWER = 0.5
 positions (`python -m benchmarks.where_temper`). Both see the same T, so neither counts in full."""
 LEAST_BY_MEANS = 1e-3
 """Least probability of a family by means: they have other effects, and err by more than they know."""
-
-
 _TINY = 1e-9
 """Prior probability below which nothing else than a noisy pair is tried."""
 
@@ -141,23 +139,19 @@ def scores(posterior: Weights, hypotheses: Hypotheses) -> tuple[Array, Array]:
     Both (n_draws,). The first is against both others: nothing, and a noisy pair. The second is against
     nothing. Where nothing else is tried than a noisy pair, the first is 0.
     """
-    noisy = [
-        w for s, w in zip(hypotheses.spreads, posterior.spreads, strict=True) if s.effect == NOISE
-    ]
-    other = [
-        w for s, w in zip(hypotheses.spreads, posterior.spreads, strict=True) if s.effect != NOISE
-    ]
+    noisy, other = [np.full_like(posterior.none, -np.inf)], list[Array]()
+    for spread, weight in zip(hypotheses.spreads, posterior.spreads, strict=True):
+        (noisy if spread.effect == NOISE else other).append(weight)
     other += [posterior.coefficients, posterior.unknown]
     other += [np.asarray(logsumexp(w, axis=0)) for w in posterior.shifts]
-    noise = logsumexp(np.array([np.full_like(posterior.none, -np.inf), *noisy]), axis=0)
-    nothing = np.logaddexp(posterior.none, noise)
-    of_noise = sum(s.odds for s in hypotheses.spreads if s.effect == NOISE)
-    of_nothing = np.logaddexp(posterior.none, hypotheses.log_prior(of_noise))
-    if (of_nothing > -_TINY).all():
-        return np.zeros_like(posterior.none), np.asarray(noise - posterior.none)
-    prior = np.log1p(-np.exp(of_nothing)) - of_nothing
-    score = logsumexp(np.array(other), axis=0) - nothing - prior
-    return np.asarray(score), np.asarray(noise - posterior.none)
+    of_pair = logsumexp(np.array(noisy), axis=0)
+    nothing = np.logaddexp(posterior.none, of_pair)
+    odds = sum(s.odds for s in hypotheses.spreads if s.effect == NOISE)
+    prior = np.logaddexp(posterior.none, hypotheses.log_prior(odds))  # of nothing
+    score = np.zeros_like(prior)
+    if (prior < -_TINY).all():
+        score = logsumexp(np.array(other), axis=0) - nothing - np.log1p(-np.exp(prior)) + prior
+    return np.asarray(score), np.asarray(of_pair - posterior.none)
 
 
 def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float = TEMPER) -> Weights:

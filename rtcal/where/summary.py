@@ -1,0 +1,159 @@
+"""What the weights of a search say of each effect, family and surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.discrepancy.prior import COEFFICIENTS, NONE
+from rtcal.support.types import Array
+from rtcal.where.candidate import Candidate
+from rtcal.where.case import Case
+from rtcal.where.search import Hypotheses, Weights
+from rtcal.where.shift import MEASUREMENT, UNKNOWN, Shift
+
+_SPACING = 0.1
+"""Standard deviation of ln size within the grid's distance, which is 0.26."""
+_ADDED = "added absorption"
+_NORMAL_90 = 1.6449
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """Probabilities of everything that may be other than stated; see `rtcal.where.finding.Finding`.
+
+    ``on_surfaces`` is the probability that something stands on a surface.
+    """
+
+    candidates: tuple[Candidate, ...]
+    probabilities: dict[str, float]
+    families: dict[str, float]
+    surfaces: dict[str, float]
+    on_surfaces: float
+
+
+def summary_of(case: Case, hypotheses: Hypotheses, posterior: Weights) -> Summary:
+    """Return what the weights of a single set of residuals say."""
+    total = float(posterior.total[0])
+    names = list(case.faces)
+    grouped: dict[tuple[str, int | None, str], list[tuple[Shift, Array]]] = {}
+    for shift, logs in zip(hypotheses.shifts, posterior.shifts, strict=True):
+        key = (shift.effect, shift.surface, shift.place)
+        grouped.setdefault(key, []).append((shift, np.exp(logs[:, 0] - total)))
+    candidates = [_candidate(case, members) for members in grouped.values()]
+    places: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
+    for spread, log in zip(hypotheses.spreads, posterior.spreads, strict=True):
+        chance = float(np.exp(log[0] - total))
+        places.setdefault((spread.effect, spread.place), []).append(
+            (chance, spread.size, spread.unit)
+        )
+    for (effect, place), members in places.items():
+        candidates.append(_misplaced(effect, place, members))
+    for effect, log in ((COEFFICIENTS, posterior.coefficients), (UNKNOWN, posterior.unknown)):
+        chance = float(np.exp(log[0] - total))
+        if chance > 0:
+            candidates.append(_plain(effect, chance))
+    candidates.sort(key=lambda c: -c.probability)
+    probabilities = {NONE: float(np.exp(posterior.none[0] - total))}
+    families = dict(probabilities)
+    surfaces = dict.fromkeys(names, 0.0)
+    for c in candidates:
+        probabilities[c.effect] = probabilities.get(c.effect, 0.0) + c.probability
+        families[c.family] = families.get(c.family, 0.0) + c.probability
+        if c.surface is not None:
+            surfaces[c.surface] += c.probability
+    added = [p for f, p in families.items() if f.startswith(_ADDED)]
+    if len(added) > 1:
+        families[_ADDED] = sum(added)
+    on_surfaces = sum(surfaces.values())
+    shares = {n: p / on_surfaces if on_surfaces > 0 else 0.0 for n, p in surfaces.items()}
+    return Summary(
+        tuple(candidates), _sorted(probabilities), _sorted(families), _sorted(shares), on_surfaces
+    )
+
+
+def _sorted(values: Mapping[str, float]) -> dict[str, float]:
+    return dict(sorted(values.items(), key=lambda kv: -kv[1]))
+
+
+def _shares(chances: Array) -> Array:
+    """Return probabilities over their sum, equal ones where all are 0."""
+    total = chances.sum()
+    return chances / total if total > 0 else np.full(len(chances), 1 / len(chances))
+
+
+def _candidate(case: Case, members: Sequence[tuple[Shift, Array]]) -> Candidate:
+    """Return the candidate of an effect in one place: spread over a surface, and on its parts."""
+    shift = members[0][0]
+    chances = np.concatenate([some for _, some in members])
+    sizes = np.concatenate([member.sizes for member, _ in members])
+    total = float(chances.sum())
+    share = _shares(chances)
+    likely = int(np.argmax(share))
+    signed = bool((sizes <= 0).any())
+    scale = sizes if signed else np.log(sizes)
+    mean = float(share @ scale)
+    more = 0.0 if signed else _SPACING**2 + shift.size_error**2
+    deviation = float(np.sqrt(share @ (scale - mean) ** 2 + more))
+    ends = [mean, mean - _NORMAL_90 * deviation, mean + _NORMAL_90 * deviation]
+    size, low, high = ends if signed else np.exp(ends).tolist()
+    surface = None if shift.surface is None else list(case.faces)[shift.surface]
+    return Candidate(
+        effect=shift.effect,
+        family=shift.family,
+        surface=surface,
+        place=surface or shift.place,
+        probability=total,
+        size=size,
+        low=low,
+        high=high,
+        unit=shift.unit,
+        parameters=[p for member, _ in members for p in member.parameters][likely],
+        spectrum=np.asarray(share @ np.concatenate([member.spectra for member, _ in members])),
+        parts=tuple(
+            (case.divided.parts[member.part].middle, float(some.sum()))
+            for member, some in members
+            if member.part is not None
+        ),
+    )
+
+
+def _misplaced(effect: str, place: str, members: Sequence[tuple[float, float, str]]) -> Candidate:
+    """Return a candidate of the measurement: its sizes are those that are tried."""
+    chances = np.array([chance for chance, _, _ in members])
+    sizes = np.array([size for _, size, _ in members])
+    total = float(chances.sum())
+    share = _shares(chances)
+    likely = sizes[share >= min(0.05, share.max())]
+    size = float(np.clip(share @ sizes, likely.min(), likely.max()))
+    return Candidate(
+        effect=effect,
+        family=MEASUREMENT,
+        surface=None,
+        place=place,
+        probability=total,
+        size=size,
+        low=float(likely.min()),
+        high=float(likely.max()),
+        unit=members[0][2],
+        parameters={},
+        spectrum=np.zeros(0),
+    )
+
+
+def _plain(effect: str, chance: float) -> Candidate:
+    return Candidate(
+        effect=effect,
+        family=effect,
+        surface=None,
+        place="",
+        probability=chance,
+        size=float("nan"),
+        low=float("nan"),
+        high=float("nan"),
+        unit="",
+        parameters={},
+        spectrum=np.zeros(0),
+    )
