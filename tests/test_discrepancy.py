@@ -746,9 +746,8 @@ def test_what_was_added_must_be_in_the_library() -> None:
     data = opened().to_dict() | {"present": [{"effect": "ghost", "parameters": {"size": 1.0}}]}
     with pytest.raises(DataError, match='effect "ghost" is not in the library'):
         Case.from_dict(data)
-    lacking = replace(opened(), applied=[AppliedEffect("opening", {})])
-    with pytest.raises(DataError, match='"opening": change with no parameter raises KeyError'):
-        predict_hypotheses(lacking, [])
+    with pytest.raises(DataError, match='"opening" has no "area"; it has area'):
+        AppliedEffect("opening", {})
 
 
 def test_nothing_outside_an_effect_asks_for_its_name() -> None:

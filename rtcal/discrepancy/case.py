@@ -17,6 +17,7 @@ from rtcal.discrepancy import case_files
 from rtcal.discrepancy.case_checks import check_configuration, check_room, in_room_bands, shares
 from rtcal.discrepancy.configuration import Configuration, checked_uncertainty
 from rtcal.discrepancy.effects import Effect, library
+from rtcal.discrepancy.effects.checks import check_parameters
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -51,7 +52,8 @@ class AppliedEffect:
     Raises
     ------
     DataError
-        If ``custom`` is not stated and the library has no effect of this name.
+        If ``custom`` is not stated and the library has no effect of this name, or if a parameter is
+        missing or outside the effect's `Effect.limits`.
     """
 
     name: str
@@ -73,6 +75,7 @@ class AppliedEffect:
                 raise DataError(f"effect: custom = {self.custom!r} is no rtcal.discrepancy.Effect")
         elif self.name not in {e.name for e in library()}:
             raise DataError(f'effect "{self.name}" is not in the library')
+        check_parameters(self.effect, self.parameters, interval=self.size_interval)
 
     @classmethod
     @checked
@@ -173,6 +176,8 @@ class Case:
             )
         object.__setattr__(self, "climate_uncertainty", tuple(climate.tolist()))
         check_room(self.room)
+        for added in self.applied:
+            check_parameters(added.effect, added.parameters, self.room, added.size_interval)
         configurations = tuple(in_room_bands(self.room, c) for c in self.configurations)
         object.__setattr__(self, "configurations", configurations)
         for c in self.configurations:

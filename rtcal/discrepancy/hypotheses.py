@@ -100,7 +100,7 @@ def predict_hypotheses(
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
-        grids = [checked_grid(effect, base[0]) for effect in effects]
+        grids = [checked_grid(effect, base[0], case.room) for effect in effects]
         weights = [grid_weights(e, grid, base[0]) for e, grid in zip(effects, grids, strict=True)]
     else:
         weights = [np.full(len(grid), 1 / len(grid)) for grid in grids]
@@ -215,10 +215,15 @@ def _applied(case: Case) -> LowRank:
     base = features(case.applied) if case.applied else diagonal
     for i, a in enumerate(case.applied):
         if a.size_sigma > 0:
-            size = a.effect.size
-            larger = {**a.parameters, size: a.parameters[size] + a.size_sigma}
+            size, most = (
+                a.effect.size,
+                a.effect.limits(case.room).get(a.effect.size, (0.0, np.inf))[1],
+            )
+            larger = a.parameters[size] + a.size_sigma
+            # Near the end of what is possible, the size by as much smaller: only the square counts.
+            other = larger if larger <= most else a.parameters[size] - a.size_sigma
             others = list(case.applied)
-            others[i] = replace(a, parameters=larger)
+            others[i] = replace(a, parameters={**a.parameters, size: other})
             columns.append((features(others) - base)[:, None])
         without = features([other for other in case.applied if other is not a])
         d = (base - without).reshape(len(case.configurations), len(FEATURES), -1)

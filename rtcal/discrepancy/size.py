@@ -74,28 +74,36 @@ def estimate_size(
     sizes = np.array([theta[effect.size] for theta in grid])
     logs = bool(sizes.min() > 0)
     low, high = float(sizes.min()), float(sizes.max())
-    first, last = (np.log(low / 3), np.log(high * 3)) if logs else (low - 10, high + 10)
+    possible = effect.limits(case.room).get(effect.size, (-np.inf, np.inf))
+    if logs:
+        first, last = np.log(low / 3), np.log(high * 3)
+        ends = np.log(np.maximum(possible, low / 1e6))
+    else:
+        first, last, ends = low - 10, high + 10, np.array(possible)
 
     def size_of(x: Array) -> Array:
-        return np.exp(x) if logs else x
+        return np.clip(np.exp(x), *possible) if logs else x
 
     def at(x: Array, kinds: Sequence[Any]) -> Array:
         return evaluated([{**dict(k), effect.size: float(s)} for k in kinds for s in size_of(x)])
 
-    fine = np.linspace(first, last, 25)
+    def steps(first: float, last: float, count: int) -> Array:
+        return np.linspace(max(first, ends[0]), min(last, ends[1]), count)
+
+    fine = steps(first, last, 25)
     log_p = at(fine, likely[:1])
     if precise:
         likely_range = fine[log_p > log_p.max() - _NEGLIGIBLE]
         step = fine[1] - fine[0] + 2.6 * effect.size_error
-        fine = np.linspace(likely_range[0] - step, likely_range[-1] + step, 37)
+        fine = steps(likely_range[0] - step, likely_range[-1] + step, 37)
         log_p = at(fine, likely)
     else:
         likely = likely[:1]
     by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
     by_size = _widened(by_size, fine, effect.size_error)
     cumulated = np.cumsum(by_size) - 0.5 * by_size
-    ends = [float(np.interp(q, cumulated, size_of(fine))) for q in (0.05, 0.95)]
-    return best, Size(float(by_size @ size_of(fine)), ends[0], ends[1], effect.unit)
+    interval = [float(np.interp(q, cumulated, size_of(fine))) for q in (0.05, 0.95)]
+    return best, Size(float(by_size @ size_of(fine)), interval[0], interval[1], effect.unit)
 
 
 def _widened(p: Array, at: Array, spread: float) -> Array:

@@ -2,7 +2,7 @@
 
 from rtcal.discrepancy.effects.air import OmittedAir
 from rtcal.discrepancy.effects.audience import Audience
-from rtcal.discrepancy.effects.base import Absorber, Effect, Parameters
+from rtcal.discrepancy.effects.base import Absorber, Effect, Limits, Parameters
 from rtcal.discrepancy.effects.coupled_room import CoupledRoom
 from rtcal.discrepancy.effects.covered import CoveredSurface
 from rtcal.discrepancy.effects.curtain import Curtain
@@ -17,7 +17,7 @@ from rtcal.discrepancy.effects.porous import Porous
 from rtcal.discrepancy.effects.resonator import Resonator
 from rtcal.discrepancy.effects.stated import WrongArea, WrongFormula, WrongVolume
 
-__all__ = ["Absorber", "Effect", "Parameters", "library"]
+__all__ = ["Absorber", "Effect", "Limits", "Parameters", "library"]
 
 
 def library() -> tuple[Effect, ...]:

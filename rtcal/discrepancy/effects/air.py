@@ -12,7 +12,7 @@ import numpy as np
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Effect, Parameters, read_only
+from rtcal.discrepancy.effects.base import Effect, Limits, Parameters, read_only
 from rtcal.discrepancy.model import State
 from rtcal.support.types import Array
 
@@ -39,6 +39,10 @@ class OmittedAir(Effect):
         temperatures = (10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 35.0)
         humidities = (8.0, 13.0, 20.0, 27.0, 35.0, 45.0, 57.0, 70.0, 95.0)
         return [{"temperature": t, "humidity": h} for t, h in product(temperatures, humidities)]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return the range of ISO 9613-1."""
+        return {"temperature": (-20.0, 50.0), "humidity": (1.01, 100.0)}
 
     def density(self, parameters: Parameters, state: State) -> float:
         """Return the density of an indoor climate: even over `INDOORS`, normal tails beyond it."""

@@ -8,9 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from rtcal.acoustics.room import Room
 from rtcal.discrepancy.effects.base import (
     AbsorbingObject,
+    Limits,
     Parameters,
+    all_surfaces,
     interpolate_octaves,
     middle_absorption,
 )
@@ -41,6 +44,10 @@ class Audience(AbsorbingObject):
         """Return 0.08 to 1.3 times the room's absorption area."""
         sizes = np.geomspace(0.08, 1.3, 10) * middle_absorption(state)
         return [{"absorption_area": float(a)} for a in sizes]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return what covers at most all surfaces."""
+        return {self.size: (0.0, SEATED_ALPHA * all_surfaces(room))}
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the audience."""

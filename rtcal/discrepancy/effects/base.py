@@ -11,13 +11,15 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import LARGEST, Room
 from rtcal.discrepancy.model import Decay, State
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.types import Array
 
 Parameters = Mapping[str, float]
+Limits = Mapping[str, tuple[float, float]]
+"""Least and largest possible value of each parameter."""
 
 
 class Effect(ABC):
@@ -105,6 +107,14 @@ class Effect(ABC):
         """
         return 1.0
 
+    def limits(self, room: Room | None) -> Limits:
+        """Return where the physics of the parameters ends, in this room; None: in any room.
+
+        A size is sought and stated within them, and a case refuses parameters outside. A parameter
+        that is not among them may have any value; by default, none is.
+        """
+        return {}
+
     def prior_odds(self, room: Room) -> float:
         """Return the prior odds of the effect in this room, against the others: `odds`."""
         return self.odds
@@ -178,6 +188,10 @@ class Absorber(AbsorbingObject):
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, (n_bands,)."""
 
+    def limits(self, room: Room | None) -> Limits:
+        """Return an area from 0 to that of all surfaces."""
+        return {self.size: (0.0, all_surfaces(room))}
+
     def wall_area(self, parameters: Parameters) -> float:
         """Return the absorber's area."""
         return float(parameters[self.size])
@@ -211,6 +225,11 @@ def checked_spectrum(name: str, alpha: object, frequencies: Array) -> Array:
         k = int(np.argmin((array >= 0) & (array <= 1)))
         raise DataError(f"{where} at {bands.label(frequencies[k])} = {array[k]:g} is not in [0, 1]")
     return array
+
+
+def all_surfaces(room: Room | None) -> float:
+    """Return the area of all surfaces in m²; of any room, the largest that a room may have."""
+    return LARGEST if room is None else room.total_area
 
 
 def middle_absorption(state: State) -> float:

@@ -11,10 +11,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rtcal.acoustics.equations import mean_equation
-from rtcal.discrepancy.effects.base import Effect, Parameters
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Effect, Limits, Parameters
 from rtcal.discrepancy.model import Decay, State
 from rtcal.errors import DataError, RtcalError
 from rtcal.support import checks
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
 T = TypeVar("T")
@@ -66,8 +68,11 @@ def _check(place: str, effect: Any) -> None:
     checks.listed(f"{where}: discrete", getattr(effect, "discrete", None))
 
 
-def checked_grid(effect: Effect, state: State) -> Sequence[Parameters]:
-    """Return the effect's grid: at least one set of the same finite numbers, its size among them."""
+def checked_grid(effect: Effect, state: State, room: Room | None = None) -> Sequence[Parameters]:
+    """Return the effect's grid: at least one set of the same finite numbers, its size among them.
+
+    Sets outside the limits of the room (`Effect.limits`) are left out, if others are within.
+    """
     where = f'effect "{effect.name}": grid'
     grid = checks.listed(where, _run(where, lambda: effect.grid(state)))
     if not grid:
@@ -81,7 +86,44 @@ def checked_grid(effect: Effect, state: State) -> Sequence[Parameters]:
         for name, value in theta.items():
             if not isfinite(checks.number(f"{where}: {name}", value)):
                 raise DataError(f"{where}: {name} = {value:g} is not finite")
-    return grid
+    limits = _limits(effect, room)
+    possible = [
+        theta
+        for theta in grid
+        if all(least <= theta.get(k, least) <= most for k, (least, most) in limits.items())
+    ]
+    return possible or grid
+
+
+def check_parameters(
+    effect: Effect,
+    parameters: Parameters,
+    room: Room | None = None,
+    interval: tuple[float, float] | None = None,
+) -> None:
+    """Refuse parameters that are missing or outside the effect's `Effect.limits`.
+
+    ``room`` narrows the limits; without one, they are those that hold in any room. The size's
+    ``interval`` lies within them, too.
+    """
+    where, limits = f'effect "{effect.name}"', _limits(effect, room)
+    place = "" if room is None else f' in "{shortened(room.name)}"'
+    for name, (least, most) in limits.items():
+        if name not in parameters:
+            raise DataError(f'{where} has no "{name}"; it has {", ".join(limits)}')
+        stated = [(name, parameters[name])]
+        if name == effect.size and interval is not None:
+            stated += [("size_interval", end) for end in interval]
+        for what, value in stated:
+            if not (isfinite(value) and least <= value <= most):
+                raise DataError(f"{where}: {what} = {value:g} is not {_rule(least, most)}{place}")
+        if name in effect.discrete and parameters[name] != int(parameters[name]):
+            raise DataError(f"{where}: {name} = {parameters[name]:g} is not a whole number")
+
+
+def _limits(effect: Effect, room: Room | None) -> Limits:
+    where = f'effect "{effect.name}": limits'
+    return checks.mapped(where, _run(where, lambda: effect.limits(room)))
 
 
 def changed_states(effect: Effect, state: State, grid: Sequence[Parameters]) -> list[State]:

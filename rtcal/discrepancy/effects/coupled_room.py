@@ -9,7 +9,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.discrepancy.effects.base import Effect, Parameters, first_decay, middle_absorption
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import (
+    Effect,
+    Limits,
+    Parameters,
+    all_surfaces,
+    first_decay,
+    middle_absorption,
+)
 from rtcal.discrepancy.model import Decay, State, rates
 
 
@@ -41,6 +49,10 @@ class CoupledRoom(Effect):
                 np.geomspace(0.05, 1.2, 8), np.geomspace(0.2, 3, 4), np.geomspace(0.02, 0.3, 4)
             )
         ]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return an aperture in the surfaces, and a room of 1 l or more that reflects something."""
+        return {"aperture": (0.0, all_surfaces(room)), "volume": (1e-3, 1e8), "alpha": (0.0, 0.999)}
 
     def wall_area(self, parameters: Parameters) -> float:
         """Return the aperture."""

@@ -9,7 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.discrepancy.effects.base import Parameters
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Limits, Parameters
 from rtcal.discrepancy.effects.stated import OfMaterial
 from rtcal.discrepancy.model import State
 
@@ -40,9 +41,13 @@ class CoveredSurface(OfMaterial):
         rows = rows if len(rows) else np.array([int(np.argmax(middle))])
         return [{"material": float(j), "share": s} for j, s in product(rows, self.SHARES)]
 
+    def limits(self, room: Room | None) -> Limits:
+        """Return a material of the room, and a share from 0 to 1."""
+        return {**super().limits(room), "share": (0.0, 1.0)}
+
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with that share of the material covered."""
         alpha, row = np.array(state.alpha), int(parameters["material"])
-        share = min(parameters["share"], 1.0)
+        share = parameters["share"]
         alpha[row] = (1 - share) * alpha[row] + share * np.minimum(HARD, alpha[row])
         return replace(state, alpha=alpha)

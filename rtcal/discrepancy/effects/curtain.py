@@ -10,7 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.discrepancy.effects.base import Absorber, Parameters, read_only
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Absorber, Limits, Parameters, read_only
 from rtcal.support.types import Array
 
 _MASS = 0.4
@@ -38,6 +39,10 @@ class Curtain(Absorber):
         "airspace": " m",
         "flow_resistance": " ρc",
     }
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return an area of wall, 1 mm to 100 m of air and 0.001 to 1000 rho c."""
+        return {**super().limits(room), "airspace": (1e-3, 100.0), "flow_resistance": (1e-3, 1e3)}
 
     def kinds(self) -> Sequence[Parameters]:
         """Return 0.05 to 0.6 m of air and 0.4 to 2.5 rho c of flow resistance."""

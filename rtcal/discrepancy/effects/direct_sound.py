@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from rtcal.discrepancy.effects.base import Effect, Parameters
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Effect, Limits, Parameters
 from rtcal.discrepancy.model import State
 
 
@@ -27,6 +28,10 @@ class DirectSound(Effect):
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return -9 to +9 dB."""
         return [{"gain": g} for g in (-9.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 9.0)]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return -40 to +40 dB, beyond any loudspeaker's directivity."""
+        return {"gain": (-40.0, 40.0)}
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the direct sound so much stronger."""

@@ -8,8 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from rtcal.acoustics.room import Room
 from rtcal.discrepancy.effects.base import (
     AbsorbingObject,
+    Limits,
     Parameters,
     interpolate_octaves,
     middle_absorption,
@@ -35,6 +37,10 @@ class Furniture(AbsorbingObject):
         """Return 0.05 to 1.1 times the room's absorption area."""
         sizes = np.geomspace(0.05, 1.1, 12) * middle_absorption(state)
         return [{"absorption_area": float(a)} for a in sizes]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return 0 or more: objects need no wall."""
+        return {self.size: (0.0, np.inf)}
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the objects."""

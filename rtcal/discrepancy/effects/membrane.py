@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar
 
-from rtcal.discrepancy.effects.base import Absorber, Parameters
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Absorber, Limits, Parameters
 from rtcal.discrepancy.effects.resonator import resonance_alpha
 from rtcal.support.types import Array
 
@@ -33,6 +34,10 @@ class Membrane(Absorber):
         "mass": " kg/m²",
         "airspace": " m",
     }
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return an area of wall, 1 g/m² to 10 t/m² and 0.1 mm to 10 m of air."""
+        return {**super().limits(room), "mass": (1e-3, 1e4), "airspace": (1e-4, 10.0)}
 
     def kinds(self) -> Sequence[Parameters]:
         """Return 5 and 10 kg/m² before 0.02 to 0.2 m of air: 42 to 190 Hz."""

@@ -9,7 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.discrepancy.effects.base import Effect, Parameters
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Effect, Limits, Parameters
 from rtcal.discrepancy.model import State
 
 
@@ -32,6 +33,10 @@ class NoiseFloor(Effect):
         """Return -62 to -30 dB, over 1.5 and 2.5 reverberation times."""
         levels = np.linspace(-62, -30, 17).tolist()
         return [{"level": x, "record": r} for x, r in product(levels, (1.5, 2.5))]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return noise that is weaker than the start of the decay, over 0.1 T or longer."""
+        return {"level": (-200.0, 0.0), "record": (0.1, 100.0)}
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with this noise in its decays."""

@@ -9,7 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.discrepancy.effects.base import Effect, Parameters, first_decay
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Effect, Limits, Parameters, first_decay
 from rtcal.discrepancy.model import Decay, State, surface_absorption
 from rtcal.support.types import Array
 
@@ -38,6 +39,10 @@ class NonDiffuse(Effect):
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return s = 0.01 to 0.3."""
         return [{"scattering": float(s)} for s in np.geomspace(0.01, 0.3, 9)]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return 0 to 1."""
+        return {"scattering": (0.0, 1.0)}
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with this scattering."""

@@ -8,8 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from rtcal.acoustics.room import Room
 from rtcal.discrepancy.effects.base import (
     AbsorbingObject,
+    Limits,
     Parameters,
     interpolate_octaves,
     middle_absorption,
@@ -43,6 +45,10 @@ class People(AbsorbingObject):
         """Return as many as make 0.08 to 1.3 times the room's absorption area at 1 kHz."""
         counts = np.geomspace(0.08, 1.3, 10) * middle_absorption(state) / AT_1_KHZ
         return [{"persons": float(n)} for n in counts]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return 0 or more: objects need no wall."""
+        return {self.size: (0.0, np.inf)}
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the people."""

@@ -10,7 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.discrepancy.effects.base import Absorber, Parameters, read_only
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Absorber, Limits, Parameters, read_only
 from rtcal.support.types import Array
 
 
@@ -32,6 +33,10 @@ class Porous(Absorber):
         "thickness": " m",
         "flow_resistivity": " Pa s/m²",
     }
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return an area of wall, 0.1 mm to 10 m and 1 Pa s/m² to 1 GPa s/m²."""
+        return {**super().limits(room), "thickness": (1e-4, 10.0), "flow_resistivity": (1.0, 1e9)}
 
     def kinds(self) -> Sequence[Parameters]:
         """Return 10 to 200 mm and 4 to 40 kPa s/m²."""

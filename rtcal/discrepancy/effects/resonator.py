@@ -10,7 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.discrepancy.effects.base import Absorber, Parameters, read_only
+from rtcal.acoustics.room import Room
+from rtcal.discrepancy.effects.base import Absorber, Limits, Parameters, read_only
 from rtcal.support.types import Array
 
 
@@ -25,6 +26,10 @@ class Resonator(Absorber):
     least: ClassVar[float] = 0.1
     steps: ClassVar[int] = 6
     parameter_units: ClassVar[Mapping[str, str]] = {"area": " m²", "resonance": " Hz"}
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return an area of wall, 1 Hz to 100 kHz and Q from 0.01 to 1000."""
+        return {**super().limits(room), "resonance": (1.0, 1e5), "quality": (0.01, 1e3)}
 
     def kinds(self) -> Sequence[Parameters]:
         """Return 60 to 500 Hz and Q from 0.8 to 3.5, with a0 = 0.8."""

@@ -11,8 +11,11 @@ import numpy as np
 
 from rtcal.acoustics.equations import Eyring, MeanEquation, Millington, Sabine
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Effect, Parameters
+from rtcal.discrepancy.effects.base import Effect, Limits, Parameters
 from rtcal.discrepancy.model import State
+
+RATIOS = (1e-3, 1e3)
+"""Ratios of a true area or volume to the stated one: a unit taken for another is a factor of 1000."""
 
 
 class WrongStatement(Effect):
@@ -27,6 +30,10 @@ class WrongStatement(Effect):
 
 class OfMaterial(WrongStatement):
     """An effect that contradicts what the room states of one material: parameter ``material``."""
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return the rows of the room's materials."""
+        return {"material": (0.0, np.inf if room is None else room.n_materials - 1.0)}
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
         """Return the name of the material."""
@@ -61,6 +68,10 @@ class WrongArea(OfMaterial):
         both = product(range(len(state.areas)), ratios)
         return [{"material": float(j), "ratio": float(r)} for j, r in both]
 
+    def limits(self, room: Room | None) -> Limits:
+        """Return a material of the room, and `RATIOS` of its area."""
+        return {**super().limits(room), "ratio": RATIOS}
+
     def density(self, parameters: Parameters, state: State) -> float:
         """Return a normal density of ln ratio, of standard deviation 0.5."""
         return float(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.5) ** 2))
@@ -85,6 +96,10 @@ class WrongVolume(WrongStatement):
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return 0.6 to 1.7."""
         return [{"ratio": float(r)} for r in np.geomspace(0.6, 1.7, 18)]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return `RATIOS`."""
+        return {"ratio": RATIOS}
 
     def density(self, parameters: Parameters, state: State) -> float:
         """Return a normal density of ln ratio, of standard deviation 0.2."""
@@ -116,6 +131,10 @@ class WrongFormula(WrongStatement):
         return [
             {"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e.key != state.equation
         ]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return the equations' numbers."""
+        return {"equation": (0.0, len(self.EQUATIONS) - 1.0)}
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room under that equation."""
