@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import bands, measurement_files
+from rtcal.acoustics import bands, measurement_files, repeats
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.parameters import (
     DECAY_TIMES,
@@ -19,27 +19,13 @@ from rtcal.acoustics.parameters import (
     limits_in_words,
     parameter_label,
 )
+from rtcal.acoustics.uncertainty import ISO_3382_2, iso_3382_2
 from rtcal.errors import DataError
 from rtcal.support import checks, html
 from rtcal.support.arguments import checked
-from rtcal.support.decode import Entries
-from rtcal.support.files import json_numbers, write_text
+from rtcal.support.files import write_text
 from rtcal.support.types import Array
 
-# ISO 3382-2:2008, Eqs. 4 and 5: sigma(T) = a T sqrt((1 + b/n) / (N B T)), B = 0.71 f in octaves and
-# 0.23 f in thirds. The standard was not at hand; the numbers are those of RWTH Aachen's ITA-Toolbox,
-# ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
-_ISO_3382_2 = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
-OPTIONAL = (
-    "pairs",
-    "uncertainty",
-    "common_uncertainty",
-    "standard_deviation",
-    "n_sources",
-    "n_receivers",
-)
-"""Keys of a saved measurement that may be absent."""
-_DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
 MAX_POSITIONS = 12
 """Largest number of source-receiver pairs that the uncertainty of a mean counts: the number that the
 precision method of ISO 3382-2:2008, Table 1, requires."""
@@ -76,6 +62,7 @@ class Measurement:
         By parameter (keys of `UNITS`), in its unit; NaN is missing, and normal.
     pairs : sequence of (source, receiver)
         Names, (n_pairs,). The single pair ``("*", "*")`` is a summary: means over several pairs.
+        ``("S1", "R1#2")`` is a repeat of ``("S1", "R1")``: the repeats' mean is kept, as one pair.
     standard_deviation : mapping of str to array (n_bands,)
         Of a summary: the spread over its pairs (not the uncertainty of the mean).
     uncertainty : mapping of str to array (n_pairs, n_bands)
@@ -129,7 +116,52 @@ class Measurement:
         ):
             checked = {p: self._checked(name, p, v, shape) for p, v in getattr(self, name).items()}
             put(name, checked)
+        for name, value in self._averaged(repeats.places_of(self.pairs)).items():
+            put(name, value)
         self._check_summary()
+
+    def _averaged(self, placed: Sequence[tuple[str, str]]) -> dict[str, Any]:
+        """Return the fields that differ if each row has the place ``placed``: a mean per place."""
+        if tuple(placed) == self.pairs:
+            return {}
+        rows = repeats.groups(placed)
+        fields = {n: repeats.averaged(getattr(self, n), rows, n) for n in ("values", "uncertainty")}
+        return {"pairs": tuple(rows), **fields}
+
+    @checked
+    def with_repeats(
+        self,
+        *,
+        sources: Mapping[str, str] | None = None,
+        receivers: Mapping[str, str] | None = None,
+    ) -> Measurement:
+        """Return the measurement in which some names repeat others: one position, their mean.
+
+        Parameters
+        ----------
+        sources, receivers : mapping of str to str, optional
+            The place of each repeat: ``receivers={"R2": "R1", "R3": "R1"}``.
+
+        Raises
+        ------
+        DataError
+            For a name that the measurement lacks.
+
+        Examples
+        --------
+        >>> sweeps = Measurement(centre_frequencies=[500], values={"t20": [[1.0], [1.2]]},
+        ...                      pairs=[("S1", "R1"), ("S1", "R2")])
+        >>> print(sweeps.with_repeats(receivers={"R2": "R1"}).values["t20"])
+        [[1.1]]
+        """
+        stated = {"sources": dict(sources or {}), "receivers": dict(receivers or {})}
+        for i, (kind, of_kind) in enumerate(stated.items()):
+            for name in of_kind:
+                if name not in {pair[i] for pair in self.pairs}:
+                    raise DataError(f'{kind} has "{name}", which the measurement lacks')
+        of_source, of_receiver = stated.values()
+        placed = [(of_source.get(s, s), of_receiver.get(r, r)) for s, r in self.pairs]
+        return replace(self, **self._averaged(placed))
 
     def _checked_pairs(self) -> tuple[tuple[str, str], ...]:
         checked_pairs = []
@@ -141,7 +173,8 @@ class Measurement:
                 raise DataError(f'pairs has "{names[0]}"; # begins a note in a file')
             checked_pairs.append((names[0], names[1]))
         if repeated := next((p for p in checked_pairs if checked_pairs.count(p) > 1), None):
-            raise DataError(f"pairs has {repeated} twice")
+            again = f"{repeated[1]}#2"
+            raise DataError(f'pairs has {repeated} twice; a repeat at one place is named "{again}"')
         return tuple(checked_pairs)
 
     def _check_summary(self) -> None:
@@ -295,11 +328,10 @@ class Measurement:
         spread, n_effective, positions = self._spread(parameter)
         n_effective, positions = (np.minimum(n, MAX_POSITIONS) for n in (n_effective, positions))
         variance = np.where(n_effective > 1, spread**2 / np.maximum(n_effective, 1), np.nan)
-        if parameter in _ISO_3382_2:
-            a, b = _ISO_3382_2[parameter]
-            bandwidth = bands.bandwidth_factor(self.centre_frequencies) * self.centre_frequencies
-            iso = a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth)
-            variance = np.fmax(variance, iso)
+        if parameter in ISO_3382_2:
+            variance = np.fmax(
+                variance, iso_3382_2(parameter, self.centre_frequencies, mean, positions)
+            )
         uncertainty = np.where(count > 0, np.sqrt(variance), np.nan)
         common = self.common_uncertainty.get(parameter)
         if parameter in self.uncertainty:
@@ -341,6 +373,31 @@ class Measurement:
         used = [pair for pair, used in zip(self.pairs, has_value, strict=True) if used]
         return float(max(len({s for s, _ in used}), len({r for _, r in used}), 0))
 
+    @checked
+    def select(self, pairs: Iterable[tuple[str, str]]) -> Measurement:
+        """Return the measurement at these pairs alone, in their order.
+
+        Raises DataError for a pair that the measurement lacks, and without any.
+
+        Examples
+        --------
+        >>> both = Measurement(centre_frequencies=[500], values={"t20": [[1.0], [1.2]]},
+        ...                    pairs=[("S1", "R1"), ("S1", "R2")])
+        >>> both.select([("S1", "R2")]).mean("t20").tolist()
+        [1.2]
+        """
+        wanted = checks.pairs("pairs", pairs)
+        if not wanted:
+            raise DataError("pairs is empty; a measurement has at least one")
+        if lacking := [pair for pair in wanted if pair not in self.pairs]:
+            raise DataError(f"pairs has {' to '.join(lacking[0])}, which the measurement lacks")
+        rows = [self.pairs.index(pair) for pair in wanted]
+        values, uncertainty = (
+            {p: table[rows] for p, table in tables.items()}
+            for tables in (self.values, self.uncertainty)
+        )
+        return replace(self, pairs=wanted, values=values, uncertainty=uncertainty)
+
     def decay_time(self) -> DecayTime:
         """Return the reverberation time to match: per band T20, else T30, never EDT.
 
@@ -362,17 +419,7 @@ class Measurement:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the measurement as plain values, None where one is missing; see `from_dict`."""
-        return {
-            "centre_frequencies": json_numbers(self.centre_frequencies),
-            "pairs": [list(pair) for pair in self.pairs],
-            **{
-                name: {p: json_numbers(values) for p, values in getattr(self, name).items()}
-                for name in ("values", "uncertainty", "common_uncertainty", "standard_deviation")
-                if name != "common_uncertainty" or self.common_uncertainty
-            },
-            "n_sources": self.n_sources,
-            "n_receivers": self.n_receivers,
-        }
+        return measurement_files.plain(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Measurement:
@@ -380,27 +427,7 @@ class Measurement:
 
         Raises DataError for an unknown key, for a value that is no number, and as `Measurement` does.
         """
-        entries = Entries("", data, ("centre_frequencies", "values"), OPTIONAL)
-        frequencies = entries.array("centre_frequencies", (None,))
-        shape = (None, len(frequencies))
-
-        def arrays(name: str, shape: tuple[int | None, ...]) -> dict[str, Array]:
-            if name not in entries:
-                return {}
-            parameters = entries.mapping(name)
-            table = Entries(f"{name}.", parameters, (), UNITS)
-            return {p: table.array(p, shape, missing=True) for p in parameters}
-
-        return cls(
-            centre_frequencies=frequencies,
-            pairs=[tuple(p) for p in entries.listed("pairs", [(SUMMARY, SUMMARY)])],
-            values=arrays("values", shape),
-            uncertainty=arrays("uncertainty", shape),
-            common_uncertainty=arrays("common_uncertainty", shape[1:]),
-            standard_deviation=arrays("standard_deviation", shape[1:]),
-            n_sources=data.get("n_sources"),
-            n_receivers=data.get("n_receivers"),
-        )
+        return cls(**measurement_files.attributes(data))
 
     @classmethod
     def from_file(cls, path: str) -> Measurement:

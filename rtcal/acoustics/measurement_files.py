@@ -9,7 +9,7 @@ Parameters: T20, T30, EDT, Ts in s; C50, C80, G in dB; D50 as a fraction; the ba
 columns: ``uncertainty`` (standard uncertainty of the value) and ``common_uncertainty`` (beside it, the
 part that all pairs of a band have in common, the same in each of their rows). A row over several pairs
 has source and receiver ``*``, and may have ``standard_deviation`` over the pairs, ``sources`` and
-``receivers``.
+``receivers``. A receiver ``R1#2`` is a repeat of ``R1``: one position, with the repeats' mean.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from rtcal.acoustics.parameters import (
     plausible_time,
 )
 from rtcal.errors import DataError
+from rtcal.support.decode import Entries
 from rtcal.support.files import json_numbers, read_text
 from rtcal.support.types import Array
 
@@ -48,6 +49,15 @@ _OPTIONAL_COLUMNS = (
     "receivers",
 )
 
+OPTIONAL = (
+    "pairs",
+    "uncertainty",
+    "common_uncertainty",
+    "standard_deviation",
+    "n_sources",
+    "n_receivers",
+)
+"""Keys of a saved measurement that may be absent."""
 MAX_BYTES = 2**21
 MAX_CELLS = 2**20
 """Largest number of values in a file, pairs times bands times parameters; most may be empty."""
@@ -76,7 +86,8 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
         if key in rows:
             raise DataError(
                 f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at "
-                f"{bands.label(key[3])} is given twice"
+                f"{bands.label(key[3])} is given twice; repeats at one place are {key[1]} and "
+                f"{key[1]}#2"
             )
         rows[key] = numbers
     if not rows:
@@ -226,6 +237,50 @@ def _count(stated: set[float], name: str) -> int | None:
     if count != int(count) or count < 1:
         raise DataError(f"column {name} = {count:g} is not a whole number above 0")
     return int(count)
+
+
+def attributes(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `Measurement` from the dict that `read` and `plain` return.
+
+    Raises DataError for an unknown key, and for a value that is no number.
+    """
+    entries = Entries("", data, ("centre_frequencies", "values"), OPTIONAL)
+    frequencies = entries.array("centre_frequencies", (None,))
+    shape = (None, len(frequencies))
+
+    def arrays(name: str, shape: tuple[int | None, ...]) -> dict[str, Array]:
+        if name not in entries:
+            return {}
+        parameters = entries.mapping(name)
+        table = Entries(f"{name}.", parameters, (), UNITS)
+        return {p: table.array(p, shape, missing=True) for p in parameters}
+
+    return {
+        "centre_frequencies": frequencies,
+        "pairs": [tuple(p) for p in entries.listed("pairs", [(SUMMARY, SUMMARY)])],
+        "values": arrays("values", shape),
+        "uncertainty": arrays("uncertainty", shape),
+        "common_uncertainty": arrays("common_uncertainty", shape[1:]),
+        "standard_deviation": arrays("standard_deviation", shape[1:]),
+        "n_sources": data.get("n_sources"),
+        "n_receivers": data.get("n_receivers"),
+    }
+
+
+def plain(measurement: Any) -> dict[str, Any]:
+    """Return a `Measurement` as plain values for JSON, None where one is missing."""
+    tables = ("values", "uncertainty", "common_uncertainty", "standard_deviation")
+    return {
+        "centre_frequencies": json_numbers(measurement.centre_frequencies),
+        "pairs": [list(pair) for pair in measurement.pairs],
+        **{
+            name: {p: json_numbers(values) for p, values in getattr(measurement, name).items()}
+            for name in tables
+            if name != "common_uncertainty" or measurement.common_uncertainty
+        },
+        "n_sources": measurement.n_sources,
+        "n_receivers": measurement.n_receivers,
+    }
 
 
 def text(data: Mapping[str, Any]) -> str:

@@ -24,6 +24,10 @@ ONE_DECAY: Mapping[str, float] = {"t20": 0.88, "t30": 0.55, "edt": 1.6}
 """Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz:
 T20 and T30 as in ISO 3382-2, Eqs. 4 and 5. Decays of octave-filtered Gaussian noise (400 at 500 Hz
 and 400 at 1 kHz, T = 1 s) have 0.88 for T20 and 1.7 for EDT."""
+ISO_3382_2: Mapping[str, tuple[float, float]] = {"t20": (0.88, 1.90), "t30": (0.55, 1.52)}
+"""a and b of ISO 3382-2:2008, Eqs. 4 and 5. The standard was not at hand; the numbers are those of RWTH
+Aachen's ITA-Toolbox, ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382."""
+_DECAYS = 10  # ISO 3382-2, 6.2: an integrated impulse response counts as 10 averaged decays
 LIMITS = {"c50": 0.05, "c80": 0.08}
 """End of the early sound in s."""
 
@@ -32,6 +36,17 @@ def between_teams(parameter: str, frequencies: Array) -> Array:
     """Return the standard deviation between teams, (n_bands,): relative, or in dB."""
     table = REPRODUCIBILITY[parameter]
     return np.asarray(np.interp(np.log(frequencies), np.log(OCTAVES), table))
+
+
+def iso_3382_2(parameter: str, frequencies: Array, times: Array, positions: Array) -> Array:
+    """Return the variance in s² of a mean T20 or T30 over positions, (n_bands,), by ISO 3382-2.
+
+    sigma(T) = a T sqrt((1 + b/n) / (N B T)), N positions of n = 10 decays; B = 0.71 f in octaves and
+    0.23 f in thirds. ``times`` in s and ``positions`` are (n_bands,).
+    """
+    a, b = ISO_3382_2[parameter]
+    bandwidth = bands.bandwidth_factor(frequencies) * frequencies
+    return np.asarray(a**2 * times * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth))
 
 
 def of_one_decay(parameter: str, frequencies: Array, times: Array) -> Array:

@@ -16,9 +16,12 @@ def as_options(text: str, arguments: Sequence[str]) -> str:
     --------
     >>> as_options('state decay_time="t20" or n_sources', ["decay_time", "n_sources"])
     'state --decay-time t20 or --sources'
+    >>> as_options("state repeats=True", ["repeats"])
+    'state --repeats'
     """
     for argument in arguments:
         option = "--" + argument.removeprefix("n_").replace("_", "-")
+        text = text.replace(f"{argument}=True", option)
         text = re.sub(rf'\b{argument} ?= ?(?:"(\w+)"|("[^"]*"|[\w.]+))', rf"{option} \1\2", text)
         if "_" in argument:
             text = re.sub(rf"(?<!-)\b{argument}\b", option, text)

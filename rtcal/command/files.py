@@ -49,6 +49,9 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
     help="Write the standard uncertainty of T20, T30, EDT, C50 and C80 too: per value that of one "
     "decay, in common what teams differ by.",
 )
+@click.option(
+    "--repeats", is_flag=True, help="Several files of one source and receiver are repeats: average."
+)
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
 @json_option
 @quiet_option
@@ -58,6 +61,7 @@ def measure(
     ranges: tuple[str, ...],
     channels: str | None,
     uncertainty: bool,
+    repeats: bool,
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -72,7 +76,7 @@ def measure(
 
     spare([] if out is None else [out], responses)
     with (
-        errors_name_options("channels"),
+        errors_name_options("channels", "repeats"),
         bar(len(responses), "response", bar_wanted(quiet)) as shown,
     ):
         analysis = impulse_responses.read(
@@ -80,6 +84,7 @@ def measure(
             bands=bands,
             channels=int(channels) if channels and channels.isdecimal() else channels,
             minimum_range=numbers("--minimum-range", ranges, "PARAMETER=DB"),
+            repeats=repeats,
             progress=lambda: shown.update(1),
         )
     if uncertainty:
@@ -119,6 +124,11 @@ def measure(
 @click.option("--ignore", multiple=True, metavar="COLUMN", help="Leave a column out.")
 @click.option("--sources", type=click.IntRange(1), help="The values are means over N sources.")
 @click.option("--receivers", type=click.IntRange(1), help="And over N receivers.")
+@click.option(
+    "--repeats",
+    is_flag=True,
+    help="Several values of one source and receiver are repeats: average.",
+)
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
 @json_option
 @quiet_option
@@ -130,6 +140,7 @@ def table(
     ignore: tuple[str, ...],
     sources: int | None,
     receivers: int | None,
+    repeats: bool,
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -141,7 +152,7 @@ def table(
     from rtcal.io import tables
 
     spare([] if out is None else [out], [path])
-    arguments = ("decay_time", "parameter", "ignore", "n_sources", "n_receivers")
+    arguments = ("decay_time", "parameter", "ignore", "n_sources", "n_receivers", "repeats")
     with errors_name_options(*arguments):
         table_read = tables.read(
             path,
@@ -151,6 +162,7 @@ def table(
             ignore=ignore,
             n_sources=sources,
             n_receivers=receivers,
+            repeats=repeats,
         )
     columns = tuple(as_options(line, arguments) for line in table_read.columns)
     table_read = replace(table_read, columns=columns)

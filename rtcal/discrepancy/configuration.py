@@ -11,7 +11,8 @@ import numpy as np
 from rtcal.acoustics import room_files
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import text_name
-from rtcal.acoustics.measurement import OPTIONAL, Measurement
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.measurement_files import OPTIONAL
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked

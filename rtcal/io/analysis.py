@@ -47,7 +47,7 @@ class Analysis:
     ----------
     measurement : Measurement
     impulse_to_noise_ratio : array (n_pairs, n_bands)
-        dB.
+        dB; of repeats, the least.
     minimum_range : mapping of str to float
         Impulse-to-noise ratio in dB that each parameter needed.
     missing : tuple of str

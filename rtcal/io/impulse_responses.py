@@ -33,6 +33,7 @@ from rtcal.acoustics.curvature import bent_decays
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.repeats import groups, in_words, names_of_repeats, places_of
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.analysis import Analysis, pairs_in_words, shortened_list, spread
 from rtcal.io.samples import LEAST_CLIPPED, check_finite, check_usable, prepared
@@ -60,7 +61,7 @@ LEAST_SILENCE = 0.01
 """Duration in s from which a note mentions the digital silence at the end of a response."""
 
 _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for third-octaves
-_NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+)", re.I | re.ASCII)
+_NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+(?:#\d+)?)", re.I | re.ASCII)
 
 
 @checked
@@ -70,12 +71,14 @@ def read(
     bands: str | Sequence[float] = "octave",
     channels: int | str | None = None,
     minimum_range: Mapping[str, float] | None = None,
+    repeats: bool = False,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
     """Read one or more WAV files (PCM or float, 18 s at 48 kHz at most) and analyse them.
 
     A name like ``LS1_MP3`` or ``S1-R2`` in the file's name is its source and receiver; else the
-    source is ``S1`` and the receiver the file's name.
+    source is ``S1`` and the receiver the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``: repeats are
+    averaged, and count as one position.
 
     Parameters
     ----------
@@ -86,6 +89,8 @@ def read(
         For files of several channels: the number of the channel to read, from 1, or "receivers" if each
         channel is one receiver. For a figure-of-eight or Ambisonics microphone, state the channel of
         the pressure.
+    repeats : bool
+        Whether several files of one source and receiver are repeats. Else they are refused.
 
     Raises
     ------
@@ -104,11 +109,17 @@ def read(
         match = _NAMES.search(stem)
         source, receiver = match.groups() if match else ("S1", stem)
         text_name(f"{file}: a position", source + receiver)
+        several_receivers = channels == "receivers"
         for name, channel in _channels(signal, receiver, channels, os.fspath(file)):
-            if (source, name) in signals:
-                raise DataError(f"{file}: source {source}, receiver {name} is given twice")
+            if (source, name) in signals and not repeats:
+                raise DataError(
+                    f"{file}: source {source}, receiver {name} is given twice; if it is a repeat, name "
+                    f"it {source}-{name}#2, or state repeats=True"
+                )
+            names = names_of_repeats(name)
+            name = next(n for n in names if (source, n) not in signals)
             signals[source, name] = channel
-            places[source, name] = os.fspath(file) + ("" if name == receiver else f", {name}")
+            places[source, name] = os.fspath(file) + (f", {name}" if several_receivers else "")
     return _analysis(signals, places, bands, _ranges(minimum_range), progress)
 
 
@@ -133,7 +144,8 @@ def _channels(
     """Return the receivers' names and signals that a file holds."""
     n_channels = signal.time.shape[0]
     if channels == "receivers" and n_channels > 1:
-        return [(f"{receiver}-{i + 1}", signal[i]) for i in range(n_channels)]
+        place, mark, repeat = receiver.partition("#")
+        return [(f"{place}-{i + 1}{mark}{repeat}", signal[i]) for i in range(n_channels)]
     if isinstance(channels, str) and channels != "receivers":
         raise DataError(f'channels = "{channels}" is neither a number nor "receivers"')
     if n_channels == 1:
@@ -236,7 +248,9 @@ def _analysis(
         if progress is not None:
             progress()
     measurement = Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values)
-    notes = []
+    placed = places_of([*signals])
+    of_place = groups(placed).values()
+    notes = in_words(placed)
     if clipped:
         notes.append(
             f"clipped: {shortened_list(clipped)}. Their largest value occurs {LEAST_CLIPPED} times or "
@@ -260,7 +274,7 @@ def _analysis(
     ]
     return Analysis(
         measurement=measurement,
-        impulse_to_noise_ratio=ratios,
+        impulse_to_noise_ratio=np.array([ratios[rows].min(axis=0) for rows in of_place]),
         minimum_range=needed,
         missing=tuple(missing),
         notes=tuple(notes),

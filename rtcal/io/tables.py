@@ -23,6 +23,7 @@ from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import of_single_values
 from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS, parameter_label, plausible_time
+from rtcal.acoustics.repeats import in_words, names_of_repeats, places_of
 from rtcal.errors import DataError
 from rtcal.io.analysis import means
 from rtcal.io.table_columns import (
@@ -46,7 +47,9 @@ MAX_CELL = 60
 _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
 )
-_POSITION = re.compile(r"(L?S\d+)[\s_-]*((?:MP|M|R)\d+)", re.I | re.ASCII)  # source and receiver
+_POSITION = re.compile(
+    r"(L?S\d+)[\s_-]*((?:MP|M|R)\d+(?:\s*#\d+)?)", re.I | re.ASCII
+)  # source and receiver
 _WITH_UNIT = re.compile(r"([^%a-z]*\d[\d.,]*(?:e[+-]?\d+)?)\s*(%|m?s|db)", re.I)
 _MISSING = {
     "",
@@ -104,6 +107,7 @@ def read(
     ignore: Collection[str] = (),
     n_sources: int | None = None,
     n_receivers: int | None = None,
+    repeats: bool = False,
 ) -> Table:
     """Return a table's measurement.
 
@@ -121,6 +125,9 @@ def read(
         Columns to ignore.
     n_sources, n_receivers : int, optional
         Numbers of sources and receivers, if the values are means over several pairs.
+    repeats : bool
+        Whether several values of one pair, parameter and band are repeats, and averaged. Else they are
+        refused, unless their names are ``R1``, ``R1#2`` and so on.
 
     Raises
     ------
@@ -136,6 +143,7 @@ def read(
         ignore=ignore,
         n_sources=n_sources,
         n_receivers=n_receivers,
+        repeats=repeats,
     )
 
 
@@ -156,6 +164,7 @@ def parse(
     ignore: Collection[str] = (),
     n_sources: int | None = None,
     n_receivers: int | None = None,
+    repeats: bool = False,
 ) -> Table:
     """Return the measurement of a table's content; see `read`."""
     for name, choice, choices in (
@@ -168,12 +177,13 @@ def parse(
     for name, count in (("sources", n_sources), ("receivers", n_receivers)):
         if count is not None:
             stated[name] = checks.whole(f"n_{name}", count, 1)
+    checks.flag("repeats", repeats)
     where, ignore = where or {}, [ignore] if isinstance(ignore, str) else ignore
     layout = layout_of(
         decode(content, path), path, decay_time=decay_time, extra_columns={*where, *ignore}
     )
     check_options(layout, path, parameter=parameter, decay_time=decay_time, ignore=ignore)
-    return _Reader(path, layout, decay_time, parameter, stated).table(where)
+    return _Reader(path, layout, decay_time, parameter, stated, repeats).table(where)
 
 
 class _Reader:
@@ -190,8 +200,9 @@ class _Reader:
         decay_time: str | None,
         parameter: str | None,
         counts: Mapping[str, float],
+        repeats: bool,
     ) -> None:
-        self.path, self.layout, self.counts = path, layout, counts
+        self.path, self.layout, self.counts, self.repeats = path, layout, counts, repeats
         self.decay_time, self.parameter = decay_time, parameter
         self.header_place = f"{path}, line {layout.header_line}"
         self.notes = list(layout.notes)
@@ -232,11 +243,15 @@ class _Reader:
             statistic = self._statistic(entries, place)
             values = single if statistic is None else of_several
             for key, numbers in self._values(cells, entries, statistic, place):
+                if statistic is None and self.repeats:
+                    named = ((key[0], n, *key[2:]) for n in names_of_repeats(key[1]))
+                    key = next(k for k in named if k not in values)
                 held = values.setdefault(key, dict(self.counts))
                 if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
+                    hint = "" if SUMMARY in key else "; if they are repeats, state repeats=True"
                     raise DataError(
                         f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at "
-                        f"{bands.label(key[3])} is given twice"
+                        f"{bands.label(key[3])} is given twice{hint}"
                     )
                 held.update(numbers)
         if single and of_several:
@@ -392,7 +407,7 @@ class _Reader:
                 )
             if "receiver" not in kinds:
                 report.append("no receiver is named: taken as receiver R1 of each source")
-        return tuple(report)
+        return (*report, *in_words(places_of([*dict.fromkeys(key[:2] for key in values)])))
 
     def _measurement(self, values: Mapping[Key, dict[str, float]]) -> Measurement:
         pairs = {key[:2] for key in values}

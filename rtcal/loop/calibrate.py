@@ -24,7 +24,7 @@ from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
 from rtcal.loop.rules import Rule
 from rtcal.loop.state import Loop, start
-from rtcal.simulators.base import Simulator, lost_paths, run
+from rtcal.simulators.base import Simulator, at_places, lost_paths, run
 from rtcal.simulators.observations import checked_parameters
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -215,6 +215,7 @@ def calibrate_simulator(
         fit_scattering=not fit_scattering,
         progress=progress is not None,
     )
+    measured, repeated = at_places(simulator, measured)
     loop = start(
         room,
         measured,
@@ -224,7 +225,8 @@ def calibrate_simulator(
         decimals=decimals,
         tolerance=tolerance,
     )
-    return _run(simulator, loop, max_simulations, seed, after_step)
+    result = _run(simulator, loop, max_simulations, seed, after_step)
+    return replace(result, notes=(*repeated, *result.notes))
 
 
 def _refuse(match: Sequence[str], **stated: bool) -> None:

@@ -88,6 +88,7 @@ def calibrate_positions(
     ``more_paths`` is the factor of the number of paths of a `PathTracing` that are weighed.
     """
     checked_uncertainty(position_uncertainty)
+    measured, repeated = base.at_places(simulator, measured)
     tracer = simulator
     simulator = precise(simulator, more_paths)
     trace_ahead(simulator, room.alpha, seed)
@@ -98,6 +99,7 @@ def calibrate_positions(
         notes = ("T30 is matched in place of T20, which was not measured.", *notes)
     first = observe(simulator, room.alpha, match, seed=seed)
     data = measured_pairs(room, measured, match, first, exclude)
+    notes = (*notes, *repeated)
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
     if controls is None:
         controls = control_runs(

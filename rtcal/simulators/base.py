@@ -11,12 +11,12 @@ T20 raises `TooShortError`, since the mean over pairs would ignore a NaN.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import bands, repeats
 from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -153,6 +153,28 @@ def lost_paths(simulator: Simulator) -> tuple[str, ...]:
     return (
         f"{100 * share:.2g} % of the paths left through gaps between the faces. They were dropped, and "
         "the others weigh the more.",
+    )
+
+
+def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement, tuple[str, ...]]:
+    """Return the measurement with the pairs at one place averaged, and a note of them.
+
+    Names that the simulator puts within `rtcal.acoustics.repeats.SAME_PLACE` of each other are repeats:
+    counted as positions, they would make their mean surer than it is.
+    """
+    checks.instance("measured", measured, Measurement)
+    same = {}
+    for i, kind in enumerate(("sources", "receivers")):
+        points = getattr(simulator, kind, None)
+        names = dict.fromkeys(pair[i] for pair in measured.pairs)
+        known = {n: points[n] for n in names if n in points} if isinstance(points, Mapping) else {}
+        same[kind] = repeats.of_points(known)
+    if not any(same.values()):
+        return measured, ()
+    of_sources, of_receivers = same.values()
+    placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in measured.pairs]
+    return measured.with_repeats(**same), tuple(
+        f"{note[0].upper()}{note[1:]}." for note in repeats.in_words(placed)
     )
 
 

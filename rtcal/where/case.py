@@ -15,6 +15,7 @@ from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import POSITION, checked_uncertainty
 from rtcal.loop.measured_pairs import Pair, history
+from rtcal.simulators.base import at_places
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import MATCH, checked_parameters
 from rtcal.simulators.path_tracing import PathTracing
@@ -37,7 +38,8 @@ class Case:
     simulator : PathTracing
         Geometry, sources, receivers, and the room with the prior of its coefficients.
     measured : Measurement
-        A row per pair. Its pairs have the simulator's names of sources and receivers.
+        A row per pair. Its pairs have the simulator's names of sources and receivers. Pairs at one
+        place are repeats: the case has their mean, as one pair.
     match : sequence of str
         Parameters that are compared. The level is G of a calibrated source where ``g`` was measured.
         A measured ``level`` has any reference that all receivers of a source share.
@@ -81,6 +83,9 @@ class Case:
         object.__setattr__(self, "exclude", checks.pairs("exclude", self.exclude))
         for name in ("measured", "simulated"):
             values = getattr(self, name)
+            if isinstance(values, Measurement):
+                values, _ = at_places(self.simulator, values)
+                object.__setattr__(self, name, values)
             if values is not None and values.is_summary:
                 raise DataError(
                     f"{name} holds means over pairs; to say where, it needs a row for each source and "

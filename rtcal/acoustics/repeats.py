@@ -1,0 +1,137 @@
+"""Repeats: several measurements at one place are one position, which has their mean.
+
+Five sweeps at one microphone tell what one tells of the room: its positions are what differs. So the
+repeats' mean counts as one value, and its stated uncertainty is the repeats' root mean square.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from rtcal.errors import DataError
+from rtcal.support.types import Array
+
+Pair = tuple[str, str]
+
+SAME_PLACE = 0.01
+"""Distance in m within which two positions are one place: no microphone is put back more exactly."""
+MOST_REPEATS = 1000
+"""Largest number of repeats at one place that are numbered."""
+_NUMBERED = re.compile(r"(.*\S)\s*#\d+", re.ASCII | re.DOTALL)
+
+
+def of_names(names: Iterable[str]) -> dict[str, str]:
+    """Return the place of each name that repeats another: ``R1#2`` repeats ``R1``.
+
+    A number after # is a repeat's if a digit stands before it, or if the name without it is there,
+    too. Three seats "Seat #1", "Seat #2" and "Seat #3" stay three.
+
+    Examples
+    --------
+    >>> of_names(["R1", "R1#2", "Seat #1", "Seat #2"])
+    {'R1#2': 'R1'}
+    """
+    every = dict.fromkeys(names)
+    matches = {name: _NUMBERED.fullmatch(name) for name in every}
+    return {
+        name: match[1]
+        for name, match in matches.items()
+        if match and (match[1] in every or match[1][-1].isdigit())
+    }
+
+
+def of_points(points: Mapping[str, Sequence[float]]) -> dict[str, str]:
+    """Return the place of each name whose point in m is that of an earlier name.
+
+    Examples
+    --------
+    >>> of_points({"R1": (1, 2, 1.2), "R2": (1, 2, 1.2), "R3": (4, 2, 1.2)})
+    {'R2': 'R1'}
+    """
+    first: dict[str, Array] = {}
+    places = {}
+    for name, point in points.items():
+        here = np.asarray(point, dtype=float)
+        near = (n for n, p in first.items() if np.linalg.norm(p - here) <= SAME_PLACE)
+        if (place := next(near, None)) is None:
+            first[name] = here
+        else:
+            places[name] = place
+    return places
+
+
+def names_of_repeats(receiver: str) -> Iterator[str]:
+    """Yield the names of a receiver's repeats: ``R1``, ``R1#2``, ``R1#3`` and so on.
+
+    Raises DataError after `MOST_REPEATS`.
+    """
+    yield receiver
+    for n in range(2, MOST_REPEATS + 1):
+        yield f"{receiver}#{n}"
+    raise DataError(f'receiver "{receiver}" has more than {MOST_REPEATS} repeats')
+
+
+def places_of(pairs: Sequence[Pair]) -> list[Pair]:
+    """Return the place of each pair, (n_pairs,), by the names of sources and receivers.
+
+    Raises DataError for names that only upper case or blanks keep apart.
+    """
+    of_sources, of_receivers = (of_names(p[i] for p in pairs) for i in range(2))
+    placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in pairs]
+    for kind, names in (("source", (s for s, _ in placed)), ("receiver", (r for _, r in placed))):
+        alike: dict[str, str] = {}
+        for name in dict.fromkeys(names):
+            other = alike.setdefault(" ".join(name.split()).casefold(), name)
+            if other != name:
+                raise DataError(
+                    f'pairs has the {kind} "{other}" and the {kind} "{name}", which only upper case or '
+                    f'blanks keep apart; repeats at one place are "{other}" and "{other}#2"'
+                )
+    return placed
+
+
+def groups(placed: Iterable[Pair]) -> dict[Pair, list[int]]:
+    """Return the rows of each place, in the order of the places' first rows."""
+    rows: dict[Pair, list[int]] = {}
+    for i, pair in enumerate(placed):
+        rows.setdefault(pair, []).append(i)
+    return rows
+
+
+def averaged(
+    tables: Mapping[str, Array], rows: Mapping[Pair, Sequence[int]], name: str
+) -> dict[str, Array]:
+    """Return tables (n_pairs, n_bands) with one row per place: the mean of the values that are there.
+
+    Of ``name`` "uncertainty" it is the root mean square: the repeats share the errors of their place.
+    """
+    power = 2 if name == "uncertainty" else 1
+    out = {}
+    for parameter, table in tables.items():
+        of_place = np.full((len(rows), table.shape[1]), np.nan)
+        for i, group in enumerate(rows.values()):
+            values = table[list(group)] ** power
+            there = np.isfinite(values).any(axis=0)
+            of_place[i, there] = np.nanmean(values[:, there], axis=0) ** (1 / power)
+        of_place.setflags(write=False)
+        out[parameter] = of_place
+    return out
+
+
+def in_words(placed: Iterable[Pair]) -> list[str]:
+    """Return a note on places that were measured several times; [] without any.
+
+    Examples
+    --------
+    >>> in_words([("S1", "R1"), ("S1", "R1"), ("S1", "R2")])
+    ['repeats of one place are averaged and count as one position: 2 of S1 to R1']
+    """
+    repeated = [(pair, len(rows)) for pair, rows in groups(placed).items() if len(rows) > 1]
+    if not repeated:
+        return []
+    each = ", ".join(f"{n} of {' to '.join(pair)}" for pair, n in repeated[:4])
+    more = f" and {len(repeated) - 4} more" if len(repeated) > 4 else ""
+    return [f"repeats of one place are averaged and count as one position: {each}{more}"]
