@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,7 +49,8 @@ class MeasuredPairs:
     Attributes
     ----------
     observations : Observations
-        NaN where missing or left out.
+        NaN where missing or left out. A relative level has the mean of the simulated one over each
+        source's pairs, band by band: its own reference says nothing.
     covariance : array (n_used, n_used)
         Of the errors of the values that are there, in the order of ``values[used]``.
     level : {"absolute", "relative", ""}
@@ -82,7 +83,8 @@ def measured_pairs(
 ) -> MeasuredPairs:
     """Return what was measured at the simulator's pairs, without those of ``exclude``.
 
-    ``simulated`` is what the simulator hears with the prior: its pairs, and the direct sound.
+    ``simulated`` is what the simulator hears with the prior: its pairs, the direct sound, and the
+    reference of the level.
 
     Raises
     ------
@@ -138,13 +140,45 @@ def measured_pairs(
     missing = np.count_nonzero(np.isnan(observations.values))
     if missing:
         notes.append(f"Left out, since missing: {missing} of {observations.values.size} values.")
+    if "level" in absent:
+        level = ""
+    compared = observations
+    if level == "relative":
+        row = observations.parameters.index("level")
+        columns = [simulated.pairs.index(pair) for pair in kept]
+        heard = simulated.values[simulated.parameters.index("level")][columns]
+        compared = _with_level(observations, with_reference(observations.values[row], heard, kept))
+        # Whatever the simulator hears, the same data have the same name.
+        own = with_reference(observations.values[row], np.zeros_like(heard), kept)
+        observations = _with_level(observations, own)
     return MeasuredPairs(
-        observations=observations,
-        covariance=_covariance(observations, in_room, level, simulated),
-        level="" if "level" in absent else level,
+        observations=compared,
+        covariance=_covariance(compared, in_room, level, simulated),
+        level=level,
         notes=tuple(notes),
         fingerprints=fingerprints(room, observations, measured),
     )
+
+
+def with_reference(levels: Array, like: Array, pairs: Sequence[Pair]) -> Array:
+    """Return levels (n_pairs, n_bands) with the mean of others over each source's pairs.
+
+    The mean of a band counts the pairs at which both are known.
+    """
+    off = levels - like
+    out = levels.copy()
+    for source in {s for s, _ in pairs}:
+        rows = [i for i, (s, _) in enumerate(pairs) if s == source]
+        known = np.isfinite(off[rows])
+        total = np.where(known, off[rows], 0.0).sum(axis=0)
+        out[rows] -= total / np.maximum(known.sum(axis=0), 1)
+    return out
+
+
+def _with_level(observations: Observations, levels: Array) -> Observations:
+    values = observations.values.copy()
+    values[observations.parameters.index("level")] = levels
+    return replace(observations, values=values)
 
 
 def fingerprints(room: Room, observations: Observations, measured: Measurement) -> tuple[str, ...]:

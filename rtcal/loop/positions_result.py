@@ -16,7 +16,7 @@ from rtcal.acoustics.room import Room
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.control_runs import ControlRuns
-from rtcal.loop.measured_pairs import MeasuredPairs, Pair
+from rtcal.loop.measured_pairs import MeasuredPairs, Pair, with_reference
 from rtcal.loop.positions_tables import Table, gap_table, material_table, rms
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
@@ -205,11 +205,7 @@ class PositionsResult:
         for name in self.parameters:
             model, heard = simulated.natural(name), measured.natural(name)
             if name == "level" and self.measured.level == "relative":
-                model, known = model.copy(), np.isfinite(heard)
-                for source in {s for s, _ in self.pairs}:
-                    rows = [i for i, (s, _) in enumerate(self.pairs) if s == source]
-                    offset = np.where(known, model - heard, 0.0)[rows].sum(axis=0)
-                    model[rows] -= offset / np.maximum(known[rows].sum(axis=0), 1)
+                model = with_reference(model, heard, self.pairs)
             gaps.append(gap_jnd(model, heard, name))
         return np.stack(gaps)
 
@@ -330,7 +326,8 @@ class PositionsResult:
             notes.append(
                 "Level: absolute, G of a calibrated source."
                 if self.measured.level == "absolute"
-                else "Level: relative between the positions of a source."
+                else "Level: relative between the positions of a source. The measured one is shown "
+                "with the mean of the simulated one."
             )
         if self.scattering is not None:
             notes += self.scattering.notes(self.prior.materials)

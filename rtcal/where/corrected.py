@@ -28,7 +28,7 @@ from rtcal.where.patch import NEAR, face_at, patched
 SPECTRUM_ERROR = 0.15
 """Relative standard deviation of the alpha of what was found: by so much catalogues differ."""
 HEADROOM = 0.9
-"""Largest alpha of a patch. One of alpha = 1 is drawn larger, so that a calibration can make it absorb
+"""Size over area of a patch of alpha = 1. It is drawn larger, so that a calibration can make it absorb
 more as well as less."""
 ROOM, MESH, PLACES, CATT, ODEON = (
     "room.toml",
@@ -141,7 +141,16 @@ def corrected(
             note=f'A patch of {area:.3g} m² does not fit on "{added.surface}" of '
             f"{case.areas[added.surface]:.3g} m²: the whole surface is the new material.",
         )
-    return _made(case, added, geometry, material, added.spectrum * added.size / area, "patch")
+    # A patch that is drawn larger replaces more of its wall: the rest of it absorbs as the wall does.
+    below = _replaced(case, geometry) @ case.room.alpha / area
+    alpha = below + (added.spectrum - below) * added.size / area
+    return _made(case, added, geometry, material, alpha, "patch")
+
+
+def _replaced(case: Case, geometry: Polyhedron) -> Array:
+    """Return the area of each material that is no longer in the geometry, (n_materials,) in m²."""
+    stated, left = case.geometry.areas, geometry.areas
+    return np.array([stated.get(m, 0.0) - left.get(m, 0.0) for m in case.room.materials])
 
 
 def surface_at(case: Case, at: Sequence[float]) -> str:
@@ -183,16 +192,15 @@ def _made(
     case: Case, added: Candidate, geometry: Polyhedron, material: str, alpha: Array, form: str
 ) -> Corrected:
     room, areas = case.room, geometry.areas
-    kept = [i for i, m in enumerate(room.materials) if m in areas]
+    kept = [i for i, m in enumerate(room.materials) if m in areas or m not in case.geometry.areas]
     below = room.material_index(_material_below(case, added))
     deviation = np.log(max(added.high, added.size) / max(added.low, 1e-9)) / (2 * 1.645)
     sigma = alpha * np.hypot(SPECTRUM_ERROR, deviation)
     if form == "material":
         sigma = np.hypot(np.abs(alpha - room.alpha[below]) * deviation, room.sigma[below])
     names = [room.materials[i] for i in kept]
-    stated = case.geometry.areas
     # A material keeps its stated area but for what the new one takes of it in the geometry.
-    sizes = [room.areas[i] - (stated[room.materials[i]] - areas[room.materials[i]]) for i in kept]
+    sizes = (room.areas - _replaced(case, geometry))[kept]
 
     def extended(values: Any, new: Array) -> Array:
         return np.vstack([np.asarray(values)[kept], new])

@@ -109,11 +109,15 @@ class Model:
 def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
     """Return the numbers of a search; DataError if too little was measured."""
     tracer, room = case.simulator, case.room
+    base = made.base
+    if case.simulated is not None:
+        given = Observations.of_measurement(case.simulated, made.parameters, tracer.pairs).values
+        base = np.where(np.isfinite(given), given, base)  # the case has all that was measured
     heard = Observations(
         parameters=made.parameters,
         pairs=tracer.pairs,
         centre_frequencies=room.centre_frequencies,
-        values=made.base,
+        values=base,
     )
     data = measured_pairs(room, case.measured, case.match, heard, case.exclude)
     wanted = data.observations
@@ -127,10 +131,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
     def at_pairs(values: Array) -> Array:
         return np.asarray(values[rows][:, columns])
 
-    stated = at_pairs(made.base)
-    if case.simulated is not None:
-        given = Observations.of_measurement(case.simulated, wanted.parameters, wanted.pairs).values
-        stated = np.where(np.isfinite(given), given, stated)  # the case has all that was measured
+    stated = at_pairs(base)
     used = flat(np.isfinite(wanted.values - stated)).astype(bool)
     if not used.any():
         raise DataError("no value was both measured and simulated")

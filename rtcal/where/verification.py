@@ -13,7 +13,7 @@ from scipy import stats
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
-from rtcal.loop.measured_pairs import Pair
+from rtcal.loop.measured_pairs import Pair, with_reference
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
@@ -357,8 +357,6 @@ def gap_in_jnd(case: Case, finding: Finding, heard: Observations, pairs: Sequenc
     for name in finding.parameters:
         model, values = heard.natural(name)[rows], measured.natural(name)
         if name == "level" and "level" in case.measured.values:
-            for source in {s for s, _ in pairs}:
-                same = [i for i, (s, _) in enumerate(pairs) if s == source]
-                model[same] -= np.nanmean(model[same] - values[same], axis=0)
+            model = with_reference(model, values, pairs)
         gaps.append(gap_jnd(model, values, name))
     return np.stack(gaps)

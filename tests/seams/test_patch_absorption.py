@@ -1,0 +1,41 @@
+"""A patch or material absorbs what was found, in whatever size and on whatever wall it is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rtcal.simulators import Polyhedron
+from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.where.corrected import corrected
+from rtcal.where.hypotheses import _spectra, library
+from tests.test_where_corrected import BANDS, SIZE, candidate, case_in
+
+
+@pytest.mark.parametrize("form", ["patch", "material"])
+@pytest.mark.parametrize("wall_alpha", [0.05, 0.6, 0.9])
+@pytest.mark.parametrize("size", [0.5, 12.0])
+@pytest.mark.parametrize("effect", library(), ids=lambda effect: effect.name)
+def test_the_corrected_room_has_the_change_that_was_found(
+    form: str, wall_alpha: float, size: float, effect: object
+) -> None:
+    """6 m² of opening on a wall of 0.6 added 2.00 in place of 2.40 m²."""
+    geometry = Polyhedron.shoebox(SIZE, {wall: f"{wall} wall" for wall in SHOEBOX_WALLS})
+    stated = case_in(geometry, alpha=wall_alpha)
+    kinds = [spectrum for _, spectrum in _spectra(effect, np.array(BANDS))]  # type: ignore[arg-type]
+    for spectrum in (kinds[0], kinds[-1]):
+        found = replace(candidate("east", size), effect=effect.name, spectrum=spectrum)  # type: ignore[attr-defined]
+        made = corrected(stated, found, form)
+        added = made.room.absorption_area - stated.room.absorption_area
+        assert added == pytest.approx(size * (spectrum - wall_alpha), rel=1e-6)
+        in_geometry = made.room.alpha.T @ [
+            geometry_area(made.geometry, m) for m in made.room.materials
+        ]
+        of_stated = stated.room.alpha.T @ [geometry.areas[m] for m in stated.room.materials]
+        assert in_geometry - of_stated == pytest.approx(added, rel=1e-6)
+
+
+def geometry_area(geometry: Polyhedron, material: str) -> float:
+    return geometry.areas.get(material, 0.0)
