@@ -582,12 +582,14 @@ def test_a_model_error_is_no_data_error() -> None:
     assert issubclass(DataError, ValueError)
 
 
-@pytest.mark.parametrize("sigma_r", [1e-300, 1e9, 1e300])
-def test_a_study_of_no_sense_is_refused(sigma_r: float) -> None:
-    with pytest.raises(DataError, match="is not from 1e-09 to 10"):
-        studies.analytic_scores([35, 20], sigma_r, 3)
-    for end in (1e-9, 10.0):
-        assert 0 < studies.analytic_scores([35, 20], end, 30)["score"][-1] < 1
+@pytest.mark.parametrize(("sampling", "most"), [("sigma_r", 0.25), ("sigma_n", 10.0)])
+def test_a_study_of_no_sense_is_refused(sampling: studies.sampling.Sampling, most: float) -> None:
+    for sigma_r in (1e-300, 1e9, 1e300):
+        with pytest.raises(DataError, match=f"is not from 1e-09 to {most:g}"):
+            studies.analytic_scores([35, 20], sigma_r, 3, sampling=sampling)
+    for end in (1e-9, most):
+        table = studies.analytic_scores([35, 20], end, 30, sampling=sampling)
+        assert 0 < table["score"][-1] < 1
 
 
 def test_the_study_command_writes_where_it_is_told(tmp_path, monkeypatch, capsys) -> None:

@@ -262,7 +262,7 @@ class Rooms(qpbenchmark.TestSet):
         areas = np.array(hall.geometry.face_areas)
         for sigma_r in SIGMA_R:
             rng = np.random.default_rng([self.seed, 5])
-            mu, sigma = (v[0] for v in realisations(rng, 1, len(areas), sigma_r))
+            mu, sigma = (v[0] for v in realisations(rng, 1, len(areas), sigma_r, "sigma_n"))
             drawn = np.clip(mu + sigma * rng.standard_normal(len(areas)), 0, 1)
             one = _one_band(mu, sigma, areas)
             times = rt.Sabine().time(one, np.array([areas @ drawn]))

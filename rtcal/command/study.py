@@ -28,6 +28,14 @@ from rtcal.command.console import bar_wanted, json_option, output_folder, quiet_
     help="Parameter of the Rayleigh distribution of sigma. The option may be repeated.",
 )
 @click.option(
+    "--sampling",
+    type=click.Choice(("sigma_r", "sigma_n")),
+    default="sigma_r",
+    show_default=True,
+    help="How far the stated coefficients keep from 0 and 1. sigma_r: twice the Rayleigh parameter, "
+    "which gives the paper's Table 2. sigma_n: twice each surface's uncertainty, as its text reads.",
+)
+@click.option(
     "--realisations",
     type=click.IntRange(1),
     default=10_000,
@@ -64,6 +72,7 @@ from rtcal.command.console import bar_wanted, json_option, output_folder, quiet_
 def study(
     rooms: tuple[str, ...],
     sigma_r: tuple[float, ...],
+    sampling: str,
     realisations: int,
     trials: int,
     seed: int,
@@ -75,7 +84,7 @@ def study(
 ) -> None:
     """Simulate random rooms and score every calibration method, beside the paper's tables.
 
-    Example: rtcal study --room shoebox --room halls --out study
+    Example: rtcal study --room shoebox --sampling sigma_n --out study
     """
     from rtcal.report import study_report
     from rtcal.support.files import make_folder, write_all
@@ -90,6 +99,7 @@ def study(
             realisations,
             trials,
             seed,
+            sampling=sampling,  # type: ignore[arg-type]
             workers=workers,
             folder=output_folder("--folder", folder),
             progress=bar_wanted(quiet),
@@ -98,6 +108,7 @@ def study(
     if target is not None:
         write_all({target / name: content for name, content in report.files.items()})
     record = {
+        "sampling": sampling,
         "realisations": realisations,
         "trials": trials,
         "seed": seed,

@@ -14,7 +14,7 @@ from rtcal.report.figures import new_figure, rendered
 from rtcal.report.study_figures import NAMES
 from rtcal.studies import paper
 from rtcal.studies.rooms import HALL_SEEDS, LECTURE_HALL, SHOEBOX, random_hall
-from rtcal.studies.sampling import redrawn_share
+from rtcal.studies.sampling import Sampling, redrawn_share
 from rtcal.studies.study import Study, Table, analytic_scores, run
 from rtcal.studies.tables import table_csv
 from rtcal.support import text
@@ -32,6 +32,12 @@ _LEGEND = (
     "bounded: alpha is kept from 0 to 1, which the paper does not do.",
     "paper: the score in Bellows & Katz (2025).",
 )
+_SAMPLINGS: dict[Sampling, str] = {
+    "sigma_r": "sampling: the stated alpha lie between 2 sigma_R and 1 - 2 sigma_R. This gives the "
+    "paper's Table 2, and is inferred from it alone. Its text says 2 sigma_n: --sampling sigma_n.",
+    "sigma_n": "sampling: the stated alpha lie between 2 sigma_n and 1 - 2 sigma_n, with the surface's "
+    "own sigma_n, as the paper's text reads. Its Table 2 comes from --sampling sigma_r.",
+}
 _HEADINGS = {
     "shoebox": "Shoebox: 6 surfaces, 105 m³; paper: Table 2",
     "lecture-hall": "Lecture hall: 23 surfaces, 334 m³; paper: Table 3. It is a stand-in with the "
@@ -59,6 +65,7 @@ def report(
     trials: int,
     seed: int,
     *,
+    sampling: Sampling = "sigma_r",
     workers: int | None = None,
     folder: Path | None = None,
     progress: bool = False,
@@ -72,7 +79,7 @@ def report(
         "shoebox", "lecture-hall" (keys of `AREAS`) or "halls", five halls at random, analytic.
     sigma_r : sequence of float
         Parameters of the Rayleigh distribution of sigma.
-    realisations, trials, seed, workers, progress
+    realisations, trials, seed, sampling, workers, progress
         As for `rtcal.studies.run`; 0 trials compute only the analytic scores.
     folder : Path, optional
         For the finished pieces of `rtcal.studies.run`.
@@ -89,18 +96,18 @@ def report(
     result = StudyReport()
     if with_files:
         new_figure()
-    for sentence in _LEGEND:
+    for sentence in (*_LEGEND, _SAMPLINGS[sampling]):
         result.lines.extend(text.wrapped(sentence))
     for room in dict.fromkeys(rooms):
         if room == "halls":
-            _add_halls(result, sigma_r, realisations, seed)
+            _add_halls(result, sigma_r, realisations, seed, sampling)
             continue
         result.lines.extend(["", *text.wrapped(_HEADINGS[room])])
         for level in sigma_r:
             stem = f"{room}-{level:g}"
             if trials == 0:
-                table = analytic_scores(AREAS[room], level, realisations, seed)
-                result.lines.extend(_scores(room, level, table))
+                table = analytic_scores(AREAS[room], level, realisations, seed, sampling=sampling)
+                result.lines.extend(_scores(room, level, sampling, table))
                 result.records.append({"room": room, "sigma_r": level, "scores": table})
                 if with_files:
                     result.files[f"{stem}-analytic-scores.csv"] = table_csv(table)
@@ -111,6 +118,7 @@ def report(
                 realisations,
                 trials,
                 seed,
+                sampling=sampling,
                 workers=workers,
                 folder=None if folder is None else folder / stem,
                 progress=progress,
@@ -126,7 +134,12 @@ def report(
 
 
 def _add_study(result: StudyReport, room: str, study: Study) -> None:
-    result.lines.extend([*_scores(room, study.sigma_r, study.scores()), *_bound_effects(study)])
+    result.lines.extend(
+        [
+            *_scores(room, study.sigma_r, study.sampling, study.scores()),
+            *_bound_effects(study),
+        ]
+    )
     result.records.append(
         {
             "room": room,
@@ -137,7 +150,7 @@ def _add_study(result: StudyReport, room: str, study: Study) -> None:
     )
 
 
-def _scores(room: str, sigma_r: float, table: Table) -> list[str]:
+def _scores(room: str, sigma_r: float, sampling: Sampling, table: Table) -> list[str]:
     """Return the scores of each method, with the paper's if it states this sigma_r."""
     rows = []
     for row in table:
@@ -150,8 +163,10 @@ def _scores(room: str, sigma_r: float, table: Table) -> list[str]:
         rows.append((label, [f"{row.aace:.5f}", *score, printed]))
     again = (
         f"sigma_R = {sigma_r:g}: the Rayleigh parameter from which the uncertainty of each coefficient "
-        f"is drawn. {100 * redrawn_share(sigma_r):.4f} % of them are 0.25 or more and drawn again."
+        "is drawn."
     )
+    if share := redrawn_share(sigma_r, sampling):
+        again += f" {100 * share:.4f} % of them are 0.25 or more and drawn again."
     header = ("method", ["error", "score / %", "± / %", "paper / %"])
     return ["", *text.wrapped(again), *text.table(rows, header=header)]
 
@@ -176,12 +191,18 @@ def _bound_effects(study: Study) -> list[str]:
     return ["", *text.wrapped(title), *text.table(rows, header=header)]
 
 
-def _add_halls(result: StudyReport, sigma_r: Sequence[float], realisations: int, seed: int) -> None:
+def _add_halls(
+    result: StudyReport,
+    sigma_r: Sequence[float],
+    realisations: int,
+    seed: int,
+    sampling: Sampling,
+) -> None:
     methods = ("scaling", "lse", "mle")
     rows = []
     for hall in HALL_SEEDS:
         for level in sigma_r:
-            table = analytic_scores(random_hall(hall), level, realisations, seed)
+            table = analytic_scores(random_hall(hall), level, realisations, seed, sampling=sampling)
             result.records.append({"room": f"hall {hall}", "sigma_r": level, "scores": table})
             cells = [f"{100 * r.score:.2f} ± {100 * r.standard_error:.2f}" for r in table[1:]]
             rows.append((f"{hall}", [f"{level:g}", *cells]))

@@ -20,16 +20,22 @@ from numpy.typing import ArrayLike
 
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.errors import DataError
-from rtcal.studies import estimators, sampling
+from rtcal.studies import estimators
+from rtcal.studies import sampling as draws
 from rtcal.studies.estimators import CALIBRATIONS, METHODS, TrialSums
 from rtcal.studies.moments import SAMPLED, Moments
 from rtcal.studies.runner import run_pieces
-from rtcal.studies.sampling import SIGMA_LIMIT
+from rtcal.studies.sampling import SAMPLINGS, SIGMA_LIMIT, Sampling
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
-_LEAST, _MOST = 1e-9, 10.0
+_LEAST = 1e-9
+_MOST: dict[str, tuple[float, str]] = {
+    "sigma_r": (SIGMA_LIMIT, 'mu has no interval (sampling = "sigma_n" takes more)'),
+    "sigma_n": (10.0, f"sigma is evenly spread over what is below {SIGMA_LIMIT:g}"),
+}
+"""Largest sigma_r by sampling, and what is the matter above it."""
 _MOST_NUMBERS = 2**53  # the moments are summed in double precision
 _LARGEST_AREA = 1e8  # m² of one surface: the walls of the largest halls have some 1e5
 
@@ -57,6 +63,7 @@ class Study:
     realisations: int
     trials: int
     seed: int
+    sampling: Sampling
     moments: Moments
 
     def scores(self) -> Table:
@@ -115,8 +122,8 @@ class Study:
 
     @property
     def redrawn_share(self) -> float:
-        """Share of Rayleigh draws that were 0.25 or more and therefore drawn again."""
-        return sampling.redrawn_share(self.sigma_r)
+        """Share of Rayleigh draws that left no interval for mu and were therefore drawn again."""
+        return draws.redrawn_share(self.sigma_r, self.sampling)
 
     def _row(
         self, method: str, bounded: bool, series: dict[str, float], baseline: dict[str, float]
@@ -133,6 +140,7 @@ def run(
     trials: int,
     seed: int = 0,
     *,
+    sampling: Sampling = "sigma_r",
     executor: Executor | None = None,
     workers: int | None = None,
     folder: str | os.PathLike[str] | None = None,
@@ -150,24 +158,29 @@ def run(
         Draws of (mu, sigma), and of alpha* for each.
     seed : int
         The same seed gives the same study, on any number of workers of any kind.
+    sampling : {"sigma_r", "sigma_n"}
+        Whether mu keeps 2 sigma_r from 0 and 1, which gives the paper's scores, or twice the surface's
+        own sigma, as the paper's text reads.
     executor, workers, folder, progress
         Where the pieces are computed and kept; see `rtcal.studies.runner.run_pieces`.
 
     Raises
     ------
     DataError
-        If an area, sigma_r or a number is not positive, or the folder holds another study.
+        If an area, sigma_r or a number is not positive, sigma_r leaves no interval for mu,
+        ``sampling`` is no such name, or the folder holds another study.
     """
     s = _areas(areas)
-    _check(sigma_r, seed, realisations=realisations, trials=trials)
+    _check(sigma_r, seed, sampling, realisations=realisations, trials=trials)
     identity = {
         "areas": s.tolist(),
         "sigma_r": sigma_r,
         "realisations": realisations,
         "trials": trials,
         "seed": seed,
+        "sampling": sampling,
     }
-    compute = functools.partial(_piece, s, sigma_r, realisations, trials, seed)
+    compute = functools.partial(_piece, s, sigma_r, realisations, trials, seed, sampling)
     count = -(-realisations // PIECE)
     moments = run_pieces(
         compute,
@@ -178,7 +191,7 @@ def run(
         folder=folder,
         progress=progress,
     )
-    return Study(s, sigma_r, realisations, trials, seed, moments)
+    return Study(s, sigma_r, realisations, trials, seed, sampling, moments)
 
 
 def calibration_scores(
@@ -188,6 +201,7 @@ def calibration_scores(
     trials: int,
     seed: int = 0,
     *,
+    sampling: Sampling = "sigma_r",
     executor: Executor | None = None,
     workers: int | None = None,
     folder: str | os.PathLike[str] | None = None,
@@ -217,6 +231,7 @@ def calibration_scores(
         realisations,
         trials,
         seed,
+        sampling=sampling,
         executor=executor,
         workers=workers,
         folder=folder,
@@ -224,7 +239,14 @@ def calibration_scores(
     ).scores()
 
 
-def analytic_scores(areas: ArrayLike, sigma_r: float, realisations: int, seed: int = 0) -> Table:
+def analytic_scores(
+    areas: ArrayLike,
+    sigma_r: float,
+    realisations: int,
+    seed: int = 0,
+    *,
+    sampling: Sampling = "sigma_r",
+) -> Table:
     """Return the unbounded methods' scores with EMSE in closed form: no trials are drawn.
 
     Unbounded estimators are oblique projections of the error of mu, so EMSE follows from the
@@ -238,8 +260,9 @@ def analytic_scores(areas: ArrayLike, sigma_r: float, realisations: int, seed: i
     8.8 %, theory 8.7 %
     """
     s = _areas(areas)
-    _check(sigma_r, seed, realisations=realisations)
-    study = Study(s, sigma_r, realisations, 0, seed, _analytic(s, sigma_r, realisations, seed))
+    _check(sigma_r, seed, sampling, realisations=realisations)
+    moments = _analytic(s, sigma_r, realisations, seed, sampling)
+    study = Study(s, sigma_r, realisations, 0, seed, sampling, moments)
     return _table(study.controlled_scores().tolist()[: len(METHODS)], _SCORES)
 
 
@@ -258,18 +281,20 @@ def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
 
 
 def _drawn(
-    areas: Array, sigma_r: float, realisations: int, seed: int, number: int
+    areas: Array, sigma_r: float, realisations: int, seed: int, sampling: Sampling, number: int
 ) -> tuple[np.random.Generator, Array, Array]:
     """Return the generator of a piece and its realisations."""
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(number,))))
     count = min(PIECE, realisations - number * PIECE)
-    return rng, *sampling.realisations(rng, count, areas.size, sigma_r)
+    return rng, *draws.realisations(rng, count, areas.size, sigma_r, sampling)
 
 
-def _analytic(areas: Array, sigma_r: float, realisations: int, seed: int) -> Moments:
+def _analytic(
+    areas: Array, sigma_r: float, realisations: int, seed: int, sampling: Sampling
+) -> Moments:
     total: Moments | None = None
     for number in range(-(-realisations // PIECE)):
-        _, mu, sigma = _drawn(areas, sigma_r, realisations, seed, number)
+        _, mu, sigma = _drawn(areas, sigma_r, realisations, seed, sampling, number)
         exact = analytic_emse(mu, sigma, areas)
         unsampled = np.zeros((len(mu), len(SAMPLED)))
         piece = Moments.of(np.hstack([unsampled, exact]), np.zeros((len(mu), len(CALIBRATIONS))))
@@ -280,10 +305,16 @@ def _analytic(areas: Array, sigma_r: float, realisations: int, seed: int) -> Mom
 
 
 def _piece(
-    areas: Array, sigma_r: float, realisations: int, trials: int, seed: int, number: int
+    areas: Array,
+    sigma_r: float,
+    realisations: int,
+    trials: int,
+    seed: int,
+    sampling: Sampling,
+    number: int,
 ) -> Moments:
     """Simulate one piece of a study."""
-    rng, mu, sigma = _drawn(areas, sigma_r, realisations, seed, number)
+    rng, mu, sigma = _drawn(areas, sigma_r, realisations, seed, sampling, number)
     sampled = np.empty((len(mu), len(SAMPLED)))
     active = np.empty((len(mu), len(CALIBRATIONS)))
     block = min(trials, max(1, BLOCK // areas.size))
@@ -293,7 +324,7 @@ def _piece(
         for start in range(0, trials, block):
             few = min(block, trials - start)
             z = buffer[: areas.size * few].reshape(areas.size, few)
-            sampling.trials(rng, room.mu, room.sigma, z)
+            draws.trials(rng, room.mu, room.sigma, z)
             sums.append(estimators.score(z, room))
         total = functools.reduce(operator.add, sums)
         sampled[r], active[r] = total.errors(room, trials), total.active
@@ -321,14 +352,17 @@ def _areas(areas: ArrayLike) -> Array:
     return s
 
 
-def _check(sigma_r: float, seed: int, **numbers: int) -> None:
+def _check(sigma_r: float, seed: int, sampling: str, **numbers: int) -> None:
+    if not isinstance(sampling, str) or sampling not in SAMPLINGS:
+        raise DataError(f"sampling = {checks.shown(sampling)} is not one of {', '.join(SAMPLINGS)}")
     checks.number("sigma_r", sigma_r)
     if not (np.isfinite(sigma_r) and sigma_r > 0):
         raise DataError(f"sigma_r = {sigma_r:g} is not above 0")
-    if not _LEAST <= sigma_r <= _MOST:
+    most, why = _MOST[sampling]
+    if not _LEAST <= sigma_r <= most:
         raise DataError(
-            f"sigma_r = {sigma_r:g} is not from {_LEAST:g} to {_MOST:g}: below that errors are "
-            f"rounding, above it sigma is evenly spread over what is below {SIGMA_LIMIT:g}"
+            f"sigma_r = {sigma_r:g} is not from {_LEAST:g} to {most:g}: below that errors are "
+            f"rounding, above it {why}"
         )
     # The seed identifies a study, so that it can be resumed.
     checks.whole("seed", seed, 0)
