@@ -174,7 +174,7 @@ def piece(areas: tuple[float, ...], level: float, realisations: int, trials: int
     """Simulate in this thread, so that its CPU time is counted."""
     from rtcal.studies.study import _piece
 
-    _piece(np.array(areas), level, realisations, trials, 0, "sigma_r", 0)
+    _piece(np.array(areas), level, realisations, trials, 0, "sigma_n", 0)
 
 
 def scaling() -> None:
