@@ -235,6 +235,11 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "at_upper_bound": (
         "b",
+        "the other materials supply what T asks for beyond it: its sigma, another's or its area is too "
+        "small, or an effect is missing",
+    ),
+    "all_at_upper_bound": (
+        "b",
         "T asks for more absorption than these materials can have: look for absorption that the "
         "model lacks, for a surface that is missing or too small, or a sigma that is too small",
     ),
@@ -396,8 +401,11 @@ def trust_marks(
             mark("uncertain", f, f"T is uncertain by over {over}: is it stated in percent, not s?")
         elif uncertainty[k] > JND["t20"] * measured[k] and not abs(z[k]) > _LARGE_Z:
             mark("uncertain", f, "T is uncertain by more than one JND")
+        # A single coefficient at 1 says nothing of the others, which may still give the T.
+        spent = bool((active[:, k] > 0)[room.sigma[:, k] > 0].all())
+        upper = "all_at_upper_bound" if spent else "at_upper_bound"
         for i in np.flatnonzero(active[:, k]).tolist():
-            side, advised = ("lower", "") if active[i, k] < 0 else ("upper", "at_upper_bound")
+            side, advised = ("lower", "") if active[i, k] < 0 else ("upper", upper)
             mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
         if abs(z[k]) > _LARGE_Z:
             side = "more" if z[k] > 0 else "less"

@@ -224,8 +224,8 @@ class CalibrationResult:
     def posterior_sigma(self) -> Array:
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands).
 
-        It is that of the linear estimate, from the room's sigma and the uncertainty of T. It ignores
-        the bounds, which `rtcal.posterior.posterior` includes.
+        It follows from the room's sigma and the uncertainty of T, and is that of `interval` before the
+        bounds cut it: so is the stated sigma, which it is comparable with.
         """
         return read_only_view(self.joint.posterior_sigma[self._rows])
 
@@ -245,7 +245,8 @@ class CalibrationResult:
     def interval(self) -> tuple[Array, Array] | None:
         """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
 
-        Exact, from `rtcal.posterior`. None if that would need samples (correlations, order,
+        It is `rtcal.posterior.posterior`'s: with the uncertainty of T, where one is stated, and it
+        holds the calibrated coefficient. None if that would need samples (correlations, order,
         several configurations), or if the method has no posterior (`lse`, `robust`).
         """
         if len(self.joint.configurations.rooms) > 1:

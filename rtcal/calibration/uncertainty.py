@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -119,7 +120,7 @@ def estimate_sigma(
 
     The prior's covariance is the room's, also if the method assumes another covariance. An unknown
     uncertainty of T counts as 0. With linear observations it is the Gaussian posterior's, with the
-    objective's prior and an exact match that takes T as exact.
+    objective's prior.
     """
     if any(isinstance(t, LinearObservations) for t in solution.model.objective.terms):
         return _gaussian_sigma(solution.model, solution.unknowns)
@@ -134,20 +135,34 @@ def estimate_sigma(
 
 
 def _gaussian_sigma(model: NumpyModel, u: Array) -> Array:
-    """Return the square root of the diagonal of the inverse curvature, within the equalities."""
+    """Return the square root of the diagonal of the inverse curvature, within the equalities.
+
+    An uncertain target of an equality adds its share.
+    """
     free = model.movable
-    curvature = model.curvature(u).whole()
-    dense = curvature.toarray() if sp.issparse(curvature) else np.diag(curvature)
-    covariance = np.linalg.inv(dense[np.ix_(free, free)])
+    covariance = np.linalg.inv(_dense(model.curvature(u).whole())[np.ix_(free, free)])
     exact = (model.row_lower == model.row_upper) & (model.row_norm > 0)
-    matrix = model.matrix[exact][:, free]
     if exact.any():
-        rows = matrix.toarray() if sp.issparse(matrix) else matrix
+        rows = _dense(model.matrix[exact][:, free])
         across = covariance @ rows.T
-        covariance = covariance - across @ np.linalg.solve(rows @ across, across.T)
+        gain = np.linalg.solve(rows @ across, across.T).T
+        covariance = covariance - gain @ across.T + (gain * _row_noise(model)[exact] ** 2) @ gain.T
     sigma = np.zeros(len(u))
     sigma[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return sigma
+
+
+def _row_noise(model: NumpyModel) -> Array:
+    """Standard uncertainty of what each row is equal to in m², (n_rows,); 0 where it is unknown."""
+    noise = np.append(np.nan_to_num(model.data.target_uncertainty).ravel(), 0.0)
+    return np.asarray(noise[model.row_place])
+
+
+def _dense(matrix: Any) -> Array:
+    """A matrix as an array; a vector is its diagonal."""
+    if sp.issparse(matrix):
+        return np.asarray(matrix.toarray())
+    return np.diag(matrix) if matrix.ndim == 1 else np.asarray(matrix)
 
 
 def innovation(solution: Solution, configurations: Configurations) -> tuple[Array, Array]:
@@ -190,7 +205,8 @@ def _independent_bands(solution: Solution) -> IndependentBands:
     alpha, sigma = data.alpha(u), data.alpha(data.scale)
     areas, target = data.areas[0], data.target[0]
     multiplier = np.nan_to_num(solution.match_multipliers[0])
-    noise = np.zeros(data.layout.n_bands)
+    noise = np.nan_to_num(data.target_uncertainty[0])
+    exact = any(isinstance(row, ExactMatch) for row in solution.model.row_constraints)
     weights = [
         weight
         for term, weight in zip(solution.model.objective.terms, data.weights, strict=True)
@@ -198,7 +214,7 @@ def _independent_bands(solution: Solution) -> IndependentBands:
     ]
     for weight in weights:
         # A weight w is equivalent to u_b / sqrt(w); with weight 0 the match has no influence.
-        noise = np.nan_to_num(data.target_uncertainty[0]) / np.sqrt(max(weight, 1e-300))
+        noise = noise / np.sqrt(max(weight, 1e-300))
         residual = areas @ alpha - np.nan_to_num(target)
         multiplier = np.divide(residual, noise**2, out=np.zeros_like(residual), where=noise > 0)
     return IndependentBands(
@@ -211,21 +227,44 @@ def _independent_bands(solution: Solution) -> IndependentBands:
         areas=areas,
         target=target,
         noise=noise,
+        exact=exact,
         multiplier=multiplier,
     )
 
 
 def _truncated_normal(model: NumpyModel, u: Array) -> TruncatedNormal:
+    """Return the density as a normal one within bounds and rows.
+
+    Where an exact match has an uncertain b, the sum S'u is normal about b in place of equal to it,
+    whatever the objective says of it: the objective's own part along the sum, as it is without
+    bounds, is taken off first.
+    """
+    gradient, curvature = model.gradient(u), model.curvature(u).whole()
+    row_lower, row_upper = model.row_lower, model.row_upper
+    noise = _row_noise(model)
+    uncertain = (row_lower == row_upper) & (model.row_norm > 0) & (noise > 0)
+    if uncertain.any():
+        free = model.movable
+        rows = _dense(model.matrix[uncertain][:, free])
+        dense = _dense(curvature)
+        across = np.linalg.solve(dense[np.ix_(free, free)], rows.T)
+        along = np.linalg.pinv(rows @ across)
+        gradient, dense = gradient.copy(), dense.copy()
+        gradient[free] -= rows.T @ along @ (across.T @ gradient[free])
+        dense[np.ix_(free, free)] += rows.T @ (np.diag(noise[uncertain] ** -2) - along) @ rows
+        curvature = sp.csr_array(dense)
+        row_lower = np.where(uncertain, -np.inf, row_lower)
+        row_upper = np.where(uncertain, np.inf, row_upper)
     return TruncatedNormal(
         point=u,
-        gradient=model.gradient(u),
-        curvature=model.curvature(u).whole(),
+        gradient=gradient,
+        curvature=curvature,
         scale=model.sigma,
         lower=model.lower,
         upper=model.upper,
         matrix=model.matrix,
-        row_lower=model.row_lower,
-        row_upper=model.row_upper,
+        row_lower=row_lower,
+        row_upper=row_upper,
     )
 
 

@@ -23,8 +23,10 @@ class IndependentBands:
     areas : array (n_rows,)
         S in m².
     target, noise : array (n_bands,)
-        b and its standard uncertainty in m²; b is NaN without a match, noise is 0 with an
-        exact match.
+        b and its standard uncertainty in m²; b is NaN without a match, noise 0 where it is unknown.
+    exact : bool
+        Whether S'alpha is what T says, to within the noise, whatever the priors say of it. They say
+        how it is shared. Else prior and T are weighed against each other.
     multiplier : array (n_bands,)
         D in 1/m²: free coefficients are mu - D S sigma².
     """
@@ -38,6 +40,7 @@ class IndependentBands:
     areas: Array
     target: Array
     noise: Array
+    exact: bool
     multiplier: Array
 
 

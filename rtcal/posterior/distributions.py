@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtcal.errors import DataError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.integration import POINTS, Marginals
-from rtcal.posterior.marginals import marginals, unmatched
+from rtcal.posterior.marginals import marginals, passed_on, unmatched
 from rtcal.posterior.sampler import sample
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -33,6 +33,8 @@ class Posterior:
 
     Attributes
     ----------
+    alpha : array (n_materials, n_bands)
+        The calibrated coefficients.
     mean, sigma : array (n_materials, n_bands)
         Posterior mean and standard deviation.
     correlation : array (n_bands, n_materials, n_materials)
@@ -50,6 +52,7 @@ class Posterior:
         Samples of the sizes of further unknowns.
     """
 
+    alpha: Array
     mean: Array
     sigma: Array
     correlation: Array
@@ -71,14 +74,17 @@ class Posterior:
         return _quantile(self.points, self.cumulative, probability)
 
     def interval(self, level: float = 0.9) -> tuple[Array, Array]:
-        """Return the ends of the central credible interval, both (n_materials, n_bands).
+        """Return the ends of the credible interval, both (n_materials, n_bands).
+
+        It is the central one, moved only as far as it takes to hold the calibrated coefficient. So at a
+        bound it ends there.
 
         Raises DataError for a level that is not between 0 and 1.
         """
         checks.number("level", level)
         if not 0 < level < 1:
             raise DataError(f"level = {level:g} is not between 0 and 1")
-        return self.quantile((1 - level) / 2), self.quantile((1 + level) / 2)
+        return _interval(self.alpha, self.points, self.cumulative, level)
 
     @property
     def identifiability(self) -> Array:
@@ -106,7 +112,8 @@ def posterior(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Poste
     """Return the posterior distribution of a calibration's coefficients.
 
     The prior is normal with the room's sigma, truncated to the bounds. The error of b is normal with
-    the standard deviation u_b; with an exact match b has no error.
+    the standard deviation u_b, 0 where it is unknown. With an exact match T alone says what S'alpha is,
+    to within u_b, and the prior how it is shared. With a soft match both are weighed.
 
     Parameters
     ----------
@@ -165,6 +172,7 @@ def exact_posterior(bands: IndependentBands) -> Posterior:
         correlation[k][np.ix_(free, free)] = np.clip(between, -1, 1)
     rows = list(bands.rows)
     return Posterior(
+        bands.alpha[rows],
         mean[rows],
         sigma[rows],
         correlation[:, rows][:, :, rows],
@@ -175,7 +183,7 @@ def exact_posterior(bands: IndependentBands) -> Posterior:
 
 
 def exact_interval(bands: IndependentBands, level: float) -> tuple[Array, Array]:
-    """Return the ends of the central credible intervals, both (n_materials, n_bands).
+    """Return the ends of `Posterior.interval`, both (n_materials, n_bands).
 
     They equal those of `exact_posterior`, but take less time, since no correlations are computed.
     """
@@ -183,8 +191,9 @@ def exact_interval(bands: IndependentBands, level: float) -> tuple[Array, Array]
     for k in _bands_with_freedom(bands):
         free = np.flatnonzero(bands.sigma[:, k] > 0)
         band = _band(bands, free, k, covariances=False)
-        for end, probability in zip(ends, ((1 - level) / 2, (1 + level) / 2), strict=True):
-            end[free, k] = _quantile(band.points, band.cumulative, probability)
+        of_band = _interval(bands.alpha[free, k], band.points, band.cumulative, level)
+        for end, values in zip(ends, of_band, strict=True):
+            end[free, k] = values
     rows = list(bands.rows)
     return ends[0][rows], ends[1][rows]
 
@@ -204,7 +213,8 @@ def _band(bands: IndependentBands, free: Rows, k: int, *, covariances: bool) -> 
     if not np.isfinite(bands.target[k]):
         return unmatched(*_prior(bands, free, k))
     held = np.where(bands.sigma[:, k] > 0, 0.0, bands.alpha[:, k])
-    return marginals(
+    of_sum = passed_on if bands.exact and bands.noise[k] > 0 else marginals
+    return of_sum(
         *_prior(bands, free, k),
         bands.areas[free],
         float(bands.target[k] - bands.areas @ held),
@@ -212,6 +222,18 @@ def _band(bands: IndependentBands, free: Rows, k: int, *, covariances: bool) -> 
         float(bands.multiplier[k]),
         covariances=covariances,
     )
+
+
+def _interval(alpha: Array, points: Array, cumulative: Array, level: float) -> tuple[Array, Array]:
+    """The ends of `Posterior.interval` of distribution functions (..., n_points), shape (...)."""
+    low, high = np.empty(alpha.shape), np.empty(alpha.shape)
+    for place in np.ndindex(*alpha.shape):
+        x, of_x, own = points[place], cumulative[place], alpha[place]
+        below = float(np.interp(own, x, of_x))
+        start = min(max((1 - level) / 2, below - level), below)
+        low[place] = np.minimum(np.interp(start, of_x, x), own)
+        high[place] = np.maximum(np.interp(start + level, of_x, x), own)
+    return low, high
 
 
 def _quantile(points: Array, cumulative: Array, probability: float) -> Array:
@@ -236,7 +258,9 @@ def _sampled(bands: CoupledBands, n_samples: int, seed: int) -> Posterior:
     correlation[:, range(len(rows)), range(len(rows))] = 1.0
     prior = sample(bands.prior, n_samples, seed + 1).values
     prior_sigma = prior[:, :n_alpha].std(axis=0, ddof=1)
+    calibrated = bands.posterior.point[:n_alpha].reshape(-1, bands.n_bands)[rows]
     return Posterior(
+        alpha=calibrated,
         mean=alpha.mean(axis=0),
         sigma=sigma,
         correlation=correlation,

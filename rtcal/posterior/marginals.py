@@ -16,6 +16,9 @@ allow. The grid of
 3. Each density has points of its own, and g_i is interpolated at them.
 
 `rtcal.posterior.tilting` has step 1 and `rtcal.posterior.convolution` steps 2 and 3.
+
+`passed_on` is the same after an exact match to a b that is uncertain: the mean of these conditional
+distributions over b.
 """
 
 from __future__ import annotations
@@ -26,6 +29,18 @@ from rtcal.posterior.convolution import by_convolution
 from rtcal.posterior.integration import POINTS, Marginals, integrated
 from rtcal.posterior.tilting import Variables, balanced, tilted
 from rtcal.support.types import Array
+
+_SIDES = np.array([-1.0, 1.0])
+_REACH = 4.5
+"""Standard uncertainties of b on either side; 7e-6 of a normal distribution lies beyond."""
+_SUMS = 13
+"""Values of b at which the conditional distributions are computed, and between which they are
+interpolated."""
+_FINE = 97
+_LEVELS = np.linspace(-5.0, 5.0, 201)
+"""Normal quantiles of the probabilities at which theirs are tabulated, dense in the tails."""
+_PAIRS, _TURN = 6765, 4181
+"""Pairs of a probability and a b: a lattice of two Fibonacci numbers, even in both and in the plane."""
 
 
 def marginals(
@@ -78,6 +93,69 @@ def marginals(
         (variables.peak[:n] + shifted.mean) / areas,
         covariance[:n, :n] / np.outer(areas, areas),
     )
+
+
+def passed_on(
+    mu: Array,
+    sigma: Array,
+    lower: Array,
+    upper: Array,
+    areas: Array,
+    target: float,
+    uncertainty: float,
+    multiplier: float,
+    *,
+    covariances: bool = True,
+) -> Marginals:
+    """Return the marginals after an exact match to b = target ± uncertainty, b within its reach.
+
+    The sum is normal about the target, whatever the priors say of it. Given the sum, the coefficients
+    are distributed as `marginals` has them with an uncertainty of 0. Without bounds this is the exact
+    estimate's error. Parameters are those of `marginals`, with an uncertainty above 0.
+    """
+    from scipy.interpolate import PchipInterpolator
+    from scipy.special import ndtr, ndtri
+
+    ends = np.clip([areas @ lower, areas @ upper], *(target + _REACH * uncertainty * _SIDES))
+    sums, fine = (np.linspace(ends[0], ends[1], n) for n in (_SUMS, _FINE))
+    given = [
+        marginals(
+            mu, sigma, lower, upper, areas, float(b), 0.0, multiplier, covariances=covariances
+        )
+        for b in sums
+    ]
+    levels = ndtr(_LEVELS)
+    quantiles = [
+        [np.interp(levels, *own) for own in zip(m.cumulative, m.points, strict=True)] for m in given
+    ]
+    table = PchipInterpolator(sums, np.array(quantiles))(fine)
+    pair = np.arange(_PAIRS)
+    probability, turned = (pair + 0.5) / _PAIRS, (pair * _TURN % _PAIRS + 0.5) / _PAIRS
+    below, above = ndtr((ends - target) / uncertainty)
+    b = np.clip(target + uncertainty * ndtri(below + (above - below) * turned), *ends)
+    values = np.sort(_between(table, fine, b, levels, probability))
+    cumulative = np.linspace(0, 1, POINTS)
+    mean = PchipInterpolator(sums, np.array([m.mean for m in given]))(b)
+    # Linear between the sums: each has the mean weight of its hat function.
+    share = np.array([np.interp(b, sums, hat).mean() for hat in np.eye(_SUMS)])
+    within = np.tensordot(share, np.array([m.covariance for m in given]), 1)
+    return Marginals(
+        np.array([np.interp(cumulative, probability, own) for own in values]),
+        np.tile(cumulative, (len(mu), 1)),
+        mean.mean(axis=0),
+        within + np.atleast_2d(np.cov(mean.T, bias=True)),
+    )
+
+
+def _between(table: Array, x: Array, at_x: Array, y: Array, at_y: Array) -> Array:
+    """Return a table (n_x, n, n_y) at pairs of x and y, (n, n_pairs), linear between its entries."""
+    i, j = (np.clip(np.searchsorted(v, at) - 1, 0, len(v) - 2) for v, at in ((x, at_x), (y, at_y)))
+    u, v = (at_x - x[i]) / (x[i + 1] - x[i]), (at_y - y[j]) / (y[j + 1] - y[j])
+    out = np.empty((table.shape[1], len(u)))
+    for row, t in zip(out, np.moveaxis(table, 1, 0), strict=True):
+        low, high = t[i, j] * (1 - u) + t[i + 1, j] * u, t[i, j + 1] * (1 - u) + t[i + 1, j + 1] * u
+        row[:] = low + v * (high - low)
+    return out
 
 
 def unmatched(mu: Array, sigma: Array, lower: Array, upper: Array) -> Marginals:

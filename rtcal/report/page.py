@@ -339,7 +339,10 @@ def _materials(calibration: Saved) -> list[dict[str, Any]]:
 
 def _interval_note(calibration: Saved) -> str:
     if calibration.interval is not None:
-        return "The intervals are those of the exact posterior distribution, within the bounds."
+        return (
+            "The intervals are those of the exact posterior distribution, within the bounds, with the "
+            "uncertainty of T where it is known. Each holds its calibrated coefficient."
+        )
     return (
         "The intervals are those of the linear estimate, alpha ± 1.645 standard deviations cut to 0 to "
         "1: exact ones would need samples here, or the method has no posterior distribution."
