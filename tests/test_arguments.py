@@ -141,7 +141,11 @@ CALLS: list[Callable[[Any], Any]] = [
 
 
 @pytest.mark.parametrize("number", range(len(CALLS)))
-@pytest.mark.parametrize("wrong", [None, object(), 3, {"a": 1}, [object()], _Room()], ids=repr)
+@pytest.mark.parametrize(
+    "wrong",
+    [None, object(), 3, {"a": 1}, [object()], _Room()],
+    ids=["None", "object", "number", "dict", "list", "_Room"],  # the same in each process
+)
 def test_public_functions_raise_typed_errors(
     number: int, wrong: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -50,7 +50,30 @@ def run_and_compare(block: str, where: str, names: dict[str, object]) -> None:
             assert " ".join(printed.split()) == " ".join(shown.split()), f"{where}: {shown}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+LONG = {
+    f"docs/{name}.md"
+    for name in (
+        "positions",
+        "discrepancy",
+        "closed_loop",
+        "where",
+        *(
+            f"api/{n}"
+            for n in ("discrepancy", "independent_solvers", "other", "simulators", "where")
+        ),
+    )
+}
+"""Pages whose blocks take more than two seconds of processor time."""
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(p, id=name, marks=[pytest.mark.long] if name in LONG else [])
+        for p in PAGES
+        for name in [p.relative_to(ROOT).as_posix()]
+    ],
+)
 def test_python_blocks_run_and_print_what_they_say(page: Path) -> None:
     """The blocks of a page run one after the other, in one namespace."""
     names: dict[str, object] = {}

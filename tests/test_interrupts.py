@@ -8,12 +8,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from rtcal import studies
 
-STARTED = "import rtcal.__main__ as m; print('started', flush=True); m.main()"
+STARTED = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import rtcal.__main__ as m; print('started', flush=True); m.main()
+"""
+"""The command as a terminal starts it. A shell's background job, and its children, ignore SIGINT."""
 SHOEBOX = [35, 35, 21, 21, 15, 15]
 
 
@@ -93,16 +99,26 @@ study_report.report = report
 """An interrupt that a library turns into another exception, as one does while it loads."""
 
 
-def test_an_interrupt_that_a_library_swallows_ends_the_command() -> None:
-    done = subprocess.run(
+@pytest.mark.parametrize("of_the_tests", [signal.default_int_handler, signal.SIG_IGN])
+def test_an_interrupt_that_a_library_swallows_ends_the_command(of_the_tests: Any) -> None:
+    """Also where the tests run in the background."""
+    before = signal.signal(signal.SIGINT, of_the_tests)
+    try:
+        done = swallowed()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done.returncode == 130
+    assert done.stderr.strip() == ""
+
+
+def swallowed() -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
         [sys.executable, "-c", SWALLOWED + STARTED, "study"],
         capture_output=True,
         text=True,
         timeout=60,
         check=False,
     )
-    assert done.returncode == 130
-    assert done.stderr.strip() == ""
 
 
 def test_interrupts_at_random_moments(tmp_path: Path) -> None:

@@ -81,6 +81,7 @@ def named(paths: list[Path]) -> Any:
     return pytest.mark.parametrize("path", paths, ids=lambda p: p.stem)
 
 
+@pytest.mark.long
 @named(TUTORIALS)
 def test_tutorials_run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run(path, monkeypatch)
@@ -90,6 +91,7 @@ def test_tutorials_run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert names["runs"] <= 4
 
 
+@pytest.mark.long
 @named(STUDIES)
 def test_studies_pass_their_rule_in_fast_mode(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run(path, monkeypatch)
@@ -109,6 +111,7 @@ def test_studies_pass_their_rule_in_fast_mode(path: Path, monkeypatch: pytest.Mo
         assert list(names["statements"].values()) == [True, False, True, True, False]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("right", "wrong"), [("34.1", "43.1"), ("23.6", "32.6"), ("20.4", "30.4")])
 def test_the_paper_s_examples_fail_with_another_mantissa(
     right: str, wrong: str, monkeypatch: pytest.MonkeyPatch

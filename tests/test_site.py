@@ -21,7 +21,10 @@ from tests.browser import chromium, printed
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 
-pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="needs the source tree")
+pytestmark = [
+    pytest.mark.skipif(not DOCS.is_dir(), reason="needs the source tree"),
+    pytest.mark.long,
+]
 
 
 class Page(HTMLParser):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pytest
 
 import rtcal as rt
 from rtcal.report import (
@@ -14,6 +15,8 @@ from rtcal.report import (
 )
 from tests.browser import chromium, printed
 from tests.report.pages import FINDING
+
+pytestmark = pytest.mark.long
 
 
 def test_in_a_browser(html, evil_html, tmp_path) -> None:
