@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ import rtcal as rt
 
 settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("rtcal")
+
+# xdist sets it in its processes, as some shells do: the commands would wrap their messages to it.
+os.environ.pop("COLUMNS", None)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
