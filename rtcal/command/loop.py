@@ -174,7 +174,7 @@ def next_(
         )
     ]
     header = [
-        ("", ["T20 wanted", "gap of the nearest run", ""]),
+        ("", ["T wanted", "gap of the nearest run", ""]),
         ("", ["/ s", "(simulated - wanted) / JND", "status"]),
     ]
     lines = text.table(rows, header=header)

@@ -13,9 +13,12 @@ from typing import Literal, overload
 
 import numpy as np
 
+from rtcal.acoustics.band_conversion import measurement_in_room_bands
+from rtcal.acoustics.bands import label
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
+from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.problem import Calibration
 from rtcal.errors import DataError, RtcalError, SimulatorError
 from rtcal.loop.control_runs import POSITION, ControlRuns
@@ -226,7 +229,22 @@ def calibrate_simulator(
         tolerance=tolerance,
     )
     result = _run(simulator, loop, max_simulations, seed, after_step)
-    return replace(result, notes=(*repeated, *result.notes))
+    return replace(
+        result,
+        measured=measurement_in_room_bands(measured, room.centre_frequencies),
+        notes=(*repeated, *_with_t30(room, measured), *result.notes),
+    )
+
+
+def _with_t30(room: Room, measured: Measurement) -> tuple[str, ...]:
+    """Return a note of the bands in which T30 stands for T20, which was not measured."""
+    parameters = times_in_room(room, measured).parameter
+    in_place = [
+        label(f) for f, p in zip(room.centre_frequencies, parameters, strict=True) if p == "t30"
+    ]
+    where = f" at {', '.join(in_place)}" if "t20" in parameters else ""
+    note = f"T30 is matched{where} in place of T20, which was not measured."
+    return (note,) if in_place else ()
 
 
 def _refuse(match: Sequence[str], **stated: bool) -> None:

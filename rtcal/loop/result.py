@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import UNITS, parameter_label
+from rtcal.acoustics.parameters import UNITS, check_parameter, parameter_label
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.loop import files
@@ -20,6 +20,8 @@ from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers, write_text
 from rtcal.support.types import Array
 
+_BESIDE = ("edt", "c50", "c80")
+"""Parameters that are shown beside T20, which is fitted."""
 _STRONGEST_SHADE = 5.0  # JND
 
 
@@ -44,6 +46,8 @@ class LoopResult:
     confirmation : Measurement or None
         Simulated with the coefficients returned and another seed. None for a deterministic
         simulator, and if no band converged.
+    measured : Measurement or None
+        What was measured, in the room's bands, also what was not fitted.
     notes : tuple of str
         What is to be known of the simulations, such as paths that left through gaps of the mesh.
     """
@@ -55,6 +59,7 @@ class LoopResult:
     before: Measurement
     after: Measurement
     confirmation: Measurement | None
+    measured: Measurement | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -76,6 +81,29 @@ class LoopResult:
     def gap(self) -> Array:
         """Gap of T20 of `final` in JND, (n_bands,), NaN without a measured T."""
         return gap_jnd(self.final.mean("t20"), self.loop.wanted)
+
+    def gaps(self, parameter: str) -> tuple[Array, Array]:
+        """Return simulated less measured before and after in JND, each (n_bands,).
+
+        Of the means over pairs; NaN where the parameter was not measured or not simulated.
+        """
+        check_parameter(parameter)
+        if self.measured is None:
+            return np.full(self.loop.wanted.shape, np.nan), np.full(self.loop.wanted.shape, np.nan)
+        wanted = self.measured.mean(parameter)
+        return (
+            gap_jnd(self.before.mean(parameter), wanted, parameter),
+            gap_jnd(self.final.mean(parameter), wanted, parameter),
+        )
+
+    @property
+    def farther(self) -> tuple[str, ...]:
+        """Parameters that left what was measured by more than one JND, in some band.
+
+        The mean T20 is fitted; what it costs in EDT, C50 and C80 is told here.
+        """
+        gaps = {p: self.gaps(p) for p in _BESIDE}
+        return tuple(p for p, (old, new) in gaps.items() if (np.abs(new) > np.abs(old) + 1).any())
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
@@ -101,8 +129,12 @@ class LoopResult:
             "confirmed": self.confirmation is not None,
             "status": list(self.status),
             **{
-                name: {p: json_numbers(measurement.mean(p)) for p in measurement.values}
-                for name, measurement in (("before", self.before), ("after", self.final))
+                name: {} if of is None else {p: json_numbers(of.mean(p)) for p in of.values}
+                for name, of in (
+                    ("measured", self.measured),
+                    ("before", self.before),
+                    ("after", self.final),
+                )
             },
         }
 
@@ -119,9 +151,9 @@ class LoopResult:
         write_text(path, self.to_json())
 
     def __str__(self) -> str:
-        header, rows = self._table()
         lines = [f"Coefficients only for {self.simulator}; {self.simulations} simulations"]
-        lines += text.table([(row[0], row[1:]) for row in rows], header=(header[0], header[1:]))
+        for header, rows in filter(all, (self._table(), self._beside())):
+            lines += text.table([(row[0], row[1:]) for row in rows], header=(header[0], header[1:]))
         for note in self._notes():
             lines += text.wrapped(note, hanging="       " if note.startswith(" ") else "    ")
         return "\n".join(lines)
@@ -129,31 +161,44 @@ class LoopResult:
     def _repr_html_(self) -> str:
         """Return the table with shaded gaps: orange for a T that is too long, blue for too short."""
         header, rows = self._table()
+        more, rows_beside = self._beside()
+        header += more[1:]
+        for row, beside in zip(rows, rows_beside, strict=bool(more)):
+            row.extend(beside[1:])
         column = header.index("gap / JND")
         shaded: list[list[str | html.Cell]] = [[*row] for row in rows]
-        for row, gap in zip(shaded, np.nan_to_num(self.gap), strict=True):
-            row[column] = html.Cell(str(row[column]), float(np.clip(gap / _STRONGEST_SHADE, -1, 1)))
+        for cells, gap in zip(shaded, np.nan_to_num(self.gap), strict=True):
+            shade = float(np.clip(gap / _STRONGEST_SHADE, -1, 1))
+            cells[column] = html.Cell(str(cells[column]), shade)
         return html.table(self._description, header, shaded, self._notes())
 
     def _table(self) -> tuple[list[str], list[list[str]]]:
         """Return the header and one row per band."""
         columns: dict[str, Sequence[str]] = {
             "": [label(f) for f in self.room.centre_frequencies],
-            "T20 wanted / s": _numbers(self.loop.wanted, ".3f"),
+            "T wanted / s": _numbers(self.loop.wanted, ".3f"),
             "simulated / s": _numbers(self.final.mean("t20"), ".3f"),
             "gap / JND": _numbers(self.gap, "+.2f"),
             "z": _numbers(self.loop.outcome.plausibility.z, "+.1f"),
             "status": self.status,
         }
-        for parameter in ("edt", "c50", "c80"):
-            if parameter in self.before.values:
-                first, last = (
-                    _numbers(measurement.mean(parameter), ".2f")
-                    for measurement in (self.before, self.final)
-                )
-                columns[f"{parameter_label(parameter)} / {UNITS[parameter]}"] = [
-                    f"{a} to {b}" for a, b in zip(first, last, strict=True)
-                ]
+        return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
+
+    def _beside(self) -> tuple[list[str], list[list[str]]]:
+        """Return header and rows of what was not fitted: measured, before and after the loop."""
+        columns: dict[str, Sequence[str]] = {"": [label(f) for f in self.room.centre_frequencies]}
+        for parameter in (p for p in _BESIDE if p in self.before.values):
+            name = f"{parameter_label(parameter)} / {UNITS[parameter]}"
+            measured = self.measured and self.measured.values
+            for when, of in (
+                ("measured", self.measured if measured and parameter in measured else None),
+                ("before", self.before),
+                ("after", self.final),
+            ):
+                if of is not None:
+                    columns[f"{name} {when}"] = _numbers(of.mean(parameter), ".2f")
+        if len(columns) == 1:
+            return [], []
         return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
 
     def _notes(self) -> list[str]:
@@ -164,7 +209,19 @@ class LoopResult:
                 "Not confirmed: with another seed the gap exceeds tolerance plus noise, or the noise "
                 "exceeds the tolerance. Simulate with less noise (more paths).",
             )
+        notes[:0] = [self._left(parameter) for parameter in self.farther]
         return [*notes, *self.notes]
+
+    def _left(self, parameter: str) -> str:
+        """Return by how much a parameter that was not fitted left what was measured, worst band."""
+        before, after = (np.abs(gap) for gap in self.gaps(parameter))
+        k = int(np.nanargmax(after - before))
+        return (
+            f"{parameter_label(parameter)}, which was not fitted, left what was measured: by "
+            f"{before[k]:.1f} JND before and {after[k]:.1f} JND after, at "
+            f"{label(self.room.centre_frequencies[k])}. Match it at every position, or look for what "
+            "the model misses (rtcal gap)."
+        )
 
 
 def _numbers(values: Array, form: str) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -91,7 +91,7 @@ def bands_table(loop: Loop, status: Sequence[str]) -> dict[str, Any]:
     nearest = np.array([loop.steps[b].simulated[k] for k, b in enumerate(loop.best)])
     return {
         "numbers": [
-            ("measured T20 / s", loop.wanted, 3, False),
+            ("measured T / s", loop.wanted, 3, False),
             ("first simulated / s", loop.steps[0].simulated, 3, False),
             ("nearest simulated / s", nearest, 3, False),
             ("first gap / JND", gap_jnd(loop.steps[0].simulated, loop.wanted), 1, True),
@@ -145,9 +145,12 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
         "simulator": Entries.text,
         "confirmed": Entries.flag,
         "status": Entries.texts,
+        "measured": means,
         "before": means,
         "after": means,
     }
+    if isinstance(result, Mapping):
+        result = {"measured": {}, **result}  # saved by a version that did not keep it
     try:
         ends = record_of(rules)(Entries("", {"result": result}, ("result",)), "result")
         if len(ends["status"]) != n or not set(ends["status"]) <= set(_STATUS_IN_WORDS):
@@ -160,8 +163,12 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
     rows = [
         (f"{parameter_label(parameter)}, {when} / {unit}", ends[name][parameter], decimals, False)
         for parameter, (decimals, unit) in _SHOWN.items()
-        for name, when in (("before", "first"), ("after", "with the coefficients returned"))
-        if parameter in ends[name]
+        for name, when in (
+            ("measured", "measured"),
+            ("before", "first"),
+            ("after", "with the coefficients returned"),
+        )
+        if parameter in ends[name] and not (parameter == "t20" and name == "measured")
     ]
     gap = gap_jnd(ends["after"]["t20"], loop.wanted)
     rows.insert(2, ("its gap / JND", gap, 1, True))
