@@ -102,7 +102,7 @@ def material_list_holds(result: MaterialList) -> None:
     # Materials of different bands may be refused: octaves of a few thirds cannot be had.
     if len({m.centre_frequencies for m in result.materials}) == 1:
         room = result.room(name="", volume=1, areas=dict.fromkeys(result.names, 1.0))
-        assert result.with_alpha(room)[0] == Path(result.path).read_bytes()
+        assert result.with_room(room)[0] == Path(result.path).read_bytes()
 
 
 def table_holds(result: tables.Table) -> None:

@@ -283,7 +283,7 @@ def test_pyroomacoustics_takes_the_dictionaries() -> None:
     expected = json.loads(database.read_text())["absorption"]
     names = [n for category in expected.values() for n in category]
     assert sorted(listed.names) == sorted(names)
-    assert listed.with_alpha(listed.room(name="", volume=1, areas={names[0]: 1.0}))[0] == (
+    assert listed.with_room(listed.room(name="", volume=1, areas={names[0]: 1.0}))[0] == (
         database.read_bytes()
     )
 
@@ -299,7 +299,7 @@ def test_bras_table_of_the_benchmark(shared_data: Path) -> None:
     ceiling = next(m for m in listed.materials if m.name == "ceiling")
     assert ceiling.alpha[:3] == (0.069, 0.055, 0.04)
     room = listed.room(name="CR2", volume=146.1, areas=dict.fromkeys(listed.names, 40.0))
-    assert listed.with_alpha(room)[0] == path.read_bytes()
+    assert listed.with_room(room)[0] == path.read_bytes()
 
 
 BAD = [

@@ -252,5 +252,6 @@ def export(
         "change_jnd": done.change,
         "bands_not_written": done.bands_not_written,
         "notes": done.notes,
+        "not_in_file": done.lost,
     }
     tell(str(done), record, quiet=quiet, as_json=as_json)

@@ -142,6 +142,7 @@ def _single_material(
         spans=tuple((b, e) for _, b, e in rows[1][1]),
         decimals=DECIMALS,
         scattering=tuple(values[2]) if len(rows) == 3 else None,
+        scattering_spans=tuple((b, e) for _, b, e in rows[2][1]) if len(rows) == 3 else (),
     )
 
 

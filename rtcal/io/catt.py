@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.equations import LinearEquation
@@ -57,8 +58,9 @@ def write(
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
-    Only numbers that change are written; everything else keeps its bytes. If neither file exists, the
-    file is a new list of the octaves 125 Hz to 4 kHz, with 8 and 16 kHz if the room has them.
+    Only numbers that change are written, of alpha and scattering; everything else keeps its bytes. A
+    material without scattering gets that of the room. If neither file exists, the file is a new list
+    of the octaves 125 Hz to 4 kHz, with 8 and 16 kHz if the room has them.
 
     Parameters
     ----------
@@ -136,6 +138,7 @@ def parse(content: bytes, path: str = "CATT file") -> MaterialList:
         text=text,
         materials=tuple(materials),
         aliases={name: target for name, (target, _) in aliases.items()},
+        scattering_text=lambda numbers: f" L <{_in_groups(numbers)}>",
     )
 
 
@@ -149,12 +152,19 @@ def _material(
     values, spans = _numbers(match.group(1), offset + match.start(1), place)
     material_list.check_coefficients(values, unit, place)
     tail, scattering = text[match.end() :], None
+    spans_of_scattering: tuple[tuple[int, int], ...] = ()
     if tail[:1] in ("L", "l"):
         tail = tail[1:].lstrip(" \t")
+        begin = offset + len(text) - len(tail)
         scattering_list = _LIST.match(tail)
         if not scattering_list:
             raise DataError(f"{place}: L, the scattering, lacks its <6 to 8 values>")
-        diffuse, _ = _numbers(scattering_list.group(1), 0, place, " of L, the scattering")
+        diffuse, spans_of_scattering = _numbers(
+            scattering_list.group(1),
+            begin + scattering_list.start(1),
+            place,
+            " of L, the scattering",
+        )
         if len(diffuse) != len(values):
             raise DataError(
                 f"{place}: {len(values)} absorption and {len(diffuse)} scattering values; "
@@ -174,6 +184,8 @@ def _material(
         unit=unit,
         decimals=DECIMALS + 2 if fraction else DECIMALS,
         scattering=scattering,
+        scattering_spans=spans_of_scattering,
+        scattering_place=offset + match.end(1) + 1,
     )
 
 
@@ -222,5 +234,9 @@ def _new_list(room: Room) -> MaterialList:
 
 
 def _percents(row: Array) -> str:
-    texts = [f"{100 * value:.{DECIMALS}f}" for value in row]
+    return _in_groups([f"{100 * value:.{DECIMALS}f}" for value in row])
+
+
+def _in_groups(texts: Sequence[str]) -> str:
+    """Return the numbers of a list, with a colon before 8 kHz."""
     return " ".join(texts[:6]) + (" : " + " ".join(texts[6:]) if texts[6:] else "")

@@ -18,6 +18,8 @@ from rtcal.support import text
 from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
 
+RECORD = "the record of the calibration"
+
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport:
@@ -40,6 +42,8 @@ class ExportReport:
         Bands of the exported room in Hz that the file does not have.
     notes : sequence of str
         How bands were converted or filled.
+    lost : sequence of str
+        What the exported room states and the file does not hold.
     """
 
     path: str
@@ -50,6 +54,7 @@ class ExportReport:
     reverberation_time_as_read: Array
     bands_not_written: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
 
     @property
     def change(self) -> Array:
@@ -82,7 +87,14 @@ class ExportReport:
         if self.bands_not_written:
             missing = ", ".join(bands.label(f) for f in self.bands_not_written)
             rows.append(f"Not in the file, so not written: {missing}")
-        return "\n".join([*rows, *self.notes])
+        rows += self.notes
+        rows += text.wrapped(f"Not in the file: {', '.join(self.lost)}. Keep the room's own file.")
+        if RECORD in self.lost:
+            rows += text.wrapped(
+                "A room made of this file can be calibrated to the same data again, which would count "
+                "them twice."
+            )
+        return "\n".join(rows)
 
 
 def write_list(
@@ -119,7 +131,7 @@ def write_list(
         listed = replace(
             listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)
         )
-    content, as_read = listed.with_alpha(room)
+    content, as_read, lacking = listed.with_room(room)
     time = equation.reverberation_time(room)
     held = {f for m in listed.materials for f in m.centre_frequencies}
     not_written = np.array([f for f in room.centre_frequencies if f not in held])
@@ -140,9 +152,26 @@ def write_list(
         reverberation_time_as_read=equation.reverberation_time(as_read),
         bands_not_written=tuple(float(f) for f in not_written),
         notes=tuple(notes),
+        lost=_lost(room, lacking),
     )
     write_bytes(path, content)
     return report
+
+
+def _lost(room: Room, lacking: Sequence[str]) -> tuple[str, ...]:
+    """Return what a room states and no list of materials holds, after ``lacking`` scattering."""
+    of = "" if len(lacking) == room.n_materials else f" of {', '.join(lacking)}"
+    stated = {
+        f"scattering{of}": bool(lacking),
+        "areas and volume": True,
+        "sigma": bool(room.sigma.any()),
+        "alpha_min": room.alpha_min is not None,
+        "correlations": bool(room.band_correlation or room.material_correlation),
+        "air": room.air is not None,
+        "sources": bool(room.sources),
+        RECORD: room.calibration is not None,
+    }
+    return tuple(name for name, is_stated in stated.items() if is_stated)
 
 
 def _in_new_bands(

@@ -6,7 +6,7 @@ and writes numbers, for all formats. Only numbers that change are written; all o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -67,7 +67,11 @@ class ListedMaterial:
     decimals : int or None
         Decimals of written numbers; None for all digits.
     scattering : sequence (n_bands,), optional
-        Scattering coefficients, 0 to 1. They are read and never changed.
+        Scattering coefficients, 0 to 1.
+    scattering_spans : sequence of (start, end) (n_bands,)
+        Characters of the file's text that hold each of them.
+    scattering_place : int, optional
+        Where the format takes those of a material that states none; None if nowhere.
     source : str
         Where the coefficients come from, if not from the list itself.
     """
@@ -80,6 +84,8 @@ class ListedMaterial:
     unit: float = 1.0
     decimals: int | None = None
     scattering: tuple[float, ...] | None = None
+    scattering_spans: tuple[tuple[int, int], ...] = ()
+    scattering_place: int | None = None
     source: str = ""
 
     def in_bands(self, values: Sequence[float], wanted: Array, place: str) -> Array:
@@ -109,6 +115,8 @@ class MaterialList:
     materials : sequence of ListedMaterial
     aliases : mapping of str to str
         Further names of materials.
+    scattering_text : callable, optional
+        Returns the text for a `ListedMaterial.scattering_place`, of one number per band.
 
     Examples
     --------
@@ -121,6 +129,7 @@ class MaterialList:
     text: Text = field(repr=False)
     materials: tuple[ListedMaterial, ...]
     aliases: Mapping[str, str] = field(default_factory=dict)
+    scattering_text: Callable[[Sequence[str]], str] | None = None
 
     def __post_init__(self) -> None:
         first: dict[str, int] = {}
@@ -251,13 +260,17 @@ class MaterialList:
             )
         return band_conversion.room(room, obtainable)
 
-    def with_alpha(self, room: Room) -> tuple[bytes, Room]:
-        """Return the file with the room's coefficients, and the room as read from this file.
+    def with_room(self, room: Room) -> tuple[bytes, Room, tuple[str, ...]]:
+        """Return the file with the room's coefficients, the room as read from it, and what it lacks.
 
         If the file has octaves and the room thirds, the file gets the means of the thirds. If the file
         has thirds and the room octaves, each third gets its octave's value. The returned room has the
         file's bands. A number is replaced only if the coefficient, rounded to the file's decimals,
         differs from it.
+
+        Scattering is written where the file holds it or its format takes it in that place. What is
+        lacking are the materials whose scattering is not written; without it in all of them, the room
+        as read has none.
 
         Raises
         ------
@@ -266,9 +279,10 @@ class MaterialList:
             and for two aliases of one material with different coefficients.
         """
         room = self._in_file_bands(room)
-        as_read = np.array(room.alpha)
-        texts: dict[tuple[int, int], str] = {}
-        written: dict[tuple[int, int], tuple[float, str]] = {}
+        change = _Change()
+        alpha = np.array(room.alpha)
+        scattering = None if room.scattering is None else np.array(room.scattering)
+        lacking = []
         for i, name in enumerate(room.materials):
             material = self.listed(name)
             columns = [
@@ -280,27 +294,72 @@ class MaterialList:
                     f'{self.path}, line {material.line}: "{material.name}" has none of the '
                     "room's bands"
                 )
-            for b, k in enumerate(columns):
-                if k is None:
-                    continue
-                alpha, span = float(room.alpha[i, k]), material.spans[b]
-                if written.setdefault(span, (alpha, name))[0] != alpha:
-                    raise DataError(
-                        f'{room.place("alpha", i, k)} = {alpha:g}, but "{written[span][1]}" is '
-                        f"the same material of {self.path} and has {written[span][0]:g}"
-                    )
-                text, value = material.rounded(alpha)
-                if material.alpha[b] in (alpha, value):
-                    value = material.alpha[b]
-                else:
-                    texts[span] = text
-                as_read[i, k] = value
+            for k, span, stated in zip(columns, material.spans, material.alpha, strict=True):
+                if k is not None:
+                    place = f"{self.path}: {room.place('alpha', i, k)}"
+                    alpha[i, k] = change.to(material, span, stated, float(alpha[i, k]), place)
+            if scattering is None:
+                continue
+            spans, at = material.scattering_spans, material.scattering_place
+            in_room = [k for k in columns if k is not None]
+            if material.scattering is not None and spans:
+                for k, span, stated in zip(columns, spans, material.scattering, strict=True):
+                    if k is not None:
+                        place = f"{self.path}: {room.place('scattering', i, k)}"
+                        value = float(scattering[i, k])
+                        scattering[i, k] = change.to(material, span, stated, value, place)
+            elif at is not None and self.scattering_text and len(in_room) == len(columns):
+                numbers = [material.rounded(float(scattering[i, k])) for k in in_room]
+                inserted = self.scattering_text([text for text, _ in numbers])
+                change.insert(at, inserted, f'{self.path}: scattering["{name}"]')
+                scattering[i, in_room] = [value for _, value in numbers]
+            else:
+                lacking.append(name)
+        as_read = room.replace(alpha=alpha, scattering=None if lacking else scattering)
+        return self.text.encode(change.text(self.text.characters)), as_read, tuple(lacking)
+
+
+class _Change:
+    """The spans of a file's text that get other characters."""
+
+    def __init__(self) -> None:
+        self.texts: dict[tuple[int, int], str] = {}
+        self.written: dict[tuple[int, int], tuple[float | str, str]] = {}
+
+    def to(
+        self,
+        material: ListedMaterial,
+        span: tuple[int, int],
+        stated: float,
+        value: float,
+        place: str,
+    ) -> float:
+        """Write a number unless the one stated is the same when rounded; return what is then read."""
+        self._once(span, value, place)
+        text, read = material.rounded(value)
+        if stated in (value, read):
+            return stated
+        self.texts[span] = text
+        return read
+
+    def insert(self, at: int, text: str, place: str) -> None:
+        """Write numbers where the file has none."""
+        self._once((at, at), text, place)
+        self.texts[at, at] = text
+
+    def _once(self, span: tuple[int, int], value: float | str, place: str) -> None:
+        """Raise DataError if two names of one material ask for different values."""
+        before, first = self.written.setdefault(span, (value, place))
+        if before != value:
+            raise DataError(f"{place} = {value}, but {first} is the same material and has {before}")
+
+    def text(self, characters: str) -> str:
+        """Return the file's text with all changes."""
         pieces, position = [], 0
-        for (start, end), text in sorted(texts.items()):
-            pieces += [self.text.characters[position:start], text]
+        for (start, end), text in sorted(self.texts.items()):
+            pieces += [characters[position:start], text]
             position = end
-        pieces.append(self.text.characters[position:])
-        return self.text.encode("".join(pieces)), room.replace(alpha=as_read)
+        return "".join([*pieces, characters[position:]])
 
 
 def coefficient(value: float, unit: float) -> float:

@@ -8,7 +8,8 @@ else those of the file's outermost object::
      "scattering": {"diffuser": {"coeffs": [0.1, 0.2, 0.3, 0.4, 0.5]}}}
 
 A single object, ``{"description": ..., "coeffs": [...], "center_freqs": [...]}``, is read as a material
-named "material". Objects below an outermost ``scattering`` are kept and not read as absorption.
+named "material". Objects below an outermost ``scattering`` are the scattering of the material of the
+same name and bands.
 `dictionaries` returns the arguments of pyroomacoustics' ``Material``; the library is not imported.
 
 Source: pyroomacoustics 0.10.1, ``data/materials.json`` and ``parameters.Material``.
@@ -20,6 +21,7 @@ import json
 import os
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from rtcal.acoustics import bands
@@ -112,14 +114,17 @@ def parse(content: bytes, path: str = "JSON file") -> MaterialList:
     except (ValueError, RecursionError) as error:
         line = getattr(error, "lineno", 1)
         raise DataError(f"{path}, line {line}: not valid JSON: {error}") from error
-    materials = []
+    materials, scattering = [], dict[str, ListedMaterial]()
     for where, numbers in lists.items():
-        if where[-1] != "coeffs" or where[0] == "scattering":
+        if where[-1] != "coeffs":
             continue
         line = line_of(text.characters, numbers[0][1])
         place = f"{path}, line {line}"
         values = [number(t, place) for t, _, _ in numbers]
-        material_list.check_coefficients(values, 1.0, place)
+        of_scattering = where[0] == "scattering"
+        material_list.check_coefficients(
+            values, 1.0, place, "scattering" if of_scattering else "alpha"
+        )
         beside = (*where[:-1], "center_freqs")
         centres = lists.get(beside) or lists.get(("center_freqs",))
         if centres is None:
@@ -133,17 +138,30 @@ def parse(content: bytes, path: str = "JSON file") -> MaterialList:
             raise DataError(
                 f"{place}: {len(values)} coefficients for {len(frequencies)} center_freqs"
             )
-        materials.append(
-            ListedMaterial(
-                name=str(where[-2]) if len(where) > 1 else "material",
-                line=line,
-                alpha=tuple(values),
-                # In pyroomacoustics, a shorter list begins at the lowest band of its data base.
-                centre_frequencies=tuple(float(f) for f in frequencies[: len(values)]),
-                spans=tuple((b, e) for _, b, e in numbers),
-            )
+        listed = ListedMaterial(
+            name=str(where[-2]) if len(where) > 1 else "material",
+            line=line,
+            alpha=tuple(values),
+            # In pyroomacoustics, a shorter list begins at the lowest band of its data base.
+            centre_frequencies=tuple(float(f) for f in frequencies[: len(values)]),
+            spans=tuple((b, e) for _, b, e in numbers),
         )
-    return MaterialList(path=path, text=text, materials=tuple(materials))
+        if of_scattering:
+            scattering.setdefault(listed.name, listed)
+        else:
+            materials.append(listed)
+    return MaterialList(
+        path=path,
+        text=text,
+        materials=tuple(_with_scattering(m, scattering.get(m.name)) for m in materials),
+    )
+
+
+def _with_scattering(material: ListedMaterial, scattering: ListedMaterial | None) -> ListedMaterial:
+    """Return the material with the scattering of its name, if that has the same bands."""
+    if scattering is None or scattering.centre_frequencies != material.centre_frequencies:
+        return material
+    return replace(material, scattering=scattering.alpha, scattering_spans=scattering.spans)
 
 
 def _scalars(text: str, path: str) -> Iterator[tuple[Keys, str, int, int]]:
