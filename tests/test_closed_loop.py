@@ -517,3 +517,108 @@ def test_columns_of_the_printed_table_stay_apart(cr2):
     for line in text.splitlines():
         assert "34-" not in line
         assert len(line) <= 80
+
+
+# The compromise of T20 and EDT (the paper's Sect. 4.3.2)
+
+
+def two_slopes(room, ratio):
+    """A simulator whose T20 is 1.2 times Eyring's T, and whose EDT is ``ratio`` times its T20."""
+
+    def run(alpha, seed):
+        t20 = 1.2 * rt.Eyring().time(room, room.areas @ alpha)
+        return rt.Measurement.from_values(room.centre_frequencies, t20=t20, edt=ratio * t20)
+
+    return External(room=room, run=run, name="two slopes")
+
+
+def with_edt(measured):
+    times = measured.decay_time().mean
+    return rt.Measurement.from_values(measured.centre_frequencies, t20=times, edt=times)
+
+
+def test_a_compromise_divides_what_t20_and_edt_disagree_on_by_the_weights(cr2):
+    """The simulator's EDT is 20 % longer than its T20; those measured are equal."""
+    room, measured = cr2
+    data, n = with_edt(measured), room.n_bands
+    share = np.linspace(0, 1, n)
+    result = calibrate_simulator(
+        two_slopes(room, 1.2), room, data, weights={"t20": 3 * (1 - share), "edt": 3 * share}
+    )
+    assert set(result.status) == {"converged"}
+    off = {p: np.log(result.after.mean(p) / data.mean(p)) for p in ("t20", "edt")}
+    left = (1 - share) * off["t20"] + share * off["edt"]
+    assert np.abs(left).max() < np.log(1.05)
+    np.testing.assert_allclose(off["t20"] - left, -share * np.log(1.2), atol=1e-9)
+    np.testing.assert_allclose(off["edt"] - left, (1 - share) * np.log(1.2), atol=1e-9)
+    # What is stated of it:
+    assert list(result.compromise) == ["t20", "edt"]
+    for parameter, part in result.compromise.items():
+        for when, stated in ((result.before, part.before), (result.after, part.after)):
+            gap = gap_jnd(when.mean(parameter), data.mean(parameter), parameter)
+            np.testing.assert_allclose(stated, gap)
+        np.testing.assert_allclose(part.lost, np.abs(part.after - result.gap))
+        alone = part.share == 1
+        assert np.count_nonzero(alone) == 1
+        np.testing.assert_allclose(part.lost[alone], 0, atol=1e-9)
+        assert np.all(part.lost[~alone] > 0.3)
+    for words in ("T wanted / s", "T20 gap / JND after", "EDT lost / JND"):
+        assert words in str(result)
+
+
+def test_weights_of_t20_alone_are_the_loop_as_it_was(cr2):
+    room, measured = cr2
+    simulator, data = two_slopes(room, 1.2), with_edt(measured)
+    alone = calibrate_simulator(simulator, room, data)
+    weighted = calibrate_simulator(simulator, room, data, weights={"t20": 0.3})
+    assert np.array_equal(alone.alpha, weighted.alpha)
+    assert alone.to_json() == weighted.to_json()
+    assert np.all(alone.compromise["t20"].lost == 0)
+
+
+def test_a_compromise_goes_on_from_a_file(cr2, tmp_path):
+    room, measured = cr2
+    weights = {"t20": 1, "edt": np.linspace(0, 2, room.n_bands)}
+    simulator = two_slopes(room, 1.2)
+    loop = closed_loop.start(room, with_edt(measured), weights=weights)
+    loop = loop.record(loop.next_alpha, simulator.simulate(loop.next_alpha))
+    loop.save(tmp_path / "state.json")
+    read = closed_loop.Loop.load(tmp_path / "state.json", room)
+    np.testing.assert_allclose(read.wanted, loop.wanted, rtol=1e-15)
+    np.testing.assert_allclose(read.next_alpha, loop.next_alpha, rtol=1e-12)
+    assert list(read.matched.shares) == ["t20", "edt"]
+    with pytest.raises(DataError, match="what was simulated has no EDT"):
+        t20 = rt.Measurement.from_values(room.centre_frequencies, t20=loop.wanted)
+        loop.record(loop.next_alpha, t20)
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ({"c80": 1}, "weights has 'c80', which is not one of t20, edt"),
+        (
+            {"t20": 1, "edt": -1},
+            r"weights\['edt'\] at 125 Hz = -1 is not a finite number of at least 0",
+        ),
+        ({"t20": 0}, "weights are 0 for every parameter at 125 Hz"),
+        ({"edt": [1, 2]}, r"weights\['edt'\] has shape \(2,\); one number, or one per band"),
+        (
+            {"t20": 1, "edt": 1},
+            "weights\\['edt'\\] is above 0 at 125 Hz, where the measurement has no EDT",
+        ),
+        ("t20", "weights = 't20' is not a mapping"),
+    ],
+)
+def test_weights_that_break_a_rule(cr2, weights, message):
+    room, measured = cr2
+    t20 = rt.Measurement.from_values(room.centre_frequencies, t20=measured.decay_time().mean)
+    with pytest.raises(DataError, match=message):
+        calibrate_simulator(two_slopes(room, 1.2), room, t20, weights=weights)
+
+
+def test_weights_do_not_go_with_every_position(cr2):
+    room, measured = cr2
+    with pytest.raises(DataError, match="weights does not go with match"):
+        calibrate_simulator(
+            two_slopes(room, 1.2), room, measured, match=("t20", "edt"), weights={"t20": 1}
+        )

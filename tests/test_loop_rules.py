@@ -5,6 +5,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.loop import rules
+from rtcal.loop.matched import Matched
 from rtcal.loop.status import (
     CLOSE_TARGETS,
     band_goals,
@@ -12,7 +13,7 @@ from rtcal.loop.status import (
     confirmed_statuses,
     stuck_bands,
 )
-from rtcal.loop.steps import Step, simulated_t20, t20_noise
+from rtcal.loop.steps import Step, simulated_time
 from rtcal.loop.targets import next_targets, target_limits, target_without_t20
 
 LOW, HIGH = 0.01, 100.0
@@ -395,31 +396,48 @@ def measurement(**changes):
 
 
 def test_noise_of_a_mean_is_that_of_independent_pairs():
-    assert t20_noise(measurement()) == pytest.approx([0.0, 0.0])
+    t20 = Matched.t20(np.ones(2))
+    assert t20.noise(measurement()) == pytest.approx([0.0, 0.0])
     stated = measurement(uncertainty={"t20": [[0.3, 0.6], [0.4, NAN]]})
-    assert t20_noise(stated) == pytest.approx([0.25, NAN], nan_ok=True)
+    assert t20.noise(stated) == pytest.approx([0.25, NAN], nan_ok=True)
 
 
 def test_t20_of_a_measurement():
     bands = np.array([500.0, 1000.0])
-    wanted = np.array([1.0, 1.0])
-    assert simulated_t20(measurement(), bands, wanted, []) == pytest.approx([2.0, 3.0])
+    wanted = Matched.t20(np.array([1.0, 1.0]))
+    assert simulated_time(measurement(), bands, wanted, []) == pytest.approx([2.0, 3.0])
     lacking = measurement(values={"t20": [[1.0, 2.0], [3.0, NAN]]})
     with pytest.raises(rt.errors.DataError, match=r"T20\[S to R2, 1000 Hz\] is missing"):
-        simulated_t20(lacking, bands, wanted, [])
+        simulated_time(lacking, bands, wanted, [])
     earlier = [step([1.0, 1.0], [1.0, 1.0])]
-    t20 = simulated_t20(lacking, bands, wanted, earlier)
+    t20 = simulated_time(lacking, bands, wanted, earlier)
     assert t20 == pytest.approx([2.0, NAN], nan_ok=True)
     # An earlier step that lacked it too does not help.
     with pytest.raises(rt.errors.DataError, match="1000 Hz"):
-        simulated_t20(lacking, bands, wanted, [step([1.0, 1.0], [1.0, NAN])])
+        simulated_time(lacking, bands, wanted, [step([1.0, 1.0], [1.0, NAN])])
     # A band without a measured T may lack it; all measured bands may not.
-    unmeasured = np.array([1.0, NAN])
-    assert simulated_t20(lacking, bands, unmeasured, []) == pytest.approx([2.0, 2.0])
+    unmeasured = Matched.t20(np.array([1.0, NAN]))
+    assert simulated_time(lacking, bands, unmeasured, []) == pytest.approx([2.0, 2.0])
     none = measurement(values={"t20": [[NAN, 2.0], [3.0, NAN]]})
     with pytest.raises(rt.errors.DataError, match=r"S to R1, 500 Hz"):
-        simulated_t20(none, bands, wanted, earlier)
+        simulated_time(none, bands, wanted, earlier)
     with pytest.raises(rt.errors.DataError, match="the room has 2 bands, 1000 to 2000 Hz"):
-        simulated_t20(measurement(), bands * 2, wanted, [])
+        simulated_time(measurement(), bands * 2, wanted, [])
     with pytest.raises(rt.errors.DataError, match="no T20"):
-        simulated_t20(measurement(values={"t30": [[1.0, 2.0], [3.0, 4.0]]}), bands, wanted, [])
+        simulated_time(measurement(values={"t30": [[1.0, 2.0], [3.0, 4.0]]}), bands, wanted, [])
+
+
+def test_the_noise_of_a_compromise_adds_the_shares_of_both():
+    """T20 and EDT come from the same paths, so their errors are not taken as independent."""
+    values = {"t20": [[2.0, 2.0]], "edt": [[1.0, NAN]]}
+    errors = {"t20": [[0.2, 0.2]], "edt": [[0.05, NAN]]}
+    pairs = [("S", "R1")]
+    simulated = measurement(values=values, uncertainty=errors, pairs=pairs)
+    both = Matched(
+        measured={"t20": np.array([2.0, 2.0]), "edt": np.array([2.0, NAN])},
+        shares={"t20": np.array([0.75, 1.0]), "edt": np.array([0.25, 0.0])},
+    )
+    assert both.wanted == pytest.approx([2.0, 2.0])
+    time = 2**0.75
+    relative = 0.75 * 0.1 + 0.25 * 0.05
+    assert both.noise(simulated) == pytest.approx([time * relative, 0.2])

@@ -9,8 +9,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
-
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import MAX_BYTES
 from rtcal.acoustics.room import Room
@@ -58,11 +56,7 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
     simulated = Measurement.from_file(table)
     alpha = loop.next_alpha
     _refuse_other_coefficients(alpha, table, state, out)
-    if (
-        not again
-        and not loop.steps
-        and np.array_equal(simulated.mean("t20"), loop.wanted, equal_nan=True)
-    ):
+    if not again and not loop.steps and loop.matched.gives(simulated, loop.wanted):
         raise DataError(
             f"{table}: every T20 is the measured one to the last digit: is it the measurement itself, "
             "and not what was simulated? (--again takes it all the same)"

@@ -22,6 +22,7 @@ from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.problem import Calibration
 from rtcal.errors import DataError, RtcalError, SimulatorError
 from rtcal.loop.control_runs import POSITION, ControlRuns
+from rtcal.loop.matched import Weights
 from rtcal.loop.positions import calibrate_positions
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
@@ -45,6 +46,7 @@ def calibrate_simulator(
     rule: Rule | None = None,
     *,
     match: tuple[Literal["t20"]] = ("t20",),
+    weights: Weights | None = None,
     method: str = "mle",
     equation: LinearEquation | None = None,
     decimals: int | None = None,
@@ -88,6 +90,7 @@ def calibrate_simulator(
     position_uncertainty: float = POSITION,
     fit_scattering: bool = True,
     progress: Progress | None = None,
+    weights: Weights | None = None,
     method: str = "mle",
     equation: LinearEquation | None = None,
     decimals: int | None = None,
@@ -133,6 +136,10 @@ def calibrate_simulator(
         Every position: called with the number of finished control runs and their total.
     rule : {"secant", "safeguarded", "regression"}, optional
         See `rtcal.loop.rules`. By default "safeguarded" for a smooth simulator, else "regression".
+    weights : mapping of "t20" and "edt" to a number or one per band, optional
+        A compromise of the mean T20 and the mean EDT: each band's target is moved until their weighted
+        geometric mean is the measured one. ``result.compromise`` states what each lost. By default
+        T20 alone is matched.
     method, equation
         Of the equation's calibration; see `rtcal.calibrate`.
     decimals : int, optional
@@ -186,6 +193,7 @@ def calibrate_simulator(
         _refuse(
             match,
             rule=rule is not None,
+            weights=weights is not None,
             method=method != "mle",
             equation=equation is not None,
             decimals=decimals is not None,
@@ -227,6 +235,7 @@ def calibrate_simulator(
         equation=equation,
         decimals=decimals,
         tolerance=tolerance,
+        weights=weights,
     )
     result = _run(simulator, loop, max_simulations, seed, after_step)
     return replace(

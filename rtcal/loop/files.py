@@ -18,10 +18,11 @@ from rtcal.acoustics.equations import LinearEquation, linear_equation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.presets import preset
 from rtcal.errors import DataError
+from rtcal.loop.matched import Matched
 from rtcal.loop.rules import RULES
 from rtcal.support import checks
 from rtcal.support.decode import Entries, json_object
-from rtcal.support.files import read_text
+from rtcal.support.files import json_numbers, read_text
 from rtcal.support.types import Array
 
 KIND = "loop 2"
@@ -72,16 +73,17 @@ def attributes(
     ``equation`` replaces the one in the dict. Raises DataError or ModelError for an entry that
     breaks a rule.
     """
-    state = Entries("", data, _KEYS, ("rtcal", "result", "coefficients", "bent"))
+    state = Entries("", data, _KEYS, ("rtcal", "result", "coefficients", "bent", "edt"))
     room = Room.from_text(state.text("room"), "room")
     method = state.text("method")
     preset(method, room)
     wanted = state.array("wanted", (room.n_bands,), _T_LIMITS, missing=True)
     if np.isnan(wanted).all():
         raise DataError("wanted = null in every band: there is nothing to calibrate to")
+    what = _matched(data["edt"], wanted) if "edt" in data else Matched.t20(wanted)
     loop = {
         "room": room,
-        "wanted": wanted,
+        "matched": what,
         "measured": state.text("measured"),
         "rule": state.choice("rule", RULES),
         "method": method,
@@ -90,8 +92,26 @@ def attributes(
         "tolerance": checks.positive("tolerance", data["tolerance"], "JND"),
         "bent": tuple(_bent(i, band) for i, band in enumerate(state.listed("bent", ()))),
     }
-    steps = [_step(i, step, room, wanted) for i, step in enumerate(state.listed("steps"))]
+    steps = [_step(i, step, room, what.wanted) for i, step in enumerate(state.listed("steps"))]
     return loop, steps
+
+
+def matched_record(matched: Matched) -> dict[str, Any]:
+    """Return what is matched as plain values: T20 as "wanted", and a share of EDT as "edt"."""
+    record: dict[str, Any] = {"wanted": json_numbers(matched.measured["t20"])}
+    if "edt" in matched.shares:
+        record["edt"] = {
+            "measured": json_numbers(matched.measured["edt"]),
+            "share": json_numbers(matched.shares["edt"]),
+        }
+    return record
+
+
+def _matched(data: Any, t20: Array) -> Matched:
+    edt = Entries("edt.", data, ("measured", "share"))
+    share = edt.array("share", t20.shape, (0.0, 1.0))
+    measured = edt.array("measured", t20.shape, _T_LIMITS, missing=True)
+    return Matched(measured={"t20": t20, "edt": measured}, shares={"t20": 1 - share, "edt": share})
 
 
 def _bent(i: int, data: Any) -> BentDecay:

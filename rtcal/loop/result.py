@@ -14,6 +14,7 @@ from rtcal.acoustics.parameters import UNITS, check_parameter, parameter_label
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.loop import files
+from rtcal.loop.matched import ParameterGap
 from rtcal.loop.state import Loop
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
@@ -42,7 +43,7 @@ class LoopResult:
     before : Measurement
         Simulated with the coefficients of the equation's calibration, without the loop.
     after : Measurement
-        Simulated with the coefficients returned. T20 was fitted, other parameters were not.
+        Simulated with the coefficients returned. What is matched was fitted, by default T20.
     confirmation : Measurement or None
         Simulated with the coefficients returned and another seed. None for a deterministic
         simulator, and if no band converged.
@@ -79,8 +80,13 @@ class LoopResult:
 
     @property
     def gap(self) -> Array:
-        """Gap of T20 of `final` in JND, (n_bands,), NaN without a measured T."""
-        return gap_jnd(self.final.mean("t20"), self.loop.wanted)
+        """Gap of what is matched, of `final`, in JND, (n_bands,), NaN without a measured T."""
+        return self.loop.matched.gap(self.final)
+
+    @property
+    def compromise(self) -> dict[str, ParameterGap]:
+        """Each matched parameter's share, its gaps before and after, and what it lost, in JND."""
+        return self.loop.matched.compromise(self.before, self.final)
 
     def gaps(self, parameter: str) -> tuple[Array, Array]:
         """Return simulated less measured before and after in JND, each (n_bands,).
@@ -100,9 +106,10 @@ class LoopResult:
     def farther(self) -> tuple[str, ...]:
         """Parameters that left what was measured by more than one JND, in some band.
 
-        The mean T20 is fitted; what it costs in EDT, C50 and C80 is told here.
+        The mean T20 is fitted; what it costs in EDT, C50 and C80 is told here. `compromise` tells it
+        of what is matched.
         """
-        gaps = {p: self.gaps(p) for p in _BESIDE}
+        gaps = {p: self.gaps(p) for p in _BESIDE if p not in self.loop.matched.shares}
         return tuple(p for p, (old, new) in gaps.items() if (np.abs(new) > np.abs(old) + 1).any())
 
     @property
@@ -152,7 +159,7 @@ class LoopResult:
 
     def __str__(self) -> str:
         lines = [f"Coefficients only for {self.simulator}; {self.simulations} simulations"]
-        for header, rows in filter(all, (self._table(), self._beside())):
+        for header, rows in filter(all, (self._table(), self._compromise(), self._beside())):
             lines += text.table([(row[0], row[1:]) for row in rows], header=(header[0], header[1:]))
         for note in self._notes():
             lines += text.wrapped(note, hanging="       " if note.startswith(" ") else "    ")
@@ -161,10 +168,10 @@ class LoopResult:
     def _repr_html_(self) -> str:
         """Return the table with shaded gaps: orange for a T that is too long, blue for too short."""
         header, rows = self._table()
-        more, rows_beside = self._beside()
-        header += more[1:]
-        for row, beside in zip(rows, rows_beside, strict=bool(more)):
-            row.extend(beside[1:])
+        for more, rows_beside in (self._compromise(), self._beside()):
+            header += more[1:]
+            for row, beside in zip(rows, rows_beside, strict=bool(more)):
+                row.extend(beside[1:])
         column = header.index("gap / JND")
         shaded: list[list[str | html.Cell]] = [[*row] for row in rows]
         for cells, gap in zip(shaded, np.nan_to_num(self.gap), strict=True):
@@ -177,15 +184,27 @@ class LoopResult:
         columns: dict[str, Sequence[str]] = {
             "": [label(f) for f in self.room.centre_frequencies],
             "T wanted / s": _numbers(self.loop.wanted, ".3f"),
-            "simulated / s": _numbers(self.final.mean("t20"), ".3f"),
+            "simulated / s": _numbers(self.loop.matched.combined(self.final.mean), ".3f"),
             "gap / JND": _numbers(self.gap, "+.2f"),
             "z": _numbers(self.loop.outcome.plausibility.z, "+.1f"),
             "status": self.status,
         }
         return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
 
+    def _compromise(self) -> tuple[list[str], list[list[str]]]:
+        """Return header and rows of the gaps of what is matched together; nothing for T20 alone."""
+        if len(self.compromise) == 1:
+            return [], []
+        columns: dict[str, Sequence[str]] = {"": [label(f) for f in self.room.centre_frequencies]}
+        for parameter, part in self.compromise.items():
+            name = parameter_label(parameter)
+            columns[f"{name} gap / JND before"] = _numbers(part.before, "+.1f")
+            columns[f"{name} gap / JND after"] = _numbers(part.after, "+.1f")
+            columns[f"{name} lost / JND"] = _numbers(part.lost, ".1f")
+        return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
+
     def _beside(self) -> tuple[list[str], list[list[str]]]:
-        """Return header and rows of what was not fitted: measured, before and after the loop."""
+        """Return header and rows of EDT, C50 and C80: measured, before and after the loop."""
         columns: dict[str, Sequence[str]] = {"": [label(f) for f in self.room.centre_frequencies]}
         for parameter in (p for p in _BESIDE if p in self.before.values):
             name = f"{parameter_label(parameter)} / {UNITS[parameter]}"

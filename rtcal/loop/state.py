@@ -26,6 +26,7 @@ from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError, ModelError
 from rtcal.loop import files
+from rtcal.loop.matched import Matched, Weights, matched
 from rtcal.loop.rules import RULES, Rule
 from rtcal.loop.status import (
     CLOSE_TARGETS,
@@ -34,14 +35,14 @@ from rtcal.loop.status import (
     confirmed_statuses,
     stuck_bands,
 )
-from rtcal.loop.steps import Step, simulated_t20, t20_noise
+from rtcal.loop.steps import Step, simulated_time
 from rtcal.loop.targets import next_targets, target_limits, target_without_t20
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers, write_text
 from rtcal.support.text import shortened
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array
 
 
 @checked
@@ -56,8 +57,8 @@ class Loop:
     ----------
     room : Room
         Its alpha and sigma are the prior.
-    wanted : array (n_bands,)
-        Measured T in s, NaN where it is missing.
+    matched : Matched
+        What is matched: the measured T20, or its compromise with EDT.
     measured : str
         Fingerprints of the data, for the record of the calibrated room.
     rule : {"secant", "safeguarded", "regression"}
@@ -85,7 +86,7 @@ class Loop:
     """
 
     room: Room
-    wanted: Array
+    matched: Matched
     measured: str
     rule: Rule
     method: str = "mle"
@@ -96,9 +97,6 @@ class Loop:
     bent: tuple[BentDecay, ...] = ()
     _problems: list[CalibrationProblem] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "wanted", read_only(self.wanted))
-
     def __repr__(self) -> str:
         n, measured = len(self.steps), np.isfinite(self.wanted).sum()
         converged = self.status.count("converged") if self.steps else 0
@@ -106,6 +104,11 @@ class Loop:
             f'<Loop "{shortened(self.room.name)}": {n} simulation{"s" * (n != 1)}, {converged} of '
             f"{measured} bands converged>"
         )
+
+    @cached_property
+    def wanted(self) -> Array:
+        """Measured T in s of what is matched, (n_bands,), NaN where it is missing."""
+        return self.matched.wanted
 
     def calibrated(self, target: Array) -> CalibrationResult:
         """Return the equation's calibration to a target T in s, (n_bands,), or the nearest one.
@@ -185,10 +188,8 @@ class Loop:
 
         See `rtcal.loop.status.confirmed_statuses`.
         """
-        gap = gap_jnd(measurement.mean("t20"), self.wanted)
-        return confirmed_statuses(
-            self.status, gap, t20_noise(measurement) / self._jnd, self.tolerance
-        )
+        noise = self.matched.noise(measurement) / self._jnd
+        return confirmed_statuses(self.status, self.matched.gap(measurement), noise, self.tolerance)
 
     @property
     def next_target(self) -> Array:
@@ -233,13 +234,13 @@ class Loop:
         return np.where(rounded < self.room.alpha_min, up, rounded)
 
     def repeats(self, alpha: Array, simulated: Measurement) -> bool:
-        """Whether T20 is that of the last step in every band, although alpha is not.
+        """Whether T is that of the last step in every band, although alpha is not.
 
         The program then most likely simulated the coefficients of the last step.
         """
         if not self.steps or np.array_equal(alpha, self.steps[-1].alpha):
             return False
-        return np.array_equal(simulated.mean("t20"), self.steps[-1].simulated, equal_nan=True)
+        return self.matched.gives(simulated, self.steps[-1].simulated)
 
     def back(self) -> Loop:
         """Return the loop before its last step; DataError if it has none."""
@@ -271,13 +272,13 @@ class Loop:
         """
         if self.finished:
             raise DataError("the loop is done: no band is left that another simulation helps")
-        t20 = simulated_t20(simulated, self.room.centre_frequencies, self.wanted, self.steps)
-        t20[np.array(without_t20, dtype=int)] = np.nan
+        time = simulated_time(simulated, self.room.centre_frequencies, self.matched, self.steps)
+        time[np.array(without_t20, dtype=int)] = np.nan
         step = Step(
             target=self.next_target,
             alpha=check_alpha(self.room, alpha),
-            simulated=t20,
-            noise=t20_noise(simulated),
+            simulated=time,
+            noise=self.matched.noise(simulated),
         )
         return replace(self, steps=(*self.steps, step))
 
@@ -314,7 +315,7 @@ class Loop:
         return {
             "room": self.room.to_text(),
             "measured": self.measured,
-            "wanted": json_numbers(self.wanted),
+            **files.matched_record(self.matched),
             "rule": self.rule,
             "method": self.method,
             "equation": {"name": self.equation.name, **asdict(self.equation)},
@@ -377,10 +378,12 @@ def start(
     equation: LinearEquation | None = None,
     decimals: int | None = None,
     tolerance: float = 1.0,
+    weights: Weights | None = None,
 ) -> Loop:
     """Return a loop before its first simulation; see `Loop` for the parameters.
 
-    Raises DataError if an argument breaks its rule, or the room was calibrated to these data before.
+    ``weights`` are those of `calibrate_simulator`. Raises DataError if an argument breaks its rule, or
+    the room was calibrated to these data before.
     """
     if not isinstance(rule, str) or rule not in RULES:
         raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
@@ -391,7 +394,7 @@ def start(
     refuse_repeated_data(room, data)
     return Loop(
         room=room,
-        wanted=data.reverberation_time,
+        matched=matched(room, measured, data.reverberation_time, weights),
         measured=data_history(room, data),
         rule=rule,
         method=method,

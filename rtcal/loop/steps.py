@@ -1,4 +1,4 @@
-"""The steps of a closed loop, and the T20 and noise of a simulated measurement."""
+"""The steps of a closed loop, and the T of a simulated measurement."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import numpy as np
 
 from rtcal.acoustics.bands import label, span
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.errors import DataError
+from rtcal.loop.matched import Matched
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array, read_only
@@ -27,10 +29,9 @@ class Step:
     alpha : array (n_materials, n_bands)
         Coefficients as simulated.
     simulated : array (n_bands,)
-        Simulated T20 in s, NaN if these coefficients give none.
+        Simulated T in s of what is matched, NaN if these coefficients give none.
     noise : array (n_bands,)
-        Standard error in s of the mean T20 over the pairs; 0 if the simulator states none, NaN if
-        it is unknown.
+        Standard error of it in s; 0 if the simulator states none, NaN if it is unknown.
     """
 
     target: Array
@@ -43,26 +44,25 @@ class Step:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
-def simulated_t20(
-    measurement: Measurement, frequencies: Array, wanted: Array, steps: Sequence[Step]
+def simulated_time(
+    measurement: Measurement, frequencies: Array, matched: Matched, steps: Sequence[Step]
 ) -> Array:
-    """Return the mean T20 in s over the pairs, (n_bands,), NaN where it is missing for some pair.
+    """Return the simulated T of what is matched in s, (n_bands,), NaN where some pair has none.
 
     Parameters
     ----------
     measurement : Measurement
     frequencies : array (n_bands,)
         The room's bands in Hz.
-    wanted : array (n_bands,)
-        Measured T in s, NaN without one.
+    matched : Matched
     steps : sequence of Step
         Earlier steps.
 
     Raises
     ------
     DataError
-        For other bands or no T20. A measured band may lack T20 only if it has one in an earlier
-        step, and some measured band has one now.
+        For other bands, or a matched parameter that is missing. A measured band may lack it only if
+        it has one in an earlier step, and some measured band has one now.
     """
     checks.instance("what was simulated", measurement, Measurement)
     if not np.array_equal(measurement.centre_frequencies, frequencies):
@@ -70,26 +70,23 @@ def simulated_t20(
             f"what was simulated has {span(measurement.centre_frequencies)}; the room has "
             f"{span(frequencies)}"
         )
-    if "t20" not in measurement.values:
-        raise DataError("what was simulated has no T20")
-    measured = np.isfinite(wanted)
-    missing = np.isnan(measurement.values["t20"]) & measured
-    lost = np.asarray(missing.any(axis=0))
+    for parameter in matched.shares:
+        if parameter not in measurement.values:
+            raise DataError(f"what was simulated has no {parameter_label(parameter)}")
+    measured = np.isfinite(matched.wanted)
+    missing = {
+        parameter: np.isnan(measurement.values[parameter]) & measured & (share > 0)
+        for parameter, share in matched.shares.items()
+    }
+    lost = np.any([absent.any(axis=0) for absent in missing.values()], axis=0)
     earlier = np.zeros(lost.shape, dtype=bool)
     for step in steps:
         earlier |= np.isfinite(step.simulated)
     refused = lost if lost[measured].all() else lost & ~earlier
-    if refused.any():
-        pair, k = (int(i) for i in np.argwhere(missing & refused)[0])
-        raise DataError(
-            f"simulated T20[{' to '.join(measurement.pairs[pair])}, {label(frequencies[k])}] is "
-            "missing, but T was measured there"
-        )
-    return np.where(lost, np.nan, measurement.mean("t20"))
-
-
-def t20_noise(measurement: Measurement) -> Array:
-    """Return the standard error in s of the mean T20 over the pairs, (n_bands,), as `Step` has it."""
-    no_noise = np.zeros((1, len(measurement.centre_frequencies)))
-    errors = measurement.uncertainty.get("t20", no_noise)
-    return np.asarray(np.sqrt(np.sum(errors**2, axis=0)) / len(errors))
+    for parameter, absent in missing.items():
+        for pair, k in np.argwhere(absent & refused)[:1].tolist():
+            raise DataError(
+                f"simulated {parameter_label(parameter)}[{' to '.join(measurement.pairs[pair])}, "
+                f"{label(frequencies[k])}] is missing, but T was measured there"
+            )
+    return np.where(lost, np.nan, matched.combined(measurement.mean))

@@ -45,7 +45,7 @@ def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
     n = len(loop.steps)
     sentences = [
         f"A simulator was run {n} time{'' if n == 1 else 's'}, and after each run the absorption "
-        "coefficients were changed so that its T20 comes nearer to the measured one."
+        f"coefficients were changed so that its {loop.matched.label} comes nearer to what was measured."
     ]
     compared = np.isfinite(first)
     if compared.any():
@@ -75,7 +75,8 @@ def assumed(loop: Loop) -> list[str]:
         "Coefficients as stated to full precision."
         if loop.decimals is None
         else f"Coefficients rounded to {loop.decimals} decimals, as the program reads them.",
-        "Only T20 was fitted. That it agrees proves nothing of EDT, C50, C80, or of other positions.",
+        f"Only {loop.matched.label} was fitted. That it agrees proves nothing of other parameters or "
+        "positions.",
     ]
 
 
@@ -119,7 +120,7 @@ def at_ends(loop: Loop) -> list[str]:
 
 
 def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
-    """Return the gap of T20 with the coefficients returned, as a sentence."""
+    """Return the gap with the coefficients returned, as a sentence."""
     gap = np.abs(ends["gap"])
     if not np.isfinite(gap).any():
         return "What the coefficients returned give was not simulated."
@@ -130,7 +131,8 @@ def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
         else ("With all the coefficients returned")
     )
     return (
-        f"{how}, T20 is off by {gap[k]:.1f} JND at most, at {loop.room.centre_frequencies[k]:g} Hz."
+        f"{how}, {loop.matched.label} is off by {gap[k]:.1f} JND at most, at "
+        f"{loop.room.centre_frequencies[k]:g} Hz."
     )
 
 
@@ -156,8 +158,9 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
         if len(ends["status"]) != n or not set(ends["status"]) <= set(_STATUS_IN_WORDS):
             shown = checks.shown(ends["status"])
             raise DataError(f"result.status = {shown} is not a status for each of {n} bands")
-        if "t20" not in ends["after"]:
-            raise DataError("result.after lacks t20")
+        for parameter in loop.matched.shares:
+            if parameter not in ends["after"]:
+                raise DataError(f"result.after lacks {parameter}")
     except DataError as error:
         raise DataError(f"{place}: no result of a loop: {error}") from error
     rows = [
@@ -170,8 +173,9 @@ def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
         )
         if parameter in ends[name] and not (parameter == "t20" and name == "measured")
     ]
-    gap = gap_jnd(ends["after"]["t20"], loop.wanted)
-    rows.insert(2, ("its gap / JND", gap, 1, True))
+    gap = gap_jnd(loop.matched.combined(ends["after"].__getitem__), loop.wanted)
+    of = "its gap" if len(loop.matched.shares) == 1 else f"gap of {loop.matched.label}"
+    rows.insert(2, (f"{of} / JND", gap, 1, True))
     return {**ends, "rows": rows, "gap": gap}
 
 

@@ -205,8 +205,9 @@ def loop_page(
             "assumed": loop_words.assumed(loop),
             "figure": {
                 "source": drawn,
-                "alt": "T20 wanted and simulated by band; gap by simulation",
-                "caption": "T20 by band, and how far each simulation was off. One JND is 5 % of T20.",
+                "alt": f"{loop.matched.label} wanted and simulated by band; gap by simulation",
+                "caption": f"{loop.matched.label} by band, and how far each simulation was off. "
+                "One JND is 5 %.",
             },
             "bands": loop_words.bands_table(loop, status),
             "ends": simulated,
