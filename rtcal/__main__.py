@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import signal
 
-from rtcal.support import transaction
-
 INTERRUPTED = 130
 
 
@@ -27,13 +25,12 @@ def main() -> None:
 
 
 def _interrupt(*_: object) -> None:
-    """End at once, or undo first what is being written.
+    """End at once.
 
     An exception that may come anywhere does harm: libraries turn it into others while they load, and
-    a lock that was just taken is never let go. Files are whole at any moment, also after a kill.
+    a lock that was just taken is never let go. Files are whole at any moment, also after a kill, and
+    `rtcal.support.transaction` holds the signal back while it writes.
     """
-    if transaction.writing():
-        raise KeyboardInterrupt
     _end()
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import stat
 import threading
 import time
@@ -18,6 +19,7 @@ import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 
 from rtcal.errors import DataError
 
@@ -36,12 +38,27 @@ _FOLDERS, _JOURNAL = "folders", "journal"
 
 _thread_lock = threading.RLock()
 _locked: dict[Path, int] = {}  # folders that this process has locked, and how often
-_writing = threading.Event()
 
 
-def writing() -> bool:
-    """Return whether files are being written, so that an exception undoes it."""
-    return _writing.is_set()
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Hold Ctrl-C back until the files are in place and nothing is left beside them.
+
+    An exception may come between any two steps, also between those that undo and tidy up. Signals
+    reach the main thread only, so that other threads need no protection.
+    """
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda *signalled: came.append(signalled))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        if came:
+            handler(*came[0])
 
 
 @contextmanager
@@ -183,11 +200,10 @@ def write(targets: Mapping[Path, bytes]) -> None:
     The paths are as `target` returns them, in existing folders. Existing files keep their mode.
     """
     parents = list(dict.fromkeys(path.parent for path in targets))
-    with locked(*parents):
+    with locked(*parents), _undisturbed():
         recover(parents)
         name = f"{PREFIX}{uuid.uuid4().hex[:12]}"
         dirs = [parent / name for parent in parents]
-        _writing.set()
         try:
             _move_in(targets, dict(zip(parents, dirs, strict=True)))
         except BaseException as error:
@@ -199,8 +215,6 @@ def write(targets: Mapping[Path, bytes]) -> None:
                     f"there, which failed now: {failed.strerror or failed}"
                 ) from error
             raise
-        finally:
-            _writing.clear()
         with suppress(OSError):  # the files are in place; the next command tidies up
             for parent in parents:
                 _sync_folder(parent)
