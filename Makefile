@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+HIDDEN := rtcal/datasets/hidden_room
 DEMO_VENV := .venv-demo
 DEMO_STAMP := $(DEMO_VENV)/.installed
 
@@ -19,10 +20,14 @@ $(DEMO_STAMP): pyproject.toml
 	$(DEMO_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[report]'
 	touch $(DEMO_STAMP)
 
-demo: $(DEMO_STAMP)  ## calibrate a real measured room
+demo: $(DEMO_STAMP)  ## calibrate a real measured room; find what the model of a second room lacks
 	$(DEMO_VENV)/bin/rtcal calibrate rtcal/datasets/bras_cr2/room.toml \
 		rtcal/datasets/bras_cr2/measured.csv --out demo
 	$(DEMO_VENV)/bin/rtcal report demo
+	@printf "\nA second room, simulated by code that is not rtcal's. Does its model lack anything?\n\n"
+	$(DEMO_VENV)/bin/rtcal gap find $(HIDDEN)/named.json
+	@$(DEMO_VENV)/bin/python -c 'import json, sys; \
+		print("\nHidden in it:", json.load(open(sys.argv[1]))["hidden"])' $(HIDDEN)/named_truth.json
 
 # Two processes. Each takes a half of the tests in their order, so that a module's fixtures are made
 # once, and what is left of the other's half when it is done.

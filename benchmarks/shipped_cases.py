@@ -1,4 +1,4 @@
-"""The two cases that ship with something hidden: `rtcal example named` and `rtcal example not-told`.
+"""The two cases of `rtcal example told`: by what rule they were picked, and what the finder said.
 
     python -m benchmarks.shipped_cases            # writes rtcal/datasets/hidden_room; some minutes
     python -m benchmarks.shipped_cases --dry      # prints the table alone
@@ -56,8 +56,9 @@ def main(*, dry: bool) -> None:
     if dry:
         return
     for name, made in wanted.items():
-        for part, file in (("case", f"{name}.json"), ("truth", f"{name}_truth.json")):
-            (FOLDER / file).write_text(json.dumps(made[part]) + "\n", encoding="utf-8")
+        truth = {"hidden": NAMES[made["truth"]["seed"][1]], **made["truth"]}
+        for file, content in ((f"{name}.json", made["case"]), (f"{name}_truth.json", truth)):
+            (FOLDER / file).write_text(json.dumps(content) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -14,6 +14,8 @@ from rtcal.command.main import main
 from rtcal.datasets import examples
 from rtcal.errors import DataError
 from rtcal.where import case_files
+from tests.position_rooms import shipped as where_room
+from tests.position_rooms.shapes import area
 
 
 def run(*arguments: str) -> int:
@@ -30,7 +32,9 @@ def run_line(line: str) -> None:
         assert run(*words[1:]) == 0, line
 
 
-@pytest.mark.parametrize("name", [n for n in _PURPOSES if n not in ("missing-effect", "where")])
+@pytest.mark.parametrize(
+    "name", [n for n in _PURPOSES if n not in ("missing-effect", "told", "where")]
+)
 def test_the_printed_commands_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,10 +69,12 @@ def test_the_case_with_a_geometry_is_read(tmp_path: Path, monkeypatch: pytest.Mo
     case = case_files.read("where/case.toml")
     assert len(case.pairs) == 12
     assert set(case.faces) == {"floor", "ceiling", *examples._WALLS}
-    low, high = examples._CURTAIN_SIDES
-    hidden = examples._l_shape(True)
-    assert hidden.areas["curtain"] == pytest.approx((high - low) * examples._HEIGHT)
-    assert hidden.volume == pytest.approx(case.geometry.volume)
+    areas = {material: 0.0 for material, _ in where_room.surfaces()}
+    for material, polygon in where_room.surfaces():
+        areas[material] += area(polygon)
+    assert areas.pop("curtain") == pytest.approx(14.08)
+    areas["plaster"] += 14.08
+    assert areas == pytest.approx(case.geometry.areas)
 
 
 def test_nothing_is_written_over(

@@ -48,8 +48,31 @@ def hidden_room(*, closed: bool = False) -> tuple[Case, dict[str, Any]]:
     closed : bool
         Return A and C. If False, A and B.
     """
+    return _hidden("closed" if closed else "case", "truth")
+
+
+def named_room() -> tuple[Case, dict[str, Any]]:
+    """Return a case in which the finder names what is hidden, and the truth.
+
+    It is the first such room by the rule of `benchmarks/shipped_cases.py`. The tracer is not rtcal's,
+    and the coefficients are drawn about the stated ones with the stated sigma.
+    """
+    return _hidden("named", "named_truth")
+
+
+def untold_room() -> tuple[Case, dict[str, Any]]:
+    """Return a case in which something is hidden and the data do not tell, and the truth.
+
+    It is drawn as `named_room`: the first by that rule in which the finder claims nothing.
+    """
+    return _hidden("not_told", "not_told_truth")
+
+
+def _hidden(case: str, truth: str) -> tuple[Case, dict[str, Any]]:
     from rtcal.discrepancy.case import Case
 
     folder = path("hidden_room")
-    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    return Case.from_file(str(folder / ("closed.json" if closed else "case.json"))), truth
+    return (
+        Case.from_file(str(folder / f"{case}.json")),
+        json.loads((folder / f"{truth}.json").read_text(encoding="utf-8")),
+    )
