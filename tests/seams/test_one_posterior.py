@@ -151,6 +151,19 @@ def test_samples_have_the_uncertainty_of_time_too() -> None:
     np.testing.assert_allclose(drawn.posterior_sigma, exact.sigma, rtol=2e-3)
 
 
+def test_observations_that_say_nothing_leave_the_uncertainty_of_time() -> None:
+    stated = room(3)
+    t = measured(EYRING.time(stated, 1.05 * stated.absorption_area), 0.1)
+    vague = terms.Observed(
+        matrix=np.eye(6), values=stated.alpha.ravel(), covariance=1e6 * np.eye(6)
+    )
+    heard = terms.LinearObservations()
+    problem = rt.Calibration(terms.PriorDeviation() + heard, [terms.ExactMatch()]).build(stated)
+    result = problem.solve(t, observed={heard: vague})
+    wanted = rt.calibrate(stated, t).posterior_sigma
+    np.testing.assert_allclose(result.posterior_sigma, wanted, rtol=1e-6)
+
+
 def test_an_unknown_uncertainty_counts_as_none() -> None:
     stated = room(1)
     result = rt.calibrate(stated, EYRING.time(stated, 1.05 * stated.absorption_area))
