@@ -38,7 +38,6 @@ from rtcal.discrepancy import AppliedEffect, Case, Change, Configuration, find, 
 from rtcal.errors import ModelError, RtcalError
 from rtcal.loop.state import start
 from rtcal.posterior.distributions import posterior
-from rtcal.report.saved import saved
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
@@ -204,7 +203,6 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         "Generator": np.random.default_rng(1),
         "ObjectiveTerm": rt.terms.PriorDeviation(),
         "ModelDiscrepancy": finding.discrepancy,
-        "Saved": saved(result),
     }
     room.save(str(folder / "room.toml"))
     measured.save(str(folder / "t.csv"))

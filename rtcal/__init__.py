@@ -47,5 +47,6 @@ if TYPE_CHECKING:
     from rtcal.calibration.problem import Calibration as Calibration
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
     from rtcal.simulators.sdn import ScatteringDelayNetwork as ScatteringDelayNetwork
+    from rtcal.support.results import load as load
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -23,7 +23,7 @@ from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics,
 from rtcal.io.material_list import MaterialList
 from rtcal.io.text import number
 from rtcal.loop import Loop
-from rtcal.report import saved
+from rtcal.support import results
 from tests import fuzz_native as native
 
 
@@ -125,11 +125,8 @@ READERS: dict[str, Reader] = {
         Case.from_file, ".toml", native.CASE_TOML, native.case_holds, native.BESIDE_CASE
     ),
     "loop": Reader(Loop.load, ".json", native.LOOP, native.loop_holds),
-    "loop result": Reader(
-        native.read_loop_result, ".json", native.LOOP_RESULT, native.loop_result_holds
-    ),
-    "result": Reader(saved.read, ".json", native.RESULT, native.result_holds),
-    "positions result": Reader(native.read_positions, ".json", native.POSITIONS),
+    "result": Reader(results.load, ".json", native.RESULT, native.result_holds),
+    "object": Reader(native.read_objects, ".json", native.OBJECTS),
     "piece": Reader(native.read_piece, ".sums", native.PIECE, native.piece_holds),
     "kept array": Reader(
         native.read_kept_array, ".array", native.KEPT_ARRAY, native.kept_array_holds

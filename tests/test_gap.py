@@ -81,7 +81,7 @@ def test_the_report_is_written_whole(folder: Path) -> None:
     names = {p.name for p in (folder / "out").iterdir()}
     # An opening bends no decay, so none is drawn.
     assert {
-        "finding.json",
+        "result.json",
         "report.html",
         "evidence.png",
         "residuals.png",
@@ -89,9 +89,7 @@ def test_the_report_is_written_whole(folder: Path) -> None:
         "shifts.png",
     } == names
     page = (folder / "out" / "report.html").read_text(encoding="utf-8")
-    best = json.loads((folder / "out" / "finding.json").read_text(encoding="utf-8"))["candidates"][
-        0
-    ]
+    best = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))["candidates"][0]
     assert f"Corrected coefficients, with {best} in the model" in page
     # Its shape is no nearer to the measured one than plain calibration's; the page says so.
     assert "Nothing but the evidence supports them" in page
@@ -99,7 +97,7 @@ def test_the_report_is_written_whole(folder: Path) -> None:
     assert "--seed 0 --engine &#39;path tracing&#39; --engine network --out" in page
     assert "measured.csv" in page
     assert len(page) < 2_000_000
-    record = json.loads((folder / "out" / "finding.json").read_text(encoding="utf-8"))
+    record = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))
     assert record["verification"]["gaps"]
 
 

@@ -14,7 +14,7 @@ import rtcal as rt
 from rtcal.discrepancy import Case
 from rtcal.errors import DataError
 from rtcal.loop import Loop, start
-from rtcal.report import gap_report, saved
+from rtcal.report import gap_report
 from rtcal.support.decode import json_object
 from tests.test_discrepancy import opened
 
@@ -39,14 +39,8 @@ def loop_text() -> str:
     return start(room, measured).to_json()
 
 
-def result_text() -> str:
-    room, measured = rt.datasets.bras_cr2()
-    return rt.calibrate(room, measured).to_json()
-
-
 READERS: dict[str, tuple[Callable[[], str], Callable[[str], Any], str]] = {
     "case": (case_text, Case.from_file, '"equation": "eyring"'),
-    "result": (result_text, saved.read, '"method": "mle"'),
     "loop": (loop_text, Loop.load, '"method": "mle"'),
 }
 
@@ -98,7 +92,7 @@ def test_a_findings_file_holds_no_nan(tmp_path: Path) -> None:
     """NaN is no JSON: strict readers refuse the file."""
     unknown = dataclasses.replace(rt.discrepancy.find(opened()), score=float("nan"))
     gap_report.write(unknown, tmp_path / "out")
-    text = (tmp_path / "out" / "finding.json").read_text(encoding="utf-8")
+    text = (tmp_path / "out" / "result.json").read_text(encoding="utf-8")
     assert json_object(text)["score"] is None
 
 

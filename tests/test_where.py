@@ -283,7 +283,7 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(DataError, match='--at "7,1" is not X,Y,Z in m'):
         run("apply", case, "--out", str(tmp_path / "no"), "--at", "7,1")
     assert "not fitted" in run("report", case, "--out", str(tmp_path / "page"))
-    names = {"report.html", "finding.json", "map.png", "plan.png", "room.png", "gap.png"}
+    names = {"report.html", "result.json", "map.png", "plan.png", "room.png", "gap.png"}
     assert {p.name for p in (tmp_path / "page").iterdir()} == names
     page = (tmp_path / "page" / "report.html").read_text()
     assert page.index("not fitted") < page.index("What was found")

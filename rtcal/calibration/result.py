@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,17 +31,20 @@ from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.distributions import exact_interval
 from rtcal.posterior.sensitivities import Optimality
 from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only_view
 from rtcal.support.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class CalibrationResult:
+class CalibrationResult(Result):
     """A calibrated room, with the calibration's certificate, plausibility and trust marks.
 
     Of several configurations, it is the result of one; see `JointResult`.
     """
+
+    record_kind: ClassVar[str] = record.KIND
 
     joint: JointResult
     configuration: int
@@ -328,10 +330,6 @@ class CalibrationResult:
             "inputs": record.inputs(room, self.measured_data),
         }
 
-    def to_json(self) -> str:
-        """Return `to_dict` as JSON text."""
-        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
     def __repr__(self) -> str:
         gaps = [np.nanmax(np.abs(gap)) for gap in (self.gap_before, self.gap_after)]
         return (
@@ -349,8 +347,10 @@ class CalibrationResult:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class JointResult(JointSolution):
+class JointResult(JointSolution, Result):
     """One calibration of several configurations of a room: shared alpha, one T per configuration."""
+
+    record_kind: ClassVar[str] = "joint 1"
 
     @cached_property
     def results(self) -> tuple[CalibrationResult, ...]:
@@ -359,6 +359,12 @@ class JointResult(JointSolution):
             CalibrationResult(joint=self, configuration=c)
             for c in range(len(self.configurations.rooms))
         )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return each configuration's `CalibrationResult.to_dict` by name."""
+        names = self.configurations.names
+        by_name = zip(names, self.results, strict=True)
+        return {"configurations": [{"name": n, **r.to_dict()} for n, r in by_name]}
 
     def __str__(self) -> str:
         parts = zip(self.configurations.names, self.results, strict=True)

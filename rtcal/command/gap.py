@@ -259,7 +259,7 @@ def verify(case: str, search: Search, as_json: bool, quiet: bool) -> None:
     "--out",
     type=click.Path(file_okay=False),
     required=True,
-    help="Folder for the page (report.html), figures (PNG) and numbers (finding.json).",
+    help="Folder for the page (report.html), figures (PNG) and numbers (result.json).",
 )
 @several_options
 @heading_options

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,13 +22,14 @@ from rtcal.errors import DataError
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
 from rtcal.support.types import Array
 
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Finding:
+class Finding(Result):
     """What the data of a case say about its model.
 
     Attributes
@@ -79,6 +80,8 @@ class Finding:
     effects : mapping of str to Effect
         The effects that were tried, by name.
     """
+
+    record_kind: ClassVar[str] = "finding 1"
 
     case: Case
     verdict: str

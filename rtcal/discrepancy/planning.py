@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from rtcal.discrepancy.wording import listed
 from rtcal.errors import DataError
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
+from rtcal.support.results import Result
 from rtcal.support.threads import single_threaded_blas
 
 STEPS = 3
@@ -74,7 +75,7 @@ class Proposal:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan:
+class Plan(Result):
     """The effects that a case's data could distinguish.
 
     ``separations`` maps (effect, effect) to nats: the expected evidence for the first effect
@@ -84,6 +85,8 @@ class Plan:
     ``sequence`` are the three that a greedy choice takes one after the other. ``uncertainty`` is the
     entropy of what is known of the effects now, in nats: no measurement gives more.
     """
+
+    record_kind: ClassVar[str] = "plan 1"
 
     parameters: tuple[str, ...]
     change: float

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,12 +16,13 @@ from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
 from rtcal.discrepancy.corrected import corrected_room
 from rtcal.discrepancy.wording import amount
 from rtcal.support import text
+from rtcal.support.results import Result
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recalibrated:
+class Recalibrated(Result):
     """The calibrated coefficients of a case, and the model's prediction with them.
 
     Attributes
@@ -38,6 +39,8 @@ class Recalibrated:
     joint : JointResult
         The QP's answer, in which a configuration's changed materials have names of their own.
     """
+
+    record_kind: ClassVar[str] = "recalibration 1"
 
     case: Case
     alpha: Array

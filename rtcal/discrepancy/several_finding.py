@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from rtcal.discrepancy import track_record
 from rtcal.discrepancy.case import AppliedEffect, Case
@@ -21,6 +21,7 @@ from rtcal.discrepancy.wording import amount, listed
 from rtcal.errors import DataError
 from rtcal.support import text
 from rtcal.support.arguments import checked
+from rtcal.support.results import Result
 from rtcal.support.types import Array
 
 _SAID = 0.03
@@ -49,7 +50,7 @@ class Member:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SeveralFinding:
+class SeveralFinding(Result):
     """What the data say of several effects at once.
 
     Attributes
@@ -91,6 +92,8 @@ class SeveralFinding:
         The most probable sets with their parameters, and their probabilities, which sum to 1: what
         `plan` goes on from.
     """
+
+    record_kind: ClassVar[str] = "several effects 1"
 
     single: Finding
     expected: float

@@ -10,7 +10,7 @@ the name is right: a rival that does the same would shrink it too.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from rtcal.discrepancy.wording import listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -45,7 +46,7 @@ class Gap:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Verification:
+class Verification(Result):
     """The gap before and after the correction.
 
     Attributes
@@ -64,6 +65,8 @@ class Verification:
     plain, corrected : Recalibrated
     """
 
+    record_kind: ClassVar[str] = "verification 1"
+
     finding: Finding
     gaps: tuple[Gap, ...]
     before: float
@@ -78,13 +81,7 @@ class Verification:
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "finding": {
-                "verdict": self.finding.verdict,
-                "effect": self.finding.effect,
-                "candidates": list(self.finding.candidates),
-                "runner_up": self.finding.runner_up,
-                "evidence": dict(self.finding.evidence),
-            },
+            "finding": self.finding.to_dict(),
             "before_jnd": json_numbers(self.before),
             "after_jnd": json_numbers(self.after),
             "predictive_nats": self.predictive,

@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import fields as fields_of
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,16 @@ def text(data: Mapping[str, Any]) -> str:
     return json.dumps({"rtcal": KIND, **data}, indent=1, ensure_ascii=False, allow_nan=False)
 
 
+def is_state(path: Path) -> bool:
+    """Return whether a file is the state of a loop; DataError if it cannot be read."""
+    if not path.is_file():
+        return False
+    try:
+        return json_object(read_text(path, MAX_BYTES)).get("rtcal") == KIND
+    except DataError:
+        return False
+
+
 def read(path: str) -> dict[str, Any]:
     """Return the dict that a state's file holds; DataError if it is no JSON object of that kind."""
     content = read_text(path, MAX_BYTES)
@@ -73,7 +84,7 @@ def attributes(
     ``equation`` replaces the one in the dict. Raises DataError or ModelError for an entry that
     breaks a rule.
     """
-    state = Entries("", data, _KEYS, ("rtcal", "result", "coefficients", "bent", "edt"))
+    state = Entries("", data, _KEYS, ("rtcal", "coefficients", "bent", "edt"))
     room = Room.from_text(state.text("room"), "room")
     method = state.text("method")
     preset(method, room)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.stats import chi2
@@ -20,11 +19,10 @@ from rtcal.loop.measured_pairs import MeasuredPairs, Pair, with_reference
 from rtcal.loop.positions_tables import Table, gap_table, material_table, rms
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
-from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import Observations, observe
 from rtcal.support import html, text
-from rtcal.support.arguments import checked
-from rtcal.support.files import json_numbers, write_text
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
 from rtcal.support.types import Array
 
 KIND = "positions 1"
@@ -53,7 +51,7 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PositionsResult:
+class PositionsResult(Result):
     """A simulator calibrated to what every position heard.
 
     Attributes
@@ -100,6 +98,8 @@ class PositionsResult:
     notes : tuple of str
         What was left out, and why.
     """
+
+    record_kind: ClassVar[str] = KIND
 
     prior: Room
     room: Room
@@ -293,7 +293,7 @@ class PositionsResult:
                 *text.table([(r[0], r[1:]) for r in rows], header=(header[0], header[1:])),
             ]
         lines.append("")
-        for note in self._notes():
+        for note in self.every_note:
             lines += text.wrapped(note, hanging="    ")
         return "\n".join(lines)
 
@@ -304,7 +304,7 @@ class PositionsResult:
         for row, (_, before, after) in zip(cells, self.learned, strict=True):
             share = 1 - after / before if before > 0 else 0.0
             row[2] = html.Cell(str(row[2]), float(np.clip(share, 0, 1)))
-        return html.table(self._description, header, cells, self._notes())
+        return html.table(self._description, header, cells, self.every_note)
 
     def _material_table(self) -> Table:
         scattering = self.scattering
@@ -312,7 +312,9 @@ class PositionsResult:
             self.prior, self.learned, self.shift, self.pulls, self.pairs, scattering
         )
 
-    def _notes(self) -> list[str]:
+    @property
+    def every_note(self) -> list[str]:
+        """The ``notes``, and what the result says against itself."""
         notes = list(self.notes)
         if self.farther:
             names = ", ".join(parameter_label(p) for p in self.farther)
@@ -391,30 +393,8 @@ class PositionsResult:
             "steps": [step.share for step in self.steps],
             "settled": self.settled,
             "worst_certificate": self.certificate.worst,
-            "plan": self._plan(),
-            "notes": self._notes(),
+            "notes": self.every_note,
         }
-
-    def _plan(self) -> dict[str, Any] | None:
-        """Return where everything stands, in m; None for a simulator without a geometry."""
-        geometry = getattr(self.tracer, "geometry", None)
-        if not isinstance(geometry, Polyhedron):
-            return None
-        places = {
-            kind: {name: list(map(float, p)) for name, p in getattr(self.tracer, kind).items()}
-            for kind in ("sources", "receivers")
-        }
-        corners = [geometry.vertices[list(face)].tolist() for face in geometry.faces]
-        return {**places, "faces": corners}
 
     def _natural(self, heard: Observations) -> list[Array]:
         return [heard.natural(p) for p in self.parameters]
-
-    def to_json(self) -> str:
-        """Return the text of `to_dict` as JSON."""
-        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
-
-    @checked
-    def save(self, path: str) -> None:
-        """Write the text of `to_json` to a file; a failure leaves no part of it."""
-        write_text(path, self.to_json())

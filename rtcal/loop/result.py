@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -13,12 +13,11 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.parameters import UNITS, check_parameter, parameter_label
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
-from rtcal.loop import files
 from rtcal.loop.matched import ParameterGap
 from rtcal.loop.state import Loop
 from rtcal.support import html, text
-from rtcal.support.arguments import checked
-from rtcal.support.files import json_numbers, write_text
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
 from rtcal.support.types import Array
 
 _BESIDE = ("edt", "c50", "c80")
@@ -27,7 +26,7 @@ _STRONGEST_SHADE = 5.0  # JND
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class LoopResult:
+class LoopResult(Result):
     """A calibrated simulator.
 
     Attributes
@@ -52,6 +51,8 @@ class LoopResult:
     notes : tuple of str
         What is to be known of the simulations, such as paths that left through gaps of the mesh.
     """
+
+    record_kind: ClassVar[str] = "loop result 1"
 
     room: Room
     simulator: str
@@ -145,17 +146,9 @@ class LoopResult:
             },
         }
 
-    def to_json(self) -> str:
-        """Return the loop and the parameters before and after as JSON text.
-
-        `Loop.load` reads the loop, ``rtcal report`` the whole text.
-        """
-        return files.text({**self.loop.to_dict(), "result": self.ends()})
-
-    @checked
-    def save(self, path: str) -> None:
-        """Write the text of `to_json` to a file; a failure leaves no part of it."""
-        write_text(path, self.to_json())
+    def to_dict(self) -> dict[str, Any]:
+        """Return the loop and the parameters before and after as plain values."""
+        return {**self.loop.to_dict(), "result": self.ends()}
 
     def __str__(self) -> str:
         lines = [f"Coefficients only for {self.simulator}; {self.simulations} simulations"]

@@ -41,6 +41,7 @@ from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers, write_text
+from rtcal.support.objects import NOT_SAVED
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
@@ -95,7 +96,7 @@ class Loop:
     tolerance: float = 1.0
     steps: tuple[Step, ...] = ()
     bent: tuple[BentDecay, ...] = ()
-    _problems: list[CalibrationProblem] = field(default_factory=list)
+    _problems: list[CalibrationProblem] = field(default_factory=list, metadata=NOT_SAVED)
 
     def __repr__(self) -> str:
         n, measured = len(self.steps), np.isfinite(self.wanted).sum()

@@ -15,7 +15,6 @@ import numpy as np
 
 from rtcal.acoustics.quality import JND, letters
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.report.saved import Saved, saved
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import write_bytes
@@ -92,20 +91,19 @@ def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
 
 
 @checked
-def reverberation_time(result: CalibrationResult | Saved) -> Any:
+def reverberation_time(result: CalibrationResult) -> Any:
     """Return the figure of T(f): measured with its band of one JND, before and after.
 
     Letters below the bands are those of the trust marks.
     """
-    calibration = saved(result)
     figure, axes = new_figure()
-    f, measured = calibration.centre_frequencies, calibration.measured
+    f, measured = result.prior.centre_frequencies, result.measured
     has_t = np.isfinite(measured)
     jnd_band(axes, f, measured)
     axes.errorbar(
         f[has_t],
         measured[has_t],
-        yerr=np.nan_to_num(calibration.uncertainty)[has_t],
+        yerr=np.nan_to_num(result.measured_uncertainty)[has_t],
         color=BLACK,
         marker="o",
         capsize=3,
@@ -113,41 +111,45 @@ def reverberation_time(result: CalibrationResult | Saved) -> Any:
         label="measured, ± standard uncertainty",
     )
     axes.plot(
-        f, calibration.before, color=ORANGE, marker="s", linestyle="--", label="before calibration"
+        f,
+        result.reverberation_time_before,
+        color=ORANGE,
+        marker="s",
+        linestyle="--",
+        label="before calibration",
     )
     axes.plot(
         f,
-        calibration.after,
+        result.reverberation_time_after,
         color=BLUE,
         marker="o",
         markersize=10,
         markerfacecolor="none",
         label="after calibration",
     )
-    band_axis(axes, f, [letters(calibration.trust_marks, v) for v in f])
-    marks = [f"{m.letter} {m.title}".strip() for m in calibration.trust_marks]
+    band_axis(axes, f, [letters(result.trust_marks, v) for v in f])
+    marks = [f"{m.letter} {m.title}".strip() for m in result.trust_marks]
     if marks:
         key = f"\ndo not trust: {', '.join(dict.fromkeys(marks))}"
         axes.set_xlabel(axes.get_xlabel() + key)
     axes.set_ylabel("Reverberation time T / s")
     axes.set_ylim(bottom=0)
-    name, method, equation = (calibration.record[k] for k in ("room", "method", "equation"))
-    axes.set_title(shown(f"{name}: {method}, {equation}", 70))
+    said = f"{result.prior.name}: {result.method}, {result.equation.name}"
+    axes.set_title(shown(said, 70))
     axes.legend()
     return figure
 
 
 @checked
-def gap(result: CalibrationResult | Saved) -> Any:
+def gap(result: CalibrationResult) -> Any:
     """Return the figure of the gap to the measured T, before and after, in JND by band."""
-    calibration = saved(result)
     figure, axes = new_figure(7.0, 3.2)
-    at = np.arange(len(calibration.centre_frequencies))
+    at = np.arange(len(result.prior.centre_frequencies))
     axes.axhspan(-1, 1, color="0.85", label="within 1 JND (5 %)")
     axes.axhline(0, color=BLACK, linewidth=0.8)
     axes.bar(
         at,
-        calibration.gap_before,
+        result.gap_before,
         0.5,
         facecolor="#F5C9A6",
         edgecolor=ORANGE,
@@ -156,7 +158,7 @@ def gap(result: CalibrationResult | Saved) -> Any:
     )
     axes.plot(
         at,
-        calibration.gap_after,
+        result.gap_after,
         color=BLUE,
         marker="o",
         linestyle="none",
@@ -165,11 +167,11 @@ def gap(result: CalibrationResult | Saved) -> Any:
     )
     many = len(at) > _MANY_BANDS
     axes.set_xticks(
-        at, [f"{f:g}" for f in calibration.centre_frequencies], rotation=90 if many else 0
+        at, [f"{f:g}" for f in result.prior.centre_frequencies], rotation=90 if many else 0
     )
     axes.set_xlabel("Band centre frequency / Hz")
     axes.set_ylabel("Gap of T (model - measured) / JND")
-    axes.set_title(shown(calibration.record["room"], 70))
+    axes.set_title(shown(result.prior.name, 70))
     axes.legend()
     return figure
 

@@ -21,10 +21,10 @@ from rtcal.report.figures import rendered
 from rtcal.report.page import FINDING_FIGURES, finding_page
 from rtcal.report.rows import material_rows
 from rtcal.support.arguments import checked
-from rtcal.support.encode import json_text
 from rtcal.support.files import make_folder, write_all
+from rtcal.support.results import NUMBERS, Result
 
-WRITTEN = ("finding.json", "report.html", *(f"{name}.png" for name in FINDING_FIGURES))
+WRITTEN = (NUMBERS, "report.html", *(f"{name}.png" for name in FINDING_FIGURES))
 """The files of a report; ``decay`` only if the effect bends the decay."""
 
 
@@ -83,21 +83,21 @@ def write(
     reproduction: Reproduction | None = None,
     heading: Heading | None = None,
 ) -> list[Path]:
-    """Write finding.json, the figures (PNG) and report.html; return their paths.
+    """Write result.json, the figures (PNG) and report.html; return their paths.
 
     ``reproduction``, if there is one, is printed on the page. ``heading`` is as for
     `rtcal.report.page.page`.
 
     Raises DataError if the folder cannot be made, MissingDependencyError without matplotlib or jinja2.
     """
-    record = finding.to_dict()
+    saved: Result = finding
     if isinstance(finding, SeveralFinding):
         drawn, entries = several_report.figures(finding), several_report.summary(finding)
     else:
         verified = verify(finding) if finding.can_be_added else None
         drawn, entries = figures(finding, verified), summary(finding, verified)
         if verified is not None:
-            record["verification"] = verified.to_dict()
+            saved = verified
     entries["reproduce"] = _reproduce(finding, reproduction)
     first = finding.case.configurations[0]
     with warnings.catch_warnings():
@@ -110,7 +110,7 @@ def write(
         )
     text = finding_page(usual, entries, drawn, heading=heading)
     contents = {
-        folder / "finding.json": (json_text(record) + "\n").encode(),
+        folder / NUMBERS: saved.to_json().encode(),
         folder / "report.html": text.encode(),
         **{folder / f"{name}.png": rendered(figure, "png") for name, (figure, _) in drawn.items()},
     }

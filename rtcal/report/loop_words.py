@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,17 +10,14 @@ import numpy as np
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.errors import DataError
 from rtcal.report.rows import material_rows
 from rtcal.report.words import hertz
-from rtcal.support import checks
-from rtcal.support.decode import Entries, Rule, named, record_of
 
 if TYPE_CHECKING:
+    from rtcal.loop.result import LoopResult
     from rtcal.loop.state import Loop
 
 _SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
-_LIMITS = (-1e6, 1e6)  # s and dB: far beyond any parameter of a room
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
     "unreachable": "cannot come nearer: no coefficients within the equation's range do better",
@@ -136,47 +132,31 @@ def confirmed(loop: Loop, ends: dict[str, Any]) -> str:
     )
 
 
-def read_ends(loop: Loop, result: Any, place: str) -> dict[str, Any]:
-    """Return the simulator's name, and the parameters before and after; see `LoopResult.ends`.
-
-    Raises DataError, with place, value and rule, if ``result`` breaks a rule.
-    """
-    n = loop.room.n_bands
-    means = named(partial(Entries.array, shape=(n,), limits=_LIMITS, missing=True))
-    rules: dict[str, Rule] = {
-        "simulator": Entries.text,
-        "confirmed": Entries.flag,
-        "status": Entries.texts,
-        "measured": means,
-        "before": means,
-        "after": means,
-    }
-    if isinstance(result, Mapping):
-        result = {"measured": {}, **result}  # saved by a version that did not keep it
-    try:
-        ends = record_of(rules)(Entries("", {"result": result}, ("result",)), "result")
-        if len(ends["status"]) != n or not set(ends["status"]) <= set(_STATUS_IN_WORDS):
-            shown = checks.shown(ends["status"])
-            raise DataError(f"result.status = {shown} is not a status for each of {n} bands")
-        for parameter in loop.matched.shares:
-            if parameter not in ends["after"]:
-                raise DataError(f"result.after lacks {parameter}")
-    except DataError as error:
-        raise DataError(f"{place}: no result of a loop: {error}") from error
+def ends(result: LoopResult) -> dict[str, Any]:
+    """Return the simulator's name, the gap, and the rows of the parameters before and after."""
+    columns = (
+        ("measured", result.measured),
+        ("first", result.before),
+        ("with the coefficients returned", result.final),
+    )
     rows = [
-        (f"{parameter_label(parameter)}, {when} / {unit}", ends[name][parameter], decimals, False)
-        for parameter, (decimals, unit) in _SHOWN.items()
-        for name, when in (
-            ("measured", "measured"),
-            ("before", "first"),
-            ("after", "with the coefficients returned"),
-        )
-        if parameter in ends[name] and not (parameter == "t20" and name == "measured")
+        (f"{parameter_label(name)}, {when} / {unit}", measurement.mean(name), decimals, False)
+        for name, (decimals, unit) in _SHOWN.items()
+        for when, measurement in columns
+        if measurement is not None
+        and name in measurement.values
+        and not (name == "t20" and when == "measured")
     ]
-    gap = gap_jnd(loop.matched.combined(ends["after"].__getitem__), loop.wanted)
-    of = "its gap" if len(loop.matched.shares) == 1 else f"gap of {loop.matched.label}"
-    rows.insert(2, (f"{of} / JND", gap, 1, True))
-    return {**ends, "rows": rows, "gap": gap}
+    matched = result.loop.matched
+    of = "its gap" if len(matched.shares) == 1 else f"gap of {matched.label}"
+    rows.insert(2, (f"{of} / JND", result.gap, 1, True))
+    return {
+        "simulator": result.simulator,
+        "confirmed": result.confirmation is not None,
+        "status": result.status,
+        "rows": rows,
+        "gap": result.gap,
+    }
 
 
 def materials_table(loop: Loop) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from rtcal.errors import DataError
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, new_figure, shown
-from rtcal.report.saved import Saved, saved
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
@@ -32,30 +31,29 @@ _SHARES = (
 
 
 @checked
-def coefficients(result: CalibrationResult | Saved) -> Any:
+def coefficients(result: CalibrationResult) -> Any:
     """Return the figure of alpha by material and band: prior and calibrated, with 90 % intervals.
 
     Of more than twelve materials, it shows those with the largest absorption area. The prior's
     interval is mu ± 1.645 sigma within the bounds. The interval of the calibrated coefficients is
     exact if it was computed, else alpha ± 1.645 sigma of the linear estimate within the bounds.
     """
-    calibration = saved(result)
-    size = np.max(calibration.areas[:, np.newaxis] * calibration.alpha_after, axis=1)
+    size = np.max(result.prior.areas[:, np.newaxis] * result.alpha, axis=1)
     drawn = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
     columns = min(2 if len(drawn) <= _FEW else 3, len(drawn))
     rows = -(-len(drawn) // columns)
     figure, grid = new_figure(max(5.0, 3.1 * columns), 2.4 * rows + 0.7, rows, columns)
     panels = np.atleast_1d(grid).ravel()
-    low, high = intervals(calibration)
-    f = calibration.centre_frequencies
+    low, high = intervals(result)
+    f = result.prior.centre_frequencies
     apart = float(f[1] / f[0]) ** 0.08 if len(f) > 1 else 1.0
     for axes, i in zip(panels, drawn, strict=False):
         prior, after, bound = (
-            calibration.alpha_before[i],
-            calibration.alpha_after[i],
-            calibration.at_bound[i] != "",
+            result.prior.alpha[i],
+            result.alpha[i],
+            result.active[i] != 0,
         )
-        spread = _NORMAL_90 * calibration.sigma_before[i]
+        spread = _NORMAL_90 * result.prior.sigma[i]
         ends = np.clip([prior - spread, prior + spread], 0, 1)
         axes.errorbar(
             f / apart,
@@ -102,7 +100,7 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
         axes.set_ylim(0, None)
         axes.margins(y=0.1)
         axes.set_title(
-            f"{shown(calibration.materials[i], 28)}, {calibration.areas[i]:.4g} m²", fontsize=9
+            f"{shown(result.prior.materials[i], 28)}, {result.prior.areas[i]:.4g} m²", fontsize=9
         )
     for axes in panels[len(drawn) :]:
         axes.set_visible(False)
@@ -113,26 +111,23 @@ def coefficients(result: CalibrationResult | Saved) -> Any:
 
 
 @checked
-def intervals(calibration: Saved) -> tuple[Array, Array]:
+def intervals(calibration: CalibrationResult) -> tuple[Array, Array]:
     """Return the ends of the calibrated coefficients' 90 % intervals, (n_materials, n_bands)."""
     if calibration.interval is not None:
         return calibration.interval[0], calibration.interval[1]
-    spread = _NORMAL_90 * calibration.sigma_after
-    return np.clip(calibration.alpha_after - spread, 0, 1), np.clip(
-        calibration.alpha_after + spread, 0, 1
-    )
+    spread = _NORMAL_90 * calibration.posterior_sigma
+    return np.clip(calibration.alpha - spread, 0, 1), np.clip(calibration.alpha + spread, 0, 1)
 
 
 @checked
-def shares(result: CalibrationResult | Saved) -> Any:
+def shares(result: CalibrationResult) -> Any:
     """Return the figure of each material's share of the calibrated absorption by band, in %.
 
     It includes effects and the air. The smallest materials are one part.
     """
-    calibration = saved(result)
-    names, parts = absorption_shares(calibration, len(_SHARES))
+    names, parts = absorption_shares(result, len(_SHARES))
     figure, axes = new_figure(6.4, 4.4)
-    at = np.arange(len(calibration.centre_frequencies))
+    at = np.arange(len(result.prior.centre_frequencies))
     below = np.zeros(len(at))
     styles = [*_SHARES[: len(names) - 1], ("#FFFFFF", "")]
     for name, part, (color, hatch) in zip(names, parts, styles, strict=True):
@@ -150,7 +145,7 @@ def shares(result: CalibrationResult | Saved) -> Any:
         below = below + part
     many = len(at) > 10
     axes.set_xticks(
-        at, [f"{f:g}" for f in calibration.centre_frequencies], rotation=90 if many else 0
+        at, [f"{f:g}" for f in result.prior.centre_frequencies], rotation=90 if many else 0
     )
     axes.set_xlabel("Band centre frequency / Hz")
     axes.set_ylabel("Share of the absorption / %")
@@ -162,22 +157,22 @@ def shares(result: CalibrationResult | Saved) -> Any:
 
 
 @checked
-def absorption_shares(calibration: Saved, most: int) -> tuple[list[str], Array]:
+def absorption_shares(calibration: CalibrationResult, most: int) -> tuple[list[str], Array]:
     """Return names and shares in %, (n_names, n_bands), of materials, effects and, last, the air.
 
     There are at most ``most`` names beside the air, so the smallest materials are one part.
     """
-    area = calibration.areas[:, np.newaxis] * calibration.alpha_after
+    area = calibration.prior.areas[:, np.newaxis] * calibration.alpha
     order = np.argsort(-area.sum(axis=1), kind="stable")
     effects = bool(np.any(calibration.added_absorption))
     single = len(order) if len(order) + effects <= most else most - 1 - effects
-    names = [calibration.materials[i] for i in order[:single]]
+    names = [calibration.prior.materials[i] for i in order[:single]]
     parts = [area[i] for i in order[:single]]
     if single < len(order):
         names.append(f"{len(order) - single} other materials")
         parts.append(area[order[single:]].sum(axis=0))
     if effects:
-        names.append("effects: " + ", ".join(calibration.record["effects"]))
+        names.append("effects: " + ", ".join(calibration.effects))
         parts.append(calibration.added_absorption)
     surfaces = np.sum(parts, axis=0)
     of_surfaces = 100 * (1 - calibration.air_share) / np.where(surfaces > 0, surfaces, 1.0)
@@ -188,7 +183,7 @@ def absorption_shares(calibration: Saved, most: int) -> tuple[list[str], Array]:
 
 @checked
 def plane_of(
-    result: CalibrationResult | Saved,
+    result: CalibrationResult,
     pair: tuple[str, str] | None = None,
     frequency: float | None = None,
 ) -> Any:
@@ -203,48 +198,49 @@ def plane_of(
         For a material or a band that the room lacks, a band that was not matched, or a room of one
         material.
     """
-    calibration = saved(result)
-    if len(calibration.materials) < 2:
+    if len(result.prior.materials) < 2:
         raise DataError("a plane takes two materials; the room has one")
-    k = _band(calibration, frequency)
+    k = _band(result, frequency)
     if pair is None:
-        weight = calibration.areas * calibration.sigma_before[:, k]
+        weight = result.prior.areas * result.prior.sigma[:, k]
         rows = np.sort(np.argsort(-weight, kind="stable")[:2])
     else:
-        if missing := [name for name in pair if name not in calibration.materials]:
+        if missing := [name for name in pair if name not in result.prior.materials]:
             raise DataError(f'the room has no material "{missing[0]}"')
-        rows = np.array([calibration.materials.index(name) for name in pair])
+        rows = np.array([result.prior.materials.index(name) for name in pair])
         if rows[0] == rows[1]:
             raise DataError(f'a plane takes two materials, not "{pair[0]}" twice')
-    others = np.delete(np.arange(len(calibration.areas)), rows)
-    left = calibration.target[k] - calibration.added_absorption[k]
-    left -= calibration.areas[others] @ calibration.alpha_after[others, k]
-    names = calibration.materials[rows[0]], calibration.materials[rows[1]]
+    others = np.delete(np.arange(len(result.prior.areas)), rows)
+    left = result.target[k] - result.added_absorption[k]
+    left -= result.prior.areas[others] @ result.alpha[others, k]
+    names = result.prior.materials[rows[0]], result.prior.materials[rows[1]]
     correlation = 0.0
-    for entry in calibration.record["material_correlation"]:
-        if set(entry["materials"]) == set(names):
-            correlation = float(entry["value"])
+    for pair_of, value in result.prior.material_correlation.items():
+        if set(pair_of) == set(names):
+            correlation = value
     fixed = f", the {len(others)} others as calibrated" if len(others) else ""
     return plane(
-        calibration.alpha_before[rows, k],
-        calibration.sigma_before[rows, k],
-        calibration.areas[rows],
+        result.prior.alpha[rows, k],
+        result.prior.sigma[rows, k],
+        result.prior.areas[rows],
         float(left),
-        calibration.alpha_after[rows, k],
+        result.alpha[rows, k],
         names=names,
         correlation=correlation,
-        title=f"{calibration.centre_frequencies[k]:g} Hz{fixed}",
+        title=f"{result.prior.centre_frequencies[k]:g} Hz{fixed}",
     )
 
 
-def _band(calibration: Saved, frequency: float | None) -> int:
+def _band(calibration: CalibrationResult, frequency: float | None) -> int:
     """Index of the matched band at ``frequency``; for None, of that with the largest gap before."""
     if frequency is None:
         if not calibration.matched.any():
             raise DataError("no band was matched, so there is no plane to show")
         gap = np.abs(np.where(calibration.matched, np.nan_to_num(calibration.gap_before), -1.0))
         return int(np.argmax(np.where(calibration.matched, gap, -1.0)))
-    matching = np.flatnonzero((calibration.centre_frequencies == frequency) & calibration.matched)
+    matching = np.flatnonzero(
+        (calibration.prior.centre_frequencies == frequency) & calibration.matched
+    )
     if not len(matching):
         raise DataError(f"{frequency:g} Hz is no band of the room that was matched")
     return int(matching[0])

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rtcal.acoustics import room_files
 from rtcal.acoustics.quality import letters
+from rtcal.calibration import record
+from rtcal.calibration.result import CalibrationResult
 from rtcal.discrepancy.wording import NATS
 from rtcal.errors import DataError
 from rtcal.loop import files as loop_files
-from rtcal.loop.positions_result import KIND as POSITIONS
+from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
 from rtcal.report import (
@@ -24,16 +26,13 @@ from rtcal.report import (
     loop_words,
     material_figures,
     positions_page,
-    saved_positions,
     words,
 )
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.rows import material_rows
-from rtcal.report.saved import Saved, from_dict, read_json, saved
 from rtcal.support.arguments import checked
-
-if TYPE_CHECKING:
-    from rtcal.calibration.result import CalibrationResult
+from rtcal.support.results import load
+from rtcal.support.types import Array
 
 MOST_MATERIALS = 100
 """Largest number of materials in the page's table, which lists those that absorb most."""
@@ -50,7 +49,7 @@ FINDING_FIGURES = (
 
 @checked
 def page(
-    result: CalibrationResult | Saved,
+    result: CalibrationResult,
     *,
     heading: Heading | None = None,
     progress: Callable[[], None] | None = None,
@@ -59,7 +58,7 @@ def page(
 
     Parameters
     ----------
-    result : CalibrationResult or Saved
+    result : CalibrationResult
     heading : Heading, optional
         Title, author and date; by default the room's name and author.
     progress : callable, optional
@@ -72,25 +71,24 @@ def page(
     DataError
         If the page would be larger than 2 MB.
     """
-    calibration = saved(result)
-    values = _calibration(calibration, progress or (lambda: None))
-    return render("calibration.html", values, _heading(heading, calibration))
+    values = _calibration(result, progress or (lambda: None))
+    return render("calibration.html", values, _heading(heading, result))
 
 
 @checked
 def finding_page(
-    result: CalibrationResult | Saved,
+    result: CalibrationResult,
     finding: Mapping[str, Any],
     pictures: Mapping[str, tuple[Any, str]],
     *,
     heading: Heading | None = None,
 ) -> str:
-    """Return a finding as one HTML page: finding, corrected calibration, and last the plain one.
+    """Return a finding as one HTML page: finding, corrected result, and last the plain one.
 
     Parameters
     ----------
-    result : CalibrationResult or Saved
-        The plain calibration.
+    result : CalibrationResult
+        The plain result.
     finding : mapping
         As `rtcal.report.gap_report.summary` returns it.
     pictures : mapping of str to (figure, caption)
@@ -105,38 +103,33 @@ def finding_page(
     DataError
         If the page would be larger than 2 MB.
     """
-    calibration = saved(result)
     drawn = {
         name: {"source": source(figure, lambda: None), "alt": caption, "caption": caption}
         for name, (figure, caption) in pictures.items()
     }
     values = {
-        **_calibration(calibration, lambda: None),
+        **_calibration(result, lambda: None),
         "finding": {**finding, "figures": dict.fromkeys(FINDING_FIGURES) | drawn},
         "nats": NATS,
     }
-    return render("finding.html", values, _heading(heading, calibration))
+    return render("finding.html", values, _heading(heading, result))
 
 
-def _heading(heading: Heading | None, calibration: Saved) -> Heading:
-    author = room_files.author(calibration.record["inputs"]["room"])
-    return (heading or Heading()).completed(calibration.record["room"], author)
+def _heading(heading: Heading | None, calibration: CalibrationResult) -> Heading:
+    return (heading or Heading()).completed(calibration.prior.name, calibration.prior.author)
 
 
-def _calibration(calibration: Saved, step: Callable[[], None]) -> dict[str, Any]:
+def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> dict[str, Any]:
     """Return what the template of a calibration shows."""
     clean, marked = words.usable(calibration)
     shifts, shift_count = words.large_shifts(calibration)
+    certified = calibration.certificate
     certificate = {
-        short: _worst(calibration.record["certificate"][key])
-        for short, key in (
-            ("primal", "primal_residual"),
-            ("dual", "dual_residual"),
-            ("gap", "duality_gap"),
-        )
+        "primal": _worst(certified.primal_residual),
+        "dual": _worst(certified.dual_residual),
+        "gap": _worst(certified.duality_gap),
+        "error": _worst(certified.alpha_error_bound),
     }
-    bounds = [v for m in calibration.record["materials"] for v in m["error_bound"]]
-    certificate["error"] = _worst(bounds)
     return {
         "calibration": calibration,
         "headline": words.headline(calibration),
@@ -152,17 +145,19 @@ def _calibration(calibration: Saved, step: Callable[[], None]) -> dict[str, Any]
         "not_met": words.not_met(calibration),
         "proves_nothing": words.PROVES_NOTHING,
         "figures": _figures(calibration, step),
-        "blocks": blocks(len(calibration.centre_frequencies)),
+        "blocks": blocks(len(calibration.prior.centre_frequencies)),
         "labels": words.band_labels(calibration),
         "band_rows": _band_rows(calibration),
         "band_letters": [
-            letters(calibration.trust_marks, f) for f in calibration.centre_frequencies
+            letters(calibration.trust_marks, f) for f in calibration.prior.centre_frequencies
         ],
         "materials": _materials(calibration),
         "interval_note": _interval_note(calibration),
         "assumed": words.assumed(calibration),
         "sources": [
-            (m["name"], m["source"]) for m in calibration.record["materials"] if m["source"]
+            (m, calibration.prior.sources[m])
+            for m in calibration.prior.materials
+            if calibration.prior.sources.get(m)
         ],
         "certificate": certificate,
         "inputs": _inputs(calibration),
@@ -174,25 +169,20 @@ def _calibration(calibration: Saved, step: Callable[[], None]) -> dict[str, Any]
 @checked
 def loop_page(
     result: Loop | LoopResult,
-    ends: Any = None,
     *,
-    place: str = "result",
     heading: Heading | None = None,
     progress: Callable[[], None] | None = None,
 ) -> str:
     """Return a closed loop as one HTML page; DataError if it has no simulation.
 
-    A `Loop` needs ``ends``, as `LoopResult.ends` returns it; a `LoopResult` has its own. Messages name
-    it by ``place``. ``heading`` is as for `page`.
+    Only a `LoopResult` has other parameters before and after. ``heading`` is as for `page`.
     """
+    ends = loop_words.ends(result) if isinstance(result, LoopResult) else None
     loop = result.loop if isinstance(result, LoopResult) else result
-    if isinstance(result, LoopResult):
-        ends = result.ends()
-    simulated = None if ends is None else loop_words.read_ends(loop, ends, place)
-    status = loop_words.statuses(loop) if simulated is None else simulated["status"]
+    status = loop_words.statuses(loop) if ends is None else ends["status"]
     summary = loop_words.summary(loop, status)
-    if simulated is not None:
-        summary.append(loop_words.confirmed(loop, simulated))
+    if ends is not None:
+        summary.append(loop_words.confirmed(loop, ends))
     figure = loop_figures.path(loop)
     drawn = source(figure, progress or (lambda: None))
     return render(
@@ -210,7 +200,7 @@ def loop_page(
                 "One JND is 5 %.",
             },
             "bands": loop_words.bands_table(loop, status),
-            "ends": simulated,
+            "ends": ends,
             "blocks": blocks(loop.room.n_bands),
             "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
             "materials": loop_words.materials_table(loop),
@@ -227,7 +217,7 @@ def page_of(
     heading: Heading | None = None,
     progress: Callable[[], None] | None = None,
 ) -> str:
-    """Return the page of a saved result: ``result.json``, its folder, a loop's state or result.
+    """Return the page of a saved result: its folder, its ``result.json``, or the state of a loop.
 
     Raises
     ------
@@ -235,35 +225,26 @@ def page_of(
         For a folder that has no result, or a file that is none.
     """
     place = Path(path)
-    if place.is_dir():
-        place /= "result.json"
-        if not place.exists():
-            raise DataError(
-                f"folder {Path(path).resolve()} has no result.json; `rtcal calibrate --out` and "
-                "`rtcal fit --out` write one"
-            )
-    record = read_json(place)
-    if record.get("rtcal") == loop_files.KIND:
-        loop = Loop.load(os.fspath(place))
-        return loop_page(
-            loop, record.get("result"), place=os.fspath(place), heading=heading, progress=progress
-        )
-    if record.get("rtcal") == POSITIONS:
-        return positions_page.page(
-            saved_positions.read(record, os.fspath(place)),
-            heading or Heading(),
-            progress or (lambda: None),
-        )
-    return page(from_dict(record, os.fspath(place)), heading=heading, progress=progress)
+    if loop_files.is_state(place):
+        return loop_page(Loop.load(os.fspath(place)), heading=heading, progress=progress)
+    result = load(place)
+    if isinstance(result, LoopResult):
+        return loop_page(result, heading=heading, progress=progress)
+    if isinstance(result, PositionsResult):
+        return positions_page.page(result, heading or Heading(), progress or (lambda: None))
+    if isinstance(result, CalibrationResult):
+        return page(result, heading=heading, progress=progress)
+    raise DataError(
+        f"{place}: a {type(result).__name__} has no page here; `rtcal gap report` writes that of a "
+        "finding"
+    )
 
 
-def _worst(values: Sequence[float | None]) -> str:
-    numbers = [v for v in values if v is not None]
-    return f"{max(numbers):.1e}" if len(numbers) == len(values) else "unknown"
+def _worst(values: Array) -> str:
+    return f"{values.max():.1e}" if np.isfinite(values).all() else "unknown"
 
 
-def _figures(calibration: Saved, step: Callable[[], None]) -> dict[str, dict[str, str]]:
-    room = calibration.record["room"]
+def _figures(calibration: CalibrationResult, step: Callable[[], None]) -> dict[str, dict[str, str]]:
     drawn: dict[str, tuple[Any, str, str]] = {
         "gap": (
             figures.gap(calibration),
@@ -289,7 +270,7 @@ def _figures(calibration: Saved, step: Callable[[], None]) -> dict[str, dict[str
             "Who absorbs: each material's share of the room's whole absorption, after calibration.",
         ),
     }
-    if len(calibration.materials) > 1 and calibration.matched.any():
+    if len(calibration.prior.materials) > 1 and calibration.matched.any():
         drawn["plane"] = (
             material_figures.plane_of(calibration),
             "The calibration in the plane of two materials",
@@ -298,25 +279,29 @@ def _figures(calibration: Saved, step: Callable[[], None]) -> dict[str, dict[str
             "reverberation time.",
         )
     encoded = {
-        name: {"source": source(figure, step), "alt": f"{room}: {alt}", "caption": caption}
+        name: {
+            "source": source(figure, step),
+            "alt": f"{calibration.prior.name}: {alt}",
+            "caption": caption,
+        }
         for name, (figure, alt, caption) in drawn.items()
     }
     return encoded | ({} if "plane" in encoded else {"plane": {}})
 
 
-def _band_rows(calibration: Saved) -> list[tuple[str, Any, int, bool]]:
+def _band_rows(calibration: CalibrationResult) -> list[tuple[str, Any, int, bool]]:
     """Return each row of the band table: name, values, decimals, and whether to show the sign."""
     return [
         ("measured T / s", calibration.measured, 3, False),
-        ("its uncertainty / s", calibration.uncertainty, 3, False),
-        ("T before / s", calibration.before, 3, False),
-        ("T after / s", calibration.after, 3, False),
+        ("its uncertainty / s", calibration.measured_uncertainty, 3, False),
+        ("T before / s", calibration.reverberation_time_before, 3, False),
+        ("T after / s", calibration.reverberation_time_after, 3, False),
         ("gap before / JND", calibration.gap_before, 1, True),
         ("gap after / JND", calibration.gap_after, 1, True),
-        ("z", calibration.z, 1, True),
+        ("z", calibration.plausibility.z, 1, True),
         (
             "absorption area of the surfaces / m²",
-            calibration.areas @ calibration.alpha_after,
+            calibration.prior.areas @ calibration.alpha,
             2,
             False,
         ),
@@ -324,21 +309,21 @@ def _band_rows(calibration: Saved) -> list[tuple[str, Any, int, bool]]:
     ]
 
 
-def _materials(calibration: Saved) -> list[dict[str, Any]]:
+def _materials(calibration: CalibrationResult) -> list[dict[str, Any]]:
     low, high = material_figures.intervals(calibration)
-    size = np.max(calibration.areas[:, np.newaxis] * calibration.alpha_after, axis=1)
+    size = np.max(calibration.prior.areas[:, np.newaxis] * calibration.alpha, axis=1)
     rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS])
     return material_rows(
-        [calibration.materials[i] for i in rows],
-        calibration.areas[rows],
-        calibration.alpha_before[rows],
-        calibration.alpha_after[rows],
+        [calibration.prior.materials[i] for i in rows],
+        calibration.prior.areas[rows],
+        calibration.prior.alpha[rows],
+        calibration.alpha[rows],
         (low[rows], high[rows]),
-        calibration.at_bound[rows] != "",
+        calibration.active[rows] != 0,
     )
 
 
-def _interval_note(calibration: Saved) -> str:
+def _interval_note(calibration: CalibrationResult) -> str:
     if calibration.interval is not None:
         return (
             "The intervals are those of the exact posterior distribution, within the bounds, with the "
@@ -350,9 +335,10 @@ def _interval_note(calibration: Saved) -> str:
     )
 
 
-def _inputs(calibration: Saved) -> dict[str, str] | None:
+def _inputs(calibration: CalibrationResult) -> dict[str, str] | None:
     """Return the two files as data URIs; None if the room exceeds the largest size of a file."""
-    texts = {key: calibration.record["inputs"][key].encode() for key in ("room", "measured")}
+    inputs = record.inputs(calibration.prior, calibration.measured_data)
+    texts = {key: text.encode() for key, text in inputs.items()}
     if len(texts["room"]) > room_files.MAX_BYTES:
         return None
     return {

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rtcal.report import positions_figures
-from rtcal.report.result_folder import NUMBERS, ROOM, write_with_figures
+from rtcal.report.result_folder import ROOM, write_with_figures
+from rtcal.support.results import NUMBERS
 
 if TYPE_CHECKING:
     from rtcal.loop.positions_result import PositionsResult

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.parameters import parameter_label
+from rtcal.loop.positions_result import PositionsResult
 from rtcal.report import positions_figures
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.rows import material_rows
-from rtcal.report.saved_positions import SavedPositions
+from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.types import Array
 
 MOST_MATERIALS = 100
@@ -22,45 +23,45 @@ _MISFIT = 2.0
 """Misfit from which a pair is named: twice the chi-square that is usual in this room."""
 
 
-def page(saved: SavedPositions, heading: Heading, step: Callable[[], None]) -> str:
+def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) -> str:
     """Return the page as HTML; raises as `rtcal.report.page.page`."""
-    order = _most_learned_first(saved)
+    order = _most_learned_first(result)
     return render(
         "positions.html",
         {
-            "saved": saved,
-            "summary": _summary(saved, order),
-            "plan": _plan(saved, step),
+            "result": result,
+            "summary": _summary(result, order),
+            "plan": _plan(result, step),
             "shifts": {
                 "source": source(
                     positions_figures.draw_shifts(
-                        saved.shift[order],
-                        [saved.materials[i] for i in order],
-                        saved.centre_frequencies,
+                        result.shift[order],
+                        [result.prior.materials[i] for i in order],
+                        result.prior.centre_frequencies,
                     ),
                     step,
                 ),
-                "alt": f"{saved.record['room']}: how far each coefficient moved",
+                "alt": f"{result.prior.name}: how far each coefficient moved",
                 "caption": "How far each coefficient moved, in standard deviations of what was stated. "
                 "Above 2 either the stated deviation was too small, or something is missing.",
             },
-            "learned": [_learned(saved, i) for i in order],
-            "gaps": _gaps(saved),
-            "parameters": [parameter_label(p) for p in saved.parameters],
-            "doubts": _doubts(saved),
-            "blocks": blocks(len(saved.centre_frequencies)),
-            "labels": [f"{f:g} Hz" for f in saved.centre_frequencies],
+            "learned": [_learned(result, i) for i in order],
+            "gaps": _gaps(result),
+            "parameters": [parameter_label(p) for p in result.parameters],
+            "doubts": _doubts(result),
+            "blocks": blocks(len(result.prior.centre_frequencies)),
+            "labels": [f"{f:g} Hz" for f in result.prior.centre_frequencies],
             "materials": material_rows(
-                [saved.materials[i] for i in order],
-                saved.areas[order],
-                saved.alpha_before[order],
-                saved.alpha_after[order],
-                None if saved.interval is None else tuple(saved.interval[:, order]),
-                np.isin(saved.alpha_after[order], (0.0, 1.0)),
+                [result.prior.materials[i] for i in order],
+                result.prior.areas[order],
+                result.prior.alpha[order],
+                result.alpha[order],
+                _interval(result, order),
+                np.isin(result.alpha[order], (0.0, 1.0)),
             ),
-            "left_out": len(saved.materials) - len(order),
+            "left_out": len(result.prior.materials) - len(order),
         },
-        heading.completed(saved.record["room"], saved.record["author"]),
+        heading.completed(result.prior.name, result.prior.author),
     )
 
 
@@ -71,78 +72,91 @@ def _rms(values: Array, axis: Any = None) -> Any:
         return np.sqrt(squares.sum(axis=axis) / known.sum(axis=axis))
 
 
-def _share(saved: SavedPositions) -> Array:
+def _share(result: PositionsResult) -> Array:
     """Return posterior over prior sigma of each material, 1 where sigma was 0."""
-    before, after = (_rms(s, axis=1) for s in (saved.sigma_before, saved.sigma_after))
+    before, after = (_rms(s, axis=1) for s in (result.prior.sigma, result.sigma))
     return np.asarray(np.divide(after, before, out=np.ones_like(after), where=before > 0))
 
 
-def _most_learned_first(saved: SavedPositions) -> list[int]:
-    return [int(i) for i in np.argsort(_share(saved), kind="stable")[:MOST_MATERIALS]]
+def _most_learned_first(result: PositionsResult) -> list[int]:
+    return [int(i) for i in np.argsort(_share(result), kind="stable")[:MOST_MATERIALS]]
 
 
-def _summary(saved: SavedPositions, order: list[int]) -> list[str]:
-    parameters = ", ".join(parameter_label(p) for p in saved.parameters)
-    n_pairs = len(saved.pairs)
-    share = _share(saved)
-    learned = [saved.materials[i] for i in order if share[i] <= _LEARNED]
+def _summary(result: PositionsResult, order: list[int]) -> list[str]:
+    parameters = ", ".join(parameter_label(p) for p in result.parameters)
+    n_pairs = len(result.pairs)
+    share = _share(result)
+    learned = [result.prior.materials[i] for i in order if share[i] <= _LEARNED]
     names = ", ".join(f"“{name}”" for name in learned[:3])
     told = (
-        f"The measurement tells of {len(learned)} of {len(saved.materials)} materials, most of {names}."
+        f"The measurement tells of {len(learned)} of {result.prior.n_materials} materials, most of "
+        f"{names}."
         if learned
         else "The measurement tells hardly anything of any single material."
     )
     return [
         f"The absorption coefficients were fitted to {parameters} at "
         f"{n_pairs} pair{'s' * (n_pairs > 1)} of a source and a receiver.",
-        f"The root mean square gap went from {_rms(saved.gap_before):.1f} to "
-        f"{_rms(saved.gap_after):.1f} just noticeable differences (JND).",
+        f"The root mean square gap went from {_rms(result.gap_before):.1f} to "
+        f"{_rms(result.gap_after):.1f} just noticeable differences (JND).",
         told,
     ]
 
 
-def _plan(saved: SavedPositions, step: Callable[[], None]) -> dict[str, str] | None:
-    if not saved.faces:
+def _plan(result: PositionsResult, step: Callable[[], None]) -> dict[str, str] | None:
+    geometry = getattr(result.tracer, "geometry", None)
+    if not isinstance(geometry, Polyhedron):
         return None
-    figure = positions_figures.draw_plan(
-        saved.pairs,
-        (saved.gap_before, saved.gap_after),
-        saved.faces,
-        saved.sources,
-        saved.receivers,
-    )
+    tracer: Any = result.tracer
+    figure = positions_figures.plan(result, geometry, tracer.sources, tracer.receivers)
     return {
         "source": source(figure, step),
-        "alt": f"{saved.record['room']}: plan with the gap at each receiver, before and after",
+        "alt": f"{result.prior.name}: plan with the gap at each receiver, before and after",
         "caption": "Seen from above: sources (triangles), and receivers coloured by their gap in JND, "
         "the root mean square over parameters, bands and sources.",
     }
 
 
-def _learned(saved: SavedPositions, i: int) -> dict[str, Any]:
+def _learned(result: PositionsResult, i: int) -> dict[str, Any]:
     """Return a material's row: sigma before and after, shift, who pulls it most, and scattering."""
-    strength = np.abs(saved.pulls[:, i]).mean(axis=1)
+    strength = np.abs(result.pulls[:, i]).mean(axis=1)
     return {
-        "name": saved.materials[i],
-        "before": _rms(saved.sigma_before[i]),
-        "after": _rms(saved.sigma_after[i]),
-        "shift": _rms(saved.shift[i]),
-        "pair": " to ".join(saved.pairs[int(np.argmax(strength))]),
-        "scattering": saved.scattering and tuple(float(a[i].mean()) for a in saved.scattering),
+        "name": result.prior.materials[i],
+        "before": _rms(result.prior.sigma[i]),
+        "after": _rms(result.sigma[i]),
+        "shift": _rms(result.shift[i]),
+        "pair": " to ".join(result.pairs[int(np.argmax(strength))]),
+        "scattering": _scattering(result, i),
         "share": float(strength.max() / strength.sum()) if strength.sum() > 0 else 0.0,
     }
 
 
-def _gaps(saved: SavedPositions) -> list[dict[str, Any]]:
+def _interval(result: PositionsResult, order: list[int]) -> tuple[Array, Array] | None:
+    """Return the ends of the intervals of some materials, if there are any."""
+    if result.interval is None:
+        return None
+    low, high = result.interval
+    return low[order], high[order]
+
+
+def _scattering(result: PositionsResult, i: int) -> tuple[float, float] | None:
+    """Return a material's mean scattering coefficient and sigma, if they were fitted."""
+    if result.scattering is None:
+        return None
+    fitted = result.scattering
+    return float(fitted.coefficients[i].mean()), float(fitted.sigma[i].mean())
+
+
+def _gaps(result: PositionsResult) -> list[dict[str, Any]]:
     """Return a row per pair and one for all: gap before and after of each parameter, and the misfit."""
-    rows = [(" to ".join(p), [i], float(saved.misfit[i])) for i, p in enumerate(saved.pairs)]
-    rows.append(("all", list(range(len(saved.pairs))), float("nan")))
+    rows = [(" to ".join(p), [i], float(result.misfit[i])) for i, p in enumerate(result.pairs)]
+    rows.append(("all", list(range(len(result.pairs))), float("nan")))
     return [
         {
             "name": name,
             "cells": [
                 (float(_rms(b[pairs])), float(_rms(a[pairs])))
-                for b, a in zip(saved.gap_before, saved.gap_after, strict=True)
+                for b, a in zip(result.gap_before, result.gap_after, strict=True)
             ],
             "misfit": misfit,
         }
@@ -150,14 +164,14 @@ def _gaps(saved: SavedPositions) -> list[dict[str, Any]]:
     ]
 
 
-def _doubts(saved: SavedPositions) -> list[dict[str, Any]]:
+def _doubts(result: PositionsResult) -> list[dict[str, Any]]:
     """Return the reservations: title, where, and what to do."""
-    record, doubts = saved.record, []
+    doubts: list[dict[str, Any]] = []
 
     def add(title: str, text: str, advice: str) -> None:
         doubts.append({"title": title, "letter": "", "texts": [text], "advice": advice})
 
-    contradicting = [" to ".join(pair) for pair in record["contradictions"]]
+    contradicting = [" to ".join(pair) for pair in result.contradictions]
     for name in contradicting:
         add(
             "Contradicts all other pairs",
@@ -166,7 +180,7 @@ def _doubts(saved: SavedPositions) -> list[dict[str, Any]]:
         )
     odd = [
         f"{' to '.join(pair)} ({misfit:.1f})"
-        for pair, misfit in zip(saved.pairs, saved.misfit, strict=True)
+        for pair, misfit in zip(result.pairs, result.misfit, strict=True)
         if misfit > _MISFIT and " to ".join(pair) not in contradicting
     ]
     if odd:
@@ -175,21 +189,21 @@ def _doubts(saved: SavedPositions) -> list[dict[str, Any]]:
             ", ".join(odd),
             "1 is usual. Look at the decays of these pairs.",
         )
-    if record["error_scale"] > 1:
+    if result.error_scale > 1:
         add(
             "Misses more than expected",
-            f"Variance of the simulator's error: {record['error_scale']:.1f} times as large.",
+            f"Variance of the simulator's error: {result.error_scale:.1f} times as large.",
             "Check volume, mesh and stated sigma. Something may be missing in the room.",
         )
-    if not record["control_runs"]:
+    if result.controls is None:
         add(
             "Simulator's error unknown",
             "No control run tells it; no interval is stated.",
             "Use a simulator with a geometry, such as path tracing.",
         )
     bound = [
-        f"{saved.materials[i]} at {saved.centre_frequencies[k]:g} Hz"
-        for i, k in np.argwhere((saved.alpha_after <= 0) | (saved.alpha_after >= 1))
+        f"{result.prior.materials[i]} at {result.prior.centre_frequencies[k]:g} Hz"
+        for i, k in np.argwhere((result.alpha <= 0) | (result.alpha >= 1))
     ]
     if bound:
         more = f" and {len(bound) - 5} more" if len(bound) > 5 else ""
@@ -198,6 +212,6 @@ def _doubts(saved: SavedPositions) -> list[dict[str, Any]]:
             ", ".join(bound[:5]) + more,
             "That is a warning and no result. State a smaller sigma or a floor.",
         )
-    if not record["settled"]:
+    if not result.settled:
         add("Not settled", "The last step still moved alpha.", "Calibrate again with more paths.")
     return doubts

@@ -12,12 +12,13 @@ from rtcal.errors import MissingDependencyError
 from rtcal.report import figures
 from rtcal.support import checks
 from rtcal.support.files import make_folder, spare, write_all
+from rtcal.support.results import NUMBERS
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
     from rtcal.loop.positions_result import PositionsResult
 
-ROOM, NUMBERS, FIGURE = "room.toml", "result.json", "reverberation_time.png"
+ROOM, FIGURE = "room.toml", "reverberation_time.png"
 FILES = (ROOM, NUMBERS, FIGURE)
 
 

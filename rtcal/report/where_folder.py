@@ -10,21 +10,20 @@ from rtcal.report import document, where_figures
 from rtcal.report.document import Heading
 from rtcal.report.figures import rendered
 from rtcal.support.arguments import checked
-from rtcal.support.encode import json_text
 from rtcal.support.files import make_folder, write_all
+from rtcal.support.results import NUMBERS
 from rtcal.where.advice import Place
 from rtcal.where.finding import Finding, strongest
 from rtcal.where.verification import MODELS, TITLES, Verification
 
-PAGE, NUMBERS, MAP, PLAN, ROOM, GAP = (
+PAGE, MAP, PLAN, ROOM, GAP = (
     "report.html",
-    "finding.json",
     "map.png",
     "plan.png",
     "room.png",
     "gap.png",
 )
-FILES = (PAGE, NUMBERS, MAP, PLAN, ROOM, GAP)
+FILES = (PAGE, MAP, PLAN, ROOM, GAP)
 _SAID = 0.03
 """Probability below which a candidate is not printed."""
 
@@ -49,13 +48,10 @@ def write(
     DataError
         If the folder cannot be made, or a file cannot be written.
     """
-    record = finding.to_dict()
-    record["next_position"] = None if place is None else vars(place)
     figures = drawn(finding, verification, place)
-    if verification is not None:
-        record["verification"] = verification.to_dict()
+    saved = finding if verification is None else verification
     text = page(finding, verification, figures, heading or Heading(), command, place)
-    contents = {folder / PAGE: text.encode(), folder / NUMBERS: (json_text(record) + "\n").encode()}
+    contents = {folder / PAGE: text.encode(), folder / NUMBERS: saved.to_json().encode()}
     contents |= {folder / name: rendered(figure, "png") for name, figure in figures.items()}
     make_folder(folder)
     write_all(contents)

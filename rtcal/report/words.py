@@ -13,7 +13,8 @@ from rtcal.acoustics.equations import EQUATIONS
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import TrustMark, agreement, weak_agreement
 from rtcal.calibration.presets import METHODS
-from rtcal.report.saved import Saved
+from rtcal.calibration.record import equation_parameters
+from rtcal.calibration.result import CalibrationResult
 
 LARGE_SHIFT = 2.0
 """Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""
@@ -75,13 +76,13 @@ def hertz(frequencies: Sequence[float]) -> str:
     return (", ".join(texts[:-1]) + " and " if len(texts) > 1 else "") + texts[-1] + " Hz"
 
 
-def compared(calibration: Saved) -> str:
+def compared(calibration: CalibrationResult) -> str:
     """Return the bands in which model and measurement were compared."""
     has_gap = np.isfinite(calibration.gap_before)
-    return bands.span(calibration.centre_frequencies[has_gap]) if has_gap.any() else "no band"
+    return bands.span(calibration.prior.centre_frequencies[has_gap]) if has_gap.any() else "no band"
 
 
-def headline(calibration: Saved) -> str:
+def headline(calibration: CalibrationResult) -> str:
     """Return the result as one sentence for a reader who is no acoustician."""
     gap = np.abs(calibration.gap_after[np.isfinite(calibration.gap_after)])
     met, count = int(np.sum(gap < _MET)), len(gap)
@@ -94,9 +95,9 @@ def headline(calibration: Saved) -> str:
     }.get(verdict(calibration)[0], "and it is open whether its materials are as stated.")
 
 
-def summary(calibration: Saved) -> list[str]:
+def summary(calibration: CalibrationResult) -> list[str]:
     """Return the calibration in three sentences: before, after, and whether to believe it."""
-    f, has_gap = calibration.centre_frequencies, np.isfinite(calibration.gap_before)
+    f, has_gap = calibration.prior.centre_frequencies, np.isfinite(calibration.gap_before)
     if not has_gap.any():
         return ["Model and measurement could be compared in no band.", _believable(calibration)]
     gap = np.where(has_gap, np.abs(calibration.gap_before), -1.0)
@@ -104,13 +105,14 @@ def summary(calibration: Saved) -> list[str]:
     return [
         "Before calibration the model's reverberation time was off by "
         f"{gap[has_gap].mean():.1f} JND on average and by {gap[k]:.1f} JND at worst: at {f[k]:g} Hz it "
-        f"had {calibration.before[k]:.2f} s where {calibration.measured[k]:.2f} s were measured.",
+        f"had {calibration.reverberation_time_before[k]:.2f} s where {calibration.measured[k]:.2f} s "
+        "were measured.",
         _after(calibration),
         _believable(calibration),
     ]
 
 
-def _believable(calibration: Saved) -> str:
+def _believable(calibration: CalibrationResult) -> str:
     """Return whether measurement and prior agree, and the bands that carry a reservation."""
     level, heading, _ = verdict(calibration)
     clean, marked = usable(calibration)
@@ -126,10 +128,10 @@ def _believable(calibration: Saved) -> str:
     return f"{heading}; {doubtful}."
 
 
-def _after(calibration: Saved) -> str:
+def _after(calibration: CalibrationResult) -> str:
     gap = np.abs(calibration.gap_after[np.isfinite(calibration.gap_after)])
     met, count = int(np.sum(gap < _MET)), len(gap)
-    n = len(calibration.materials)
+    n = len(calibration.prior.materials)
     text = (
         f"The absorption coefficients of {n} material{'' if n == 1 else 's'} were then changed as "
         "little as what was known of them allows, and now the model has the measured T in "
@@ -139,19 +141,19 @@ def _after(calibration: Saved) -> str:
     return text + f"{met} of {count} bands; the largest gap that remains is {gap.max():.1f} JND."
 
 
-def verdict(calibration: Saved) -> tuple[str, str, str]:
+def verdict(calibration: CalibrationResult) -> tuple[str, str, str]:
     """Return the agreement of measurement and prior: a word, a heading and a sentence.
 
     The word is "agrees", "contradicts" or "open".
     """
-    plausibility = calibration.record["plausibility"]
-    numbers = (
-        f"Q = {plausibility['q']:.1f}, {plausibility['degrees_of_freedom']:.0f} degrees of freedom"
-    )
-    p = plausibility["p_value"]
+    plausibility = calibration.plausibility
+    numbers = f"Q = {plausibility.q:.1f}, {plausibility.degrees_of_freedom} degrees of freedom"
+    p = plausibility.p_value
     far = [
         float(f)
-        for f, z in zip(calibration.centre_frequencies, calibration.z, strict=True)
+        for f, z in zip(
+            calibration.prior.centre_frequencies, calibration.plausibility.z, strict=True
+        )
         if abs(z) > 2
     ]
     asks = (
@@ -201,10 +203,10 @@ def verdict(calibration: Saved) -> tuple[str, str, str]:
     )
 
 
-def usable(calibration: Saved) -> tuple[list[float], list[float]]:
+def usable(calibration: CalibrationResult) -> tuple[list[float], list[float]]:
     """Return the bands (Hz) without any trust mark, and those with one."""
     marked = {m.frequency for m in calibration.trust_marks if m.frequency is not None}
-    every = [float(f) for f in calibration.centre_frequencies]
+    every = [float(f) for f in calibration.prior.centre_frequencies]
     return [f for f in every if f not in marked], [f for f in every if f in marked]
 
 
@@ -223,17 +225,17 @@ def doubts(marks: Sequence[TrustMark]) -> list[Doubt]:
     return out
 
 
-def large_shifts(calibration: Saved) -> tuple[list[Shift], int]:
+def large_shifts(calibration: CalibrationResult) -> tuple[list[Shift], int]:
     """Return the shifts beyond `LARGE_SHIFT`, the 20 largest in order, and the number of all."""
     sigmas = np.nan_to_num(calibration.shift_in_sigmas)
     places = [(int(i), int(k)) for i, k in np.argwhere(np.abs(sigmas) > LARGE_SHIFT)]
     places.sort(key=lambda at: -abs(sigmas[at]))
     shifts = [
         Shift(
-            calibration.materials[i],
-            float(calibration.centre_frequencies[k]),
-            float(calibration.alpha_before[i, k]),
-            float(calibration.alpha_after[i, k]),
+            calibration.prior.materials[i],
+            float(calibration.prior.centre_frequencies[k]),
+            float(calibration.prior.alpha[i, k]),
+            float(calibration.alpha[i, k]),
             float(sigmas[i, k]),
         )
         for i, k in places[:_MOST_SHIFTS]
@@ -241,15 +243,14 @@ def large_shifts(calibration: Saved) -> tuple[list[Shift], int]:
     return shifts, len(places)
 
 
-def not_met(calibration: Saved) -> list[str]:
+def not_met(calibration: CalibrationResult) -> list[str]:
     """Return the targets that the calibration could not meet, band by band."""
     sentences = [
-        f"{text}. The nearest that the bounds allow was taken."
-        for text in calibration.record["unreachable"]
+        f"{band}. The nearest that the bounds allow was taken." for band in calibration.unreachable
     ]
     missing = [
         float(f)
-        for f, m in zip(calibration.centre_frequencies, calibration.measured, strict=True)
+        for f, m in zip(calibration.prior.centre_frequencies, calibration.measured, strict=True)
         if not np.isfinite(m)
     ]
     if missing:
@@ -258,108 +259,104 @@ def not_met(calibration: Saved) -> list[str]:
         )
     left = [
         f"{f:g} Hz ({g:+.1f} JND)"
-        for f, g in zip(calibration.centre_frequencies, calibration.gap_after, strict=True)
+        for f, g in zip(calibration.prior.centre_frequencies, calibration.gap_after, strict=True)
         if abs(g) >= _MET
     ]
     if left:
         sentences.append(f"A gap remains at {', '.join(left)}.")
-    ignored = calibration.record["measured"]["bands_not_in_room"]
+    ignored = calibration.measured_data.ignored
     if ignored:
         sentences.append(f"Measured, but no band of the model: {hertz(ignored)}.")
     return sentences
 
 
-def assumed(calibration: Saved) -> list[str]:
+def assumed(calibration: CalibrationResult) -> list[str]:
     """Return the assumptions of the calibration."""
-    record = calibration.record
-    air = record["air"]
+    room, air = calibration.prior, calibration.prior.air
     sentences = [
-        f"Volume {record['volume']:g} m³ and areas of {calibration.areas.sum():g} m² in all, taken as "
+        f"Volume {room.volume:g} m³ and areas of {calibration.prior.areas.sum():g} m² in all, taken as "
         "exact.",
         "Air: none stated, so the surfaces are made to absorb what the air does."
         if air is None
-        else f"Air of {air['temperature']:g} °C, {air['humidity']:g} % relative humidity and "
-        f"{air['pressure']:g} kPa (absorption after ISO 9613-1).",
-        f"{record['equation']}'s reverberation equation{_parameters(calibration)}: a diffuse sound "
-        "field.",
-        _METHODS.get(record["method"], f"A composed calibration: {composed(calibration)}."),
+        else f"Air of {air.temperature:g} °C, {air.humidity:g} % relative humidity and "
+        f"{air.pressure:g} kPa (absorption after ISO 9613-1).",
+        f"{calibration.equation.name}'s reverberation equation{_parameters(calibration)}: a diffuse "
+        "sound field.",
+        _METHODS.get(calibration.method, f"A composed calibration: {composed(calibration)}."),
         "The stated coefficients and their standard deviations, and that these errors "
         + _correlated(calibration)
         + " One measured T per band tells one number, the sum of all absorption: "
         "how it is shared among the materials follows from these standard deviations alone.",
         _measured(calibration),
     ]
-    floors = [m["name"] for m in record["materials"] if m["alpha_min"] is not None]
     sentences.append(
         "Coefficients lie between 0 and 1"
-        + (", or above the floors that the room states." if floors else ".")
+        + (", or above the floors that the room states." if room.alpha_min is not None else ".")
     )
-    if record["measured"]["caution"]:
-        sentences.append(record["measured"]["caution"] + ".")
-    if record["effects"]:
-        sizes = ", ".join(f"{name} = {size:.4g}" for name, size in record["effects"].items())
+    if calibration.measured_data.caution:
+        sentences.append(calibration.measured_data.caution + ".")
+    if calibration.effects:
+        sizes = ", ".join(f"{name} = {size:.4g}" for name, size in calibration.effects.items())
         sentences.append(f"Further effects in the model, with their calibrated sizes: {sizes}.")
     return sentences
 
 
-def _parameters(calibration: Saved) -> str:
-    parameters = calibration.record["equation_parameters"]
+def _parameters(calibration: CalibrationResult) -> str:
+    parameters = equation_parameters(calibration.equation)
     return " with " + ", ".join(f"{k} = {v:g}" for k, v in parameters.items()) if parameters else ""
 
 
-def composed(calibration: Saved) -> str:
+def composed(calibration: CalibrationResult) -> str:
     """Return the terms and constraints of the calibration."""
-    return "; ".join([*calibration.record["objective"], *calibration.record["constraints"]])
+    model = calibration.joint.solution.model
+    return "; ".join(map(repr, (*model.objective.terms, *model.row_constraints)))
 
 
-def _correlated(calibration: Saved) -> str:
-    record, parts = calibration.record, []
-    if record["band_correlation"]:
-        parts.append(f"correlate by {record['band_correlation']:g} over an octave")
-    if record["material_correlation"]:
+def _correlated(calibration: CalibrationResult) -> str:
+    room, parts = calibration.prior, []
+    if room.band_correlation:
+        parts.append(f"correlate by {room.band_correlation:g} over an octave")
+    if room.material_correlation:
         parts.append("correlate between some materials")
     return (" and ".join(parts) if parts else "are independent of each other") + "."
 
 
-def _measured(calibration: Saved) -> str:
-    parameters = dict.fromkeys(
-        parameter_label(p) for p in calibration.record["measured"]["parameter"] if p
-    )
+def _measured(calibration: CalibrationResult) -> str:
+    parameters = dict.fromkeys(parameter_label(p) for p in calibration.measured_data.parameter if p)
     text = (
         f"Measured: {' and '.join(parameters)}, the arithmetic mean over the source-receiver pairs"
     )
-    stated = np.isfinite(calibration.uncertainty) & np.isfinite(calibration.measured)
+    stated = np.isfinite(calibration.measured_uncertainty) & np.isfinite(calibration.measured)
     if not stated.any():
         return text + "; its uncertainty is not known."
-    share = 100 * calibration.uncertainty[stated] / calibration.measured[stated]
+    share = 100 * calibration.measured_uncertainty[stated] / calibration.measured[stated]
     ends = dict.fromkeys([f"{share.min():.1f}", f"{share.max():.1f}"])
     return text + f"; its standard uncertainty is {' to '.join(ends)} %."
 
 
-def command(calibration: Saved) -> str | None:
+def command(calibration: CalibrationResult) -> str | None:
     """Return the shell command that gives the same result from the two files of the page.
 
     None for a calibration that the command cannot repeat: a composed one, or an equation that is not
     rtcal's or whose parameters are not the default ones.
     """
-    record = calibration.record
     keys = {equation.name: key for key, equation in EQUATIONS.items()}
-    equation = keys.get(record["equation"])
-    if record["method"] not in METHODS or record["equation_parameters"] or equation is None:
+    equation, method = keys.get(calibration.equation.name), calibration.method
+    if method not in METHODS or equation_parameters(calibration.equation) or equation is None:
         return None
     chosen = [
         "--method",
-        record["method"],
+        method,
         "--equation",
         equation,
         "--solver",
-        record["solver"]["name"],
+        calibration.solver,
     ]
-    if record["unreachable"]:
+    if calibration.unreachable:
         chosen += ["--unreachable", "nearest"]
     return shlex.join(["rtcal", "calibrate", "room.toml", "t.csv", *chosen, "--out", "calibrated"])
 
 
-def band_labels(calibration: Saved) -> list[str]:
+def band_labels(calibration: CalibrationResult) -> list[str]:
     """Return the bands' names for a table's head."""
-    return [bands.label(f) for f in calibration.centre_frequencies]
+    return [bands.label(f) for f in calibration.prior.centre_frequencies]

@@ -13,7 +13,7 @@ import operator
 import os
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +28,7 @@ from rtcal.studies.runner import run_pieces
 from rtcal.studies.sampling import SAMPLINGS, SIGMA_LIMIT, Sampling
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.results import Result
 from rtcal.support.types import Array
 
 _LEAST = 1e-9
@@ -55,8 +56,10 @@ _SCORES = [
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Result):
     """A finished study of one room at one sigma_r, as `run` returns it."""
+
+    record_kind: ClassVar[str] = "study 1"
 
     areas: Array
     sigma_r: float
@@ -65,6 +68,18 @@ class Study:
     seed: int
     sampling: Sampling
     moments: Moments
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was drawn, and the tables of scores."""
+        return {
+            "areas": self.areas,
+            "sigma_r": self.sigma_r,
+            "realisations": self.realisations,
+            "trials": self.trials,
+            "seed": self.seed,
+            "scores": self.scores(),
+            "controlled_scores": self.controlled_scores(),
+        }
 
     def scores(self) -> Table:
         """Return method, bounded, aace, score and its standard error, as the paper's simulation.

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -14,7 +13,8 @@ from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
-from rtcal.support.files import json_numbers, write_text
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
 from rtcal.support.types import Array
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
@@ -32,7 +32,7 @@ _LEAST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Finding:
+class Finding(Result):
     """What is other than stated, and where.
 
     Attributes
@@ -67,6 +67,8 @@ class Finding:
     controls : ControlRuns
         The simulator's error, to be given to another search or calibration.
     """
+
+    record_kind: ClassVar[str] = KIND
 
     case: Case
     verdict: str
@@ -265,15 +267,6 @@ class Finding:
             "reasons": list(self.reasons),
             "notes": list(self.notes),
         }
-
-    def to_json(self) -> str:
-        """Return the text of `to_dict` as JSON."""
-        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
-
-    @checked
-    def save(self, path: str) -> None:
-        """Write the text of `to_json` to a file; a failure leaves no part of it."""
-        write_text(path, self.to_json())
 
 
 LIKELY = 0.7

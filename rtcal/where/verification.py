@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import stats
@@ -21,6 +21,7 @@ from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.progress import TaskProgress
+from rtcal.support.results import Result
 from rtcal.support.types import Array
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
@@ -44,7 +45,7 @@ CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Verification:
+class Verification(Result):
     """Gaps at positions that were not fitted: as stated, calibrated, corrected and calibrated.
 
     The pairs are divided into two halves. Each half finds the effect again and calibrates both models;
@@ -60,6 +61,8 @@ class Verification:
     halves : tuple of tuples of pairs
     seeds : tuple of int
     """
+
+    record_kind: ClassVar[str] = "where verification 1"
 
     finding: Finding
     before: Array
@@ -208,7 +211,7 @@ class Verification:
             out.append(f"Fitted on {names}: added {what}.")
         return tuple(out)
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
             "sentence": self.sentence,
@@ -223,10 +226,6 @@ class Verification:
             "added": [None if c is None else c.to_dict() for c in self.added],
             "finding": self.finding.to_dict(),
         }
-
-    def to_json(self) -> str:
-        """Return the text of `to_dict` as JSON."""
-        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
 
 
 @checked

@@ -14,7 +14,6 @@ from rtcal.report import (
     loop_figures,
     material_figures,
 )
-from rtcal.report import saved as saving
 
 
 def line(axes, label):
@@ -63,19 +62,19 @@ def test_coefficients_and_their_intervals(result) -> None:
 def test_intervals_without_an_exact_posterior_are_the_linear_estimates() -> None:
     found = rt.calibrate(*rt.datasets.bras_cr2(), method="lse")
     assert found.interval is None
-    low, high = material_figures.intervals(saving.saved(found))
+    low, high = material_figures.intervals(found)
     np.testing.assert_allclose((high - low)[0] / 2, 1.6449 * found.posterior_sigma[0], rtol=1e-9)
 
 
 def test_shares_add_up_and_are_the_areas(result) -> None:
-    names, parts = material_figures.absorption_shares(saving.saved(result), 7)
+    names, parts = material_figures.absorption_shares(result, 7)
     np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
     assert names[-1] == "air"
     np.testing.assert_allclose(parts[-1], 100 * result.air_share, rtol=1e-12)
     own = parts[names.index("windows")] / parts[names.index("floor")]
     area = result.prior.areas[:, np.newaxis] * result.alpha
     np.testing.assert_allclose(own, area[2] / area[3], rtol=1e-12)
-    names, parts = material_figures.absorption_shares(saving.saved(result), 3)
+    names, parts = material_figures.absorption_shares(result, 3)
     assert names[2:] == ["3 other materials", "air"]
     np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
 

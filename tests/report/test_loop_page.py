@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
-from rtcal.loop import Loop
 from rtcal.report import (
     page,
 )
@@ -30,34 +26,21 @@ def test_a_loops_page(loop, tmp_path) -> None:
 
 
 def test_a_loop_results_page(loop_result, tmp_path) -> None:
-    path = tmp_path / "loop.json"
-    loop_result.save(str(path))
+    path = loop_result.save(tmp_path)
     text = page.page_of(path)
-    assert text == page.loop_page(loop_result)
+    assert text == page.page_of(tmp_path) == page.loop_page(loop_result)
     assert "Simulated by Kuttruff&#39;s equation for BRAS CR2" in text
     after = loop_result.after.mean("t20")
     row = text.split("T20, with the coefficients returned / s")[1].split("</tr>")[0]
     assert [float(v) for v in re.findall(r"<td>([\d.]+)</td>", row)] == np.round(after, 3).tolist()
     assert "With all the coefficients returned, T20 is off by 0.0 JND at most" in text
     assert "no finding" not in text
-    assert len(Loop.load(str(path)).steps) == loop_result.simulations
+    assert len(rt.load(path).loop.steps) == loop_result.simulations
     steps = [
         replace(s, alpha=np.where(s.alpha > 0.1, 1.0, s.alpha)) for s in loop_result.loop.steps
     ]
     text = page.loop_page(replace(loop_result.loop, steps=tuple(steps)))
     assert "windows: α = 1 at 125 and 2000 Hz" in text
-    good = json.loads(path.read_text())
-    for broken, said in (
-        ({}, "result lacks"),
-        (good["result"] | {"before": {"t20": [1.0]}}, r"result\.before\.t20 has 1 values"),
-        (good["result"] | {"before": {"t20": [1e300] * 6}}, r"t20\[0\] = 1e\+300 is not from"),
-        (good["result"] | {"simulator": 3}, r"result\.simulator = 3 is not a text"),
-        (good["result"] | {"status": ["fine"]}, r"result\.status = \['fine'\] is not a status"),
-        (good["result"] | {"afetr": {}}, 'has the key "afetr"'),
-    ):
-        path.write_text(json.dumps(good | {"result": broken}))
-        with pytest.raises(DataError, match=f"no result of a loop: .*{said}"):
-            page.page_of(path)
 
 
 def test_a_loops_page_says_what_the_terminal_says(

@@ -17,7 +17,6 @@ from rtcal.report import (
     page,
     words,
 )
-from rtcal.report import saved as saving
 from tests.report.pages import FINDING, evil_room, no_figures, run
 
 
@@ -84,9 +83,9 @@ def test_the_page_reproduces_itself(html, result, tmp_path, monkeypatch) -> None
         (tmp_path / name).write_bytes(base64.b64decode(coded))
     (command,) = re.findall(r"<pre>rtcal (.*)</pre>", html)
     assert run(*command.split(), "--quiet") == 0
-    again = saving.read(tmp_path / "calibrated")
-    np.testing.assert_allclose(again.alpha_after, result.alpha, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(again.z, result.plausibility.z, rtol=1e-9)
+    again = rt.load(tmp_path / "calibrated")
+    np.testing.assert_allclose(again.alpha, result.alpha, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again.plausibility.z, result.plausibility.z, rtol=1e-9)
     np.testing.assert_allclose(again.uncertainty, result.measured_uncertainty, rtol=1e-12)
 
 
@@ -94,24 +93,24 @@ def test_a_composed_calibration_does_not_claim_a_command() -> None:
     room = evil_room()
     terms = rt.terms
     soft = rt.Calibration(terms.PriorDeviation() + 2 * terms.SoftMatch(0.05), []).build(room)
-    seen = saving.saved(soft.solve([0.4, 0.4, 0.4]))
+    seen = soft.solve([0.4, 0.4, 0.4])
     assert words.command(seen) is None
     assert any("SoftMatch" in text for text in words.assumed(seen))
     kuttruff = rt.calibrate(room, [0.4] * 3, equation=rt.Kuttruff(path_variance=0.3))
-    assert words.command(saving.saved(kuttruff)) is None
-    assert "path_variance = 0.3" in " ".join(words.assumed(saving.saved(kuttruff)))
+    assert words.command(kuttruff) is None
+    assert "path_variance = 0.3" in " ".join(words.assumed(kuttruff))
     usual = rt.calibrate(room, [0.4] * 3, equation=rt.Kuttruff())
-    assert "--equation kuttruff" in str(words.command(saving.saved(usual)))
+    assert "--equation kuttruff" in str(words.command(usual))
 
 
 def test_verdicts() -> None:
     room = evil_room()
     near = rt.Eyring().reverberation_time(room)
-    assert words.verdict(saving.saved(rt.calibrate(room, near)))[0] == "agrees"
-    assert words.verdict(saving.saved(rt.calibrate(room, 0.6 * near)))[0] == "contradicts"
-    assert "within what was stated" in words.headline(saving.saved(rt.calibrate(room, near)))
-    assert words.large_shifts(saving.saved(rt.calibrate(room, near))) == ([], 0)
-    shifts, count = words.large_shifts(saving.saved(rt.calibrate(room, 0.6 * near)))
+    assert words.verdict(rt.calibrate(room, near))[0] == "agrees"
+    assert words.verdict(rt.calibrate(room, 0.6 * near))[0] == "contradicts"
+    assert "within what was stated" in words.headline(rt.calibrate(room, near))
+    assert words.large_shifts(rt.calibrate(room, near)) == ([], 0)
+    shifts, count = words.large_shifts(rt.calibrate(room, 0.6 * near))
     assert count == len(shifts) > 1
     assert shifts[0].sigmas >= shifts[-1].sigmas > 2
 
@@ -190,7 +189,7 @@ def test_the_page_names_the_bands_that_were_compared() -> None:
         centre_frequencies=[125, 250, 500, 1000, 2000, 4000, 8000, 16000],
     )
     measured = rt.Measurement.from_values([250, 500, 1000, 2000, 4000, 8000], t20=[0.35] * 6)
-    calibration = saving.saved(rt.calibrate(room, measured))
+    calibration = rt.calibrate(room, measured)
     assert words.compared(calibration) == "6 bands, 250 to 8000 Hz"
 
 

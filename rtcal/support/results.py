@@ -1,0 +1,156 @@
+"""Results in files: plain numbers for others, and the object itself, which rtcal reads back."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rtcal.errors import DataError
+from rtcal.support import objects
+from rtcal.support.arguments import checked
+from rtcal.support.decode import Entries, json_object
+from rtcal.support.encode import json_text
+from rtcal.support.files import make_folder, read_text, write_all
+from rtcal.support.version import __version__
+
+NUMBERS = "result.json"
+"""Name of a result's file in its folder."""
+MAX_BYTES = 2**28
+"""Largest size of a file in bytes: control runs of a large room have some 10 MB."""
+_OBJECT = "object"
+
+
+class Result(ABC):
+    """A result that can be saved and loaded again; it is a frozen dataclass of what it rests on."""
+
+    record_kind: ClassVar[str]
+    """Value of the key ``rtcal`` in its file."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the result says as plain numbers, lists and text."""
+
+    def to_json(self) -> str:
+        """Return the text of its file: the numbers of `to_dict`, and the object itself.
+
+        A result that holds an object of the user's own class, such as a simulator, has its numbers
+        alone, and the reason.
+        """
+        try:
+            return self._text(_sealed(self))
+        except objects.CannotBeSavedError as error:
+            return self._text({"not_saved": str(error)})
+
+    def _text(self, inside: Mapping[str, Any]) -> str:
+        numbers = json_text({"rtcal": self.record_kind, **self.to_dict()}).removesuffix("\n}")
+        return f'{numbers},\n "{_OBJECT}": {json.dumps(inside, allow_nan=False)}\n}}\n'
+
+    @checked
+    def save(self, folder: str | os.PathLike[str]) -> Path:
+        """Write ``result.json`` into a folder, which `rtcal.load` reads, and return its path.
+
+        The file holds `to_json`: numbers for other programs, and the object itself with its room and
+        its data. It is written whole or not at all.
+
+        Raises
+        ------
+        DataError
+            If the folder cannot be made, the file cannot be written, or the result holds an object of
+            the user's own class, which no file can hold.
+        """
+        path = Path(folder) / NUMBERS
+        content = self._text(_sealed(self)).encode()
+        make_folder(folder)
+        write_all({path: content})
+        return path
+
+
+@checked
+def load(path: str | os.PathLike[str]) -> Any:
+    """Return the result that a folder or a file holds, as it was saved, bit by bit.
+
+    Parameters
+    ----------
+    path : path
+        The folder that `save`, ``rtcal calibrate --out`` or another command wrote, or the
+        ``result.json`` in it.
+
+    Returns
+    -------
+    CalibrationResult, JointResult, LoopResult, PositionsResult, Finding, Verification or another
+        With its room, its data and all its methods.
+
+    Raises
+    ------
+    DataError
+        If the file is no result, was changed by hand, or belongs to another version of rtcal.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import rtcal as rt
+    >>> result = rt.calibrate(*rt.datasets.bras_cr2())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = result.save(folder)
+    ...     again = rt.load(folder)
+    >>> print(bool((again.alpha == result.alpha).all()), str(again) == str(result))
+    True True
+    """
+    place = Path(path)
+    if place.is_dir():
+        place /= NUMBERS
+        if not place.exists():
+            raise DataError(f"folder {Path(path).resolve()} has no {NUMBERS}; `save` writes one")
+    try:
+        return loaded(json_object(read_text(place, MAX_BYTES)))
+    except DataError as error:
+        if str(error).startswith(str(place)):
+            raise
+        raise DataError(f"{place}: {error}") from error
+
+
+def loaded(record: Mapping[str, Any]) -> Any:
+    """Return the result of a file's content; DataError as `load`, without the file's name."""
+    if not isinstance(record.get("rtcal"), str) or _OBJECT not in record:
+        raise DataError(
+            f'no saved result: it has no "rtcal" and "{_OBJECT}". Files of before rtcal 0.1.0 lack '
+            "them: calibrate or search again"
+        )
+    if "not_saved" in Entries("", record, (), record).entries(_OBJECT, (), record[_OBJECT]):
+        raise DataError(f"the result itself is not in it: {record[_OBJECT]['not_saved']}")
+    inside = Entries(
+        f"{_OBJECT}.",
+        record[_OBJECT],
+        ("version", "sha256", "objects", "arrays", "value"),
+    )
+    content = {key: inside.values[key] for key in ("objects", "arrays", "value")}
+    if inside.text("sha256") != _digest(content):
+        raise DataError(f'its "{_OBJECT}" was changed: change the inputs, and calibrate again')
+    try:
+        result = objects.decode(content)
+    except DataError as error:
+        if inside.text("version") != __version__:
+            raise DataError(
+                f"written by rtcal {inside.text('version')}, and this is {__version__}: {error}"
+            ) from error
+        raise
+    if not isinstance(result, Result) or result.record_kind != record["rtcal"]:
+        raise DataError(f'its "{_OBJECT}" is no {record["rtcal"]}')
+    return result
+
+
+def _sealed(result: Result) -> dict[str, Any]:
+    """Return the object for its file, with version and checksum."""
+    encoded = objects.encode(result)
+    return {"version": __version__, "sha256": _digest(encoded), **encoded}
+
+
+def _digest(encoded: Mapping[str, Any]) -> str:
+    """Return the checksum of an encoded object."""
+    content = json.dumps(encoded, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(content.encode()).hexdigest()
