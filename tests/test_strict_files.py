@@ -93,7 +93,7 @@ def test_a_findings_file_holds_no_nan(tmp_path: Path) -> None:
     unknown = dataclasses.replace(rt.discrepancy.find(opened()), score=float("nan"))
     gap_report.write(unknown, tmp_path / "out")
     text = (tmp_path / "out" / "result.json").read_text(encoding="utf-8")
-    assert json_object(text)["score"] is None
+    assert json_object(text)["finding"]["score"] is None
 
 
 @pytest.mark.parametrize("value", ["true", '"1.5"', "null", "[]", "1" + "0" * 350, "1e999", "{}"])

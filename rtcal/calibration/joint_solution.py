@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation
+from rtcal.calibration import record
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
@@ -37,6 +38,8 @@ class JointSolution:
         One per configuration.
     assemble : function
         Returns the `ProblemData` of the same problem for other measurements.
+    versions : mapping of str to str
+        Of rtcal, Python and the libraries that made it.
     """
 
     configurations: Configurations
@@ -46,6 +49,7 @@ class JointSolution:
     solver: str
     measured_times: tuple[MeasuredTimes, ...]
     assemble: Callable[[Sequence[MeasuredTimes]], ProblemData]
+    versions: Mapping[str, str] = field(default_factory=record.versions)
 
     @property
     def materials(self) -> tuple[str, ...]:

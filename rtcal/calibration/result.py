@@ -282,7 +282,7 @@ class CalibrationResult(Result):
         room, model = self.prior, self.joint.solution.model
         return {
             "rtcal": record.KIND,
-            "versions": record.versions(),
+            "versions": dict(self.joint.versions),
             "room": room.name,
             "method": self.method,
             "equation": self.equation.name,

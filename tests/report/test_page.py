@@ -86,7 +86,7 @@ def test_the_page_reproduces_itself(html, result, tmp_path, monkeypatch) -> None
     again = rt.load(tmp_path / "calibrated")
     np.testing.assert_allclose(again.alpha, result.alpha, rtol=0, atol=1e-12)
     np.testing.assert_allclose(again.plausibility.z, result.plausibility.z, rtol=1e-9)
-    np.testing.assert_allclose(again.uncertainty, result.measured_uncertainty, rtol=1e-12)
+    np.testing.assert_allclose(again.measured_uncertainty, result.measured_uncertainty, rtol=1e-12)
 
 
 def test_a_composed_calibration_does_not_claim_a_command() -> None:

@@ -14,7 +14,6 @@ from benchmarks import interval_coverage
 from rtcal import terms
 from rtcal.posterior import posterior
 from rtcal.report.material_figures import intervals
-from rtcal.report.saved import saved
 
 EYRING = rt.Eyring()
 METHODS = ("mle", "soft")
@@ -61,7 +60,7 @@ def test_far_from_the_bounds_all_say_the_same(n: int, method: str, relative: flo
     known = posterior(result)
     np.testing.assert_allclose(known.sigma, result.posterior_sigma, rtol=2e-3)
     np.testing.assert_array_equal(known.interval(0.9), (low, high))
-    of_page = intervals(saved(result))
+    of_page = intervals(result)
     np.testing.assert_allclose(of_page, (low, high), rtol=1e-12)
     entry = result.to_dict()["materials"][0]
     np.testing.assert_allclose(entry["interval_after"], [low[0], high[0]], rtol=1e-12)
