@@ -113,11 +113,11 @@ def test_it_is_compiled_once_for_any_number_of_observations(monkeypatch):
 
     monkeypatch.setattr(ConvexProgram, "__init__", counted)
     problem = rt.Calibration(terms.PriorDeviation() + TERM, []).build(ROOM)
-    compiled = problem._joint._program._compiled
+    compiled = problem._joint._program._compilation
     for n in (3, 12, 50):
         problem.solve(None, observed={TERM: draw(n, n)})
     assert len(made) == 1
-    assert problem._joint._program._compiled is compiled
+    assert problem._joint._program._compilation is compiled
 
 
 def test_posterior_sigma_is_that_of_the_gaussian():

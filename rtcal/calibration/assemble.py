@@ -98,12 +98,10 @@ class Assembler:
             return np.concatenate([values.ravel(), more])
 
         times = np.array([d.reverberation_time for d in measured])
-        slopes = np.array(
-            [
-                self.equation.target_sensitivity(r, t)
-                for r, t in zip(configurations.rooms, times, strict=True)
-            ]
-        )
+        uncertainty = np.array([d.uncertainty for d in measured])
+        if np.isfinite(uncertainty).any():
+            pairs = zip(configurations.rooms, times, strict=True)
+            uncertainty *= np.abs([self.equation.target_sensitivity(r, t) for r, t in pairs])
         held = (sigma == 0) | (lower == upper)
         data = ProblemData(
             layout=self.layout,
@@ -115,7 +113,7 @@ class Assembler:
             gains=gains,
             time=times,
             target=self.target(configurations.rooms, times),
-            target_uncertainty=np.abs(slopes) * np.array([d.uncertainty for d in measured]),
+            target_uncertainty=uncertainty,
             largest_target=np.array(
                 [[self.equation.largest_mean * r.total_area] for r in configurations.rooms]
             ),

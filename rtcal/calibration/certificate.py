@@ -5,7 +5,9 @@ It uses nothing that a solver states. A few lines of NumPy repeat it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -26,17 +28,34 @@ class Certificate:
         max |sigma (gradient + S D - z_lower + z_upper)| over sigma > 0.
     duality_gap : array
         sum z_lower (alpha - lower) + z_upper (upper - alpha).
-    alpha_error_bound : array (n_materials, n_bands)
-        No coefficient is farther than this from the optimum: an enclosure, by the exact dual where
-        the problem is separable, by strong convexity elsewhere (`rtcal.calibration.error_bound`).
+    model : NumpyModel
+    unknowns : array (size,)
+        The answer.
+    row_multipliers : array (n_rows,)
+        Its multipliers of the rows.
+    materials : sequence of int
+        The materials of `alpha_error_bound`, by their index in the problem.
     """
 
     primal_residual: Array
     dual_residual: Array
     duality_gap: Array
-    alpha_error_bound: Array
+    model: NumpyModel
+    unknowns: Array
+    row_multipliers: Array
+    materials: Sequence[int]
 
-    @property
+    @cached_property
+    def alpha_error_bound(self) -> Array:
+        """No coefficient is farther than this from the optimum, (n_materials, n_bands).
+
+        An enclosure, by the exact dual where the problem is separable, by strong convexity elsewhere
+        (`rtcal.calibration.error_bound`). It is computed when it is first read.
+        """
+        bound = error_bound(self.model, self.unknowns, self.row_multipliers)
+        return self.model.data.layout.expand(bound)[list(self.materials)]
+
+    @cached_property
     def worst(self) -> float:
         """The largest of the three residuals over all bands."""
         return float(
@@ -85,7 +104,10 @@ def certify(model: NumpyModel, u: Array, multipliers: Multipliers) -> Certificat
         primal_residual=primal,
         dual_residual=dual,
         duality_gap=np.abs(total_gap),
-        alpha_error_bound=layout.expand(error_bound(model, u, multipliers.rows)),
+        model=model,
+        unknowns=u,
+        row_multipliers=multipliers.rows,
+        materials=range(len(layout.materials)),
     )
 
 

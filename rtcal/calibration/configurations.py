@@ -72,7 +72,8 @@ class Configurations:
         for name, room in zip(names, rooms, strict=True):
             if not np.array_equal(room.centre_frequencies, rooms[0].centre_frequencies):
                 raise DataError(f'configuration "{name}" has other bands than "{names[0]}"')
-        self._compare_priors()
+        if len(rooms) > 1:
+            self._compare_priors()
 
     def _compare_priors(self) -> None:
         pairs = self._pairs()
@@ -119,6 +120,8 @@ class Configurations:
     @cached_property
     def areas(self) -> Array:
         """Areas in m², (n_configurations, n_materials); 0 where a configuration lacks a material."""
+        if len(self.rooms) == 1:
+            return self.rooms[0].areas[np.newaxis]
         materials = self.materials
         areas = np.zeros((len(self.rooms), len(materials)))
         for c, room in enumerate(self.rooms):

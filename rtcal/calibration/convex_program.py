@@ -5,6 +5,8 @@ Where the solver fails, the exact dual of a separable problem (`rtcal.calibratio
 
 from __future__ import annotations
 
+import functools
+import os
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,11 +30,14 @@ from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.term_check import require_agreement
 from rtcal.calibration.terms import (
     ExactMatch,
+    LinearObservations,
     MatchConstraint,
     Objective,
+    ObjectiveTerm,
     PriorDeviation,
     RowConstraint,
 )
+from rtcal.calibration.terms.base import BaseTerm
 from rtcal.calibration.warm_start import from_closed_form
 from rtcal.errors import InfeasibleError, ModelError, SolverError
 from rtcal.support.types import Array
@@ -110,35 +115,103 @@ class Solution:
         )
 
 
-class ConvexProgram:
-    """An objective and row constraints, compiled for one layout."""
+class _Compilation:
+    """The terms' cvxpy problem for one layout, compiled when it is first solved.
 
-    def __init__(self, layout: Layout, objective: Objective, rows: Sequence[RowConstraint]) -> None:
-        self.objective = objective
-        self.rows = tuple(rows)
-        # The compiled problem holds one set of numbers, so only one thread at a time may use it.
-        self._lock = threading.RLock()
-        self._matches = [row for row in self.rows if isinstance(row, MatchConstraint)]
-        self._context = context = Context(layout)
-        self._expressions = [t.expression(context, i) for i, t in enumerate(objective.terms)]
-        parts = [term.constraints(context) for term in self.rows]
-        self._constraints = [[constraint for constraint, _ in of_term] for of_term in parts]
-        self._signs = [[sign for _, sign in of_term] for of_term in parts]
-        row_constraints = [constraint for of_term in self._constraints for constraint in of_term]
+    It holds one set of numbers, so only one thread at a time may use it: the one that holds ``lock``.
+    """
+
+    def __init__(
+        self, layout: Layout, terms: Sequence[ObjectiveTerm], rows: Sequence[RowConstraint]
+    ) -> None:
+        self.lock = threading.RLock()
+        self.context = context = Context(layout)
+        self.expressions = [t.expression(context, i) for i, t in enumerate(terms)]
+        parts = [term.constraints(context) for term in rows]
+        self.constraints = [[constraint for constraint, _ in of_term] for of_term in parts]
+        self.signs = [[sign for _, sign in of_term] for of_term in parts]
+        row_constraints = [constraint for of_term in self.constraints for constraint in of_term]
         size, n = layout.size, layout.n_alpha
         low = context.parameter(size, lambda i: i.lower - i.centre)
         high = context.parameter(n, lambda i: (i.upper - i.centre)[:n])
         moved = context.multiply(context.x, lambda i: i.scale)
         # Only alpha has an upper side: cvxpy takes no infinite limit.
         lower, upper = moved >= low, (moved[:n] if size > n else moved) <= high
-        problem = cp.Problem(cp.Minimize(sum(self._expressions)), [*row_constraints, lower, upper])
+        problem = cp.Problem(cp.Minimize(sum(self.expressions)), [*row_constraints, lower, upper])
         if not problem.is_dcp(dpp=True):
             raise ModelError(
                 "the composed problem is not DPP: cvxpy would compile it anew for every solve. A "
                 "term multiplies parameters, or divides by one; let it use the context's derived "
                 "parameters"
             )
-        self._compiled = CompiledQP(problem, context.x, tuple(row_constraints), lower, upper)
+        self.qp = CompiledQP(problem, context.x, tuple(row_constraints), lower, upper)
+
+
+_KEPT = 16
+"""Number of compiled problems that are kept; the one not used for longest is forgotten."""
+_LARGEST_KEPT = 1_000_000
+"""Largest number of coefficients of a problem that is kept: it takes some 100 MB."""
+_kept = functools.lru_cache(_KEPT)(_Compilation)
+_keeping = threading.Lock()
+
+
+def forget() -> None:
+    """Forget the compiled problems that later calibrations of equal shape would use again.
+
+    A problem that was built before keeps its own.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> rt.calibration.forget()
+    """
+    _kept.cache_clear()
+
+
+def _forget_after_fork() -> None:
+    """Forget what another thread of the parent process may hold at that moment."""
+    global _keeping
+    _keeping = threading.Lock()
+    forget()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_forget_after_fork)
+
+
+def _compilation(
+    layout: Layout, objective: Objective, rows: Sequence[RowConstraint]
+) -> _Compilation:
+    """Return the compiled problem of these terms, an earlier one if nothing it depends on differs."""
+    terms = tuple(t.compiled_as() if isinstance(t, BaseTerm) else t for t in objective.terms)
+    coupled = any(isinstance(t, LinearObservations) for t in terms)
+    size = layout.n_alpha**2 if coupled else layout.size
+    if size > _LARGEST_KEPT or not all(_unchanging(t) for t in (*terms, *rows)):
+        return _Compilation(layout, terms, rows)
+    with _keeping:  # two threads that ask at once share one
+        return _kept(layout, terms, tuple(rows))
+
+
+def _unchanging(term: object) -> bool:
+    """Whether a term is told by its values: a frozen dataclass of hashable ones."""
+    parameters = vars(type(term)).get("__dataclass_params__")
+    if parameters is None or not (parameters.frozen and parameters.eq):
+        return False
+    try:
+        hash(term)
+    except TypeError:
+        return False
+    return True
+
+
+class ConvexProgram:
+    """An objective and row constraints, compiled for one layout."""
+
+    def __init__(self, layout: Layout, objective: Objective, rows: Sequence[RowConstraint]) -> None:
+        self.objective = objective
+        self.rows = tuple(rows)
+        self._matches = [row for row in self.rows if isinstance(row, MatchConstraint)]
+        self._compilation = _compilation(layout, objective, self.rows)
 
     def solve(
         self,
@@ -163,7 +236,9 @@ class ConvexProgram:
         )
         # Coefficients at an end are pinned only for the solver; the certificate judges the original
         # problem.
-        model = NumpyModel(replace(data, target=reachable.target), self.objective, self.rows)
+        if reachable is not data:
+            data = replace(data, target=reachable.target)
+        model = NumpyModel(data, self.objective, self.rows)
         try:
             raw = self._solver_answer(model, reachable, options)
         except SolverError as error:
@@ -206,9 +281,10 @@ class ConvexProgram:
                     "match, in one configuration"
                 )
             start = from_closed_form(data)
-        with self._lock:
-            self._context.update(data)
-            output = solvers.run(self._compiled, options, start)
+        compilation = self._compilation
+        with compilation.lock:
+            compilation.context.update(data)
+            output = solvers.run(compilation.qp, options, start)
         u = data.centre + data.scale * output.x
         return RawSolution(
             model=model,
@@ -222,16 +298,20 @@ class ConvexProgram:
     def _require_agreement(self, data: ProblemData) -> None:
         """Raise TermError if a term that contradicts itself has caused the wrong answer."""
         model = NumpyModel(data, self.objective, self.rows)
-        with self._lock:
-            self._context.update(data)
-            require_agreement(self._context, model, self._expressions, self._constraints)
+        compilation = self._compilation
+        with compilation.lock:
+            compilation.context.update(data)
+            require_agreement(
+                compilation.context, model, compilation.expressions, compilation.constraints
+            )
 
     def whitened(self, data: ProblemData) -> WhitenedQP:
         """Return the QP of the data, whether it has an answer or not."""
-        with self._lock:
-            self._context.update(data)
-            matrices = self._compiled.matrices()
-        return WhitenedQP(matrices, data.centre, data.scale, self._compiled.column, data.layout)
+        compilation = self._compilation
+        with compilation.lock:
+            compilation.context.update(data)
+            matrices = compilation.qp.matrices()
+        return WhitenedQP(matrices, data.centre, data.scale, compilation.qp.column, data.layout)
 
     def _within_reach(
         self,
@@ -269,7 +349,7 @@ class ConvexProgram:
         scales = [term.row_scale(data) for term in self.rows]
         rows = [
             sum(sign * next(duals) for sign in signs) * scale
-            for scale, signs in zip(scales, self._signs, strict=True)
+            for scale, signs in zip(scales, self._compilation.signs, strict=True)
         ]
         row_values = np.concatenate(rows) if rows else np.zeros(0)
         lower, upper = answer.lower_dual, np.zeros_like(answer.lower_dual)

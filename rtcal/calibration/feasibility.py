@@ -185,10 +185,13 @@ def restrict_to_reach(
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low
     reached = np.where(at_low, low, np.where(at_high, top, target))
+    moved = too_low | too_high | at_low | at_high
+    if not moved.any():
+        nothing = np.zeros(data.layout.size, dtype=bool)
+        return data, nothing, nothing, ()
     at_high &= top >= high - tolerance  # a limit of the equation is no end of the box
     at_lower, at_upper = _forced(data, at_low, at_high)
     pinned = data.pin(at_lower | at_upper, np.where(at_lower, data.lower, data.upper))
-    moved = too_low | too_high | at_low | at_high
     target = np.where(moved | np.isnan(data.target), reached, data.target)
     return replace(pinned, target=target), at_lower, at_upper, tuple(beyond)
 

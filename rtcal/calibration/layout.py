@@ -46,7 +46,7 @@ class Layout:
             f"{len(self.further)} further unknowns, {self.n_configurations} configurations>"
         )
 
-    @property
+    @cached_property
     def n_rows(self) -> int:
         """Number of unknown rows of alpha."""
         return max(self.rows) + 1
@@ -56,7 +56,7 @@ class Layout:
         """Number of bands."""
         return len(self.centre_frequencies)
 
-    @property
+    @cached_property
     def n_alpha(self) -> int:
         """Number of unknowns that are absorption coefficients."""
         return self.n_rows * self.n_bands
@@ -74,8 +74,10 @@ class Layout:
     def by_band(self, values: Array, reduce: Callable[..., Any]) -> Array:
         """Reduce over the rows of alpha, (n_bands,); a further unknown counts in every band."""
         alpha = values[: self.n_alpha].reshape(self.n_rows, self.n_bands)
-        further = np.repeat(values[self.n_alpha :, np.newaxis], self.n_bands, axis=1)
-        return np.asarray(reduce(np.concatenate([alpha, further]), axis=0))
+        if self.further:
+            further = np.repeat(values[self.n_alpha :, np.newaxis], self.n_bands, axis=1)
+            alpha = np.concatenate([alpha, further])
+        return np.asarray(reduce(alpha, axis=0))
 
     def index(self, material: str | None = None, band: float | None = None) -> Integers:
         """Return the indices of the coefficients of one material in one band; None stands for all.

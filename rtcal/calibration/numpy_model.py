@@ -146,12 +146,13 @@ class NumpyModel:
                 total = total + weight * term.gradient(u, self.data)
         return total
 
-    def steepness(self, u: Array) -> Array:
+    def steepness(self, u: Array, gradient: Array | None = None) -> Array:
         """Return 1 + max |sigma gradient| over the bands that each unknown is coupled with, (size,).
 
-        Rounding errors of the optimality conditions are relative to this scale.
+        Rounding errors of the optimality conditions are relative to this scale. ``gradient`` is that
+        at u, where it is known already.
         """
-        slope = np.abs(self.sigma * self.gradient(u))
+        slope = np.abs(self.sigma * (self.gradient(u) if gradient is None else gradient))
         if not self.separate(u):
             return np.full(len(slope), 1 + np.max(slope, initial=0.0))
         by_band = 1 + np.max(self.data.alpha(slope), axis=0)

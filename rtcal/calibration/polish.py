@@ -102,7 +102,7 @@ def polish(
         gradient = model.gradient(trial)
         force = np.asarray(gradient + model.matrix.T @ rows)
         balance = force * sigma
-        tolerance = _ROUNDING * model.steepness(trial)
+        tolerance = _ROUNDING * model.steepness(trial, gradient)
         free_lower = at_lower & (balance < -tolerance)
         free_upper = at_upper & (balance > tolerance)
         free_row = ~fixed_row & (side * rows < 0)

@@ -73,7 +73,7 @@ class ProblemData:
 
     def __post_init__(self) -> None:
         for name, value in list(vars(self).items()):
-            if isinstance(value, np.ndarray):
+            if isinstance(value, np.ndarray) and value.flags.writeable:
                 object.__setattr__(self, name, read_only_view(value))
 
     @cached_property

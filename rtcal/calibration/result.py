@@ -112,8 +112,7 @@ class CalibrationResult(Result):
     @cached_property
     def certificate(self) -> Certificate:
         """Error bounds of the answer: its distance from the optimum."""
-        whole = self.joint.solution.certificate
-        return replace(whole, alpha_error_bound=whole.alpha_error_bound[self._rows])
+        return replace(self.joint.solution.certificate, materials=self._rows)
 
     @property
     def raw(self) -> RawSolution:

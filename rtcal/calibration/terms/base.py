@@ -125,6 +125,10 @@ class BaseTerm:
         """Return the columns as they are: independent."""
         return columns
 
+    def compiled_as(self) -> Any:
+        """Return the term that the compiled problem is built of, which other numbers may share."""
+        return self
+
     def __add__(self, other: Any) -> Objective:
         mine: Any = self
         return as_objective(mine).__add__(other)

@@ -283,10 +283,14 @@ class AddedAbsorption(BaseTerm):
         place = np.array([self._place(context.layout)])
 
         def compute(data: ProblemData) -> tuple[Array, Array]:
-            steep = np.array([np.sqrt(data.weights[weight]) / self.sigma])
-            return steep, -self.mean * steep
+            steep = np.sqrt(data.weights[weight]) / data.sigma[place]
+            return steep, -data.mu[place] * steep
 
         return half_squares(context.affine(np.array([0]), place, 1, compute).expression)
+
+    def compiled_as(self) -> AddedAbsorption:
+        """Return an effect of the same name: gain, sigma and mean are the compiled problem's data."""
+        return AddedAbsorption(self.name, [0.0], sigma=1.0)
 
     def value(self, u: Array, data: ProblemData) -> float:
         """Return ½ ((theta - mean) / sigma)²."""
