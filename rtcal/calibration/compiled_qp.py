@@ -180,4 +180,7 @@ class CompiledQP:
     def unpack(self, x: Array, y: Array) -> tuple[Array, list[Array]]:
         """Return the unknowns, and the duals of the row constraints and of the box's two sides."""
         first = self.column
-        return x[first : first + self.x.size], [sign * y[place] for place, sign in self._duals]
+        # A copy: the solver may update its x in place.
+        return x[first : first + self.x.size].copy(), [
+            sign * y[place] for place, sign in self._duals
+        ]

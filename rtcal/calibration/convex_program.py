@@ -29,12 +29,10 @@ from rtcal.calibration.polish import polish, undetermined
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.term_check import require_agreement
 from rtcal.calibration.terms import (
-    ExactMatch,
     LinearObservations,
     MatchConstraint,
     Objective,
     ObjectiveTerm,
-    PriorDeviation,
     RowConstraint,
 )
 from rtcal.calibration.terms.base import BaseTerm
@@ -266,21 +264,15 @@ class ConvexProgram:
     ) -> RawSolution:
         """Fill the compiled problem with the data, solve it and read the answer."""
         start = None
-        if options.warm_start == "closed_form":
+        if options.takes_start and options.warm_start != "none":
             # OSQP does not check the sizes of a start: another problem's would be read beyond its end.
-            parts = (*self.objective.terms, *self.rows)
-            if not (
-                len(parts) == 2
-                and isinstance(parts[0], PriorDeviation)
-                and isinstance(parts[1], ExactMatch)
-                and not parts[0].correlated()
-                and data.layout.n_configurations == 1
-            ):
+            if model.has_closed_form:
+                start = from_closed_form(data)
+            elif options.warm_start == "closed_form":
                 raise ModelError(
                     "the closed form starts only an independent prior deviation with an exact "
                     "match, in one configuration"
                 )
-            start = from_closed_form(data)
         compilation = self._compilation
         with compilation.lock:
             compilation.context.update(data)

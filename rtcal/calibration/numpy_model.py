@@ -11,7 +11,13 @@ import scipy.sparse as sp
 
 from rtcal.calibration.layout import Integers
 from rtcal.calibration.problem_data import Flags, ProblemData
-from rtcal.calibration.terms import MatchConstraint, Objective, RowConstraint
+from rtcal.calibration.terms import (
+    ExactMatch,
+    MatchConstraint,
+    Objective,
+    PriorDeviation,
+    RowConstraint,
+)
 from rtcal.support.hessian import Hessian
 from rtcal.support.kkt import DENSE
 from rtcal.support.types import Array, read_only_view
@@ -97,6 +103,18 @@ class NumpyModel:
         """Lower limits m of the curvature, (size,), such that curvature >= diag(m / sigma²)."""
         pairs = zip(self.objective.terms, self.data.weights, strict=True)
         return np.asarray(sum(w * t.convexity(self.data) for t, w in pairs))
+
+    @cached_property
+    def has_closed_form(self) -> bool:
+        """Whether the paper's closed form solves the problem where no bound is active."""
+        parts = (*self.objective.terms, *self.row_constraints)
+        return (
+            len(parts) == 2
+            and isinstance(parts[0], PriorDeviation)
+            and isinstance(parts[1], ExactMatch)
+            and not parts[0].correlated()
+            and self.data.layout.n_configurations == 1
+        )
 
     def separate(self, u: Array) -> bool:
         """Whether neither a row nor the objective couples two bands."""

@@ -9,7 +9,10 @@ from typing import Any, Literal, TypedDict
 from rtcal.errors import DataError, ModelError
 
 Unreachable = Literal["raise", "nearest"]
-WarmStart = Literal["none", "closed_form"]
+WarmStart = Literal["auto", "closed_form", "none"]
+
+STARTED = ("osqp", "qpsolvers:osqp", "qpsolvers:daqp", "qpsolvers:proxqp", "qpsolvers:scs")
+"""Solvers that take a start."""
 
 
 class SolveKeywords(TypedDict, total=False):
@@ -33,8 +36,9 @@ class SolveOptions:
         What to do where no coefficients within the bounds give the measured T. ``"raise"`` raises
         InfeasibleError; ``"nearest"`` takes the nearest T within reach and lists the band in the
         result.
-    warm_start : {"none", "closed_form"}
-        ``"closed_form"`` starts OSQP from the paper's closed form. Clarabel has no warm start.
+    warm_start : {"auto", "closed_form", "none"}
+        ``"auto"`` starts a solver that takes a start from the paper's closed form, if the problem has
+        one. ``"closed_form"`` raises ModelError where that cannot be. Clarabel takes no start.
     settings : mapping, optional
         The solver's own settings by name.
 
@@ -46,7 +50,7 @@ class SolveOptions:
 
     solver: str = "clarabel"
     unreachable: Unreachable = "raise"
-    warm_start: WarmStart = "none"
+    warm_start: WarmStart = "auto"
     settings: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
@@ -54,12 +58,19 @@ class SolveOptions:
             raise ModelError(f'solver = {self.solver!r} is not a name such as "clarabel"')
         if self.unreachable not in ("raise", "nearest"):
             raise DataError(f'unreachable = "{self.unreachable}" is not "raise" or "nearest"')
-        if self.warm_start not in ("none", "closed_form"):
-            raise ModelError(f'warm_start = {self.warm_start!r} is not "none" or "closed_form"')
+        if self.warm_start not in ("auto", "closed_form", "none"):
+            raise ModelError(
+                f'warm_start = {self.warm_start!r} is not "auto", "closed_form" or "none"'
+            )
         if not isinstance(self.settings, Mapping | None):
             raise ModelError(f"settings = {self.settings!r} is not a mapping of name to value")
         for key in self.settings or {}:
             if not isinstance(key, str):
                 raise ModelError(f"settings has {key!r}, which is no setting's name")
-        if self.warm_start != "none" and self.solver.lower() != "osqp":
-            raise ModelError(f'solver "{self.solver}" takes no warm start; only "osqp" does')
+        if self.warm_start == "closed_form" and not self.takes_start:
+            raise ModelError(f'solver "{self.solver}" takes no warm start; {", ".join(STARTED)} do')
+
+    @property
+    def takes_start(self) -> bool:
+        """Whether the solver takes a start."""
+        return self.solver.lower() in STARTED

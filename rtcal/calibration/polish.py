@@ -70,6 +70,10 @@ def polish(
     fixed_row = model.row_lower == model.row_upper
     side = np.where(fixed_row, 1, np.sign(active_rows(model, alpha, multipliers.rows)))
     alpha = np.where(model.movable, alpha, model.data.centre)
+    # Where one step reaches the optimum from anywhere, it begins at the prior: then the answer depends
+    # on the active set alone, to the last bit, and not on the solver or on its start.
+    start = model.data.centre if model.has_closed_form else None
+    alpha = alpha if start is None else start
     worst, patience = np.inf, _PATIENCE
     for _ in range(_ROUNDS):
         alpha = np.where(at_lower, lower, np.where(at_upper, upper, alpha))
@@ -89,14 +93,14 @@ def polish(
         if below.any() or above.any() or row_below.any() or row_above.any():
             at_lower, at_upper = at_lower | below, at_upper | above
             side = np.where(row_below, -1, np.where(row_above, 1, side))
-            alpha = np.clip(trial, lower, upper)
+            alpha = np.clip(trial, lower, upper) if start is None else start
             continue
         without_free = (side != 0) & ~moving & (model.row_norm > 0)
         if without_free.any():
             release = _released(model, trial, limit, without_free, slack, at_lower, at_upper)
             if release.any():
                 at_lower, at_upper = at_lower & ~release, at_upper & ~release
-                alpha = trial
+                alpha = trial if start is None else start
                 continue
             rows = undetermined(model, trial, rows, without_free, at_lower, at_upper)
         gradient = model.gradient(trial)
@@ -108,6 +112,7 @@ def polish(
         free_row = ~fixed_row & (side * rows < 0)
         alpha = trial
         if free_lower.any() or free_upper.any() or free_row.any():
+            alpha = trial if start is None else start
             at_lower, at_upper = at_lower & ~free_lower, at_upper & ~free_upper
             side = np.where(free_row, 0, side)
             continue

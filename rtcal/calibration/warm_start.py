@@ -1,4 +1,4 @@
-"""The warm start of OSQP: the paper's closed form, primal and dual, in the whitened unknowns."""
+"""The warm start of solvers: the paper's closed form, primal and dual, in the whitened unknowns."""
 
 from __future__ import annotations
 
