@@ -248,7 +248,7 @@ class ConvexProgram:
                 moved = np.abs(solution.unknowns - raw.unknowns) > _FAR * model.sigma
                 if (moved & model.movable).any():
                     self._require_agreement(reachable)
-                return replace(solution, unreachable=tuple(beyond))
+                return replace(solution, unreachable=beyond) if beyond else solution
         contradiction.explain(model)
         self._require_agreement(reachable)
         if options == SolveOptions(unreachable=options.unreachable):

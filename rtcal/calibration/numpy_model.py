@@ -71,7 +71,8 @@ class NumpyModel:
         if not parts:
             return np.zeros((0, self.sigma.size))
         matrix = parts[0] if len(parts) == 1 else sp.csr_array(sp.vstack(parts))
-        return matrix.toarray() if matrix.shape[0] * matrix.shape[1] <= DENSE else matrix
+        small = sp.issparse(matrix) and matrix.shape[0] * matrix.shape[1] <= DENSE
+        return matrix.toarray() if small else matrix
 
     @cached_property
     def squares(self) -> Any:
@@ -119,8 +120,8 @@ class NumpyModel:
     def separate(self, u: Array) -> bool:
         """Whether neither a row nor the objective couples two bands."""
         layout = self.data.layout
-        if layout.further:
-            return False
+        if layout.further or self.has_closed_form:
+            return self.has_closed_form
         k = layout.n_bands
         rows, columns = self.matrix.nonzero()
         if (columns % k != self.row_band[rows]).any():

@@ -90,7 +90,7 @@ def polish(
         slack = _ROUNDING * np.maximum(model.row_norm, 1e-300)
         row_below = (side == 0) & (at_rows < model.row_lower - slack)
         row_above = (side == 0) & (at_rows > model.row_upper + slack)
-        if below.any() or above.any() or row_below.any() or row_above.any():
+        if (below | above).any() or (row_below | row_above).any():
             at_lower, at_upper = at_lower | below, at_upper | above
             side = np.where(row_below, -1, np.where(row_above, 1, side))
             alpha = np.clip(trial, lower, upper) if start is None else start
@@ -111,7 +111,7 @@ def polish(
         free_upper = at_upper & (balance > tolerance)
         free_row = ~fixed_row & (side * rows < 0)
         alpha = trial
-        if free_lower.any() or free_upper.any() or free_row.any():
+        if (free_lower | free_upper).any() or free_row.any():
             alpha = trial if start is None else start
             at_lower, at_upper = at_lower & ~free_lower, at_upper & ~free_upper
             side = np.where(free_row, 0, side)
@@ -150,7 +150,7 @@ def _solve(
     """
     rows = np.zeros(len(active))
     scale = model.sigma[free]
-    norm = np.sqrt(np.asarray(model.squares[:, free] @ scale**2))
+    norm = np.sqrt(np.asarray(model.squares @ np.where(free, model.sigma, 0.0) ** 2))
     used = active & (norm > 0)
     matrix = model.matrix[used][:, free] * scale / norm[used][:, np.newaxis]
     residual = (limit[used] - np.asarray(model.matrix @ alpha)[used]) / norm[used]

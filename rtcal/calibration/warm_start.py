@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal.calibration import closed_form
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.support.types import Array
 
@@ -27,14 +26,8 @@ def from_closed_form(data: ProblemData) -> tuple[Array, list[Array]]:
     for _ in range(_ROUNDS):
         free = np.where(held, 0.0, scale)
         moves = data.matched[0] & ((areas @ free) > 0)
-        target = np.where(moves, data.target[0], areas @ alpha)
-        # In a band of fixed coefficients the pull is 0, with any finite spread.
-        spread = np.where(moves, free, 1.0)
-        pull = np.where(
-            moves,
-            closed_form.multiplier(np.where(held, alpha, centre), spread, areas, target),
-            pull,
-        )
+        excess = areas @ np.where(held, alpha, centre) - data.target[0]
+        pull = np.divide(excess, areas**2 @ free**2, out=pull, where=moves)  # D of Eqs. 23 to 25
         trial = np.where(held, alpha, centre - pull * areas[:, np.newaxis] * free**2)
         alpha = np.clip(trial, lower, upper)
         if np.array_equal(alpha, trial):

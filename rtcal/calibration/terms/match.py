@@ -18,6 +18,7 @@ from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.hessian import Squares
+from rtcal.support.kkt import DENSE
 from rtcal.support.types import Array
 
 SMALLEST_UNCERTAINTY = 1e-6
@@ -54,7 +55,7 @@ class ExactMatch:
             np.where(data.matched, v, e).ravel()
             for v, e in zip(self.target_limits(data), (-np.inf, np.inf), strict=True)
         )
-        return Rows(match_matrix(data), low, high)
+        return Rows(_match_rows(data), low, high)
 
     def target_limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return b as lower and upper limit: an equality."""
@@ -131,7 +132,7 @@ class MatchWithin:
 
     def rows(self, data: ProblemData) -> Rows:
         """Lower <= S'alpha <= upper; bands without T have a row of zeros without limits."""
-        return Rows(match_matrix(data), *self.limits(data))
+        return Rows(_match_rows(data), *self.limits(data))
 
     def label(self, row: int, layout: Layout) -> str:
         """Return the band that a row matches."""
@@ -344,6 +345,17 @@ def match_matrix(data: ProblemData) -> Any:
         return matrix
     gains = np.where(data.matched[:, :, np.newaxis], data.gains, 0.0)
     return sp.csr_array(sp.hstack([matrix, sp.csr_array(gains.reshape(c * k, -1))]))
+
+
+def _match_rows(data: ProblemData) -> Any:
+    """Return S' as `match_matrix`, but as an array where that is small, without scipy's overhead."""
+    layout = data.layout
+    c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
+    if layout.further or (c * k) * (n * k) > DENSE:
+        return match_matrix(data)
+    matrix, band = np.zeros((c, k, n, k)), np.arange(k)
+    matrix[:, band, :, band] = np.where(data.matched.T[:, :, np.newaxis], data.areas, 0.0)
+    return matrix.reshape(c * k, n * k)
 
 
 def _row_scale(data: ProblemData) -> Array:
