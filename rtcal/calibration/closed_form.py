@@ -1,7 +1,7 @@
 """The paper's closed forms: least squares, maximum likelihood and scaling. No bounds, no solver.
 
-They are the warm start of the QP and, in the tests, its reference. They share no code with it. Each
-answer satisfies S'alpha = b exactly and may lie outside [0, 1].
+They are the QP's reference in the tests, and share no code with it. Each answer satisfies S'alpha = b
+exactly and may lie outside [0, 1].
 
 Shapes: one band ``(n_materials,)`` with a scalar target, or ``(n_materials, n_bands)`` with
 ``(n_bands,)``.

@@ -130,6 +130,8 @@ class CompiledQP:
             sp.diags_array(signs) @ program.reduced_A.reduced_mat,
         ]
         self._map = sp.csr_array(sp.vstack(maps))
+        # Of an independent prior with an exact match only A and b have parameters.
+        self.fixed_objective = sp.vstack(maps[:2]).tocsc()[:, :-1].nnz == 0
         self._parts = np.cumsum([0, int(upper.sum()), size, last, len(self._constants)]).tolist()
         self._program = program
         self._trace(chain, inverse)

@@ -70,7 +70,9 @@ class NumpyModel:
         parts = [rows.matrix for rows in self._rows]
         if not parts:
             return np.zeros((0, self.sigma.size))
-        matrix = parts[0] if len(parts) == 1 else sp.csr_array(sp.vstack(parts))
+        matrix = (
+            parts[0] if len(parts) == 1 else sp.csr_array(sp.vstack([*map(sp.csr_array, parts)]))
+        )
         small = sp.issparse(matrix) and matrix.shape[0] * matrix.shape[1] <= DENSE
         return matrix.toarray() if small else matrix
 

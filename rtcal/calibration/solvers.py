@@ -167,7 +167,8 @@ def _clarabel(compiled: CompiledQP, settings: dict[str, Any]) -> SolverOutput:
     began = time.perf_counter()
     given, solver = compiled.workspaces.pop("clarabel", ({}, None))
     if solver is not None and given == settings:
-        solver.update(P=numbers.P, q=numbers.q, A=numbers.A, b=numbers.b)
+        objective = {} if compiled.fixed_objective else {"P": numbers.P, "q": numbers.q}
+        solver.update(A=numbers.A, b=numbers.b, **objective)
     else:
         chosen = clarabel.DefaultSettings()
         chosen.verbose = False
