@@ -42,6 +42,7 @@ def test_the_true_coefficients_are_as_far_off_as_is_stated(name: str) -> None:
     assert 0.001 < stats.chi2(off.size).cdf(q) < 0.999
 
 
+@pytest.mark.long
 def test_one_is_named_and_one_is_not_told() -> None:
     """It fails where the finder is changed: run `benchmarks/shipped_cases.py`, and the pages."""
     case, truth = rt.datasets.named_room()
@@ -56,6 +57,7 @@ def test_the_rule_tries_every_kind_that_the_library_has() -> None:
     assert sorted(kinds()) == list(range(1, 13))
 
 
+@pytest.mark.long
 def test_the_room_with_a_curtain_is_measured_by_another_tracer() -> None:
     truth = json.loads(rt.datasets.path("where_room/truth.json").read_text(encoding="utf-8"))
     room = examples._rehearsal_room(examples._l_shape())
