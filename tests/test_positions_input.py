@@ -181,7 +181,7 @@ def test_all_pairs_at_one_place_are_refused(measured):
         n_paths=160,
         scattering=0.5,
     )
-    with pytest.raises(DataError, match="all 3 pairs stand at one place"):
+    with pytest.raises(DataError, match="pairs stand at one place"):
         calibrate(tracer, kept(measured, [0, 1, 2], [("S1", f"R{i}") for i in (1, 2, 3)]))
 
 

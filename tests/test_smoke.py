@@ -56,7 +56,7 @@ def test_file_round_trip(tmp_path) -> None:
     np.testing.assert_array_equal(
         reread.decay_time().uncertainty, measured.decay_time().uncertainty
     )
-    with pytest.raises(rt.errors.DataError, match="already calibrated on exactly these data"):
+    with pytest.raises(rt.errors.DataError, match="already calibrated on these data"):
         rt.calibrate(again, measured)
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,13 @@ from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
+
+_FEW_VALUES = 4
+"""Fewer values of T20 and T30 may be equal by rounding."""
+_SAME = 1e-4
+"""Largest difference of the same data, relative above 1."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -25,8 +30,8 @@ class MeasuredTimes:
     ``reverberation_time`` and ``uncertainty`` in s, (n_bands,), NaN where missing or unknown;
     ``parameter`` is ``"t20"``, ``"t30"`` or ``""`` per band. ``ignored`` are the measured bands in Hz
     that the room lacks. ``fingerprint`` identifies the data. ``caution`` is a sentence if T was
-    converted from bands of another width, else empty. ``bent`` are the bands whose decay is not
-    straight.
+    converted from bands of another width or T30 is a copy of T20, else empty. ``bent`` are the bands
+    whose decay is not straight.
     """
 
     reverberation_time: Array
@@ -38,8 +43,8 @@ class MeasuredTimes:
     bent: tuple[BentDecay, ...] = ()
 
     def __repr__(self) -> str:
-        n = np.count_nonzero(np.isfinite(self.reverberation_time))
-        return f"<MeasuredTimes: {n} of {len(self.parameter)} bands, data {self.fingerprint}>"
+        n, data = np.count_nonzero(np.isfinite(self.reverberation_time)), self.fingerprint
+        return f"<MeasuredTimes: {n} of {len(self.parameter)} bands, data {shortened(data)}>"
 
 
 def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:
@@ -62,13 +67,14 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
                 f"the measurement has {parameters}, but no T20 and no T30 in any band of the room"
             )
         stated, wanted = measured.centre_frequencies, room.centre_frequencies
+        cautions = (band_conversion.rule(stated, wanted, "T"), _copied(measured))
         return MeasuredTimes(
             reverberation_time=mean,
             uncertainty=decay.uncertainty,
             parameter=decay.parameter,
             ignored=tuple(band_conversion.unused(stated, wanted).tolist()),
-            fingerprint=_fingerprint(room, mean),
-            caution=band_conversion.rule(stated, wanted, "T"),
+            fingerprint=_of_times(room, mean),
+            caution=". ".join(filter(None, cautions)),
             bent=bent_decays(in_room),
         )
     try:
@@ -88,8 +94,21 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         np.full(times.shape, np.nan),
         tuple("t20" if finite else "" for finite in np.isfinite(times)),
         (),
-        _fingerprint(room, times),
+        _of_times(room, times),
         "",
+    )
+
+
+def _copied(measured: Measurement) -> str:
+    """Return a caution if T20 and T30 are the same numbers; "" else."""
+    t20, t30 = (measured.values.get(p, np.full(1, np.nan)) for p in ("t20", "t30"))
+    both = (
+        np.isfinite(t20) & np.isfinite(t30) if t20.shape == t30.shape else np.zeros(1, dtype=bool)
+    )
+    if both.sum() < _FEW_VALUES or not np.array_equal(t20[both], t30[both]):
+        return ""
+    return (
+        "T30 is T20 in every value, so one of them is a copy: whether the decay is bent is unknown"
     )
 
 
@@ -99,20 +118,50 @@ def no_times(room: Room) -> MeasuredTimes:
     return MeasuredTimes(nothing, nothing, ("",) * room.n_bands, (), "", "")
 
 
-def _fingerprint(room: Room, times: Array) -> str:
-    """A short identifier of the T of every band; equal T from different files have the same."""
-    digest = hashlib.sha256()
-    for frequency, value in zip(room.centre_frequencies, times, strict=True):
-        if np.isfinite(value):
-            digest.update(f"{frequency:g} Hz {value:.9g} s;".encode())
-    return digest.hexdigest()[:16]
+def fingerprint(kind: str, values: Mapping[str, float]) -> str:
+    """Return the name of data as a room's record keeps it: the values themselves, NaN left out.
+
+    Examples
+    --------
+    >>> fingerprint("T", {"500": 1.92, "1000": 1.8801})
+    'T:500=1.92000,1000=1.88010'
+    """
+    return f"{kind}:" + ",".join(f"{k}={v:.5f}" for k, v in values.items() if np.isfinite(v))
 
 
-def refuse_repeated_data(room: Room, data: MeasuredTimes) -> None:
-    """Raise DataError if the room was calibrated on exactly these data already."""
-    if room.calibration is not None and data.fingerprint in room.calibration.measured.split():
+def _of_times(room: Room, times: Array) -> str:
+    labels = (f"{f:g}" for f in room.centre_frequencies)
+    return fingerprint("T", dict(zip(labels, times.tolist(), strict=True)))
+
+
+def same_data(one: str, other: str) -> bool:
+    """Whether two names are of the same data, to within a ten-thousandth in every value.
+
+    No measurement is repeated so exactly; a program that rounds or converts changes less.
+
+    Examples
+    --------
+    >>> same_data("T:500=1.92000", "T:500=1.92001"), same_data("T:500=1.92000", "T:500=1.93000")
+    (True, False)
+    """
+    kinds, cells = zip(*(name.partition(":")[::2] for name in (one, other)), strict=True)
+    if one == other or kinds[0] != kinds[1]:
+        return one == other
+    of_one, of_other = (
+        dict(cell.split("=") for cell in cell_list.split(",") if "=" in cell) for cell_list in cells
+    )
+    return of_one.keys() == of_other.keys() and all(
+        abs(float(v) - float(of_other[f])) <= _SAME * max(1.0, abs(float(v)))
+        for f, v in of_one.items()
+    )
+
+
+def refuse_repeated_data(room: Room, *names: str) -> None:
+    """Raise DataError if the room was calibrated already on the data of one of these names."""
+    before = [] if room.calibration is None else room.calibration.measured.split()
+    if any(same_data(old, new) for old in before for new in names):
         raise DataError(
-            f'room "{room.name}" was already calibrated on exactly these data; doing so again would '
+            f'room "{room.name}" was already calibrated on these data; doing so again would '
             "count them twice. Calibrate the room as it was before, or on other data"
         )
 

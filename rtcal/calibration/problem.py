@@ -316,7 +316,7 @@ class JointProblem:
             used = require_same_shape(self.configurations, configurations)
         times = _measured_times(used, measured)
         for room, of_room in zip(used.rooms, times, strict=True):
-            refuse_repeated_data(room, of_room)
+            refuse_repeated_data(room, of_room.fingerprint)
         assembler = self._assembler
         solution = self._program.solve(
             assembler.problem_data(used, times, weights, observed),

@@ -140,7 +140,10 @@ def fit(
     stated = Room.from_file(room)
     heard = Measurement.from_file(measured)
     sources, receivers = position_files.read(positions)
-    with errors_name_options("scattering", "position_uncertainty"), without_air_warning():
+    with (
+        errors_name_options("scattering", "position_uncertainty", "n_paths"),
+        without_air_warning(),
+    ):
         tracer = PathTracing(
             geometry=geometry_files.read(stated, mesh, unit),
             room=stated,

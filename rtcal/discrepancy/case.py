@@ -276,7 +276,7 @@ class Case:
             return
         for c in self.configurations:
             if np.isfinite(c.measured.decay_time().mean).any():
-                refuse_repeated_data(self.room, times_in_room(self.room, c.measured))
+                refuse_repeated_data(self.room, times_in_room(self.room, c.measured).fingerprint)
 
     @checked
     def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:

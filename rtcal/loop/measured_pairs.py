@@ -8,7 +8,6 @@ evaluation.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -21,7 +20,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.uncertainty import between_teams
-from rtcal.calibration.measured import times_in_room
+from rtcal.calibration.measured import fingerprint, refuse_repeated_data, times_in_room
 from rtcal.errors import DataError
 from rtcal.simulators.observations import LOGARITHMIC, Observations
 from rtcal.support.types import Array
@@ -183,15 +182,15 @@ def _with_level(observations: Observations, levels: Array) -> Observations:
 
 def fingerprints(room: Room, observations: Observations, measured: Measurement) -> tuple[str, ...]:
     """Return the names of the data; DataError if the room was calibrated on some of them."""
-    every = hashlib.sha256(np.round(observations.values, 9).tobytes()).hexdigest()[:16]
-    names: tuple[str, ...] = (every,)
+    means = {
+        f"{p}-{f:g}": float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
+        for p, of_parameter in zip(observations.parameters, observations.values, strict=True)
+        for f, values in zip(observations.centre_frequencies, of_parameter.T, strict=True)
+    }
+    names: tuple[str, ...] = (fingerprint("pairs", means),)
     if {"t20", "t30"} & set(measured.values):
-        names = (every, times_in_room(room, measured).fingerprint)
-    if set(names) & set(history(room)):
-        raise DataError(
-            f'room "{room.name}" was already calibrated on these data; doing so again would count '
-            "them twice. Calibrate the room as it was before, or on other data"
-        )
+        names = (*names, times_in_room(room, measured).fingerprint)
+    refuse_repeated_data(room, *names)
     return names
 
 

@@ -37,11 +37,12 @@ from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, measured_pairs
 from rtcal.loop.positions_result import PositionsResult, Step
 from rtcal.loop.scattering import Scattering, fitted, scattered
-from rtcal.loop.simulator_error import simulator_error
+from rtcal.loop.simulator_error import GROUPS, simulator_error
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observable, Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.checks import instance
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
@@ -88,6 +89,8 @@ def calibrate_positions(
     ``more_paths`` is the factor of the number of paths of a `PathTracing` that are weighed.
     """
     checked_uncertainty(position_uncertainty)
+    if calibration is not None:
+        instance("calibration", calibration, Calibration)
     measured, repeated = base.at_places(simulator, measured)
     tracer = simulator
     simulator = precise(simulator, more_paths)
@@ -101,6 +104,8 @@ def calibrate_positions(
     data = measured_pairs(room, measured, match, first, exclude)
     notes = (*notes, *repeated)
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
+    if isinstance(simulator, PathTracing):  # too few paths are told before the control runs
+        simulator.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
     if controls is None:
         controls = control_runs(
             simulator,
@@ -175,7 +180,7 @@ def _gauss_newton(
     error: Array,
 ) -> _Path:
     """Take at most `STEPS` Gauss-Newton steps; ``error`` (n, n) is the simulator's covariance."""
-    problem = _composed(calibration or _plain(room)).build(room)
+    problem = _composed(_plain(room) if calibration is None else calibration).build(room)
     # T enters where the user's own terms match it.
     times = None if calibration is None else measured
     inverse_sigma = np.divide(1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0)

@@ -392,7 +392,7 @@ def start(
     files.checked_decimals(decimals)
     checks.positive("tolerance", tolerance, "JND")
     data = times_in_room(room, measured)
-    refuse_repeated_data(room, data)
+    refuse_repeated_data(room, data.fingerprint)
     return Loop(
         room=room,
         matched=matched(room, measured, data.reverberation_time, weights),

@@ -258,7 +258,7 @@ def of_decays(
             place = f"{' to '.join(pairs[pair])}, {bands.label(centre_frequencies[band])}"
             if name in DECAY_TIMES and decay.too_short(energy, name)[pair, band]:
                 raise TooShortError(
-                    f"the decay from {place} is too short to hold {parameter_label(name)}"
+                    f"the decay from {place} is too short to hold {parameter_label(name)}: {cause}"
                 )
             raise DataError(f"the decay from {place} has no {parameter_label(name)}: {cause}")
     return Observations(

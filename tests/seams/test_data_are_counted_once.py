@@ -1,0 +1,78 @@
+"""A law: no way of calibrating takes the same data twice, also not after a small change."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.loop.measured_pairs import fingerprints
+from rtcal.simulators.observations import Observations
+
+
+@pytest.fixture(scope="module")
+def room_and_times() -> tuple[rt.Room, np.ndarray]:
+    room, measured = rt.datasets.bras_cr2()
+    return room, measured.decay_time().mean
+
+
+@pytest.mark.parametrize("change", [0.0, 1e-7, -1e-7, 2e-5])
+def test_an_equation(room_and_times, change: float) -> None:
+    room, times = room_and_times
+    once = rt.calibrate(room, times).room
+    with pytest.raises(DataError, match="already calibrated on these data"):
+        rt.calibrate(once, times + change)
+    rt.calibrate(once, times * 1.001)
+
+
+@pytest.mark.parametrize("change", [0.0, 1e-7, 2e-5])
+def test_every_position(room_and_times, change: float) -> None:
+    room, times = room_and_times
+    pairs = [("S1", "R1"), ("S1", "R2")]
+
+    def names(of: rt.Room, change: float) -> tuple[str, ...]:
+        values = {"edt": np.stack([times, 1.1 * times]) + change}
+        measured = rt.Measurement(
+            centre_frequencies=room.centre_frequencies, values=values, pairs=pairs
+        )
+        return fingerprints(of, Observations.of_measurement(measured, ("edt",), pairs), measured)
+
+    record = rt.acoustics.room.CalibrationRecord(
+        method="positions", equation="", measured=" ".join(names(room, 0.0))
+    )
+    with pytest.raises(DataError, match="already calibrated on these data"):
+        names(room.replace(calibration=record), change)
+    assert names(room.replace(calibration=record), 0.01)
+
+
+def test_a_file_keeps_the_record(room_and_times, tmp_path) -> None:
+    room, times = room_and_times
+    rt.calibrate(room, times).room.save(str(tmp_path / "room.toml"))
+    with pytest.raises(DataError, match="already calibrated on these data"):
+        rt.calibrate(rt.Room.from_file(str(tmp_path / "room.toml")), times)
+
+
+def test_a_copied_decay_time_is_said(room_and_times) -> None:
+    room, times = room_and_times
+    copied = rt.Measurement.from_values(room.centre_frequencies, t20=times, t30=times)
+    assert "one of them is a copy" in " ".join(str(rt.calibrate(room, copied)).split())
+    other = rt.Measurement.from_values(room.centre_frequencies, t20=times, t30=1.01 * times)
+    assert "is a copy" not in " ".join(str(rt.calibrate(room, other)).split())
+
+
+def test_an_empty_calibration_is_refused() -> None:
+    hall = rt.datasets.halls.corridor()
+    tracer = rt.simulators.PathTracing(
+        geometry=hall.geometry,
+        room=hall.room,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=320,
+    )
+    values = {"t20": np.ones((4, 7)), "edt": np.ones((4, 7))}
+    measured = rt.Measurement(
+        centre_frequencies=hall.room.centre_frequencies, values=values, pairs=tracer.pairs
+    )
+    with pytest.raises(DataError, match=r"calibration = \[\] is not a rtcal"):
+        rt.calibrate_simulator(tracer, hall.room, measured, match=("t20", "edt"), calibration=[])
