@@ -13,7 +13,7 @@ from rtcal.command.example import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
 from rtcal.errors import DataError
-from rtcal.where import case_files
+from rtcal.where import Case
 from tests.position_rooms import shipped as where_room
 from tests.position_rooms.shapes import area
 
@@ -66,7 +66,7 @@ def test_the_case_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_case_with_a_geometry_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run("example", "where", "-q") == 0
-    case = case_files.read("where/case.toml")
+    case = Case.from_file("where/case.toml")
     assert len(case.pairs) == 12
     assert set(case.faces) == {"floor", "ceiling", *examples._WALLS}
     areas = {material: 0.0 for material, _ in where_room.surfaces()}

@@ -17,7 +17,7 @@ from rtcal.errors import DataError
 from rtcal.io import position_files
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.where import case_files, scales
+from rtcal.where import scales
 from rtcal.where.patch import patched
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
@@ -309,7 +309,7 @@ def test_a_wrong_file_is_refused(folder: Path, tmp_path: Path, line: str, messag
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     (tmp_path / "case.toml").write_text(text)
     with pytest.raises(DataError, match=re.escape(message)):
-        case_files.read(tmp_path / "case.toml")
+        rt.where.Case.from_file(tmp_path / "case.toml")
 
 
 def test_engines_are_refused_with_a_geometry(folder: Path) -> None:

@@ -13,7 +13,6 @@ import rtcal as rt
 from rtcal.errors import DataError
 from rtcal.io import position_files
 from rtcal.simulators import RayTracing
-from rtcal.where import case_files
 from rtcal.where.corrected import corrected
 from tests.test_where import BANDS, RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_corrected import candidate
@@ -64,8 +63,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_disagreement_is_the_programs(folder: Path) -> None:
     """Its own error cancels: what it says of the same room twice differs by its noise alone."""
-    same = rt.where.find(case_files.read(folder / "same.toml"), cache=folder / "kept")
-    other = rt.where.find(case_files.read(folder / "case.toml"), cache=folder / "kept")
+    same = rt.where.find(rt.where.Case.from_file(folder / "same.toml"), cache=folder / "kept")
+    other = rt.where.find(rt.where.Case.from_file(folder / "case.toml"), cache=folder / "kept")
     assert np.sqrt(np.nanmean(same.map**2)) < 1.0
     assert same.verdict == "none"
     assert np.nanmean(other.map[0]) > 1.0  # T20 is measured shorter
@@ -77,7 +76,7 @@ def test_the_disagreement_is_the_programs(folder: Path) -> None:
 
 def test_what_neither_has_is_left_out(folder: Path) -> None:
     """A program's blank cell made every probability NaN."""
-    case = case_files.read(folder / "case.toml")
+    case = rt.where.Case.from_file(folder / "case.toml")
     assert case.simulated is not None
 
     def blank(data: rt.Measurement) -> rt.Measurement:
@@ -118,12 +117,12 @@ def test_a_file_that_lacks_something_is_refused(
     assert len(kept) < len(rows(folder))
     (tmp_path / "simulated.csv").write_text("\n".join(kept) + "\n")
     with pytest.raises(DataError, match=re.escape(message)):
-        case_files.read(tmp_path / "case.toml")
+        rt.where.Case.from_file(tmp_path / "case.toml")
 
 
 def test_a_level_without_its_reference_is_no_g(folder: Path) -> None:
     """G is absolute; a program's level that is not must not be compared with it."""
-    read = case_files.read(folder / "case.toml")
+    read = rt.where.Case.from_file(folder / "case.toml")
     given = read.simulated
     assert given is not None
     level = np.zeros((len(given.pairs), len(BANDS)))

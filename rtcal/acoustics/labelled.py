@@ -1,8 +1,8 @@
-"""Tables with labels (pandas): their rows are the room's materials, their columns its bands."""
+"""Tables with labels (mappings, pandas): rows are the room's materials, columns its bands."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,16 +14,20 @@ from rtcal.support.types import Array
 
 
 def in_order(place: str, value: Any, materials: Sequence[str], frequencies: Array) -> Any:
-    """Return the values of a DataFrame or Series in the order of the room; anything else as it is.
+    """Return the values of a mapping, DataFrame or Series in the room's order; others as they are.
 
-    Rows are ordered by their labels if these are texts, which have to be the materials. Columns are
-    ordered by theirs unless they are 0, 1, 2, ...: they have to be the bands, in Hz.
+    A mapping has the materials as keys. Rows are ordered by their labels if these are texts, which have
+    to be the materials. Columns are ordered by theirs unless they are 0, 1, 2, ...: they have to be the
+    bands, in Hz.
 
     Raises
     ------
     DataError
         If labels are not the room's materials or bands.
     """
+    if isinstance(value, Mapping):
+        _places(f"{place}: keys", list(value), list(materials))
+        return [value[name] for name in materials]
     index = getattr(value, "index", None)
     if index is None or callable(index) or not hasattr(value, "to_numpy"):
         return value

@@ -5,7 +5,7 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -66,6 +66,20 @@ class Surface:
         object.__setattr__(self, "area", number(f'surface["{self.name}"].area', self.area, " m²"))
         if self.axis is not None and self.axis not in AXES:
             raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
+
+
+class Geometry(Protocol):
+    """What a room takes of a geometry: its volume in m³ and its surfaces."""
+
+    @property
+    def volume(self) -> float:
+        """Volume in m³."""
+        ...
+
+    @property
+    def surfaces(self) -> Sequence[Surface]:
+        """The faces, with material, area and axis."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -131,6 +145,24 @@ def rows_of(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) ->
                 f'{name}["{material}"] has {len(row)} values; the room has {n_bands} bands'
             )
     return array_of(name, [list(row) for _, row in rows])
+
+
+def check_surfaces(materials: Sequence[str], areas: Array, surfaces: Sequence[Surface]) -> None:
+    """Raise DataError unless the surfaces, if there are any, add up to the stated areas."""
+    drawn = dict.fromkeys(materials, 0.0)
+    for surface in surfaces:
+        if surface.material not in drawn:
+            raise DataError(
+                f'surface["{surface.name}"].material = "{surface.material}" is no material of '
+                f"the room; it has {', '.join(materials)}"
+            )
+        drawn[surface.material] += surface.area
+    for material, area in zip(materials, areas, strict=True):
+        if surfaces and not np.isclose(drawn[material], area, rtol=1e-9, atol=0):
+            raise DataError(
+                f'areas["{material}"] = {area:g} m², but its surfaces sum to '
+                f"{drawn[material]:g} m²; change both, or leave the surfaces out (surfaces=())"
+            )
 
 
 def stacked(

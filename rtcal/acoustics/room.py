@@ -16,9 +16,11 @@ from rtcal.acoustics.materials import (
     AXES,
     LARGEST_LABORATORY_ALPHA,
     CalibrationRecord,
+    Geometry,
     Material,
     Surface,
     array_of,
+    check_surfaces,
     number,
     short_name,
     stacked,
@@ -42,8 +44,8 @@ class Room:
     """A room: volume, materials with their areas, absorption coefficients and their uncertainty.
 
     One row is one unknown of the calibration. A material that covers several surfaces is one row
-    with the sum of their areas: `Room.from_surfaces` sums them and keeps them. Rows and columns of a
-    pandas DataFrame are ordered by their labels, materials and bands.
+    with the sum of their areas: `Room.from_surfaces` sums them and keeps them. A mapping by material,
+    such as ``areas={"floor": 20, "rest": 74}``, and a pandas DataFrame are ordered by their labels.
 
     Parameters
     ----------
@@ -174,25 +176,8 @@ class Room:
             if len(sides) != 3:
                 raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
             put("dimensions", sides)
-        self._check_surfaces()
+        check_surfaces(self.materials, self.areas, self.surfaces)
         self._check_correlation()
-
-    def _check_surfaces(self) -> None:
-        """Check that the surfaces, if stated, add up to the stated areas."""
-        drawn = dict.fromkeys(self.materials, 0.0)
-        for surface in self.surfaces:
-            if surface.material not in drawn:
-                raise DataError(
-                    f'surface["{surface.name}"].material = "{surface.material}" is no material of '
-                    f"the room; it has {', '.join(self.materials)}"
-                )
-            drawn[surface.material] += surface.area
-        for material, area in zip(self.materials, self.areas, strict=True):
-            if self.surfaces and not np.isclose(drawn[material], area, rtol=1e-9, atol=0):
-                raise DataError(
-                    f'areas["{material}"] = {area:g} m², but its surfaces sum to '
-                    f"{drawn[material]:g} m²; change both, or leave the surfaces out (surfaces=())"
-                )
 
     def _clip(self, put: Callable[[str, object], None]) -> None:
         """Cut coefficients above 1 to 1 and name them."""
@@ -401,6 +386,30 @@ class Room:
             calibration=calibration,
             above_one=above_one,
             **stacked(tuple(surfaces), tuple(materials), frequencies),
+        )
+
+    @classmethod
+    @checked
+    def from_geometry(
+        cls,
+        geometry: Geometry,
+        *,
+        name: str,
+        materials: Iterable[Material],
+        centre_frequencies: Sequence[float] | Array,
+        **stated: Any,
+    ) -> Room:
+        """Return the room with the volume and surfaces of a `rtcal.simulators.Polyhedron`.
+
+        ``stated`` goes to `from_surfaces`. Raises DataError as that does.
+        """
+        return cls.from_surfaces(
+            name=name,
+            volume=geometry.volume,
+            surfaces=geometry.surfaces,
+            materials=materials,
+            centre_frequencies=centre_frequencies,
+            **stated,
         )
 
     def to_dict(self) -> dict[str, Any]:

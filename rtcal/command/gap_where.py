@@ -46,7 +46,7 @@ def find(path: str, search: Any, quiet: bool, outputs: Sequence[Path] = ()) -> F
     if search.prior:
         raise DataError("--prior: a case with a geometry takes --only and --without")
     spare(outputs, [path])
-    case = case_files.read(path)
+    case = where.Case.from_file(path)
     spare(outputs, case_files.files(path))
     begun: list[str] = []
     with bar(0, "control run", bar_wanted(quiet)) as shown:

@@ -56,6 +56,8 @@ def read(path: str) -> dict[str, Any]:
         if str(path).endswith(".json"):
             return json_object(text)
         content = toml_table(text)
+        if "geometry" in content:
+            raise DataError("a case with a geometry is read by rtcal.where.Case.from_file")
         file = Entries("", content, ("room",), _KEYS)
         configurations = [
             (checks.mapped(f"configuration[{i}]", each))

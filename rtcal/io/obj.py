@@ -24,7 +24,7 @@ from rtcal.errors import DataError
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
-from rtcal.support.files import read_bytes, write_text
+from rtcal.support.files import read_bytes
 
 MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
@@ -153,28 +153,13 @@ def _check_volume(volume: float, unit: float, path: str) -> None:
 @checked
 def text(polyhedron: Polyhedron) -> str:
     """Return a room as OBJ in m; reading it back gives the same room."""
-    for material in polyhedron.materials:
-        if not material or material.strip() != material or not material.isprintable():
-            raise DataError(f"material {material!r}: a name in an OBJ file is one line of text")
-    rows = ["# m; written by rtcal"]
-    rows += ["v " + " ".join(repr(float(x)) for x in vertex) for vertex in polyhedron.vertices]
-    names = polyhedron.names
-    named = any(name != _face_name("", 0, i) for i, name in enumerate(names, 1))
-    last = None
-    for name, face, material in zip(names, polyhedron.faces, polyhedron.materials, strict=True):
-        if named:
-            rows.append(f"g {text_name('face', name)}")
-        if material != last:
-            rows.append(f"usemtl {material}")
-            last = material
-        rows.append("f " + " ".join(str(v + 1) for v in face))
-    return "\n".join(rows) + "\n"
+    return polyhedron.to_text()
 
 
 @checked
 def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
     """Write a room as OBJ in m, whole or not at all."""
-    write_text(path, text(polyhedron))
+    polyhedron.save(path)
 
 
 def _face_name(group: str, member: int, number: int) -> str:

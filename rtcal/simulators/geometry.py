@@ -6,6 +6,7 @@ are further closed surfaces of the same polyhedron.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -14,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.room import AXES, Surface
+from rtcal.acoustics.room import AXES, Surface, text_name
 from rtcal.errors import DataError
 from rtcal.simulators import triangles as _triangles
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.files import write_text
 from rtcal.support.types import Array
 
 SHOEBOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")
@@ -229,6 +231,29 @@ class Polyhedron:
     def wall_distance(self, points: Any) -> Array:
         """Return each point's distance in m from the nearest wall, (n_points,)."""
         return _triangles.distance(_points("points", points), self.triangles)
+
+    def to_text(self) -> str:
+        """Return the room as OBJ in m; `rtcal.io.obj.read` gives the same room."""
+        for material in self.materials:
+            if not material or material.strip() != material or not material.isprintable():
+                raise DataError(f"material {material!r}: a name in an OBJ file is one line of text")
+        rows = ["# m; written by rtcal"]
+        rows += ["v " + " ".join(repr(float(x)) for x in vertex) for vertex in self.vertices]
+        named = any(name != f"face {i}" for i, name in enumerate(self.names, 1))
+        last = None
+        for name, face, material in zip(self.names, self.faces, self.materials, strict=True):
+            if named:
+                rows.append(f"g {text_name('face', name)}")
+            if material != last:
+                rows.append(f"usemtl {material}")
+                last = material
+            rows.append("f " + " ".join(str(v + 1) for v in face))
+        return "\n".join(rows) + "\n"
+
+    @checked
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the room as OBJ in m, whole or not at all."""
+        write_text(path, self.to_text())
 
     def require_inside(self, kind: str, points: Mapping[str, Any]) -> Array:
         """Return points by name as an array (n_points, 3).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,7 +23,7 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.text import shortened
-from rtcal.where import parts
+from rtcal.where import case_files, parts
 from rtcal.where import surfaces as of_room
 from rtcal.where.parts import Divided
 from rtcal.where.surfaces import Faces
@@ -143,6 +144,18 @@ class Case:
                     f"simulated lacks {parameter_label(key)} from {' to '.join(pair)} at {band}, which "
                     "was measured"
                 )
+
+    @classmethod
+    @checked
+    def from_file(cls, path: str | os.PathLike[str]) -> Case:
+        """Read a case with a geometry (TOML), as `rtcal.where.case_files` says.
+
+        Raises DataError naming the file, the key and the rule.
+        """
+        try:
+            return cls(**case_files.read(path))
+        except DataError as error:
+            raise DataError(f"{os.fspath(path)}: {error}") from error
 
     @property
     def room(self) -> Room:

@@ -34,7 +34,6 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, toml_table
 from rtcal.support.files import read_text
-from rtcal.where.case import Case
 
 MAX_BYTES = 50_000_000
 LEAST_PATHS, MOST_PATHS = 100, 10_000_000
@@ -66,15 +65,10 @@ def has_geometry(path: str | os.PathLike[str]) -> bool:
 
 
 @checked
-def read(path: str | os.PathLike[str]) -> Case:
-    """Return the case of a file; DataError names file, key and rule."""
-    folder = Path(path).parent
-    try:
-        content = toml_table(read_text(path, MAX_BYTES))
-        file = Entries("", content, _NEEDED, _OPTIONAL)
-        return _case(folder, file)
-    except DataError as error:
-        raise DataError(f"{os.fspath(path)}: {error}") from error
+def read(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the arguments of `Case` that a file states."""
+    content = toml_table(read_text(path, MAX_BYTES))
+    return _arguments(Path(path).parent, Entries("", content, _NEEDED, _OPTIONAL))
 
 
 @checked
@@ -86,7 +80,7 @@ def files(path: str | os.PathLike[str]) -> list[Path]:
     return [case, *(case.parent / name for name in names if name != BOX)]
 
 
-def _case(folder: Path, file: Entries) -> Case:
+def _arguments(folder: Path, file: Entries) -> dict[str, Any]:
     room = Room.from_file(str(folder / file.text("room")))
     mesh = file.text("geometry")
     geometry = geometry_files.read(
@@ -109,14 +103,14 @@ def _case(folder: Path, file: Entries) -> Case:
     simulated = None
     if "simulated" in file:
         simulated = Measurement.from_file(str(folder / file.text("simulated")))
-    return Case(
-        simulator=simulator,
-        measured=Measurement.from_file(str(folder / file.text("measured"))),
-        match=file.listed("match", list(MATCH)),
-        simulated=simulated,
-        exclude=file.listed("exclude", []),
-        surfaces=file.mapping("surfaces") if "surfaces" in file else None,
-        position_uncertainty=(
+    return {
+        "simulator": simulator,
+        "measured": Measurement.from_file(str(folder / file.text("measured"))),
+        "match": file.listed("match", list(MATCH)),
+        "simulated": simulated,
+        "exclude": file.listed("exclude", []),
+        "surfaces": file.mapping("surfaces") if "surfaces" in file else None,
+        "position_uncertainty": (
             file.number("position_uncertainty") if "position_uncertainty" in file else POSITION
         ),
-    )
+    }
