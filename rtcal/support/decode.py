@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
@@ -237,46 +237,6 @@ class Entries:
                 raise DataError(f"{self.name} lacks {key}")
             return default
         return self.values[key]
-
-
-Rule = Callable[[Entries, str], Any]
-"""Takes the value of a key out of an object; ``Entries.text`` is one."""
-
-
-def record_of(rules: Mapping[str, Rule]) -> Rule:
-    """Return the rule of an object that has each of these keys and no other."""
-
-    def take(entries: Entries, key: str) -> dict[str, Any]:
-        inner = entries.entries(key, rules)
-        return {name: rule(inner, name) for name, rule in rules.items()}
-
-    return take
-
-
-def named(rule: Rule) -> Rule:
-    """Return the rule of an object whose keys are the file's own and whose values follow ``rule``."""
-
-    def take(entries: Entries, key: str) -> dict[str, Any]:
-        inner = entries.entries(key, (), entries.mapping(key))
-        return {name: rule(inner, name) for name in inner.values}
-
-    return take
-
-
-def list_of(rule: Rule) -> Rule:
-    """Return the rule of a list whose members follow ``rule``."""
-
-    def take(entries: Entries, key: str) -> list[Any]:
-        members = {f"{key}[{i}]": each for i, each in enumerate(entries.listed(key))}
-        inner = Entries(entries.place, members, members)
-        return [rule(inner, name) for name in members]
-
-    return take
-
-
-def optional(rule: Rule) -> Rule:
-    """Return the rule of a value that may be null."""
-    return lambda entries, key: rule(entries, key) if key in entries else None
 
 
 def _within(place: str, value: Any, limits: tuple[float, float]) -> float:
