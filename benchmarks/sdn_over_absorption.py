@@ -26,17 +26,18 @@ SIDES = (5.0, 7.0, 3.0)
 CENTRES = np.array([31.5, 63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000])
 
 
-def box() -> rt.Room:
+def box(sides: tuple[float, float, float] = SIDES) -> rt.Room:
     """The room, one "band" for each alpha."""
+    x, y, z = sides
     return rt.Room(
         name="shoebox",
-        volume=float(np.prod(SIDES)),
+        volume=x * y * z,
         materials=["wall"],
-        areas=[142.0],
+        areas=[2 * (x * y + y * z + z * x)],
         alpha=ALPHAS[np.newaxis],
         sigma=np.full((1, len(ALPHAS)), 0.1),
         centre_frequencies=CENTRES,
-        dimensions=SIDES,
+        dimensions=sides,
     )
 
 
