@@ -4,11 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal import loop as closed_loop
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.calibration.problem import Calibration
+from rtcal.command.main import cli
 from rtcal.datasets import halls
 from rtcal.errors import DataError, SimulatorError
 from rtcal.loop import rules as loop_rules
@@ -520,6 +522,20 @@ def test_columns_of_the_printed_table_stay_apart(cr2):
 
 
 # The compromise of T20 and EDT (the paper's Sect. 4.3.2)
+
+
+def test_the_page_of_a_compromise_says_what_was_matched(cr2, tmp_path):
+    room, measured = cr2
+    weights = {"t20": 1, "edt": 1}
+    simulator = two_slopes(room, 1.2)
+    result = calibrate_simulator(simulator, room, with_edt(measured), weights=weights)
+    result.save(tmp_path / "loop.json")
+    arguments = ["report", str(tmp_path / "loop.json"), "--out", str(tmp_path / "page.html")]
+    assert CliRunner().invoke(cli, arguments, catch_exceptions=False).exit_code == 0
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "gap of the weighted mean of T20 and EDT / JND" in page
+    assert "weights=" in page
+    assert "Only T20 was fitted" not in page
 
 
 def two_slopes(room, ratio):

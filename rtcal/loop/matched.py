@@ -55,7 +55,8 @@ class Matched:
     @property
     def label(self) -> str:
         """What is matched, in words."""
-        return " and ".join(parameter_label(p) for p in self.shares)
+        names = " and ".join(parameter_label(p) for p in self.shares)
+        return names if len(self.shares) == 1 else f"the weighted mean of {names}"
 
     @property
     def wanted(self) -> Array:

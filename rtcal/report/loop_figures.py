@@ -57,7 +57,7 @@ def path(loop: Loop) -> Any:
         label="nearest, by band",
     )
     band_axis(above, f)
-    above.set_ylabel(f"{loop.matched.label} / s")
+    above.set_ylabel(f"{loop.matched.label.removeprefix('the ')} / s")
     above.set_ylim(bottom=0)
     above.set_title(shown(loop.room.name, 45))
     above.legend(fontsize=9)

@@ -41,7 +41,7 @@ def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
     n = len(loop.steps)
     sentences = [
         f"A simulator was run {n} time{'' if n == 1 else 's'}, and after each run the absorption "
-        f"coefficients were changed so that its {loop.matched.label} comes nearer to what was measured."
+        f"coefficients were changed so that {loop.matched.label} comes nearer to what was measured."
     ]
     compared = np.isfinite(first)
     if compared.any():

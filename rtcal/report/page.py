@@ -195,8 +195,8 @@ def loop_page(
             "assumed": loop_words.assumed(loop),
             "figure": {
                 "source": drawn,
-                "alt": f"{loop.matched.label} wanted and simulated by band; gap by simulation",
-                "caption": f"{loop.matched.label} by band, and how far each simulation was off. "
+                "alt": f"{loop.matched.label}, wanted and simulated, by band; gap by simulation",
+                "caption": f"By band: {loop.matched.label}, and how far each simulation was off. "
                 "One JND is 5 %.",
             },
             "bands": loop_words.bands_table(loop, status),
