@@ -1,15 +1,16 @@
 """The corrected room as a `Room` and as a `Simulator`, for use in other packages.
 
-Each absorber becomes a further material, which replaces every wall in proportion to its area. Its
-area equals its largest absorption area over the bands, with its size at the upper end of the 90 %
-interval. So a calibration can increase the absorber as well as decrease it. Volume, areas and air are
-those of the finding. A `Room` cannot represent the decay's shape or noise; only the `Simulator` does.
+Volume, areas, coefficients and air are those of the case's state with its effects. Absorption that
+belongs to no stated material becomes a further material, which replaces every wall in proportion to
+its area. Its area equals its largest absorption area over the bands, with its size at the upper end of
+the 90 % interval. So a calibration can increase the absorber as well as decrease it. A `Room` cannot
+represent the decay's shape or noise (`not_in_room`); the `Simulator` does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -20,11 +21,12 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
 from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.model import FEATURES, State, predict
-from rtcal.discrepancy.states import distances, state, with_applied
+from rtcal.discrepancy.model import FEATURES, State, highest, mean_contributions, predict
+from rtcal.discrepancy.states import distances, seen, state, with_applied
 from rtcal.discrepancy.wording import amount
 from rtcal.errors import DataError
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
+from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
@@ -34,26 +36,45 @@ _LARGEST_SHARE = 0.5
 Half of every wall remains. T of the corrected room does not depend on the share w, since the
 absorber's coefficient is wall + (both - wall) / w. The limit only bounds how far a calibration can
 enlarge the absorber."""
+_NO_ABSORPTION = 1e-12
+"""Change of the mean over the walls under which an effect absorbs nothing."""
+_OFF_GEOMETRY = 0.01
+"""Share by which a geometry may differ from an area or a volume that the finding has changed."""
+_HELD = ("volume", "areas", "alpha", "air", "speed_of_sound", "covering", "objects", "equation")
+"""Parts of a state that a room, or the equation that is named beside it, represents."""
 
 
 @checked
 def corrected_room(case: Case) -> Room:
     """Return the case's room with its effects, not calibrated.
 
-    By the model's equation it has the T of the case's model, without the decay's shape and noise. (A
-    calibration of Millington's model uses Eyring's equation.) Absorbers are materials after the stated
-    ones. Their sigma follows from the interval of the effect's size. Their area is larger than the
-    effect's, so that alpha = 1 is the upper end of the interval. If volume or areas differ from the
-    stated ones, dimensions and surfaces are left out.
+    By the model's equation it has the absorption area and T of the case's model, without what
+    `not_in_room` lists. (A calibration of Millington's model uses Eyring's equation.) A change of a
+    stated material, such as a cover, is in its row. Absorbers are materials after the stated ones, with
+    the walls' mean scattering. Their sigma, and that of a changed material, contains the interval of
+    the effect's size. An absorber's area is larger than the effect's, so that alpha = 1 is the upper
+    end of the interval.
+
+    Raises DataError for coefficients below 0 or above 1.
     """
-    return _corrected(case)[0]
+    return _corrected(case).room
 
 
 def not_in_room(case: Case) -> list[str]:
-    """Return, in words, the effects that a room cannot represent: decay shape, noise, equation."""
-    out = [f"{p.name}: a room has surfaces and air only" for p in _corrected(case)[1]]
-    if (equation := _bare(case).equation) != case.equation:
-        out.append(f"formula: a room names no equation; calibrate it with {equation}")
+    """Return, in words, what a room cannot represent: decay shape, noise, equation, surfaces."""
+    c = _corrected(case)
+    out = [f"{name}: {why}" for name, why in c.absent.items()]
+    if c.whole.equation != case.equation:
+        out.append(f"formula: a room names no equation; calibrate it with {c.whole.equation}")
+    model, own = c.whole.speed_of_sound, c.room.speed_of_sound
+    if model != own:
+        out.append(
+            f"speed of sound: the model has {model:.1f} m/s, the room {own:.1f} m/s, that of its air; "
+            f"so its T is {abs(100 * (model / own - 1)):.1f} % {'shorter' if own > model else 'longer'}"
+        )
+    for name in ("surfaces", "dimensions"):
+        if getattr(case.room, name) and not getattr(c.room, name):
+            out.append(f"{name}: areas or volume are other than those of the stated {name}")
     return out
 
 
@@ -75,16 +96,18 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     ------
     DataError
         If ``make``'s simulator cannot represent an effect: a coupled room, a noise floor, a custom
-        effect on the decay.
+        effect on the decay, or an area or volume other than its geometry's.
     """
     if make is None:
         return CaseModel(case)
     if not callable(make):
         raise DataError(f"make = {make!r} is not a function of a room")
-    for p in _corrected(case)[1]:
-        if p.effect.not_in_simulator is not None:
-            raise DataError(f"{p.name}: {p.effect.not_in_simulator}")
-    return Spread(case, make(_stated(case)))
+    c = _corrected(case)
+    for p in case.applied:
+        if p.name in c.absent and p.effect.not_in_simulator is not None:
+            why = c.absent[p.name]
+            raise DataError(f"{p.name}: {p.effect.not_in_simulator if why == _DECAY else why}")
+    return Spread(case, make(c.stated))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,14 +116,13 @@ class CaseModel(RoomSimulator):
 
     case: Case
     room: Room = field(init=False)
-    remaining: tuple[AppliedEffect, ...] = field(init=False)
     deterministic: bool = field(default=True, init=False)
     smooth: bool = field(default=True, init=False)
+    _corrected: _Corrected = field(init=False)
 
     def __post_init__(self) -> None:
-        room, remaining = _corrected(self.case)
-        object.__setattr__(self, "room", room)
-        object.__setattr__(self, "remaining", remaining)
+        object.__setattr__(self, "_corrected", _corrected(self.case))
+        object.__setattr__(self, "room", self._corrected.room)
 
     @property
     def name(self) -> str:
@@ -110,19 +132,8 @@ class CaseModel(RoomSimulator):
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Return what the model predicts for alpha (n_materials, n_bands)."""
         alpha = check_alpha(self, alpha)
-        first = _base(self.case)
-        facing = self.case.facing
-        around = self.case.room.areas @ facing / self.case.room.total_area
-        further = np.tile(around, (len(alpha) - len(facing), 1))
-        bare = replace(
-            _bare(self.case),
-            areas=self.room.areas,
-            alpha=alpha,
-            facing=np.concatenate([facing, further]),
-        )
-        predicted = predict(
-            [with_applied(bare, self.remaining, first)], distances(self.case, first)
-        )
+        at = distances(self.case, _base(self.case))
+        predicted = predict([self._corrected.state(alpha)], at)
         rows = dict(zip(FEATURES, predicted.features[0], strict=True))
         t20 = np.exp(rows["t20"])
         return Measurement.from_values(
@@ -144,7 +155,8 @@ class Spread(RoomSimulator):
     room: Room = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "room", corrected_room(self.case))
+        c = _corrected(self.case)
+        object.__setattr__(self, "room", c.room)
         if tuple(self.inner.materials) != tuple(self.case.room.materials):
             raise DataError(
                 f"{self.inner.name} has the materials {', '.join(self.inner.materials)}; the case "
@@ -155,6 +167,8 @@ class Spread(RoomSimulator):
                 f"{self.inner.name} has {bands.span(self.inner.centre_frequencies)}; the case has "
                 f"{bands.span(self.case.room.centre_frequencies)}"
             )
+        if (geometry := getattr(self.inner, "geometry", None)) is not None:
+            _check_geometry(self.case.room, c.stated, geometry)
 
     @property
     def name(self) -> str:
@@ -179,6 +193,20 @@ class Spread(RoomSimulator):
         return run(self.inner, (1 - share.sum()) * alpha[:n] + share @ alpha[n:], seed=seed)
 
 
+def _check_geometry(before: Room, after: Room, geometry: Polyhedron) -> None:
+    """Refuse a geometry without an area, or the volume, that the finding has changed."""
+    pairs = [("volume", before.volume, after.volume, geometry.volume, "m³")]
+    for name, one, other in zip(before.materials, before.areas, after.areas, strict=True):
+        drawn = geometry.areas.get(name, 0.0)
+        pairs.append((f'area of "{name}"', float(one), float(other), drawn, "m²"))
+    for what, one, other, drawn, unit in pairs:
+        if one != other and abs(drawn - other) > _OFF_GEOMETRY * other:
+            raise DataError(
+                f"{what}: the finding has {other:.4g} {unit}, the simulator's geometry {drawn:.4g} "
+                f"{unit}; draw it anew"
+            )
+
+
 def _added(case: Case) -> str:
     return "".join(f" with {p.name}" for p in case.applied)
 
@@ -188,81 +216,188 @@ def _base(case: Case) -> Configuration:
     return replace(case.configurations[0], changes={}, suspect_removed=False, air=None)
 
 
-def _air(case: Case) -> Air | None:
-    air = case.room.air
+_DECAY = "a room has surfaces and air only"
+_NO_AIR = "its air is not that of a climate (ISO 9613-1)"
+_TOO_MUCH = "no coefficients from 0 to 1 absorb so much, or so little, on these surfaces"
+
+
+@dataclass(frozen=True, eq=False)
+class _Corrected:
+    """A corrected room, and what links it to the case's state.
+
+    ``stated`` has the stated materials alone. ``whole`` is the state with all effects, ``kept`` the
+    same without the absorption that has become the room's absorbers. ``shares`` are the absorbers'
+    shares of the area, each of what stood before it. The first ``n_coverings`` replace wall, the others
+    are objects. ``absent`` says why a room cannot represent an effect.
+    """
+
+    room: Room
+    stated: Room
+    whole: State
+    kept: State
+    shares: tuple[float, ...]
+    n_coverings: int
+    absent: dict[str, str]
+
+    def state(self, alpha: Array) -> State:
+        """Return the state with the room's coefficients (n_materials, n_bands).
+
+        Coverings and objects stay what they are, so that a decay's shape is the same, too.
+        """
+        n = self.stated.n_materials
+        equation, area = mean_equation(self.whole.equation), self.whole.total_area
+        s = replace(self.kept, alpha=alpha[:n], covering=0.0, objects=0.0)
+        mean = mean_contributions(equation, [s])[0]
+        covering, objects = self.kept.covering, self.kept.objects
+        for i, (w, row) in enumerate(zip(self.shares, alpha[n:], strict=True)):
+            patch = equation.contribution(np.minimum(row, equation.largest_alpha))
+            after = np.minimum((1 - w) * mean + w * patch, highest(equation))
+            if i < self.n_coverings:
+                covering = covering + area * (after - mean)
+            else:
+                objects = objects + area * (equation.exponent(after) - equation.exponent(mean))
+            mean = after
+        return replace(s, covering=covering, objects=objects)
+
+
+def _corrected(case: Case) -> _Corrected:
+    """Return the corrected room: a step per effect, then an absorber for each change of absorption."""
+    base, room, air = _base(case), case.room, case.room.air
+    first = before = state(replace(case, applied=()), base)
+    absent, last_air = dict[str, str](), "air"
+    gains: dict[str, list[tuple[AppliedEffect, Array]]] = {"covering": [], "objects": []}
     for p in case.applied:
-        air = p.effect.air(air, p.parameters)
-    return air
-
-
-def _bare(case: Case) -> State:
-    """The room's state with the volume, areas, air and equation of the finding, without absorbers."""
-    whole = state(case, _base(case))
-    return replace(whole, covering=0.0, objects=0.0, shape=None, floor_db=None, direct_db=0.0)
-
-
-def _stated(case: Case) -> Room:
-    """The stated materials with the volume, areas and air of the finding."""
-    room, bare = case.room, _bare(case)
-    corrected = room.replace(air=_air(case))
-    if bare.volume != room.volume or not np.array_equal(bare.areas, room.areas):
-        corrected = corrected.replace(
-            volume=bare.volume, areas=bare.areas, dimensions=None, surfaces=()
+        after = with_applied(before, [p], base)
+        for name, each in gains.items():
+            gain = getattr(after, name) - getattr(before, name) + np.zeros(room.n_bands)
+            if gain.any():
+                each.append((p, gain))
+        if any(
+            not np.array_equal(getattr(after, f.name), getattr(before, f.name))
+            for f in fields(State)
+            if f.name not in _HELD
+        ):
+            absent[p.name] = _DECAY
+        climate = p.effect.air(air, p.parameters)
+        air = climate if _is_air(climate, after) else air
+        if after.air is not before.air:
+            last_air = p.name
+        before = after
+    whole = before
+    if not _is_air(air, whole):
+        absent[last_air] = _NO_AIR
+    stated = room.replace(
+        air=air,
+        alpha=whole.alpha,
+        sigma=_sigma(case, first, whole),
+        alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min, whole.alpha),
+    )
+    if whole.volume != room.volume or not np.array_equal(whole.areas, room.areas):
+        stated = stated.replace(
+            volume=whole.volume, areas=whole.areas, dimensions=None, surfaces=()
         )
-    return corrected
+    return _with_absorbers(stated, whole, gains, absent)
 
 
-def _corrected(case: Case) -> tuple[Room, tuple[AppliedEffect, ...]]:
-    """The corrected room, and the effects that a `Room` cannot represent."""
-    stated, at, base = _stated(case), _bare(case), _base(case)
-    equation = mean_equation(at.equation)
-    areas, alpha, sigma = stated.areas, [*stated.alpha], [*stated.sigma]
-    names, remaining, sources = list(stated.materials), list[AppliedEffect](), dict(stated.sources)
-    for p in case.applied:
-        after = with_applied(at, [p], base)
-        if after.shape is not None or after.floor_db is not None or after.direct_db:
-            remaining.append(p)
-            continue
-        after = replace(at, covering=after.covering, objects=after.objects)
-        wall, both = _absorption(at), _absorption(after)
-        if np.allclose(wall, both, rtol=0, atol=1e-12):
-            continue  # the room already has the other volume, area, air or equation
-        top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
-        w = float(max(((both - wall) / (top - wall)).max(), ((wall - both) / wall).max()))
-        w = max(w, min(w * (1 + NORMAL_90 * _spread(p)), _LARGEST_SHARE))
-        absorber = np.clip(wall + (both - wall) / w, 0, top)
-        areas = np.append((1 - w) * areas, w * stated.total_area)
-        names.append(p.name if p.name not in names else f"{p.name} (found)")
-        alpha.append(equation.coefficient(absorber))
+def _with_absorbers(
+    stated: Room,
+    whole: State,
+    gains: dict[str, list[tuple[AppliedEffect, Array]]],
+    absent: dict[str, str],
+) -> _Corrected:
+    """Return the room with a material for each effect's coverings, then for each one's objects."""
+    equation = mean_equation(whole.equation)
+    at = kept = replace(whole, covering=0.0, objects=0.0)
+    wall = _absorption(at)
+    top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
+    areas, names, sources = stated.areas, list(stated.materials), dict(stated.sources)
+    alpha, sigma = [*stated.alpha], [*stated.sigma]
+    shares: list[float] = []
+    n_coverings = 0
+    for kind, every in gains.items():
+        for p, gain in every:
+            after = replace(at, **{kind: getattr(at, kind) + gain})
+            both = _absorption(after)
+            if np.allclose(wall, both, rtol=0, atol=_NO_ABSORPTION):
+                kept = replace(kept, **{kind: getattr(kept, kind) + gain})
+                continue
+            with np.errstate(divide="ignore", invalid="ignore"):
+                least = [(both - wall) / (top - wall), (wall - both) / wall]
+                w = float(np.max(np.where(both == wall, 0.0, least)))
+            if not w < 1:  # also where the equation has no mean of such an exponent
+                absent[p.name] = _TOO_MUCH
+                kept = replace(kept, **{kind: getattr(kept, kind) + gain})
+                continue
+            w = max(w, min(w * (1 + NORMAL_90 * _spread(p)), _LARGEST_SHARE))
+            absorber = np.clip(wall + (both - wall) / w, 0, top)
+            areas = np.append((1 - w) * areas, w * stated.total_area)
+            shares.append(w)
+            names.append(_new_name(p.name, names))
+            alpha.append(equation.coefficient(absorber))
+            if p.size_interval is not None:
+                size = amount(p.parameters[p.effect.size], p.effect.unit, p.size_interval)
+                sources[names[-1]] = f"rtcal gap: {size}; the area leaves room for more"
+            mean_wall = stated.absorption_area / stated.total_area
+            sigma.append(np.minimum(np.abs(alpha[-1] - mean_wall) * _spread(p), 1.0))
+            at, wall = after, both
+        if kind == "covering":
+            n_coverings = len(shares)
+    room = stated
+    if shares:
+        further = {"alpha_min": np.zeros(stated.n_bands)}
+        if stated.scattering is not None:
+            further["scattering"] = stated.areas @ stated.scattering / stated.total_area
+        room = stated.replace(
+            materials=names,
+            areas=areas,
+            alpha=alpha,
+            sigma=sigma,
+            surfaces=(),
+            dimensions=None,
+            sources=sources,
+            **{
+                name: np.vstack([rows, *[row] * len(shares)])
+                for name, row in further.items()
+                if (rows := getattr(stated, name)) is not None
+            },
+        )
+    return _Corrected(room, stated, whole, kept, tuple(shares), n_coverings, absent)
+
+
+def _is_air(air: Air | None, s: State) -> bool:
+    """Return whether a state has this air's attenuation."""
+    attenuation = 0.0 if air is None else air.attenuation(s.frequencies)
+    return bool(np.allclose(attenuation, s.air, rtol=1e-12, atol=0))
+
+
+def _sigma(case: Case, before: State, after: State) -> Array:
+    """Return sigma of the stated materials: that of what is seen of them, and of the effects' sizes."""
+    if after.alpha is before.alpha:
+        return case.room.sigma
+    base = _base(case)
+    variance = (case.room.sigma * seen(case, base)) ** 2
+    for i, p in enumerate(case.applied):
         if p.size_interval is not None:
-            sources[names[-1]] = _source(p)
-        sigma.append(np.abs(alpha[-1] - stated.absorption_area / stated.total_area) * _spread(p))
-        at = after
-    new = len(names) - stated.n_materials
-    if not new:
-        return stated, tuple(remaining)
-    walls = {name: getattr(stated, name) for name in ("alpha_min", "scattering")}
-    further = {"alpha_min": 0.0, "scattering": 0.5}
-    return stated.replace(
-        materials=names,
-        areas=areas,
-        alpha=alpha,
-        sigma=sigma,
-        surfaces=(),
-        dimensions=None,
-        sources=sources,
-        **{
-            name: np.vstack([rows, np.full((new, stated.n_bands), further[name])])
-            for name, rows in walls.items()
-            if rows is not None
-        },
-    ), tuple(remaining)
+            low, high = (
+                state(replace(case, applied=_sized(case, i, end)), base).alpha
+                for end in p.size_interval
+            )
+            variance = variance + ((high - low) / (2 * NORMAL_90)) ** 2
+    return np.minimum(np.sqrt(variance), 1.0)
 
 
-def _source(p: AppliedEffect) -> str:
-    low, high = p.size_interval or (np.nan, np.nan)
-    size = amount(p.parameters[p.effect.size], p.effect.unit)
-    return f"rtcal gap: {size}, 90 % {low:.3g} to {high:.3g}; the area leaves room for more"
+def _sized(case: Case, i: int, size: float) -> list[AppliedEffect]:
+    """Return the case's effects, the one at ``i`` with another size."""
+    out = list(case.applied)
+    out[i] = replace(out[i], parameters={**out[i].parameters, out[i].effect.size: size})
+    return out
+
+
+def _new_name(name: str, names: list[str]) -> str:
+    """Return a name that is not among ``names``."""
+    while name in names:
+        name = f"{name} (found)"
+    return name
 
 
 def _spread(p: AppliedEffect) -> float:

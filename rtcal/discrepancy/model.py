@@ -134,13 +134,17 @@ def _stacked(states: Sequence[State]) -> tuple[Array, Array]:
     return np.array([s.areas for s in states]), np.array([s.alpha for s in states])
 
 
-def _mean(equation: MeanEquation, states: Sequence[State]) -> Array:
+def highest(equation: MeanEquation) -> float:
+    """Return the largest mean over the walls that is not so large that T becomes 0."""
+    return (1 - _FROM_ENDS) * equation.largest_mean
+
+
+def mean_contributions(equation: MeanEquation, states: Sequence[State]) -> Array:
     """Return the equation's mean over the walls, (n, n_bands), within the equation's range."""
     areas, alpha = _stacked(states)
     walls = equation.contribution(np.minimum(alpha, equation.largest_alpha))
     total = np.einsum("nm,nmk->nk", areas, walls) + _attribute(states, "covering")
-    highest = (1 - _FROM_ENDS) * equation.largest_mean
-    return np.asarray(np.clip(total / areas.sum(1)[:, None], _FROM_ENDS, highest))
+    return np.asarray(np.clip(total / areas.sum(1)[:, None], _FROM_ENDS, highest(equation)))
 
 
 def surface_absorption(states: Sequence[State]) -> Array:
@@ -149,8 +153,13 @@ def surface_absorption(states: Sequence[State]) -> Array:
     for equation, where in _by_equation(states):
         group = [states[i] for i in where]
         areas = np.array([s.total_area for s in group])[:, None]
-        out[where] = areas * equation.exponent(_mean(equation, group))
+        out[where] = areas * equation.exponent(mean_contributions(equation, group))
     return out
+
+
+def speeds(states: Sequence[State]) -> Array:
+    """Return the speeds of sound in m/s, (n,)."""
+    return np.array([s.speed_of_sound for s in states])
 
 
 def rates(states: Sequence[State]) -> Array:
@@ -158,7 +167,7 @@ def rates(states: Sequence[State]) -> Array:
     volume = np.array([s.volume for s in states])[:, None]
     absorbed = surface_absorption(states) + 4 * _attribute(states, "air") * volume
     absorbed += _attribute(states, "objects")
-    return np.asarray(states[0].speed_of_sound * absorbed / (4 * volume))
+    return np.asarray(speeds(states)[:, None] * absorbed / (4 * volume))
 
 
 def sensitivities(states: Sequence[State]) -> Array:
@@ -167,10 +176,11 @@ def sensitivities(states: Sequence[State]) -> Array:
     for equation, where in _by_equation(states):
         group = [states[i] for i in where]
         areas, alpha = _stacked(group)
-        slope = equation.slope(np.minimum(_mean(equation, group), STEEPEST))[:, None, :]
+        mean = mean_contributions(equation, group)
+        slope = equation.slope(np.minimum(mean, STEEPEST))[:, None, :]
         walls = equation.contribution_slope(np.minimum(alpha, STEEPEST))
         volume = np.array([s.volume for s in group])[:, None]
-        flow = states[0].speed_of_sound / (4 * volume) * areas
+        flow = speeds(group)[:, None] / (4 * volume) * areas
         out[where] = flow[:, :, None] * slope * walls
     return out
 
@@ -195,8 +205,7 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
         floor = np.array([np.nan if s.floor_db is None else s.floor_db for s in group])
         record = np.array([s.record for s in group])
         direct = np.array([s.direct_db for s in group])
-        c = states[0].speed_of_sound
-        at = np.asarray(distance)
+        c, at = speeds(group), np.asarray(distance)
         features[members] = _levels(weights, rate, direct, at, c)
         shifted[members] = _levels(weights, rate / 1.01, direct, at, c)
         if rate.shape[2] == 1 and not np.isfinite(floor).any():
@@ -242,18 +251,19 @@ def _alike(states: Sequence[State]) -> list[tuple[list[int], Decay]]:
     return out
 
 
-def _levels(weights: Array, rates: Array, direct_db: Array, distance: Array, c: float) -> Array:
+def _levels(weights: Array, rates: Array, direct_db: Array, distance: Array, c: Array) -> Array:
     """C80 and G (rows 3 and 4), averaged over the distances; the other rows are 0."""
     out = np.zeros((len(weights), len(FEATURES), weights.shape[1]))
 
     # Barron and Lee 1988: sound at a distance has decayed since the emission of the direct sound.
     def left(t: Array) -> Array:
-        decayed = np.exp(-rates[..., None] * t[None, None, None, :])
+        decayed = np.exp(-rates[..., None] * t[:, None, None, :])
         return np.asarray(np.sum((weights / rates)[..., None] * decayed, axis=2))
 
-    arrival = distance / c
-    reverberant = 4 * np.pi * 100 * c * left(arrival)
-    late = 4 * np.pi * 100 * c * left(arrival + 0.08)
+    arrival = distance / c[:, None]
+    power = 4 * np.pi * 100 * c[:, None, None]
+    reverberant = power * left(arrival)
+    late = power * left(arrival + 0.08)
     direct = (100 / distance**2)[None, None, :] * 10 ** (direct_db / 10)[:, None, None]
     early = direct + reverberant - late
     out[:, 3] = 10 * np.log10(early / late).mean(-1)

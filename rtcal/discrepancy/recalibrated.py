@@ -36,6 +36,8 @@ class Recalibrated(Result):
         Sizes of the effects that have one, in the effect's unit.
     features : array (n_configurations, n_features, n_bands)
         Predicted: ln T20, ln EDT/T20, ln T30/T20, C80 and G in dB, the model's bias left out.
+    off : float
+        Root mean square of the fitted ln T less the measured one, over its standard deviation.
     joint : JointResult
         The QP's answer, in which a configuration's changed materials have names of their own.
     """
@@ -47,6 +49,7 @@ class Recalibrated(Result):
     changed: Mapping[tuple[str, str], Array]
     sizes: Mapping[str, float]
     features: Array
+    off: float
     joint: JointResult
 
     @cached_property
@@ -115,8 +118,7 @@ class Recalibrated(Result):
         if size is None:
             return f"{name}: {p.effect.describe(p.parameters)}"
         source = ", calibrated to T20 alone" if p.name in self.joint.effects else ""
-        interval = "" if ends is None else f" (90 %: {ends[0]:.3g} to {ends[1]:.3g})"
-        return f"{name}{source}: {amount(size, p.effect.unit)}{interval}"
+        return f"{name}{source}: {amount(size, p.effect.unit, ends)}"
 
     def __repr__(self) -> str:
         """Return one line: the room, and the effects with their sizes."""

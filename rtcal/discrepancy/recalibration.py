@@ -29,7 +29,7 @@ from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
 from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.discrepancy.recalibrated import Recalibrated
-from rtcal.discrepancy.states import distances, state
+from rtcal.discrepancy.states import air_of, distances, seen, state
 from rtcal.errors import MissingAirWarning
 from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
@@ -44,6 +44,8 @@ _HALVINGS = 6
 _NEAR = 3.0
 """Standard deviations of the measured T within which no step is halved: there the prior pulls, too."""
 _SMALLEST = 1e-3
+_LEAST_SEEN = 1e-3
+"""Share of a material that the QP counts as seen, however much of it is covered."""
 _MISFIT = 0.15
 """Relative standard deviation of an effect's change of T: half of its
 variance is common to all bands (`Effect.spectrum_error`), half is not (`Effect.formula_error`)."""
@@ -110,12 +112,22 @@ def _calibrated(
     done = replace(whole, applied=applied if fitted.applied else whole.applied)
     features = np.array(
         [
-            predict([_state(done, c, point.alpha, point.changed)], distances(whole, c)).features[0]
+            predict(
+                [
+                    state(
+                        done,
+                        replace(c, changes={}),
+                        _coefficients(whole, c, point.alpha, point.changed),
+                    )
+                ],
+                distances(whole, c),
+            ).features[0]
             for c in whole.configurations
         ]
     )
     sizes = {p.name: _size(p) for p in applied if np.isfinite(p.effect.neutral)}
-    return Recalibrated(done, point.alpha, point.changed, sizes, features, solved)
+    off = float(np.sqrt(np.nanmean(((point.log_time - measured) / u) ** 2)))
+    return Recalibrated(done, point.alpha, point.changed, sizes, features, off, solved)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,37 +140,47 @@ class _Point:
 
     @cached_property
     def states(self) -> list[State]:
-        case = self.case
-        return [_state(case, c, self.alpha, self.changed) for c in case.configurations]
+        each = zip(self.case.configurations, self.coefficients, strict=True)
+        return [state(self.case, replace(c, changes={}), alpha) for c, alpha in each]
+
+    @cached_property
+    def coefficients(self) -> list[Array]:
+        """The unknowns of each configuration (n_materials, n_bands), before any effect on them."""
+        return [
+            _coefficients(self.case, c, self.alpha, self.changed) for c in self.case.configurations
+        ]
 
     @cached_property
     def log_time(self) -> Array:
         """ln T of the model, (n_configurations, n_bands)."""
-        return self.log_time_of(self.states)
-
-    def log_time_of(self, states: list[State]) -> Array:
-        """The same in other states of the configurations."""
         where = [distances(self.case, c) for c in self.case.configurations]
-        pairs = zip(states, where, strict=True)
+        pairs = zip(self.states, where, strict=True)
         return np.log([predict([s], d).reverberation_time[0] for s, d in pairs])
+
+    def scaled(self, factor: float) -> _Point:
+        """The point with all coefficients times ``factor``."""
+        changed = {key: value * factor for key, value in self.changed.items()}
+        return _Point(self.case, self.alpha * factor, changed)
 
 
 def _step(point: _Point, measured: Array, u: Array, *, exact: bool) -> JointResult:
     """Solve the QP of a Gauss-Newton step: its T is corrected by what the model's T differs."""
     case, states = point.case, point.states
-    rooms = [_room(case.room, c, s) for c, s in zip(case.configurations, states, strict=True)]
-    equation = _equation(case, states[0])
-    gains = _gains(case, states)
+    rooms = [_room(case, c, s) for c, s in zip(case.configurations, states, strict=True)]
+    equation = replace(
+        mean_equation(states[0].equation).linear(), speed_of_sound=states[0].speed_of_sound
+    )
+    gains = _gains(point)
 
-    def qp_log_time(states: list[State]) -> Array:
+    def qp_log_time(of: _Point) -> Array:
         # The QP sees the absorption of its effects only through these unknowns.
         sizes = [[(g[c], _size(p)) for p, g in gains] for c in range(len(rooms))]
-        each = zip(rooms, states, sizes, strict=True)
-        return np.log([_qp_time(equation, r, s, size) for r, s, size in each])
+        each = zip(rooms, of.coefficients, sizes, strict=True)
+        return np.log([_qp_time(equation, r, alpha, size) for r, alpha, size in each])
 
-    scaled = [replace(s, alpha=s.alpha * (1 + _STEP)) for s in states]
-    now = qp_log_time(states)
-    by_qp, by_model = qp_log_time(scaled) - now, point.log_time_of(scaled) - point.log_time
+    less = point.scaled(1 - _STEP)
+    now = qp_log_time(point)
+    by_qp, by_model = qp_log_time(less) - now, less.log_time - point.log_time
     # If the model's T hardly depends on alpha, as when the coupled room decays last, the slope is small
     # and T has little weight. Where every alpha is 0, both are 0.
     slope = np.divide(by_model, by_qp, out=np.ones_like(by_qp), where=by_qp != 0)
@@ -172,7 +194,7 @@ def _step(point: _Point, measured: Array, u: Array, *, exact: bool) -> JointResu
 def _reached(case: Case, solved: JointResult) -> _Point:
     alpha, changed = _values(case, solved)
     sizes = solved.effects
-    effects = [_resized(p, sizes) if p.name in sizes else p for p in case.applied]
+    effects = [_resized(case, p, sizes) if p.name in sizes else p for p in case.applied]
     return _Point(replace(case, applied=effects), alpha, changed)
 
 
@@ -222,13 +244,13 @@ def _relative_spread(p: AppliedEffect) -> float:
     return min(p.size_sigma / max(apart, _SMALLEST), 1.0) if p.size_sigma else 0.0
 
 
-def _state(
+def _coefficients(
     case: Case, c: Configuration, alpha: Array, changed: Mapping[tuple[str, str], Array]
-) -> State:
+) -> Array:
     values = np.array(alpha)
     for material, change in c.changes.items():
         values[case.room.material_index(material)] = changed.get((c.name, material), change.alpha)
-    return state(case, replace(c, changes={}), values)
+    return values
 
 
 def _name(c: Configuration, material: str) -> str:
@@ -236,8 +258,10 @@ def _name(c: Configuration, material: str) -> str:
     return f"{material} in {c.name}" if material in c.changes else material
 
 
-def _room(room: Room, c: Configuration, s: State) -> Room:
-    """The configuration's room for the QP: true areas and volume, prior alpha and sigma."""
+def _room(case: Case, c: Configuration, s: State) -> Room:
+    """The configuration's room for the QP: areas that are seen, volume, prior alpha and sigma."""
+    room = case.room
+    visible = np.clip(seen(case, c).mean(1), _LEAST_SEEN, None)
     alpha, sigma = np.array(room.alpha), np.array(room.sigma)
     for material, change in c.changes.items():
         row = room.material_index(material)
@@ -247,18 +271,14 @@ def _room(room: Room, c: Configuration, s: State) -> Room:
         name=c.name,
         volume=s.volume,
         materials=[_name(c, m) for m in room.materials],
-        areas=s.areas,
+        areas=s.areas * visible,
         alpha=alpha,
         sigma=sigma,
         centre_frequencies=room.centre_frequencies,
-        air=c.air or room.air,
+        air=air_of(case, c),
         alpha_min=least,
         band_correlation=room.band_correlation,
     )
-
-
-def _equation(case: Case, s: State) -> LinearEquation:
-    return replace(mean_equation(s.equation).linear(), speed_of_sound=case.room.speed_of_sound)
 
 
 def _size(p: AppliedEffect) -> float:
@@ -270,30 +290,34 @@ def _spread(p: AppliedEffect) -> float:
     return max(_size(p), _SMALLEST)
 
 
-def _resized(p: AppliedEffect, sizes: Mapping[str, float]) -> AppliedEffect:
-    return replace(p, parameters={**p.parameters, p.effect.size: sizes[p.name]})
+def _resized(case: Case, p: AppliedEffect, sizes: Mapping[str, float]) -> AppliedEffect:
+    """The effect with another size, within what is possible."""
+    ends = p.effect.limits(case.room).get(p.effect.size, (-np.inf, np.inf))
+    size = float(np.clip(sizes[p.name], *ends))
+    return replace(p, parameters={**p.parameters, p.effect.size: size})
 
 
-def _gains(case: Case, states: list[State]) -> list[tuple[AppliedEffect, Array]]:
+def _gains(point: _Point) -> list[tuple[AppliedEffect, Array]]:
     """Return the effects whose size the QP estimates, each with the absorption area of one unit in m².
 
     The areas are (n_configurations, n_bands).
     """
-    gains = []
+    case, gains = point.case, []
     for i, p in enumerate(case.applied):
-        if p.size_interval is not None:
-            continue  # its size is known from all data, of which the QP has T20 alone
+        # A size with an interval is known from all data, of which the QP has T20 alone.
+        if p.size_interval is not None or p.effect.size in p.effect.discrete:
+            continue
         others = [q for j, q in enumerate(case.applied) if j != i]
         # The slope is needed also at a size of 0.
         size = max(_size(p), _SMALLEST)
         resized = [*case.applied]
-        resized[i] = _resized(p, {p.name: size})
+        resized[i] = _resized(case, p, {p.name: size})
         rows: list[Array | None] = []
-        for c, s in zip(case.configurations, states, strict=True):
+        for c, alpha in zip(case.configurations, point.coefficients, strict=True):
             unchanged = replace(c, changes={})
-            without = state(replace(case, applied=others), unchanged, s.alpha)
+            without = state(replace(case, applied=others), unchanged, alpha)
             added = p.effect.added_absorption(
-                without, state(replace(case, applied=resized), unchanged, s.alpha)
+                without, state(replace(case, applied=resized), unchanged, alpha)
             )
             rows.append(None if added is None else added / _slope(without) / size)
         if all(row is not None for row in rows):
@@ -309,10 +333,10 @@ def _slope(s: State) -> Array:
 
 
 def _qp_time(
-    equation: LinearEquation, room: Room, s: State, gains: list[tuple[Array, float]]
+    equation: LinearEquation, room: Room, alpha: Array, gains: list[tuple[Array, float]]
 ) -> Array:
-    """T by the QP's equation for the state's alpha and the effects that the QP calibrates."""
-    area = room.areas @ s.alpha + sum((g * size for g, size in gains), np.zeros_like(s.air))
+    """T by the QP's equation for its unknowns: alpha, and the effects that the QP calibrates."""
+    area = room.areas @ alpha + sum((g * size for g, size in gains), np.zeros(room.n_bands))
     top = equation.largest_mean * room.total_area
     return equation.time(room, np.clip(area, 1e-6, 0.999 * top))
 

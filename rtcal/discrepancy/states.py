@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from rtcal.acoustics.air import Air
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.configuration import Configuration
 from rtcal.discrepancy.effects.checks import changed_states
@@ -18,6 +20,8 @@ between two points of a cube (Robbins 1978)."""
 DISTANCE_ERROR = 0.35
 """Standard deviation of its logarithm: that of the distance between two points of a cube is 0.45 of one
 pair, less of a mean over pairs."""
+_STEP = 1e-4
+"""Step of alpha for a derivative."""
 
 
 def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> State:
@@ -51,6 +55,28 @@ def with_applied(
         if not (configuration.suspect_removed and added.effect.removable):
             (unchanged,) = changed_states(added.effect, unchanged, [added.parameters])
     return unchanged
+
+
+def air_of(case: Case, configuration: Configuration) -> Air | None:
+    """Return the climate of a configuration, with the applied effects."""
+    air = configuration.air or case.room.air
+    for added in case.applied:
+        air = added.effect.air(air, added.parameters)
+    return air
+
+
+def seen(case: Case, configuration: Configuration, alpha: Array | None = None) -> Array:
+    """Return d (alpha of the state) / d (alpha of the room), (n_materials, n_bands).
+
+    It is 1 but where an applied effect changes alpha: what is covered is not seen.
+    """
+    at = np.array(case.room.alpha if alpha is None else alpha)
+    unchanged = replace(configuration, changes={})
+    after = state(case, unchanged, at).alpha
+    if np.array_equal(after, at):
+        return np.ones_like(at)
+    step = np.where(at < 0.5, _STEP, -_STEP)
+    return np.asarray((state(case, unchanged, at + step).alpha - after) / step)
 
 
 def distances(case: Case, configuration: Configuration) -> Array:

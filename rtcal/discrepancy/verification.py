@@ -33,6 +33,9 @@ from rtcal.support.results import Result
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
+MET = 2.0
+"""Standard deviations of T within which a calibration has met it."""
+
 
 @dataclass(frozen=True)
 class Gap:
@@ -138,6 +141,21 @@ class Verification(Result):
             f"{_better(self.predictive)}. {sure}"
         )
 
+    @property
+    def _fitted_in_words(self) -> str:
+        """How closely the two calibrations meet the T that they were fitted to."""
+        off = self.corrected.off
+        if off <= MET:
+            return (
+                "Plain calibration meets the fitted T20 exactly. The corrected one meets it as closely "
+                "as the uncertainty of T allows."
+            )
+        return (
+            f"The corrected model does not meet the fitted T20: it is {off:.1f} times as far off "
+            "as the uncertainty of T allows. So no coefficients near the stated ones go with this "
+            "effect and size."
+        )
+
     def __repr__(self) -> str:
         """Return one line: verdict, effect, and the gap before and after."""
         return (
@@ -174,10 +192,7 @@ class Verification(Result):
                 "Once T20 is fitted, the corrected model predicts what alpha cannot absorb "
                 f"{_better(self.predictive)} than the plain one."
             )
-        lines += text.wrapped(
-            "Plain calibration meets the fitted T20 exactly. The corrected one meets it as closely as "
-            "the uncertainty of T allows."
-        )
+        lines += text.wrapped(self._fitted_in_words)
         room = self.finding.case.room
         lines += table(room, {"plain": self.plain, "corrected": self.corrected})
         return "\n".join(lines)

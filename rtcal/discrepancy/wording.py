@@ -7,15 +7,17 @@ from collections.abc import Sequence
 NATS = "2.3 nats are odds of ten to one"
 
 
-def amount(value: float, unit: str) -> str:
-    """Return a size with its unit; a ratio as so many times.
+def amount(value: float, unit: str, interval: tuple[float, float] | None = None) -> str:
+    """Return a size with its unit and its 90 % interval; a ratio as so many times.
 
-    >>> amount(2.0, "of the stated area"), amount(12.3, "m²")
-    ('2 times the stated area', '12.3 m²')
+    >>> amount(2.0, "of the stated area"), amount(12.3, "m²", (8.0, 17.0))
+    ('2 times the stated area', '12.3 m² (90 %: 8 to 17)')
+    >>> amount(0.875, "of its area covered", (0.47, 1.0))
+    '0.875 of its area covered (90 %: 0.47 to 1)'
     """
-    if unit.startswith("of "):
-        return f"{value:.3g} times {unit.removeprefix('of ')}"
-    return f"{value:.3g} {unit}"
+    times = unit.replace("of the stated ", "times the stated ")
+    ends = "" if interval is None else f" (90 %: {interval[0]:.3g} to {interval[1]:.3g})"
+    return f"{value:.3g} {times}{ends}"
 
 
 def engine_title(name: str) -> str:

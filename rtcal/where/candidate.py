@@ -87,7 +87,7 @@ class Candidate:
         """Size with its interval; "" where there is none."""
         if not np.isfinite(self.size):
             return ""
-        return f"{amount(self.size, self.unit)} (90 %: {self.low:.3g} to {self.high:.3g})"
+        return amount(self.size, self.unit, (self.low, self.high))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""

@@ -35,7 +35,7 @@ class Effect(ABC):
     size : str
         The parameter that says how much of the effect there is.
     unit : str
-        The size's unit.
+        The size's unit, as text that follows the value.
     neutral : float
         The size that changes nothing. NaN where there is none: the effect then has no size interval.
     removable : bool

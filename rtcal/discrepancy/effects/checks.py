@@ -29,7 +29,12 @@ _ARRAYS = {
     "covering": (-np.inf, np.inf),
     "objects": (-np.inf, np.inf),
 }
-_NUMBERS = {"volume": (1e-6, np.inf), "record": (1e-6, np.inf), "direct_db": (-np.inf, np.inf)}
+_NUMBERS = {
+    "volume": (1e-6, np.inf),
+    "speed_of_sound": (1e-6, np.inf),
+    "record": (1e-6, np.inf),
+    "direct_db": (-np.inf, np.inf),
+}
 
 
 def checked_effects(effects: object) -> tuple[Effect, ...]:

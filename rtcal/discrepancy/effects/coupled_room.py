@@ -18,7 +18,7 @@ from rtcal.discrepancy.effects.base import (
     first_decay,
     middle_absorption,
 )
-from rtcal.discrepancy.model import Decay, State, rates
+from rtcal.discrepancy.model import Decay, State, rates, speeds
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class CoupledDecay:
     @staticmethod
     def together(states: Sequence[State], shapes: Sequence[CoupledDecay]) -> Decay:
         """Return the decays of many states, each with its shape: (n, n_bands, 2)."""
-        c, opening = states[0].speed_of_sound, np.ones_like(states[0].frequencies)
+        c, opening = speeds(states)[:, None], np.ones_like(states[0].frequencies)
         aperture = np.array([[s.aperture] for s in shapes])
         volume = np.array([[s.volume] for s in shapes])
         first_volume = np.array([[s.volume] for s in states])

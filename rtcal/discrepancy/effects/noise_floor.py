@@ -21,7 +21,7 @@ class NoiseFloor(Effect):
     name: ClassVar[str] = "noise floor"
     family: ClassVar[str] = "measurement"
     size: ClassVar[str] = "level"
-    unit: ClassVar[str] = "dB under the start of the decay"
+    unit: ClassVar[str] = "dB relative to the start of the decay"
     neutral: ClassVar[float] = -90.0
     size_error: ClassVar[float] = 1.2
     parameter_units: ClassVar[Mapping[str, str]] = {"level": " dB", "record": " times T"}

@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcal.acoustics.room import Room
 from rtcal.discrepancy.effects.base import Effect, Limits, Parameters, first_decay
-from rtcal.discrepancy.model import Decay, State, surface_absorption
+from rtcal.discrepancy.model import Decay, State, speeds, surface_absorption
 from rtcal.support.types import Array
 
 _TERMS = 12
@@ -30,7 +30,7 @@ class NonDiffuse(Effect):
     formula_error: ClassVar[float] = 0.35
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.2, 0.1, 0.3)
     size: ClassVar[str] = "scattering"
-    unit: ClassVar[str] = "scattering coefficient"
+    unit: ClassVar[str] = "as scattering coefficient"
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.5
     # A simulator with geometry has such a field by itself.
@@ -68,7 +68,7 @@ class DirectionalDecay:
     def together(states: Sequence[State], shapes: Sequence[DirectionalDecay]) -> Decay:
         """Return the decays of many states, each with its shape: (n, n_bands, n_directions)."""
         u, weight = _directions()
-        c = states[0].speed_of_sound
+        c = speeds(states)[:, None]
         volume = np.array([[s.volume] for s in states])
         area = np.array([[s.total_area] for s in states])
         # Shares of the surfaces' absorption by axis; equal shares where they absorb nothing.
@@ -80,7 +80,7 @@ class DirectionalDecay:
             ]
         )
         absorbed = by_axis * surface_absorption(states)[:, None, :]
-        rate = c / (2 * volume[:, :, None]) * (u.T @ absorbed).swapaxes(1, 2)
+        rate = c[:, :, None] / (2 * volume[:, :, None]) * (u.T @ absorbed).swapaxes(1, 2)
         nothing = np.zeros_like(states[0].air)
         everywhere = c * np.array([s.air + (s.objects + nothing) / (4 * s.volume) for s in states])
         nu = np.array([[s.scattering] for s in shapes]) * c * area / (4 * volume)
