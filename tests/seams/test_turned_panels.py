@@ -1,0 +1,64 @@
+"""Law: what is found, added, calibrated, verified and printed of one room says one thing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.discrepancy import corrected_room, find, simulator, verify
+from rtcal.report.gap_words import rests_on, to_do
+from tests.seams.turned_panels import laboratory
+
+TURNED = 0.9
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["once", "turned back"])
+def test_turned_panels_are_named_added_and_verified(again: bool, tmp_path: Path) -> None:
+    pytest.importorskip("numba", reason="the control rooms are compiled (extra fast)")
+    case = laboratory(TURNED, turned_back=again)
+    finding = find(case, cache=tmp_path)
+    assert (finding.verdict, finding.effect) == ("named", "covered surface")
+    assert finding.title == 'covered surface of "panels"'
+    size = finding.size
+    assert size is not None
+    assert size.low < TURNED < size.high <= 1
+    assert "of its area covered" in str(finding)
+
+    corrected = finding.apply()
+    room = corrected_room(corrected)
+    room.save(str(tmp_path / "room.toml"))
+    measured = case.configurations[0].measured.mean("t20")
+    off = {
+        name: np.abs(np.log(rt.Eyring().reverberation_time(r) / measured)).mean()
+        for name, r in (
+            ("stated", case.room),
+            ("written", rt.Room.from_file(str(tmp_path / "room.toml"))),
+        )
+    }
+    assert off["stated"] > 0.7
+    assert off["written"] < 0.25 * off["stated"]
+    modelled = simulator(corrected).simulate(room.alpha).mean("t20")
+    np.testing.assert_allclose(rt.Eyring().reverberation_time(room), modelled, rtol=1e-9)
+    # Calibrating the written room moves no stated material to an end: no floor is driven to 0.
+    calibrated = rt.calibrate(room, case.configurations[0].measured)
+    assert calibrated.alpha.min() > 0
+    assert np.abs((calibrated.alpha - room.alpha) / room.sigma).max() < 2.5
+
+    done = verify(finding)
+    fitted = next(g for g in done.gaps if g.fitted)
+    assert fitted.after < 2
+    assert done.corrected.off < 1
+    assert "as closely as the uncertainty of T allows" in " ".join(str(done).split())
+    words = " ".join([*rests_on(finding, done), *to_do(finding, done)])
+    assert "speaks against" not in words
+    assert "Use neither" not in words
+    if again:  # alpha cannot be that of both states, so the gap shrinks, and only then is it proof
+        assert done.verdict == "supported"
+        assert done.after < 0.2 * done.before
+        assert "which supports the finding" in words
+    else:
+        assert done.verdict == "unproven"
+        assert done.predictive > 0
