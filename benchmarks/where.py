@@ -40,6 +40,7 @@ from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.discrepancy import find
 from rtcal.loop.control_runs import control_runs
+from rtcal.where import track_record
 from rtcal.where.detection import of_means
 from rtcal.where.find import every_hypothesis
 from rtcal.where.model import Model, model
@@ -57,7 +58,7 @@ from tests.geometric_world.load import (
     without_noise,
 )
 
-PATHS = 6000
+PATHS = track_record.PATHS
 STATEMENTS = IN_SITU, HANDBOOK
 MATCH = ("t20", "edt", "c80", "ts", "level")
 PRESENT = "sixth"

@@ -23,6 +23,7 @@ from rtcal.calibration.problem import Calibration
 from rtcal.errors import DataError, RtcalError, SimulatorError
 from rtcal.loop.control_runs import POSITION, ControlRuns
 from rtcal.loop.matched import Weights
+from rtcal.loop.measured_pairs import Pair, left_out, refuse_unknown
 from rtcal.loop.positions import calibrate_positions
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
@@ -47,6 +48,7 @@ def calibrate_simulator(
     *,
     match: tuple[Literal["t20"]] = ("t20",),
     weights: Weights | None = None,
+    exclude: Sequence[tuple[str, str]] = (),
     method: str = "mle",
     equation: LinearEquation | None = None,
     decimals: int | None = None,
@@ -117,7 +119,7 @@ def calibrate_simulator(
         every pair: some of "t20", "edt", "c80", "ts", "level", "t30" and "c50". The level is the
         measured G, or "level", whose reference all positions of a source share.
     exclude : sequence of (source, receiver)
-        Every position: pairs that are left out.
+        Measured pairs that are left out, of what is simulated, too.
     calibration : Calibration, optional
         Every position: prior, further terms and constraints. By default the room's prior alone.
     controls : ControlRuns, optional
@@ -188,6 +190,7 @@ def calibrate_simulator(
     """
     _check_simulator(simulator, room)
     match = checked_parameters(match)
+    exclude = checks.pairs("exclude", exclude)
     checks.whole("seed", seed, 0)
     if match != _ALONE:
         _refuse(
@@ -218,7 +221,6 @@ def calibrate_simulator(
         )
     _refuse(
         match,
-        exclude=len(exclude) > 0,
         calibration=calibration is not None,
         controls=controls is not None,
         cache=cache is not None,
@@ -227,6 +229,10 @@ def calibrate_simulator(
         progress=progress is not None,
     )
     measured, repeated = at_places(simulator, measured)
+    if exclude:
+        refuse_unknown(exclude, measured)
+        measured = _without(measured, exclude)
+        repeated = (*repeated, left_out(exclude))
     loop = start(
         room,
         measured,
@@ -237,7 +243,7 @@ def calibrate_simulator(
         tolerance=tolerance,
         weights=weights,
     )
-    result = _run(simulator, loop, max_simulations, seed, after_step)
+    result = _run(simulator, loop, max_simulations, seed, after_step, exclude)
     return replace(
         result,
         measured=measurement_in_room_bands(measured, room.centre_frequencies),
@@ -269,12 +275,13 @@ def _run(
     max_simulations: int,
     seed: int,
     after_step: Callable[[Loop], None] | None,
+    exclude: Sequence[Pair],
 ) -> LoopResult:
     """Simulate and step until the loop is finished or no call is left; see `calibrate_simulator`."""
     if after_step is not None and not callable(after_step):
         raise DataError(f"after_step = {after_step!r} cannot be called")
     checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
-    calls = _Calls(simulator, max(max_simulations - 1, 1))
+    calls = _Calls(simulator, max(max_simulations - 1, 1), exclude)
     try:
         while not loop.finished and calls.left:
             step = _simulate_step(calls, loop, seed)
@@ -288,6 +295,12 @@ def _run(
     except RtcalError as error:
         error.loop = loop
         raise
+
+
+def _without(measurement: Measurement, exclude: Sequence[Pair]) -> Measurement:
+    """Return a measurement without some pairs, so that means are over the same ones."""
+    kept = [pair for pair in measurement.pairs if pair not in exclude]
+    return measurement if len(kept) == len(measurement.pairs) else measurement.select(kept)
 
 
 def _check_simulator(simulator: Simulator, room: Room) -> None:
@@ -310,6 +323,7 @@ class _Calls:
 
     simulator: Simulator
     limit: int
+    exclude: Sequence[Pair]
     number: int = 0
     answers: list[tuple[Array, int, Measurement]] = field(default_factory=list)
 
@@ -319,7 +333,7 @@ class _Calls:
 
     def simulate(self, alpha: Array, seed: int) -> Measurement:
         self.number += 1
-        measurement = run(self.simulator, alpha, seed=seed)
+        measurement = _without(run(self.simulator, alpha, seed=seed), self.exclude)
         self.answers.append((alpha, seed, measurement))
         return measurement
 

@@ -99,9 +99,7 @@ def measured_pairs(
         )
     measured.refuse_large_uncertainty()
     notes, pairs = [], simulated.pairs
-    for pair in exclude:
-        if pair not in measured.pairs:
-            raise DataError(f"exclude has {' to '.join(pair)}, which the measurement lacks")
+    refuse_unknown(exclude, measured)
     unknown = [p for p in measured.pairs if p not in pairs]
     kept = tuple(p for p in pairs if p in measured.pairs and p not in exclude)
     if not kept:
@@ -112,7 +110,7 @@ def measured_pairs(
     if unknown:
         notes.append(f"Left out, since the simulator has no such pair: {_names(unknown)}.")
     if exclude:
-        notes.append(f"Left out, as asked for: {_names(exclude)}.")
+        notes.append(left_out(exclude))
     in_room = band_conversion.measurement_in_room_bands(measured, room.centre_frequencies)
     level = ""
     if "level" in match:
@@ -157,6 +155,18 @@ def measured_pairs(
         notes=tuple(notes),
         fingerprints=fingerprints(room, observations, measured),
     )
+
+
+def refuse_unknown(exclude: Sequence[Pair], measured: Measurement) -> None:
+    """Raise DataError if a pair that is to be left out was not measured."""
+    for pair in exclude:
+        if pair not in measured.pairs:
+            raise DataError(f"exclude has {' to '.join(pair)}, which the measurement lacks")
+
+
+def left_out(exclude: Sequence[Pair]) -> str:
+    """Return a note of the pairs that were left out."""
+    return f"Left out, as asked for: {_names(exclude)}."
 
 
 def with_reference(levels: Array, like: Array, pairs: Sequence[Pair]) -> Array:

@@ -187,8 +187,9 @@ class PathTracing(Tracer):
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
         self._check_number(number)
-        energy = decay_long_enough(
-            lambda seconds: self._in_groups(alpha, seconds, number, seed),
+        # Each group is to hold the decay times, so no mean over the groups is asked.
+        (energy,) = decay_long_enough(
+            lambda seconds: self._in_groups(alpha, seconds, number, seed)[np.newaxis],
             self.room,
             alpha,
             _longest(match),

@@ -15,7 +15,7 @@ from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import POSITION, checked_uncertainty
-from rtcal.loop.measured_pairs import Pair, history
+from rtcal.loop.measured_pairs import Pair, history, refuse_unknown
 from rtcal.simulators.base import at_places
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import MATCH, checked_parameters
@@ -63,8 +63,8 @@ class Case:
     Raises
     ------
     DataError
-        If the measurement is a mean over pairs, if the room was calibrated already, or for a
-        surface, parameter or number that breaks its rule.
+        If the measurement is a mean over pairs, if the room was calibrated already, if a pair of
+        ``exclude`` was not measured, or for a surface, parameter or number that breaks its rule.
     """
 
     simulator: PathTracing
@@ -92,6 +92,7 @@ class Case:
                     f"{name} holds means over pairs; to say where, it needs a row for each source and "
                     "receiver. Without a geometry rtcal.discrepancy says what is missing"
                 )
+        refuse_unknown(self.exclude, self.measured)
         if self.simulated is not None:
             self._check_simulated(self.simulated)
         if history(self.room):

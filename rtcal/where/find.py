@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from rtcal.discrepancy.effects import library as every_effect
+from rtcal.discrepancy.effects.base import AbsorbingObject
 from rtcal.discrepancy.prior import COEFFICIENTS, NONE
 from rtcal.discrepancy.search import CHOSEN
 from rtcal.errors import DataError
@@ -17,6 +19,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
+from rtcal.where import surfaces as of_room
 from rtcal.where import track_record
 from rtcal.where.candidate import Candidate
 from rtcal.where.case import Case
@@ -58,6 +61,12 @@ EFFECTS = (
     UNKNOWN,
 )
 """Names of all effects that are tried."""
+_IN_THE_ROOM = [e.name for e in every_effect() if isinstance(e, AbsorbingObject)]
+UNTRIED = (
+    f"Not tried, since they stand on no surface: {', '.join(sorted({*_IN_THE_ROOM} - {*EFFECTS}))}. "
+    "Means over positions (rtcal.discrepancy.find) try them."
+)
+"""What only the finder without a geometry has."""
 CLAIMED = 0.9
 """Probability from which an effect, a family or a surface is claimed."""
 APART = 2.3
@@ -224,9 +233,21 @@ def _finding(
         parameters=observations.parameters,
         pairs=observations.pairs,
         reasons=reasons,
-        notes=(track_record.sentence(case.room, observations.parameters), *numbers.data.notes),
+        notes=(
+            track_record.sentence(case.room, observations.parameters),
+            *_assumed(case),
+            *numbers.data.notes,
+        ),
         controls=numbers.controls,
     )
+
+
+def _assumed(case: Case) -> tuple[str, ...]:
+    """Return notes of what the search takes together, and what it does not try."""
+    if case.surfaces is not None:
+        return (UNTRIED,)
+    together = of_room.merged(case.geometry, case.faces)
+    return (together, UNTRIED) if together else (UNTRIED,)
 
 
 def _claimed(summary: Summary, detected: Detection) -> tuple[str, str | None, str | None]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from rtcal.discrepancy.effects.coupled_room import CoupledRoom
+from rtcal.discrepancy.prior import NONE
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support import html, text
@@ -188,14 +189,20 @@ class Finding(Result):
 
     @property
     def headline(self) -> str:
+        """The verdict in a sentence, and how probable it is that nothing is other than stated."""
+        nothing = 100 * self.probabilities[NONE]
+        return (
+            f"{self._verdict} The probability that nothing is other than stated is {nothing:.0f} %."
+        )
+
+    @property
+    def _verdict(self) -> str:
         """The verdict in a sentence; what cannot be told stands first."""
         best = self.best
         if best is None:
             return "none: no disagreement beyond what prior, measurement and simulator allow."
         if self.verdict == "hint":
-            return (
-                f"hint: {best.title}, but not claimed. {self.reasons[0] if self.reasons else ''}"
-            ).rstrip()
+            return f"hint: {best.title}, but not claimed. {' '.join(self.reasons[:1])}".rstrip()
         what = {
             "unknown": "Something is other than stated that no effect of the library explains.",
             "named": f"Other than stated: {self.effect}.",

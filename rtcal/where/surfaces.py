@@ -62,9 +62,33 @@ def of_geometry(
     return out
 
 
+def merged(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> str:
+    """Return a note of the surfaces that hold faces of other names; "" without any.
+
+    Faces that differ in their number alone are one wall's triangles.
+    """
+    said = []
+    for name, faces in surfaces.items():
+        stems = dict.fromkeys(_stem(geometry.names[i]) for i in faces)
+        others = [stem for stem in stems if stem != _stem(name)]
+        if others:
+            said.append(f"{', '.join(others)} as part of {name}")
+    if not said:
+        return ""
+    return (
+        f"Taken together, since they lie in one plane and have one material: {'; '.join(said)}. "
+        "State surfaces to tell them apart."
+    )
+
+
+def _stem(name: str) -> str:
+    """Return the name of a face without its number."""
+    return re.sub(r" \d+$", "", name)
+
+
 def _unnumbered(name: str, others: Sequence[str]) -> str:
     """Return "wall" for "wall 2" if the surface has a face of that name, too."""
-    stem = re.sub(r" \d+$", "", name)
+    stem = _stem(name)
     return stem if stem in others else name
 
 

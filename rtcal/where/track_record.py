@@ -26,6 +26,8 @@ SURFACE = {
     HANDBOOK: {"without level": (2, 2), "with level": (2, 3)},
 }
 """Rooms in which the most probable surface was right, and rooms with an absorber detected."""
+PATHS = 6000
+"""Paths from each source in all of these rooms: the default of a case file."""
 JUDGED = {IN_SITU: "it", HANDBOOK: "an earlier version of it"}
 """What was judged in rooms of each kind."""
 
