@@ -120,6 +120,10 @@ def test_an_opening_is_found_on_its_wall(finding: rt.where.Finding) -> None:
     assert opening.low < HIDDEN < opening.high
     assert finding.family is not None
     assert finding.family.startswith("added absorption")
+    assert "The probability that nothing is other than stated is" in finding.headline
+    assert "Not tried, since they stand on no surface: furniture, people" in " ".join(
+        str(finding).split()
+    )
 
 
 def test_nothing_is_found_where_nothing_is_hidden(cache: Path) -> None:

@@ -69,10 +69,12 @@ def merged(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> str:
     """
     said = []
     for name, faces in surfaces.items():
-        stems = dict.fromkeys(_stem(geometry.names[i]) for i in faces)
-        others = [stem for stem in stems if stem != _stem(name)]
+        every = [geometry.names[i] for i in faces]
+        alike = {name, _stem(name)}
+        others = [n for n in every if not {n, _stem(n)} & alike]
         if others:
-            said.append(f"{', '.join(others)} as part of {name}")
+            named = dict.fromkeys(_unnumbered(n, others) for n in others)
+            said.append(f"{', '.join(named)} as part of {name}")
     if not said:
         return ""
     return (

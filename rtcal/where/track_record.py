@@ -27,7 +27,7 @@ SURFACE = {
 }
 """Rooms in which the most probable surface was right, and rooms with an absorber detected."""
 PATHS = 6000
-"""Paths from each source in all of these rooms: the default of a case file."""
+"""Paths from each source in all of these rooms."""
 JUDGED = {IN_SITU: "it", HANDBOOK: "an earlier version of it"}
 """What was judged in rooms of each kind."""
 
@@ -42,5 +42,5 @@ def sentence(room: Room, match: Sequence[str]) -> str:
         f"In simulated rooms with coefficients {stated} that were not used to make this finder, "
         f"{JUDGED[stated]} detected {detected[0]} of {detected[1]} hidden effects, flagged "
         f"{flagged[0]} of {flagged[1]} rooms that lacked nothing, and put {right[0]} of {right[1]} "
-        "absorbers that it detected on the correct surface."
+        f"absorbers that it detected on the correct surface. It traced {PATHS} paths from each source."
     )

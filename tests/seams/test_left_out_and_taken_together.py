@@ -1,0 +1,50 @@
+"""A pair that is left out is as one that was not measured; what is taken together is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.where.surfaces import merged, of_geometry
+from tests.test_where import RECEIVERS, measured, stated, tracing
+from tests.test_where_corrected import L_PLAN, prism, triangulated
+
+
+def test_a_pair_left_out_is_as_one_that_is_not_there() -> None:
+    """T20 alone refused ``exclude``."""
+    room, heard = stated(), measured(False)
+    out = [pair for pair in heard.pairs if pair[1] == "R3"]
+    some = {name: place for name, place in RECEIVERS.items() if name != "R3"}
+    left_out = rt.calibrate_simulator(tracing(room, n_paths=800), room, heard, exclude=out)
+    absent = rt.calibrate_simulator(
+        tracing(room, n_paths=800, receivers=some),
+        room,
+        heard.select([pair for pair in heard.pairs if pair not in out]),
+    )
+    np.testing.assert_allclose(left_out.room.alpha, absent.room.alpha, rtol=1e-9)
+    assert "Left out, as asked for: S1 to R3, S2 to R3." in left_out.notes
+
+
+@pytest.mark.parametrize("match", [("t20",), ("t20", "edt")])
+def test_a_pair_that_was_not_measured_cannot_be_left_out(match: tuple[str, ...]) -> None:
+    room, heard = stated(), measured(False)
+    said = "exclude has S1 to R9, which the measurement lacks"
+    with pytest.raises(DataError, match=said):
+        rt.calibrate_simulator(
+            tracing(room, n_paths=400), room, heard, match=match, exclude=[("S1", "R9")]
+        )
+    with pytest.raises(DataError, match=said):
+        rt.where.Case(simulator=tracing(room), measured=heard, exclude=[("S1", "R9")])
+
+
+def test_faces_of_other_names_on_one_surface_are_said() -> None:
+    mesh = triangulated(prism(L_PLAN))
+    assert merged(mesh, of_geometry(mesh)) == ""
+    part = mesh.names.index("wall 1 2")
+    names = ["panel" if i == part else name for i, name in enumerate(mesh.names)]
+    panelled = replace(mesh, names=names)
+    assert "panel as part of wall 1" in merged(panelled, of_geometry(panelled))
