@@ -370,6 +370,7 @@ class Loop:
         return replace(loop, room=room)
 
 
+@checked
 def start(
     room: Room,
     measured: Measurement,
@@ -389,6 +390,7 @@ def start(
     if not isinstance(rule, str) or rule not in RULES:
         raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
     checks.instance("room", room, Room)
+    preset(method)
     files.checked_decimals(decimals)
     checks.positive("tolerance", tolerance, "JND")
     data = times_in_room(room, measured)

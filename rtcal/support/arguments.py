@@ -233,6 +233,8 @@ def _listing(origin: type, member: Any) -> Rule:
             return False
         if not isinstance(value, Iterable) or (isinstance(value, np.ndarray) and value.ndim == 0):
             return False
+        if issubclass(origin, Collection) and not isinstance(value, Collection):
+            return False  # a generator has no length, and is empty the second time
         if rule is None or not isinstance(value, Collection) or len(value) > _FEW:
             return True
         if rule is _SCALARS[float] and isinstance(value, np.ndarray):
