@@ -145,9 +145,9 @@ def measured_pairs(
         columns = [simulated.pairs.index(pair) for pair in kept]
         heard = simulated.values[simulated.parameters.index("level")][columns]
         compared = _with_level(observations, with_reference(observations.values[row], heard, kept))
-        # Whatever the simulator hears, the same data have the same name.
+        # Whatever the reference, the same data have the same name: by distances from their own mean.
         own = with_reference(observations.values[row], np.zeros_like(heard), kept)
-        observations = _with_level(observations, own)
+        observations = _with_level(observations, np.abs(own))
     return MeasuredPairs(
         observations=compared,
         covariance=_covariance(compared, in_room, level, simulated),
