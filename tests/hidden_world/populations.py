@@ -54,6 +54,8 @@ COUNTS = {
     2: {0: 203},  # fresh rooms with nothing in them, for changes made after population 1 was seen
     # Fresh rooms that judge what was chosen after population 1 was seen. A quarter of its number.
     3: {0: 50, **dict.fromkeys(range(1, 14), 6), 22: 6, 23: 6},
+    # Fresh rooms that judge sizes beyond the grid.
+    4: {0: 24, **dict.fromkeys(range(1, 13), 4)},
 }
 
 

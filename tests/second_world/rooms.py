@@ -97,6 +97,8 @@ KINDS = (
 COUNTS = {
     0: {k: {"nothing": 50, "coefficients": 16}.get(k, 8) for k in KINDS},
     1: {k: {"nothing": 120, "coefficients": 40}.get(k, 20) for k in KINDS},
+    # Fresh rooms that judge sizes beyond the grid.
+    2: {k: {"nothing": 24}.get(k, 3) for k in KINDS},
 }
 STATEMENTS = ("stated", "pairs", "means")
 
