@@ -121,7 +121,7 @@ def responses(
     """Return the shifts in a case's room, from a folder where they are kept or newly weighed."""
     path = None
     if cache is not None:
-        path = checks.path("cache", cache) / f"{_key(case, seed)}.array"
+        path = checks.path("cache", cache) / f"{key_of(case, seed)}.array"
         if (kept := _read(path, case)) is not None:
             return kept
     made = _weighed(case, seed, progress)
@@ -404,7 +404,7 @@ def _read(path: Path, case: Case) -> Responses | None:
     )
 
 
-def _key(case: Case, seed: int) -> str:
+def key_of(case: Case, seed: int) -> str:
     """Return a hash of all that the shifts depend on."""
     tracer, room, geometry = case.simulator, case.room, case.geometry
     content = [

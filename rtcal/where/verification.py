@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +19,7 @@ from rtcal.loop.measured_pairs import Pair, with_reference
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks, text
+from rtcal.support import checks, kept_arrays, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.progress import TaskProgress
@@ -28,7 +30,7 @@ from rtcal.where.case import Case
 from rtcal.where.corrected import corrected
 from rtcal.where.find import find_by_positions, left_out_of
 from rtcal.where.finding import Finding
-from rtcal.where.responses import precisely
+from rtcal.where.responses import key_of, precisely
 
 MODELS = ("before", "plain", "corrected")
 LEAST_PAIRS = 4
@@ -271,48 +273,89 @@ def verify(
             f"{LEAST_PAIRS}"
         )
     halves, left_out = halves_of(finding.pairs), left_out_of(only, without)
-    gaps = {model: np.full((len(chosen), *finding.map.shape), np.nan) for model in MODELS}
-    added: list[Candidate | None] = []
-    done, steps = 0, len(halves) * (1 + len(MODELS) * len(chosen))
-
-    def tell(what: str) -> None:
-        nonlocal done
-        done += 1
+    searched = []
+    for n, half in enumerate(halves):
+        again = find_by_positions(case.only(half), finding.controls, cache, chosen[0], left_out)
+        searched.append(next((c for c in again.candidates if c.can_be_added), None))
         if progress is not None:
-            progress(what, done, steps)
-
-    for half in halves:
-        fitted = case.only(half)
-        again = find_by_positions(fitted, finding.controls, cache, chosen[0], left_out)
-        tell("search in half of the pairs")
-        best = next((c for c in again.candidates if c.can_be_added), None)
-        added.append(best)
-        left = [p for p in finding.pairs if p not in half]
-        columns = [finding.pairs.index(p) for p in left]
-        # A gap is not to be that of the tracing's noise.
-        stated = precisely(fitted.simulator)
-        models = {
-            "before": stated,
-            "plain": stated,
-            "corrected": stated if best is None else precisely(corrected(fitted, best).simulator),
-        }
-        for n, seed in enumerate(chosen):
-            for model, simulator in models.items():
-                if model == "before":
-                    heard = observe(simulator, simulator.room.alpha, finding.parameters, seed=seed)
-                else:
-                    heard = heard_calibrated(fitted, simulator, finding, seed)
-                gaps[model][n][:, columns] = gap_in_jnd(case, finding, heard, left)
-                tell(TITLES[model])
+            progress("search in half of the pairs", n + 1, len(halves) + len(chosen) * _MODELS)
+    path, shape = None, (len(MODELS), len(chosen), *finding.map.shape)
+    if cache is not None:
+        path = checks.path("cache", cache) / f"{_key(finding, chosen, searched)}.array"
+    gaps = None if path is None else kept_arrays.read(path)
+    if gaps is None or gaps.shape != shape:
+        gaps = _gaps(finding, halves, searched, chosen, progress)
+        if path is not None:
+            kept_arrays.write(path, gaps)
     return Verification(
         finding=finding,
-        before=gaps["before"],
-        plain=gaps["plain"],
-        corrected=gaps["corrected"],
-        added=tuple(added),
+        before=gaps[0],
+        plain=gaps[1],
+        corrected=gaps[2],
+        added=tuple(searched),
         halves=halves,
         seeds=chosen,
     )
+
+
+_MODELS = 5
+"""Models by seed: as stated, and with each half of the pairs the calibrated and the corrected one."""
+
+
+def _gaps(
+    finding: Finding,
+    halves: Sequence[Sequence[Pair]],
+    added: Sequence[Candidate | None],
+    seeds: Sequence[int],
+    progress: TaskProgress | None,
+) -> Array:
+    """Return the gaps at held-out pairs, (n_models, n_seeds, n_parameters, n_pairs, n_bands)."""
+    case = finding.case
+    gaps = np.full((len(MODELS), len(seeds), *finding.map.shape), np.nan)
+    done = len(halves)
+
+    def tell(model: int) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(TITLES[MODELS[model]], done, len(halves) + len(seeds) * _MODELS)
+
+    # A gap is not to be that of the tracing's noise. The paths of a seed are traced once for all models
+    # in the stated geometry.
+    stated = precisely(case.simulator)
+    with_added = [
+        stated if best is None else precisely(corrected(case.only(half), best).simulator)
+        for half, best in zip(halves, added, strict=True)
+    ]
+    for n, seed in enumerate(seeds):
+        as_stated = observe(stated, stated.room.alpha, finding.parameters, seed=seed)
+        tell(0)
+        for half, simulator in zip(halves, with_added, strict=True):
+            left = [p for p in finding.pairs if p not in half]
+            columns = [finding.pairs.index(p) for p in left]
+            fitted = case.only(half)
+            gaps[0, n][:, columns] = gap_in_jnd(case, finding, as_stated, left)
+            for model, tracer in enumerate((stated, simulator), 1):
+                heard = heard_calibrated(fitted, tracer, finding, seed)
+                gaps[model, n][:, columns] = gap_in_jnd(case, finding, heard, left)
+                tell(model)
+    return gaps
+
+
+def _key(finding: Finding, seeds: Sequence[int], added: Sequence[Candidate | None]) -> str:
+    """Return a hash of all that the gaps depend on."""
+    case = finding.case
+    content = [
+        "verify",
+        key_of(case, seeds[0]),
+        case.room.to_dict(),
+        case.measured.to_dict(),
+        [case.exclude, finding.pairs, finding.parameters, seeds, case.position_uncertainty],
+        [None if best is None else best.to_dict() for best in added],
+        hashlib.sha256(finding.controls.errors.tobytes()).hexdigest(),
+    ]
+    text = json.dumps(content, sort_keys=True, default=list)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def halves_of(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
