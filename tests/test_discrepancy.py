@@ -576,16 +576,6 @@ def test_surprise_is_chi_square_s() -> None:
     assert probability == pytest.approx(chi2.sf(square, len(off)), rel=1e-9)
 
 
-def test_the_end_of_what_is_tried_is_said() -> None:
-    case = opened(60.0)  # three times the room's absorption; 1.2 times is tried
-    finding = find(case, effects=[Opening()], controls=controls_of(case))
-    assert any(
-        n.startswith("opening: ") and "is the end of what is tried" in n for n in finding.reasons
-    )
-    assert finding.verdict == "hint"
-    assert finding.sentence.index("So it is a hint of opening only") > 0  # the reason stands first
-
-
 def test_what_is_stated_is_wrong_and_what_is_not_is_missing() -> None:
     case = opened()
     finding = find(case, controls=controls_of(case))

@@ -1,8 +1,9 @@
-"""Reasons for which a name is not claimed, though its probability would allow it."""
+"""Doubts: reasons for which a name is not claimed, though its probability would allow it."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from rtcal.discrepancy.gap import GapCheck
 from rtcal.discrepancy.hypotheses import Hypotheses
 from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import NONE
+from rtcal.discrepancy.size import Size
 from rtcal.support.types import Array
 
 GROSS = np.log(2.0)
@@ -26,55 +28,64 @@ SURPRISING = 1e-3
 """Probability of the residuals below which the best effect does not explain them."""
 
 
-def end_of_range(effect: Effect, predicted: Hypotheses, parameters: Parameters) -> list[str]:
-    """Return a reason where the size stands at the end of what is tried."""
-    sizes = [
-        theta[effect.size]
-        for n, theta in zip(predicted.names, predicted.parameters, strict=True)
-        if n == effect.name
-    ]
-    value, least, most = parameters[effect.size], min(sizes), max(sizes)
-    at_end = bool(np.isclose(value, [least, most], rtol=1e-6).any())
-    sized = np.isfinite(effect.neutral) and effect.size not in effect.discrete and least < most
-    if not sized or not at_end:
+@dataclass(frozen=True)
+class Doubt:
+    """A reason against a claim, and what it speaks against.
+
+    ``of`` is "size" or "fit" where it leaves the effect's family as probable as it is, else "effect".
+    """
+
+    words: str
+    of: Literal["size", "fit", "effect"]
+
+
+def end_of_range(name: str, size: Size | None) -> list[Doubt]:
+    """Return a doubt where the data do not bound the size."""
+    if size is None or not size.end:
         return []
-    return [f"{effect.name}: {value:.3g} is the end of what is tried ({least:.3g} to {most:.3g})"]
+    larger = "larger" if size.end == "least" else "smaller"
+    words = f"{name}: {size.words}; the measurement does not tell it from any {larger} size"
+    return [Doubt(words, "size")]
 
 
-def too_large(case: Case, effect: Effect, parameters: Parameters) -> list[str]:
-    """Return a reason where the effect needs more wall than a room has for it."""
+def too_large(case: Case, effect: Effect, parameters: Parameters) -> list[Doubt]:
+    """Return a doubt where the effect needs more wall than a room has for it."""
     share = effect.wall_area(parameters) / case.room.total_area
     if share <= effect.largest_share:
         return []
-    return [
+    words = (
         f"{effect.name}: it would be {100 * share:.0f} % of all surfaces; at most "
         f"{100 * effect.largest_share:.0f} % is believed"
-    ]
+    )
+    return [Doubt(words, "size")]
 
 
-def unexplained(name: str, times: float, probability: float) -> list[str]:
-    """Return a reason where the residuals are larger than all uncertainties allow."""
+def unexplained(name: str, times: float, probability: float) -> list[Doubt]:
+    """Return a doubt where the residuals are larger than all uncertainties allow."""
     if probability >= SURPRISING:
         return []
-    return [
+    words = (
         f"{name} is the best of the effects and does not explain the measurement: with it in the "
         f"model it is {times:.1f} times as far off as all uncertainties allow. Check volume, "
         "areas, coefficients, units and bands"
-    ]
+    )
+    return [Doubt(words, "fit")]
 
 
-def gap_against(name: str, gap: GapCheck) -> list[str]:
-    """Return a reason where the gap grows, or where what alpha cannot fit contradicts the effect."""
+def gap_against(name: str, gap: GapCheck) -> list[Doubt]:
+    """Return a doubt where the gap grows, or where what alpha cannot fit contradicts the effect."""
     if gap.grows:
-        return [
+        words = (
             f"with {name} in the model the gap that alpha cannot close grows from {gap.before:.2f} to "
             f"{gap.after:.2f} JND"
-        ]
+        )
+        return [Doubt(words, "effect")]
     if gap.contradicts:
-        return [
+        words = (
             f"decay shape, level and the other configurations speak against {name} "
             f"({gap.predictive:.1f} nats)"
-        ]
+        )
+        return [Doubt(words, "effect")]
     return []
 
 
@@ -101,8 +112,8 @@ def decided_below_schroeder(
     prior_off: float,
     name: str,
     nats: float,
-) -> list[str]:
-    """Return a reason where the evidence for ``name`` comes from bands below Schroeder's frequency.
+) -> list[Doubt]:
+    """Return a doubt where the evidence for ``name`` comes from bands below Schroeder's frequency.
 
     ``predicted`` holds the hypotheses of that effect; ``nats`` is its evidence from all bands.
     """
@@ -117,14 +128,15 @@ def decided_below_schroeder(
     if rest >= 0.5 * nats or rest >= 2.3:
         return []
     places = [bands.label(f) for f in case.room.centre_frequencies[low.any(0)]]
-    return [
+    words = (
         f"{name} rests on {', '.join(places)}, below Schroeder's frequency, where no field is diffuse: "
         f"without them its evidence is {rest:+.1f} nats instead of {nats:+.1f}"
-    ]
+    )
+    return [Doubt(words, "effect")]
 
 
-def gross(observed: Observed, predicted: Hypotheses, gap: GapCheck) -> list[str]:
-    """Return a reason where T is twice or half the model's.
+def gross(observed: Observed, predicted: Hypotheses, gap: GapCheck) -> list[Doubt]:
+    """Return a doubt where T is twice or half the model's.
 
     None where decay shape, level and the other configurations show the effect by themselves: a noise
     floor may make T six times as long, and a wrong volume does not bend the decay.
@@ -132,7 +144,8 @@ def gross(observed: Observed, predicted: Hypotheses, gap: GapCheck) -> list[str]
     change = float(np.nanmedian((observed.features - predicted.features[0])[:, 0]))
     if abs(change) <= GROSS or gap.predictive > SHOWN:
         return []
-    return [
+    words = (
         f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
         "coefficients and units before any effect is believed"
-    ]
+    )
+    return [Doubt(words, "effect")]

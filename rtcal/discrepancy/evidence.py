@@ -16,16 +16,19 @@ s² F F', for each scale s.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rtcal.discrepancy.case import Case
+from rtcal.discrepancy.effects.checks import beyond
 from rtcal.discrepancy.factorization import Factorization
 from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.hypotheses import Hypotheses
+from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.discrepancy.likelihood import covariance_of, log_densities, log_likelihood
 from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
+from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN, grid_weights
+from rtcal.discrepancy.states import state
 from rtcal.support.types import Array
 
 # Numbers without a study of their own date from the first version of the finder. Others are tried by
@@ -41,6 +44,9 @@ UNKNOWN_FEATURES = (1.0, 0.4, 0.4, 8.0, 8.0)
 """Standard deviation of each feature that an unknown effect causes, per unit of that of ln T20."""
 UNKNOWN_SMOOTH, UNKNOWN_CORRELATION = 0.6, 0.75
 """Share of an unknown effect that is smooth over bands, and its correlation from band to band."""
+
+NEGLIGIBLE = 8.0
+"""Evidence in nats below the best from which a size is negligible (odds of 3000 to one)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +118,51 @@ def evaluate(
     if values is None:
         stated, off, unknown = stated[:, 0], off[:, 0], unknown[0]
     return Evidence(stated, off, unknown, predicted.names, predicted.weights, prior_off)
+
+
+def evaluate_beyond(
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    discrepancy: ModelDiscrepancy,
+    prior_off: float,
+) -> tuple[Hypotheses, Evidence]:
+    """Return hypotheses and their evidence, with grids that go on until the evidence falls.
+
+    An effect whose likeliest size is the last of its grid gets further sizes, in the grid's own steps
+    and away from the size that changes nothing. They end where physics does (`Effect.limits`), or where
+    the evidence no longer changes. The prior's density goes on as the effect states it.
+    """
+    evidence = evaluate(observed, predicted, discrepancy, prior_off)
+    base, reached = state(case, case.configurations[0]), dict[str, float]()
+    for _ in range(_ROUNDS):
+        likelihood, names = evidence.by_hypothesis(), np.array(predicted.names)
+        least, grids = max(likelihood[0], likelihood.max() - NEGLIGIBLE), []
+        for name, effect in predicted.effects.items():
+            rows = np.flatnonzero(names == name)
+            likeliest = rows[np.argmax(likelihood[rows])]
+            grid = [predicted.parameters[i] for i in rows]
+            rises = likelihood[likeliest] > reached.get(name, -np.inf) + _FLAT
+            reached[name] = float(likelihood[likeliest])
+            if rises and reached[name] > least:
+                grid = beyond(effect, grid, predicted.parameters[likeliest], case.room)
+            grids.append(grid)
+        if sum(map(len, grids)) == len(names) - 1:
+            break
+        effects = list(predicted.effects.values())
+        weights = [grid_weights(e, grid, base) for e, grid in zip(effects, grids, strict=True)]
+        predicted = replace(
+            predict_hypotheses(case, effects, grids),
+            weights=np.concatenate([np.ones(1), *weights]),
+        )
+        evidence = evaluate(observed, predicted, discrepancy, prior_off)
+    return predicted, evidence
+
+
+_ROUNDS = 5
+"""Times that a grid may go on, by four steps each."""
+_FLAT = 0.1
+"""Evidence in nats that the last four steps must have gained for a grid to go on."""
 
 
 def unknown_evidence(

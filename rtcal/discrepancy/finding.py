@@ -17,7 +17,7 @@ from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import COEFFICIENTS, Prior
 from rtcal.discrepancy.size import Size
 from rtcal.discrepancy.verdict import Fit
-from rtcal.discrepancy.wording import NATS, amount, as_sentence, engine_title, listed
+from rtcal.discrepancy.wording import NATS, as_sentence, engine_title, listed
 from rtcal.errors import DataError
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
@@ -37,10 +37,11 @@ class Finding(Result):
     case : Case
     verdict : {"none", "hint", "named", "family", "ambiguous", "unknown"}
         ``named``: an effect whose probability is at least 0.9, and that passes every check.
-        ``family``: a family of that probability, but no member. ``ambiguous``: something is
-        missing, and effects of several families explain it (``candidates``). ``unknown``: the model
-        lacks something that no effect of the library explains. ``hint``: the score does not exceed the
-        threshold but is above 0, or a check has failed (``reasons``).
+        ``family``: a family of that probability, but no member, or one with a doubt about its size or
+        fit. ``ambiguous``: something is missing, and effects of several families explain it
+        (``candidates``). ``unknown``: the model lacks something that no effect of the library explains.
+        ``hint``: the score does not exceed the threshold but is above 0, or a check has failed
+        (``reasons``).
     effect : str or None
         The most probable effect; None where the verdict is "none" or "family". "coefficients" where
         the coefficients are off together.
@@ -72,7 +73,8 @@ class Finding(Result):
         Modelled less measured, as every gap, over its standard deviation: amount (ln T20), shape
         (EDT/T20, T30/T20), level (C80, G). NaN where nothing was measured.
     reasons : tuple of str
-        Why what is most probable is not claimed.
+        Doubts about what is most probable. One about the size or the fit leaves its family claimed; any
+        other makes the claim a hint.
     notes : tuple of str
         Data that were dropped, where the uncertainties come from, and reasons to doubt the result.
     discrepancy : ModelDiscrepancy
@@ -225,12 +227,13 @@ class Finding(Result):
             "verdict": self.verdict,
             "effect": self.effect,
             "family": self.family,
+            "amount": self.amount or None,
             "reasons": list(self.reasons),
             "candidates": list(self.candidates),
             "probabilities": dict(self.probabilities),
             "families": dict(self.families),
             "evidence": {k: json_numbers(v) for k, v in self.evidence.items()},
-            "sizes": {name: _size(f.size) for name, f in self.fits.items()},
+            "sizes": {name: f.size and f.size.to_dict() for name, f in self.fits.items()},
             "coefficients": None
             if self.coefficients is None
             else {
@@ -242,7 +245,7 @@ class Finding(Result):
             "engines": list(self.engines),
             "parameters": dict(self.parameters),
             "material": effect and effect.material(self.parameters, self.case.room),
-            "size": _size(size),
+            "size": size and size.to_dict(),
             "runner_up": self.runner_up,
             "advice": self.advice,
             "notes": list(self.notes),
@@ -340,14 +343,24 @@ class Finding(Result):
         named = f"{self.kind}: {self.title}."
         if self.best == COEFFICIENTS:
             named = f"{as_sentence(self.title)}"
+        which = "most probably" if len(self.candidates) == 1 else "one of"
+        lead = f"{self.amount} " if self.amount else ""
         return {
             "none": "No disagreement beyond what prior, measurement and model error allow.",
             "hint": hint,
-            "named": named,
-            "family": f"{self.kind}: {self.family}, one of {others}.",
+            "named": f"{lead}{named}",
+            "family": f"{lead}{self.kind}: {self.family}, {which} {others}.",
             "ambiguous": f"{self.kind}: one of {others}.",
             "unknown": "Something is missing that no effect of the library explains.",
         }[self.verdict]
+
+    @property
+    def amount(self) -> str:
+        """How much more or less absorption the room has; "" where that is not claimed."""
+        fit = self.fits.get(str(self.best))
+        if self.verdict not in ("named", "family") or fit is None or fit.absorption is None:
+            return ""
+        return f"The room has {fit.absorption.words}."
 
     @property
     def kind(self) -> str:
@@ -397,15 +410,8 @@ class Finding(Result):
         if s is None:
             return f"{self.title_of(name)}: {effect.describe(fit.parameters)}"
         others = effect.describe(fit.parameters, without=effect.size)
-        words = f"{amount(s.mean, s.unit)} (90 %: {s.low:.3g} to {s.high:.3g})"
-        return f"size of {self.title_of(name)}: {words}" + (f"; {others}" if others else "")
+        return f"size of {self.title_of(name)}: {s.words}" + (f"; {others}" if others else "")
 
 
 _SAID = 0.03
 """Probability below which an effect is not printed."""
-
-
-def _size(size: Size | None) -> dict[str, Any] | None:
-    if size is None:
-        return None
-    return {"mean": size.mean, "low": size.low, "high": size.high, "unit": size.unit}

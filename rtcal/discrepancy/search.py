@@ -18,11 +18,11 @@ from rtcal.discrepancy.bootstrap import (
 from rtcal.discrepancy.bootstrap import score as evidence_of_something
 from rtcal.discrepancy.cache import cached_control_rooms
 from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.doubts import schroeder_limit
+from rtcal.discrepancy.doubts import Doubt, schroeder_limit
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.discrepancy.effects.checks import checked_effects
 from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.evidence import evaluate
+from rtcal.discrepancy.evidence import evaluate_beyond
 from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
@@ -37,7 +37,7 @@ from rtcal.discrepancy.prior import (
     prior_of,
 )
 from rtcal.discrepancy.probabilities import by_family, credible_set, posterior
-from rtcal.discrepancy.verdict import claim, doubts, fit
+from rtcal.discrepancy.verdict import Fit, claim, doubted, doubts, fit
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -150,7 +150,7 @@ def _conclude(
     notes: Sequence[str] = (),
 ) -> Finding:
     """Compare the hypotheses' evidence and return the finding."""
-    evidence = evaluate(observed, predicted, discrepancy, prior.off)
+    predicted, evidence = evaluate_beyond(case, observed, predicted, discrepancy, prior.off)
     table = {k: float(v) for k, v in evidence.by_effect().items()}
     over = {k: v - table[NONE] for k, v in table.items() if k != NONE}
     probabilities = posterior(table, prior)
@@ -158,20 +158,25 @@ def _conclude(
     order = [k for k in probabilities if k != NONE]
     best, score = order[0], float(evidence_of_something(evidence, prior))
     verdict, family = claim(probabilities, families, predicted.effects, score, limit)
+    fits, found = dict[str, Fit](), tuple[Doubt, ...]()
+
+    def fitted(name: str) -> None:
+        if name in predicted.effects or name == COEFFICIENTS:
+            fits[name] = fit(
+                case, observed, predicted, discrepancy, evidence, name, precise=name == best
+            )
+
+    if verdict != "none":
+        fitted(best)
+        if best in fits:
+            found = doubts(case, observed, predicted, discrepancy, evidence, fits[best], over[best])
+            verdict = doubted(verdict, family, found)
     candidates: tuple[str, ...] = ()
     if verdict != "none":
         candidates = (best,) if verdict == "named" else credible_set(probabilities)
-    fits = [
-        fit(case, observed, predicted, discrepancy, evidence, name, precise=name == best)
-        for name in candidates
-        if name in predicted.effects or name == COEFFICIENTS
-    ]
-    first = fits[0] if fits and fits[0].name == best else None
-    reasons: tuple[str, ...] = ()
-    if first is not None:
-        reasons = doubts(case, observed, predicted, discrepancy, evidence, first, over[best])
-        if verdict in ("named", "family") and reasons:
-            verdict = "hint"
+    for name in candidates:
+        if name != best:
+            fitted(name)
     return Finding(
         case=case,
         verdict=verdict,
@@ -185,11 +190,11 @@ def _conclude(
         score=score,
         threshold=limit,
         engines=discrepancy.engines,
-        fits={f.name: f for f in fits},
+        fits=fits,
         runner_up=order[1] if len(order) > 1 else NONE,
         advice=next_measurement(case, observed, predicted, discrepancy, evidence, candidates),
         residuals=standardized_residuals(observed, predicted, discrepancy),
-        reasons=reasons,
+        reasons=tuple(doubt.words for doubt in found),
         notes=(*notes, observed.origin, *_notes(case)),
         discrepancy=discrepancy,
         effects=predicted.effects,

@@ -9,7 +9,7 @@ from dataclasses import replace
 from rtcal.discrepancy.case import AppliedEffect, Case
 from rtcal.discrepancy.effects import Effect
 from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.evidence import evaluate
+from rtcal.discrepancy.evidence import evaluate_beyond
 from rtcal.discrepancy.features import Observed, observe
 from rtcal.discrepancy.finding import Finding
 from rtcal.discrepancy.hypotheses import predict_hypotheses
@@ -116,7 +116,13 @@ def find_several(
         progress=progress,
     )
     observed, _ = observe(case)
-    predicted = predict_hypotheses(case, list(single.effects.values()))
+    predicted, _ = evaluate_beyond(
+        case,
+        observed,
+        predict_hypotheses(case, list(single.effects.values())),
+        single.discrepancy,
+        single.prior.off,
+    )
     compared = compare(case, observed, predicted, single.discrepancy)
     posterior = set_posterior(compared, single.prior, expected=expected, most=most)
     probabilities = posterior.effects()
@@ -200,12 +206,18 @@ def _fitted(
     case: Case, observed: Observed, single: Finding, name: str
 ) -> tuple[Fit, tuple[str, ...]]:
     """Return one effect's fit in a case whose model has the others, and the doubts about it."""
-    predicted = predict_hypotheses(case, [single.effects[name]])
-    evidence = evaluate(observed, predicted, single.discrepancy, single.prior.off)
+    predicted, evidence = evaluate_beyond(
+        case,
+        observed,
+        predict_hypotheses(case, [single.effects[name]]),
+        single.discrepancy,
+        single.prior.off,
+    )
     table = evidence.by_effect()
     nats = float(table[name] - table[NONE])
     fitted = fit(case, observed, predicted, single.discrepancy, evidence, name, precise=True)
-    return fitted, doubts(case, observed, predicted, single.discrepancy, evidence, fitted, nats)
+    found = doubts(case, observed, predicted, single.discrepancy, evidence, fitted, nats)
+    return fitted, tuple(doubt.words for doubt in found)
 
 
 def _together(family_sets: Mapping[Names, float], numbers: Sequence[float]) -> Names:

@@ -15,9 +15,8 @@ from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import NONE, UNKNOWN
 from rtcal.discrepancy.probabilities import family_of
 from rtcal.discrepancy.set_posterior import Names
-from rtcal.discrepancy.size import Size
 from rtcal.discrepancy.verdict import Fit
-from rtcal.discrepancy.wording import amount, listed
+from rtcal.discrepancy.wording import listed
 from rtcal.errors import DataError
 from rtcal.support import text
 from rtcal.support.arguments import checked
@@ -269,9 +268,9 @@ class SeveralFinding(Result):
         if m.together.size is None:
             said += f"; {effect.describe(m.together.parameters)}"
         else:
-            said += f"; {_sized(m.together.size)}"
+            said += f"; {m.together.size.words}"
             if len(self.members) > 1 and m.alone.size is not None:
-                said += f", without the others {_sized(m.alone.size)}"
+                said += f", without the others {m.alone.size.words}"
         out = [said]
         if m.stand_ins:
             out.append(f"{name} may stand for {listed(m.stand_ins)}")
@@ -297,8 +296,8 @@ class SeveralFinding(Result):
             "members": {
                 name: {
                     "parameters": dict(m.together.parameters),
-                    "size": _plain(m.together.size),
-                    "size_without_others": _plain(m.alone.size),
+                    "size": m.together.size and m.together.size.to_dict(),
+                    "size_without_others": m.alone.size and m.alone.size.to_dict(),
                     "stand_ins": list(m.stand_ins),
                     "reasons": list(m.reasons),
                 }
@@ -332,16 +331,6 @@ class SeveralFinding(Result):
         for sentence in sentences:
             lines += text.wrapped(sentence, indent="  ")
         return "\n".join(lines)
-
-
-def _sized(size: Size) -> str:
-    return f"{amount(size.mean, size.unit)} (90 %: {size.low:.3g} to {size.high:.3g})"
-
-
-def _plain(size: Size | None) -> dict[str, Any] | None:
-    if size is None:
-        return None
-    return {"mean": size.mean, "low": size.low, "high": size.high, "unit": size.unit}
 
 
 def applied_with(effect: Effect, fitted: Fit) -> AppliedEffect:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rtcal.discrepancy import coefficients
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.coefficients import SCALES, OffTogether
 from rtcal.discrepancy.doubts import (
+    Doubt,
     decided_below_schroeder,
     end_of_range,
     gap_against,
@@ -25,7 +26,12 @@ from rtcal.discrepancy.likelihood import covariance_of, goodness_of_fit, spreadi
 from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.discrepancy.probabilities import narrowest_family
-from rtcal.discrepancy.size import Size, estimate_size
+from rtcal.discrepancy.size import (
+    AbsorptionChange,
+    Size,
+    absorption_change,
+    estimate_size,
+)
 
 CLAIMED = 0.9
 """Probability from which an effect, or a family, is claimed."""
@@ -40,7 +46,7 @@ class Fit:
 
     ``parameters`` have the size's mean, ``most_probable`` the size that fits best. ``coefficients``
     are None where they are right as stated. ``gap`` is the gap that alpha cannot close. ``surprise`` is
-    what `goodness_of_fit` returns.
+    what `goodness_of_fit` returns, ``absorption`` how much the room's absorption changes.
     """
 
     name: str
@@ -50,6 +56,7 @@ class Fit:
     gap: GapCheck
     most_probable: Parameters
     surprise: tuple[float, float]
+    absorption: AbsorptionChange | None = None
 
 
 def claim(
@@ -84,7 +91,8 @@ def fit(
     """Return a candidate's parameters, its size (`estimate_size`), and what becomes of the gap."""
     parameters: Parameters = {}
     likely: Parameters = {}
-    size, row, alone = None, 0, predict_hypotheses(case, [])
+    size, absorption = None, None
+    row, alone = 0, predict_hypotheses(case, [])
     probability = 1.0
     if name != COEFFICIENTS:
         effect: Effect = predicted.effects[name]
@@ -92,6 +100,7 @@ def fit(
             case, observed, predicted, discrepancy, evidence, name, precise=precise
         )
         parameters = likely if size is None else {**likely, effect.size: size.mean}
+        absorption = absorption_change(case, effect, parameters, size)
         alone, row = predict_hypotheses(case, [effect], [[parameters]]), 1
         probability = float(evidence.off_given(name))
     off, scale = None, 1.0
@@ -110,7 +119,7 @@ def fit(
         )
     gap = gap_check(observed, alone, discrepancy, row, scale)
     surprise = goodness_of_fit(observed, alone, discrepancy, row, scale)
-    return Fit(name, parameters, size, off, gap, likely, surprise)
+    return Fit(name, parameters, size, off, gap, likely, surprise, absorption)
 
 
 def doubts(
@@ -121,8 +130,8 @@ def doubts(
     evidence: Evidence,
     best: Fit,
     nats: float,
-) -> tuple[str, ...]:
-    """Return the reasons against a claim of the best candidate, ``nats`` its evidence."""
+) -> tuple[Doubt, ...]:
+    """Return the doubts about the best candidate, ``nats`` its evidence."""
     out = gross(observed, predicted, best.gap)
     out += unexplained(best.name, *best.surprise)
     out += gap_against(best.name, best.gap)
@@ -130,10 +139,22 @@ def doubts(
     if best.name != COEFFICIENTS:
         effect = predicted.effects[best.name]
         effects = [effect]
-        out += end_of_range(effect, predicted, best.most_probable)
+        out += end_of_range(effect.name, best.size)
         out += too_large(case, effect, best.parameters)
     hypotheses = predict_hypotheses(case, effects)
     out += decided_below_schroeder(
         case, observed, hypotheses, discrepancy, evidence.prior_off, best.name, nats
     )
     return tuple(out)
+
+
+def doubted(verdict: str, family: str | None, found: Sequence[Doubt]) -> str:
+    """Return what is left of a claim after the doubts about its best candidate.
+
+    Doubts about the size or the fit leave the family claimed, where it has the probability.
+    """
+    if verdict not in ("named", "family") or not found:
+        return verdict
+    if family is None or any(doubt.of == "effect" for doubt in found):
+        return "hint"
+    return "family"

@@ -26,12 +26,15 @@ _SAID = 0.03  # probability below which an effect is not listed
 def headline(finding: Finding) -> str:
     """Return the verdict as one sentence for a reader who is no acoustician."""
     several = f"The measurements do not tell which of these it is: {_candidates(finding)}."
-    lacks = family(str(finding.family))
+    which = (
+        several if len(finding.candidates) > 1 else f"Most probably it is {_candidates(finding)}."
+    )
+    lacks = finding.amount or f"The model lacks {family(str(finding.family))}."
     return {
         "none": "Nothing shows that the model lacks anything.",
         "hint": "The model may lack something, but the measurements do not establish it.",
         "named": finding.sentence,
-        "family": f"The model lacks {lacks}. {several}",
+        "family": f"{lacks} {which}",
         "ambiguous": f"The model lacks something. {several}",
         "unknown": "The model lacks something, and no known effect explains it.",
     }[finding.verdict]

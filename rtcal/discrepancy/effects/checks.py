@@ -100,6 +100,34 @@ def checked_grid(effect: Effect, state: State, room: Room | None = None) -> Sequ
     return possible or grid
 
 
+def beyond(
+    effect: Effect, grid: Sequence[Parameters], likeliest: Parameters, room: Room
+) -> list[Parameters]:
+    """Return the grid, `_MORE` sizes longer where the ``likeliest`` parameters have its last size.
+
+    It goes on in its own steps, away from the size that changes nothing, to the limits of the room.
+    """
+    every, value = list(grid), likeliest[effect.size]
+    sizes = np.unique([theta[effect.size] for theta in grid])
+    if not isfinite(effect.neutral) or effect.size in effect.discrete or len(sizes) < 2:
+        return every
+    limits = _limits(effect, room).get(effect.size, (-np.inf, np.inf))
+    logs = sizes[0] > 0
+    for end, inner in ((-1, -2), (0, 1)):
+        away = (sizes[end] - effect.neutral) * (sizes[end] - sizes[inner]) > 0
+        if value == sizes[end] and away and value not in limits:
+            last, inside = (np.log(sizes[[end, inner]])) if logs else sizes[[end, inner]]
+            more = last + (last - inside) * np.arange(1, _MORE + 1)
+            more = np.unique(np.clip(np.exp(more) if logs else more, *limits))
+            at_end = [theta for theta in grid if theta[effect.size] == value]
+            every += [{**theta, effect.size: float(s)} for theta in at_end for s in more]
+    return every
+
+
+_MORE = 4
+"""Sizes by which a grid goes on at once."""
+
+
 def check_parameters(
     effect: Effect,
     parameters: Parameters,

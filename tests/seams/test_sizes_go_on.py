@@ -1,0 +1,85 @@
+"""A size is sought until the evidence falls or physics ends, and a doubt about it leaves the family."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rtcal.discrepancy import Case, find
+from rtcal.discrepancy.doubts import Doubt
+from rtcal.discrepancy.effects import Effect, NoiseFloor, NonDiffuse, Opening, Porous, WrongArea
+from rtcal.discrepancy.effects.checks import checked_grid
+from rtcal.discrepancy.hypotheses import predict_hypotheses
+from rtcal.discrepancy.states import state
+from rtcal.discrepancy.verdict import doubted
+from tests.test_discrepancy import case_with, controls_of, opened
+
+FAR: list[tuple[Effect, dict[str, float]]] = [
+    (Opening(), {"area": 75.0}),
+    (Porous(), {"area": 75.0, "thickness": 0.06, "flow_resistivity": 12e3}),
+    (NonDiffuse(), {"scattering": 0.003}),
+    (NoiseFloor(), {"level": -25.0, "record": 2.5}),
+    (WrongArea(), {"material": 1.0, "ratio": 5.0}),
+]
+"""Effects with a size beyond their grids."""
+
+
+def case_of(effect: Effect, theta: dict[str, float]) -> Case:
+    """Return a case whose measurement is the model's own with the effect in it.
+
+    Its walls along x hardly absorb, so that a lack of scattering bends the decay.
+    """
+    room = opened().room
+    room = room.replace(alpha=room.alpha * np.array([1.5, 1.5, 0.2, 1.0])[:, None])
+    facing = np.array([[0, 0, 1], [0, 0, 1], [1, 0, 0], [0, 1, 0]], dtype=float)
+    empty = replace(opened(), room=room, facing=facing)
+    ln = predict_hypotheses(empty, [effect], [[theta]]).features[1, 0]
+    t20 = np.exp(ln[0])
+    measured = case_with(t20, edt=t20 * np.exp(ln[1]), t30=t20 * np.exp(ln[2]))
+    return replace(empty, configurations=measured.configurations)
+
+
+@pytest.mark.parametrize(("effect", "theta"), FAR, ids=[effect.name for effect, _ in FAR])
+def test_a_size_beyond_the_grid_is_found(effect: Effect, theta: dict[str, float]) -> None:
+    case = case_of(effect, theta)
+    sizes = [t[effect.size] for t in checked_grid(effect, state(case, case.configurations[0]))]
+    true = theta[effect.size]
+    assert not min(sizes) <= true <= max(sizes)
+    finding = find(case, effects=[effect], controls=controls_of(case))
+    assert finding.verdict in ("named", "family"), finding.reasons
+    assert finding.best == effect.name
+    best = finding.fits[effect.name].most_probable[effect.size]
+    assert not min(sizes) <= best <= max(sizes)
+    size = finding.size
+    assert size is not None
+    if size.end:  # the data bound it on one side only
+        assert size.low < true if size.end == "least" else true < size.high
+        assert size.words.startswith(f"at {size.end} ")
+        assert any(size.words in reason for reason in finding.reasons)
+    else:
+        assert size.low < true < size.high
+
+
+def test_a_doubt_about_the_size_leaves_the_family_and_the_amount_leads() -> None:
+    case = opened(60.0)  # 30 % of all surfaces
+    finding = find(case, effects=[Opening()], controls=controls_of(case))
+    assert "of all surfaces" in finding.reasons[0]
+    assert (finding.verdict, finding.family) == ("family", "added absorption, flat")
+    assert finding.size is not None
+    assert finding.size.low < 60 < finding.size.high
+    base = state(case, case.configurations[0])
+    added = 60 * (1 - base.areas @ base.alpha / base.total_area)
+    percent = 100 * (added / (base.areas @ base.alpha + 4 * base.air * base.volume).mean()).mean()
+    said = float(finding.sentence.removeprefix("The room has ").split(" %")[0])
+    assert said == pytest.approx(percent, rel=0.5)
+    assert finding.sentence.startswith(finding.amount)
+
+
+def test_only_a_doubt_about_the_effect_leaves_a_hint() -> None:
+    size, fit, effect = (Doubt("why", of) for of in ("size", "fit", "effect"))
+    assert doubted("named", "field", []) == "named"
+    assert doubted("named", "field", [size]) == doubted("family", "field", [fit, size]) == "family"
+    assert doubted("named", "field", [size, effect]) == doubted("family", None, [fit]) == "hint"
+    assert doubted("ambiguous", None, [effect]) == "ambiguous"
