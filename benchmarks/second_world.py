@@ -43,9 +43,10 @@ from benchmarks.judging import (
     rate,
     row_of,
 )
+from rtcal.acoustics.common_errors import POWER
 from rtcal.discrepancy import AppliedEffect, Case, bootstrap, find, library
 from rtcal.discrepancy.bootstrap import QUANTILE
-from rtcal.discrepancy.coefficients import NULL_POWER, POWER
+from rtcal.discrepancy.coefficients import NULL_POWER
 from rtcal.discrepancy.engines import ControlRooms
 from rtcal.discrepancy.evidence import evaluate
 from rtcal.discrepancy.features import observe

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
+from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
 from rtcal.discrepancy import Case, Configuration, bootstrap, find, library, recalibrate
 from rtcal.discrepancy.bootstrap import draw_null_features
@@ -23,7 +24,7 @@ from rtcal.discrepancy.evidence import Evidence
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.hypotheses import LowRank, predict_hypotheses
 from rtcal.discrepancy.model import predict
-from rtcal.discrepancy.prior import HANDBOOK_SIGMA, SHARPER, off_together, prior_of
+from rtcal.discrepancy.prior import SHARPER, off_together, prior_of
 from rtcal.discrepancy.probabilities import by_family
 from rtcal.discrepancy.states import distances, state
 from rtcal.discrepancy.verdict import claim

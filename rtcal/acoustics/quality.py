@@ -74,39 +74,66 @@ class Plausibility:
     p_value : float or None
         The probability of a larger q if prior and measurement are right. None where a bound is
         active, because then q is not chi-square.
+    p_together : float or None
+        The same if the coefficients may also be off together, as `rtcal.discrepancy` assumes
+        (`rtcal.acoustics.common_errors`). None where these errors are not known.
     """
 
     z: Array
     q: float
     degrees_of_freedom: int
     p_value: float | None
+    p_together: float | None = None
 
     @property
     def agreement(self) -> Agreement | None:
-        """The agreement that the p-value shows: see `agreement`."""
-        return agreement(self.p_value)
+        """The agreement that the p-values show: see `agreement`."""
+        return agreement(self.p_value, self.p_together)
 
 
 Agreement = Literal["contradicts", "agrees", "too good"]
 
 
 @checked
-def agreement(p_value: float | None) -> Agreement | None:
+def agreement(p_value: float | None, p_together: float | None = None) -> Agreement | None:
     """Return whether measurement and prior contradict, agree, or agree too well to be true.
 
     Too well: S'mu is nearer to b than the stated uncertainties make likely. Then a sigma or u_T is
-    too large, or T was calculated from these coefficients. None without a p-value.
+    too large, or T was calculated from these coefficients. None without a p-value. What coefficients
+    that are off together explain (``p_together``, of `Plausibility`) is no contradiction.
 
     Examples
     --------
     >>> agreement(0.001), agreement(0.4), agreement(1.0)
     ('contradicts', 'agrees', 'too good')
+    >>> agreement(0.001, 0.2)
+    'agrees'
     """
     if p_value is None:
         return None
-    if p_value < P_CONTRADICTION:
+    if max(p_value, p_together or 0.0) < P_CONTRADICTION:
         return "contradicts"
     return "too good" if p_value > P_TOO_GOOD else "agrees"
+
+
+@checked
+def together_in_words(p_value: float, p_together: float | None) -> str:
+    """Return the sentence on errors that coefficients have in common; "" where they change little.
+
+    Examples
+    --------
+    >>> print(together_in_words(1.7e-5, 0.011))
+    With errors that coefficients have in common p = 0.011. gap find assumes these too, and adds \
+those of the model and between measuring teams.
+    >>> together_in_words(0.001, None)
+    ''
+    """
+    if p_together is None or p_together < 2 * p_value:
+        return ""
+    return (
+        f"With errors that coefficients have in common p = {p_together:.2g}. gap find assumes these "
+        "too, and adds those of the model and between measuring teams."
+    )
 
 
 LARGE_GAP = 3.0
@@ -133,7 +160,9 @@ def weak_agreement(gap_before: ArrayLike) -> str:
 
 
 @checked
-def plausibility(difference: Array, covariance: Array, bound_active: bool) -> Plausibility:
+def plausibility(
+    difference: Array, covariance: Array, bound_active: bool, together: Array | None = None
+) -> Plausibility:
     """Return z per band and Q over bands.
 
     Parameters
@@ -144,6 +173,9 @@ def plausibility(difference: Array, covariance: Array, bound_active: bool) -> Pl
         Covariance of ``difference``, if prior and measurement are right.
     bound_active : bool
         Whether a coefficient stands at a bound: then there is no p-value.
+    together : array (n_errors, n_bands), optional
+        Changes of ``difference`` by one standard deviation each of what coefficients are off by
+        together.
 
     Raises
     ------
@@ -172,15 +204,23 @@ def plausibility(difference: Array, covariance: Array, bound_active: bool) -> Pl
     used = np.isfinite(difference) & (spread > 0)
     z = np.full(n, np.nan)
     z[used] = difference[used] / spread[used]
-    correlation = covariance[np.ix_(used, used)] / np.outer(spread[used], spread[used])
-    q = float(z[used] @ np.linalg.solve(correlation, z[used])) if used.any() else 0.0
-    count = int(used.sum())
-    p_value = None
+    count, p_value, p_together = int(used.sum()), None, None
+    q = _chi_square(difference[used], covariance[np.ix_(used, used)])
     if not bound_active and count:
         from scipy.special import chdtrc
 
         p_value = float(chdtrc(count, q))
-    return Plausibility(z, q, count, p_value)
+        if together is not None:
+            wider = (covariance + together.T @ together)[np.ix_(used, used)]
+            p_together = float(chdtrc(count, _chi_square(difference[used], wider)))
+    return Plausibility(z, q, count, p_value, p_together)
+
+
+def _chi_square(difference: Array, covariance: Array) -> float:
+    """Return d'C^-1 d, by way of the correlation; 0 of no value."""
+    spread = np.sqrt(np.diag(covariance))
+    z = difference / spread
+    return float(z @ np.linalg.solve(covariance / np.outer(spread, spread), z)) if len(z) else 0.0
 
 
 @dataclass(frozen=True)

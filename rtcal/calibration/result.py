@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.common_errors import of_absorption
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import (
     Plausibility,
@@ -199,7 +200,9 @@ class CalibrationResult(Result):
         )
         further = self._problem_data.further(self.joint.solution.active.astype(float))
         at_bound = bool(self.active[:, self.matched].any() or further.any())
-        return plausibility(deviation[bands], covariance[bands, bands], at_bound)
+        room = self.prior
+        together = of_absorption(room.areas, room.alpha, room.sigma, room.centre_frequencies)
+        return plausibility(deviation[bands], covariance[bands, bands], at_bound, together)
 
     @cached_property
     def air_share(self) -> Array:
@@ -317,6 +320,7 @@ class CalibrationResult(Result):
                 "q": self.plausibility.q,
                 "degrees_of_freedom": self.plausibility.degrees_of_freedom,
                 "p_value": self.plausibility.p_value,
+                "p_together": self.plausibility.p_together,
             },
             "effects": self.effects,
             "added_absorption": json_numbers(self.added_absorption),

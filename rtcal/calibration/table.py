@@ -9,7 +9,15 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.acoustics.quality import TrustMark, agreement, explained, letters, weak_agreement
+from rtcal.acoustics.quality import (
+    P_CONTRADICTION,
+    TrustMark,
+    agreement,
+    explained,
+    letters,
+    together_in_words,
+    weak_agreement,
+)
 from rtcal.support import html, text
 from rtcal.support.types import Array
 
@@ -247,16 +255,26 @@ def _plausibility(record: Mapping[str, Any]) -> str:
     )
     if p_value is None:
         return f"{start}; no p-value, because a bound is active."
-    if agreement(p_value) == "too good":
+    p_together = plausibility["p_together"]
+    agrees, together = (
+        agreement(p_value, p_together),
+        together_in_words(p_value, p_together),
+    )
+    if agrees == "too good":
         return (
             f"{start}, p = {p_value:.2g}: too good to be true. The coefficients moved less than their "
             "stated uncertainty makes likely. Either a sigma or the uncertainty of T is stated too "
             "large, or T was calculated from these coefficients."
         )
-    if agreement(p_value) == "contradicts":
+    if agrees == "contradicts":
         return (
             f"{start}, p = {p_value:.2g}: the measurement contradicts what was stated of the "
-            f"materials. {_calibrated_gap(record)}"
+            f"materials. {together} {_calibrated_gap(record)}".replace("  ", " ")
+        )
+    if p_value < P_CONTRADICTION:
+        return (
+            f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated only if the "
+            f"coefficients are off together. {together}"
         )
     weak = weak_agreement(_numbers(record["gap_before_jnd"]))
     return (

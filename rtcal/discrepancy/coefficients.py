@@ -1,8 +1,6 @@
 """Coefficients that are off together: by a factor and a tilt over frequency, for all and per material.
 
-The stated sigma of a coefficient is that of an error of its own. Errors that all coefficients of a room
-have in common, or all bands of a material, come on top of it: the table is of another product, or the
-mounting differs. The usual amount of them belongs to every hypothesis.
+The usual amount of such errors (`rtcal.acoustics.common_errors`) belongs to every hypothesis.
 Coefficients that are *off together* err by several times as much (`SCALES`): heavy tails.
 """
 
@@ -13,26 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.common_errors import POWER, common_errors
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.configuration import Change
-from rtcal.discrepancy.prior import HANDBOOK_SIGMA
 from rtcal.support.types import Array
 
-COMMON, TILT = 0.15, 0.10
-"""Usual standard deviations of ln alpha, of coefficients from a handbook (sigma 30 %): of a factor
-common to all materials, and of a tilt per octave from 1 kHz. Development rooms of
-tests/second_world have 0.13 and 0.05. In a measured room (BRAS CR2, T of seven octaves) the tilt is
--0.18."""
-OWN, OWN_TILT = 0.25, 0.07
-"""The same of each material's own factor and tilt: what two catalogues differ by. Carpets, plasters
-and glass of one name differ by 20 to 60 % between tables (`rtcal.datasets.catalogue` and its
-sources)."""
-POWER, NULL_POWER = 2.0, 4.0
-"""These errors fall with a power of the stated relative sigma over a handbook's, since a small sigma
-means measured coefficients: the first in the evidence, the second in the rooms that set the threshold.
-The evidence allows for more than is likely, so that a common error is not taken for an effect. The
-threshold is right only if its rooms err as real ones do. `python -m benchmarks.second_world null` shows
-it on development rooms of both worlds (docs/discrepancy_study.md)."""
+NULL_POWER = 4.0
+"""The power with which errors in common fall in the rooms that set the threshold; in the evidence it is
+`common_errors.POWER`. The evidence allows for more than is likely, so that a common error is not taken
+for an effect. The threshold is right only if its rooms err as real ones do.
+`python -m benchmarks.second_world null` shows it on development rooms of both worlds
+(docs/discrepancy_study.md)."""
 SCALES = ((2.0, 0.6), (4.0, 0.4))
 """Where coefficients are off together: factors on these standard deviations, with probabilities."""
 
@@ -55,7 +44,6 @@ def directions(case: Case, power: float = POWER) -> Directions:
     They fall with the ``power`` of the stated relative sigma, below a handbook's.
     """
     room = case.room
-    octaves = np.log2(room.centre_frequencies / 1000)
     common, own = [], []
     for c in case.configurations:
         alpha, sigma = np.array(room.alpha), np.array(room.sigma)
@@ -63,11 +51,9 @@ def directions(case: Case, power: float = POWER) -> Directions:
         for material, change in c.changes.items():
             row = room.material_index(material)
             alpha[row], sigma[row], changed[row] = change.alpha, change.sigma, True
-        # alpha, less where its sigma is smaller than a handbook's: it was measured.
-        stated = sigma / np.maximum(alpha, 1e-6) / HANDBOOK_SIGMA
-        level = alpha * np.minimum(1.0, stated) ** power
-        common.append(np.stack([COMMON * level, TILT * level * octaves]))
-        own.append(np.where(changed, 0.0, np.stack([OWN * level, OWN_TILT * level * octaves])))
+        both, each = common_errors(alpha, sigma, room.centre_frequencies, power)
+        common.append(both)
+        own.append(np.where(changed, 0.0, each))
     return Directions(np.array(common), np.array(own))
 
 

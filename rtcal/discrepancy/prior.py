@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.acoustics.room import Room
 from rtcal.discrepancy.effects import Effect, Parameters
 from rtcal.discrepancy.model import State
@@ -28,8 +29,6 @@ OFF_TOGETHER = 0.2
 """Prior probability that coefficients of handbook uncertainty are off together. Catalogues agree to
 some 30 % for a material, and a room's absorption area after them is off by 23 to 34 % in three
 measured rooms (docs/discrepancy_study.md): more than independent errors of so many materials."""
-HANDBOOK_SIGMA = 0.3
-"""Relative sigma of coefficients from a handbook."""
 SHARPER = 0.4
 """How much the power of the probabilities grows towards a sigma of 0: it is 1 at a handbook's sigma,
 and 1.4 at 0. Where coefficients were measured, the most probable answer is right more often than

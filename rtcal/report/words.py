@@ -11,7 +11,13 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import EQUATIONS
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.acoustics.quality import TrustMark, agreement, weak_agreement
+from rtcal.acoustics.quality import (
+    P_CONTRADICTION,
+    TrustMark,
+    agreement,
+    together_in_words,
+    weak_agreement,
+)
 from rtcal.calibration.presets import METHODS
 from rtcal.calibration.record import equation_parameters
 from rtcal.calibration.result import CalibrationResult
@@ -172,7 +178,8 @@ def verdict(calibration: CalibrationResult) -> tuple[str, str, str]:
                 f"coefficient stands at a bound ({numbers})."
             ),
         )
-    if agreement(p) == "too good":
+    p_together = plausibility["p_together"]
+    if agreement(p, p_together) == "too good":
         return (
             "agrees",
             "It agrees too well to be true",
@@ -182,14 +189,23 @@ def verdict(calibration: CalibrationResult) -> tuple[str, str, str]:
                 "too large, or T was calculated from these coefficients."
             ),
         )
-    if agreement(p) == "contradicts":
+    if agreement(p, p_together) == "contradicts":
         return (
             "contradicts",
             _AGAINST,
             (
                 "The coefficients had to move further than their stated uncertainty explains "
                 f"({numbers}, p = {p:.2g}); {asks}. Something is missing from the model, or is stated "
-                "wrongly, or is less certain than stated."
+                f"wrongly, or is less certain than stated. {together_in_words(p, p_together)}".rstrip()
+            ),
+        )
+    if p < P_CONTRADICTION:
+        return (
+            "open",
+            "The measurement agrees with what was stated if the coefficients are off together",
+            (
+                "The coefficients had to move further than their own stated uncertainty explains "
+                f"({numbers}, p = {p:.2g}); {asks}. {together_in_words(p, p_together)}".rstrip()
             ),
         )
     return (

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from rtcal.acoustics import common_errors
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy import coefficients
 from rtcal.discrepancy.case import CLIMATE_UNCERTAINTY
-from rtcal.discrepancy.prior import HANDBOOK_SIGMA
 from rtcal.support.types import Array
 from rtcal.where.case import Case
 
@@ -37,10 +37,10 @@ def usual_errors(case: Case) -> Array:
     level = room.alpha * np.minimum(1.0, stated**2)
     own = np.eye(room.n_materials)[:, :, np.newaxis] * level
     parts = [
-        [coefficients.COMMON * level],
-        [coefficients.TILT * level * octaves],
-        coefficients.OWN * own,
-        coefficients.OWN_TILT * own * octaves,
+        [common_errors.COMMON * level],
+        [common_errors.TILT * level * octaves],
+        common_errors.OWN * own,
+        common_errors.OWN_TILT * own * octaves,
     ]
     return np.concatenate([np.asarray(part) for part in parts])
 
