@@ -328,6 +328,7 @@ def _gaps(
         for half, best in zip(halves, added, strict=True)
     ]
     for n, seed in enumerate(seeds):
+        trace_ahead(stated, stated.room.alpha, seed)
         as_stated = observe(stated, stated.room.alpha, finding.parameters, seed=seed)
         tell(0)
         for half, simulator in zip(halves, with_added, strict=True):
