@@ -15,6 +15,7 @@ from scipy import stats
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
+from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, with_reference
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.observations import Observations, observe
