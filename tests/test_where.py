@@ -170,7 +170,7 @@ def test_the_user_says_where_on_which_surface(finding: rt.where.Finding) -> None
 
 
 def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
-    finding: rt.where.Finding, cache: Path
+    finding: rt.where.Finding, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = rt.where.verify(finding, cache=cache)
     assert result.corrected.shape == (1, 5, 6, 3)
@@ -179,6 +179,14 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
     assert result.ratio < 0.7
     assert set(result.halves[0]) | set(result.halves[1]) == set(finding.pairs)
     assert not set(result.halves[0]) & set(result.halves[1])
+
+    def traced(*_: object) -> None:
+        raise AssertionError("what was computed for a case is kept")
+
+    monkeypatch.setattr(PathTracing, "_trace", traced)
+    again = rt.where.verify(finding, cache=cache)
+    for model in ("before", "plain", "corrected"):
+        assert np.array_equal(getattr(again, model), getattr(result, model))
 
 
 def test_surfaces_join_the_faces_of_a_plane() -> None:

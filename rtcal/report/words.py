@@ -178,7 +178,7 @@ def verdict(calibration: CalibrationResult) -> tuple[str, str, str]:
                 f"coefficient stands at a bound ({numbers})."
             ),
         )
-    p_together = plausibility["p_together"]
+    p_together = plausibility.p_together
     if agreement(p, p_together) == "too good":
         return (
             "agrees",

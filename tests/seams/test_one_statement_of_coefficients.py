@@ -1,0 +1,51 @@
+"""Calibrate and gap find state once what coefficients are off by, alone and together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import rtcal as rt
+from rtcal.acoustics.quality import agreement
+from rtcal.discrepancy import Case, Configuration
+from rtcal.discrepancy.coefficients import directions
+from rtcal.report.words import verdict
+
+
+def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> None:
+    room, measured = rt.datasets.bras_cr2()
+    result = rt.calibrate(room, measured)
+    case = Case(room=room, configurations=[Configuration(name="as built", measured=measured)])
+    errors = directions(case)
+    both = np.einsum("m,tmb->tb", room.areas, errors.common[0])
+    own = (room.areas[:, None] * errors.own[0]).reshape(-1, room.n_bands)
+    together = np.concatenate([both, own])
+    covariance = np.diag((room.areas[:, None] * room.sigma).T @ (room.areas[:, None] * room.sigma))
+    deviation, stated = result.joint.innovation
+    assert (np.diag(stated) >= covariance).all()  # and the uncertainty of T
+    q = deviation @ np.linalg.solve(stated + together.T @ together, deviation)
+    found = result.plausibility
+    assert found.p_together == pytest.approx(stats.chi2.sf(q, room.n_bands), rel=1e-9)
+    assert found.p_together > 100 * found.p_value
+    assert "With errors that coefficients have in common p = 0.01" in " ".join(str(result).split())
+    assert "gap find" in verdict(result)[2]
+
+
+def test_what_errors_in_common_explain_is_no_contradiction() -> None:
+    """Every coefficient is 20 % too small: improbable one by one, and usual of a handbook."""
+    alpha = np.tile([[0.1], [0.2], [0.15], [0.1], [0.3], [0.25]], (1, 6))
+    room = rt.Room(
+        name="hall",
+        volume=500,
+        materials=list("abcdef"),
+        areas=[60, 60, 70, 70, 80, 80],
+        alpha=alpha,
+        sigma=0.3 * alpha,
+        centre_frequencies=125 * 2.0 ** np.arange(6),
+        air=rt.Air(),
+    )
+    times = rt.Eyring().time(room, 1.25 * room.absorption_area)
+    found = rt.calibrate(room, times).plausibility
+    assert agreement(found.p_value) == "contradicts"
+    assert found.agreement == "agrees"
