@@ -5,7 +5,6 @@ It uses nothing that a solver states. A few lines of NumPy repeat it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,7 +32,7 @@ class Certificate:
         The answer.
     row_multipliers : array (n_rows,)
         Its multipliers of the rows.
-    materials : sequence of int
+    materials : tuple of int
         The materials of `alpha_error_bound`, by their index in the problem.
     """
 
@@ -43,7 +42,7 @@ class Certificate:
     model: NumpyModel
     unknowns: Array
     row_multipliers: Array
-    materials: Sequence[int]
+    materials: tuple[int, ...]
 
     @cached_property
     def alpha_error_bound(self) -> Array:
@@ -107,7 +106,7 @@ def certify(model: NumpyModel, u: Array, multipliers: Multipliers) -> Certificat
         model=model,
         unknowns=u,
         row_multipliers=multipliers.rows,
-        materials=range(len(layout.materials)),
+        materials=tuple(range(len(layout.materials))),
     )
 
 

@@ -113,7 +113,7 @@ class CalibrationResult(Result):
     @cached_property
     def certificate(self) -> Certificate:
         """Error bounds of the answer: its distance from the optimum."""
-        return replace(self.joint.solution.certificate, materials=self._rows)
+        return replace(self.joint.solution.certificate, materials=tuple(self._rows))
 
     @property
     def raw(self) -> RawSolution:
