@@ -19,54 +19,19 @@ bandwidth (ISO 3382-2:2008, Eqs. 4 and 5): a third has sqrt(3) times the octave'
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import DECAY_TIMES
+from rtcal.acoustics.observables import TARGET, observable
+from rtcal.acoustics.observables.base import ITSELF, Scale
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
-
-
-@dataclass(frozen=True)
-class _Scale:
-    """The quantity that averages over the thirds of an octave, for one parameter."""
-
-    forward: Callable[[Array], Array]
-    inverse: Callable[[Array], Array]
-    slope: Callable[[Array], Array]
-
-
-def _early_share(clarity: Array) -> Array:
-    return np.asarray(1 / (1 + 10 ** (-clarity / 10)))
-
-
-_DB = np.log(10) / 10
-_LINEAR = _Scale(lambda x: x, lambda x: x, np.ones_like)
-_RATE = _Scale(lambda t: 1 / t, lambda rate: 1 / rate, lambda t: -1 / t**2)
-_CLARITY = _Scale(
-    _early_share,
-    lambda share: 10 * np.log10(share / (1 - share)),
-    lambda c: _DB * _early_share(c) * (1 - _early_share(c)),
-)
-_LEVEL = _Scale(
-    lambda level: 10 ** (level / 10),
-    lambda energy: 10 * np.log10(energy),
-    lambda level: _DB * 10 ** (level / 10),
-)
-_SCALES = {
-    **dict.fromkeys(DECAY_TIMES, _RATE),
-    **dict.fromkeys(("c50", "c80"), _CLARITY),
-    **dict.fromkeys(("d50", "ts"), _LINEAR),
-    "g": _LEVEL,
-    "level": _LEVEL,
-}
 
 
 def complete_octaves(frequencies: Iterable[float]) -> Array:
@@ -162,12 +127,12 @@ def absorption(values: Array, frequencies: Iterable[float], wanted: Iterable[flo
     >>> print(absorption([0.3], [500], [400, 500, 630]))
     [0.3 0.3 0.3]
     """
-    return _averaged(_LINEAR, values, _Columns(frequencies, wanted))
+    return _averaged(ITSELF, values, _Columns(frequencies, wanted))
 
 
 @checked
 def parameter(
-    values: Array, frequencies: Iterable[float], wanted: Iterable[float], name: str = "t20"
+    values: Array, frequencies: Iterable[float], wanted: Iterable[float], name: str = TARGET.key
 ) -> Array:
     """Return a measured or simulated parameter in other bands, (..., n_wanted).
 
@@ -178,12 +143,12 @@ def parameter(
     frequencies, wanted : sequence
         Centre frequencies in Hz, thirds or octaves.
     name : str
-        A key of `rtcal.acoustics.parameters.UNITS`.
+        A key of `rtcal.acoustics.observables.OBSERVABLES`.
 
     Raises
     ------
     DataError
-        For an unknown parameter or a decay time that is not above 0; if an octave lacks one of its
+        For an unknown parameter or a value that it cannot have; if an octave lacks one of its
         thirds, or a third its octave.
 
     Examples
@@ -191,10 +156,10 @@ def parameter(
     >>> print(parameter([1.0, 2.0, 2.0], [400, 500, 630], [500]))
     [1.5]
     """
-    scale, values = _scale(name), checks.array("values", values)
-    if name in DECAY_TIMES and (values <= 0).any():
-        raise DataError(f"{name} = {np.nanmin(values):g} s is not above 0")
-    return _averaged(scale, values, _Columns(frequencies, wanted))
+    kind, values = observable(name), checks.array("values", values)
+    if (broken := kind.broken(values)).any():
+        raise DataError(f"{name} = {values[broken][0]:g} is not {kind.value_rule}")
+    return _averaged(kind.averaging, values, _Columns(frequencies, wanted))
 
 
 @checked
@@ -203,7 +168,7 @@ def parameter_uncertainty(
     values: Array,
     frequencies: Iterable[float],
     wanted: Iterable[float],
-    name: str = "t20",
+    name: str = TARGET.key,
 ) -> Array:
     """Return the standard uncertainty of a measured parameter in other bands, (..., n_wanted).
 
@@ -225,7 +190,7 @@ def parameter_uncertainty(
     >>> print(u.round(4))
     [0.0173]
     """
-    scale, columns = _scale(name), _Columns(frequencies, wanted)
+    scale, columns = observable(name).averaging, _Columns(frequencies, wanted)
     spread, centre = checks.array("uncertainty", uncertainty), checks.array("values", values)
     if spread.shape != centre.shape:
         raise DataError(f"uncertainty has shape {spread.shape}; values has {centre.shape}")
@@ -332,13 +297,7 @@ def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) ->
     )
 
 
-def _scale(name: str) -> _Scale:
-    if name not in _SCALES:
-        raise DataError(f'parameter "{name}" is unknown; known are {", ".join(_SCALES)}')
-    return _SCALES[name]
-
-
-def _averaged(scale: _Scale, values: Array, columns: _Columns) -> Array:
+def _averaged(scale: Scale, values: Array, columns: _Columns) -> Array:
     parts = columns.take(checks.array("values", values))
     if parts.shape[-1] == 1:
         return parts[..., 0]

@@ -10,16 +10,8 @@ import numpy as np
 
 from rtcal.acoustics import bands, measurement_files, repeats
 from rtcal.acoustics.materials import text_name
-from rtcal.acoustics.parameters import (
-    DECAY_TIMES,
-    LIMITS,
-    SUMMARY,
-    UNITS,
-    check_parameter,
-    limits_in_words,
-    parameter_label,
-)
-from rtcal.acoustics.uncertainty import ISO_3382_2, iso_3382_2
+from rtcal.acoustics.observables import OBSERVABLES, REVERBERATION, observable
+from rtcal.acoustics.parameters import SUMMARY, parameter_label
 from rtcal.errors import DataError
 from rtcal.support import checks, html
 from rtcal.support.arguments import checked
@@ -59,7 +51,7 @@ class Measurement:
     centre_frequencies : array (n_bands,)
         Hz, increasing.
     values : mapping of str to array (n_pairs, n_bands)
-        By parameter (keys of `UNITS`), in its unit; NaN is missing, and normal.
+        By parameter (keys of `rtcal.acoustics.observables.OBSERVABLES`), in its unit; NaN is missing, and normal.
     pairs : sequence of (source, receiver)
         Names, (n_pairs,). The single pair ``("*", "*")`` is a summary: means over several pairs.
         ``("S1", "R1#2")`` is a repeat of ``("S1", "R1")``: the repeats' mean is kept, as one pair.
@@ -199,7 +191,7 @@ class Measurement:
                     raise DataError(f"measurement {name}[{parameter}] has no values beside it")
 
     def _checked(self, name: str, parameter: str, value: Any, shape: tuple[int, ...]) -> Array:
-        check_parameter(parameter)
+        kind = observable(parameter)
         array = checks.array(f"measurement {name}[{parameter}]", value).copy()
         if array.shape != shape:
             raise DataError(f"measurement {name}[{parameter}] has shape {array.shape}, not {shape}")
@@ -207,11 +199,8 @@ class Measurement:
         rule = "finite"
         if name != "values":
             low, rule = array < 0, "finite and 0 or more"
-        elif parameter in DECAY_TIMES:
-            low, rule = array <= 0, "finite and above 0 s"
         else:
-            least, most, rule = limits_in_words(parameter)
-            low = (array < least) | (array > most)
+            low, rule = kind.broken(array), kind.value_rule
         if (bad := infinite | low).any():
             where = tuple(int(i) for i in np.argwhere(bad)[0])
             band = bands.label(self.centre_frequencies[where[-1]])
@@ -228,7 +217,7 @@ class Measurement:
         """Return a table of each parameter's mean over the pairs ± its standard uncertainty."""
         rows = []
         for parameter in self.values:
-            unit = f" / {UNITS[parameter]}" if UNITS[parameter] else ""
+            unit = f" / {OBSERVABLES[parameter].unit}".removesuffix(" / ")
             means = zip(self.mean(parameter), self.mean_uncertainty(parameter), strict=True)
             rows.append([parameter_label(parameter) + unit, *(_mean_text(m, u) for m, u in means)])
         labels = [bands.label(f) for f in self.centre_frequencies]
@@ -243,18 +232,15 @@ class Measurement:
         for name in ("uncertainty", "common_uncertainty"):
             for parameter, array in getattr(self, name).items():
                 stated = np.atleast_2d(array)
-                if parameter in DECAY_TIMES:
-                    most, rule = self.values[parameter], "the value itself"
-                else:
-                    low, high, _ = LIMITS[parameter]
-                    most, rule = np.array(high - low), "the parameter's range"
+                kind = observable(parameter)
+                most, rule = kind.largest_uncertainty(self.values[parameter])
                 if (bad := stated > most).any():
                     pair, band = (int(i) for i in np.argwhere(bad)[0])
                     row = 0 if name == "common_uncertainty" else pair
                     raise DataError(
                         f"measurement {name}[{parameter}, "
                         f"{bands.label(self.centre_frequencies[band])}] = {stated[row, band]:g}"
-                        f"{f' {UNITS[parameter]}'.rstrip()} is larger than {rule}: is it in percent?"
+                        f"{f' {kind.unit}'.rstrip()} is larger than {rule}: is it in percent?"
                     )
 
     @property
@@ -289,7 +275,7 @@ class Measurement:
         Arithmetic, over the same pairs in model and measurement: the mean of a ratio is not the
         ratio of means. Raises DataError for a name that is no parameter.
         """
-        check_parameter(parameter)
+        observable(parameter)
         if parameter not in self.values:
             return np.full(len(self.centre_frequencies), np.nan)
         values = self.values[parameter]
@@ -328,10 +314,8 @@ class Measurement:
         spread, n_effective, positions = self._spread(parameter)
         n_effective, positions = (np.minimum(n, MAX_POSITIONS) for n in (n_effective, positions))
         variance = np.where(n_effective > 1, spread**2 / np.maximum(n_effective, 1), np.nan)
-        if parameter in ISO_3382_2:
-            variance = np.fmax(
-                variance, iso_3382_2(parameter, self.centre_frequencies, mean, positions)
-            )
+        iso = observable(parameter).variance_of_mean(self.centre_frequencies, mean, positions)
+        variance = np.fmax(variance, iso)
         uncertainty = np.where(count > 0, np.sqrt(variance), np.nan)
         common = self.common_uncertainty.get(parameter)
         if parameter in self.uncertainty:
@@ -407,7 +391,7 @@ class Measurement:
         k = len(self.centre_frequencies)
         mean, uncertainty = np.full(k, np.nan), np.full(k, np.nan)
         parameter = np.full(k, "", dtype="<U3")
-        for name in ("t30", "t20"):  # T20 replaces T30 where both were measured
+        for name in [o.key for o in reversed(REVERBERATION)]:  # the first replaces the others
             value = self.mean(name)
             measured = np.isfinite(value)
             mean[measured] = value[measured]

@@ -5,7 +5,7 @@ One row per value. An empty value is missing. Lines that begin with # are notes:
     source,receiver,parameter,band,value
     S1,R1,T20,500,1.92
 
-Parameters: T20, T30, EDT, Ts in s; C50, C80, G in dB; D50 as a fraction; the band in Hz. Optional
+Parameters: T20, T30, EDT, Ts in s; C50, C80, G in dB; D50 and STI as fractions; the band in Hz. Optional
 columns: ``uncertainty`` (standard uncertainty of the value) and ``common_uncertainty`` (beside it, the
 part that all pairs of a band have in common, the same in each of their rows). A row over several pairs
 has source and receiver ``*``, and may have ``standard_deviation`` over the pairs, ``sources`` and
@@ -25,15 +25,8 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.parameters import (
-    DECAY_TIMES,
-    LIMITS,
-    SUMMARY,
-    UNITS,
-    limits_in_words,
-    parameter_label,
-    plausible_time,
-)
+from rtcal.acoustics.observables import OBSERVABLES
+from rtcal.acoustics.parameters import SUMMARY, parameter_label
 from rtcal.errors import DataError
 from rtcal.support.decode import Entries
 from rtcal.support.files import json_numbers, read_text
@@ -134,22 +127,14 @@ def _row(
     cell: Mapping[str, str], place: str
 ) -> tuple[tuple[str, str, str, float], dict[str, float]]:
     parameter = cell["parameter"].lower()
-    if parameter not in UNITS:
-        allowed = ", ".join(UNITS)
+    if parameter not in OBSERVABLES:
+        allowed = ", ".join(OBSERVABLES)
         raise DataError(f'{place}: parameter "{cell["parameter"]}" is unknown; known: {allowed}')
     band = _cell(cell, "band", place)
     if not band > 0:
         raise DataError(f'{place}: band = "{cell["band"]}" is not a frequency above 0 Hz')
     numbers = {c: _cell(cell, c, place) for c in ("value", *_OPTIONAL_COLUMNS) if c in cell}
-    value = numbers["value"]
-    if parameter in DECAY_TIMES and value <= 0:
-        raise DataError(f"{place}: {cell['parameter']} = {value:g} s is not above 0")
-    if parameter in DECAY_TIMES and np.isfinite(value):
-        plausible_time(f"{place}: {cell['parameter']}", value, parameter)
-    if parameter in LIMITS:
-        least, most, rule = limits_in_words(parameter)
-        if value < least or value > most:
-            raise DataError(f"{place}: {cell['parameter']} = {value:g} is not {rule}")
+    OBSERVABLES[parameter].refuse(f"{place}: {cell['parameter']}", numbers["value"])
     for column in _OPTIONAL_COLUMNS:
         if numbers.get(column, 0.0) < 0:
             raise DataError(f"{place}: {column} = {numbers[column]:g} is below 0")
@@ -252,7 +237,7 @@ def attributes(data: Mapping[str, Any]) -> dict[str, Any]:
         if name not in entries:
             return {}
         parameters = entries.mapping(name)
-        table = Entries(f"{name}.", parameters, (), UNITS)
+        table = Entries(f"{name}.", parameters, (), OBSERVABLES)
         return {p: table.array(p, shape, missing=True) for p in parameters}
 
     return {

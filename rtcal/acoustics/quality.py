@@ -11,42 +11,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.enclosure import surface_doubt
-from rtcal.acoustics.parameters import DECAY_TIMES
+from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
-# ISO 3382-1:2009, Table A.1: relative for decay times, absolute for the others.
-JND: dict[str, float] = {
-    "t20": 0.05,
-    "t30": 0.05,
-    "edt": 0.05,
-    "c50": 1.0,
-    "c80": 1.0,
-    "g": 1.0,
-    "level": 1.0,
-    "d50": 0.05,
-    "ts": 0.010,
-}
-"""One JND: 5 % of the measured decay time; 1 dB; 0.05 for D50; 10 ms for Ts."""
-
 
 @checked
-def gap_jnd(model: Array, measured: Array, parameter: str = "t20") -> Array:
+def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array:
     """Return (model - measured) in JND, signed, same shape; NaN where either is missing.
+
+    One JND of a decay time is 5 % of the measured one (ISO 3382-1:2009, Table A.1).
 
     Examples
     --------
     >>> print(gap_jnd(np.array([1.05, 0.9]), np.array([1.0, 1.0])).round(6))
     [ 1. -2.]
     """
-    if parameter not in JND:
-        raise DataError(f'parameter "{parameter}" has no JND; known are {", ".join(JND)}')
+    unit_of = observable(parameter).jnd_of
     model, measured = checks.array("model", model), checks.array("measured", measured)
-    unit = JND[parameter] * measured if parameter in DECAY_TIMES else JND[parameter]
-    return np.asarray((model - measured) / unit)
+    return np.asarray((model - measured) / unit_of(measured))
 
 
 P_CONTRADICTION = 0.05
@@ -439,7 +425,7 @@ def trust_marks(
         if uncertainty[k] > _ODD_UNCERTAINTY * measured[k]:
             over = f"{100 * _ODD_UNCERTAINTY:.0f} %"
             mark("uncertain", f, f"T is uncertain by over {over}: is it stated in percent, not s?")
-        elif uncertainty[k] > JND["t20"] * measured[k] and not abs(z[k]) > _LARGE_Z:
+        elif uncertainty[k] > TARGET.jnd_of(measured[k]) and not abs(z[k]) > _LARGE_Z:
             mark("uncertain", f, "T is uncertain by more than one JND")
         # A single coefficient at 1 says nothing of the others, which may still give the T.
         spent = bool((active[:, k] > 0)[room.sigma[:, k] > 0].all())

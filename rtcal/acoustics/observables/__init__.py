@@ -1,0 +1,29 @@
+"""Observables: what is heard at a position, by band. Reading, measuring, fitting and finding ask here.
+
+A new observable is one new module of this package. Its class registers itself in `OBSERVABLES`, where
+files, tables, impulse responses, simulators, calibrations, finders, pages and checks look it up: its
+value from an energy decay, its derivative, the scale on which it is linear in the absorption, its JND,
+its uncertainty, its unit, its limits and its names.
+"""
+
+import importlib
+import pkgutil
+
+from rtcal.acoustics.observables.base import DB as DB
+from rtcal.acoustics.observables.base import OBSERVABLES as OBSERVABLES
+from rtcal.acoustics.observables.base import Observable as Observable
+from rtcal.acoustics.observables.base import observable as observable
+from rtcal.acoustics.observables.base import of_kind as of_kind
+from rtcal.acoustics.observables.base import register as register
+from rtcal.acoustics.observables.decay_slope import DecaySlope as DecaySlope
+
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")
+
+REVERBERATION = tuple(o for o in of_kind(DecaySlope).values() if o.averages is not None)
+"""The reverberation times. Coefficients are calibrated to the first one that was measured, never to EDT:
+it depends on the early sound and the source's directivity, which coefficients must not compensate."""
+TARGET = REVERBERATION[0]
+"""The decay time that every simulator gives, and that a loop on mean values matches."""
+MATCH = tuple(key for key, o in OBSERVABLES.items() if o.matched)
+"""Keys of what is matched at every position where nothing else is asked for."""

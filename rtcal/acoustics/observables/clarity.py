@@ -1,0 +1,77 @@
+"""Clarity: the early energy over the late, in dB (ISO 3382-1:2009, A.10)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.decay_curve import clarity
+from rtcal.acoustics.observables.base import DB, Observable, Scale
+from rtcal.support.types import Array
+
+
+def _early_share(clarity: Array) -> Array:
+    return np.asarray(1 / (1 + 10 ** (-clarity / 10)))
+
+
+class Clarity(Observable):
+    """10 lg(early / late) in dB; ``limit`` in s ends the early sound."""
+
+    limit: ClassVar[float]
+    unit = "dB"
+    decimals = 1
+    jnd = 1.0
+    # C80 of T = 0.03 s is 160 dB.
+    limits = -200.0, 200.0
+    doubt = "is it in dB?"
+    rises = True
+    # Of C80 between teams, in dB; see `rtcal.acoustics.observables.decay_slope.TEAMS`.
+    teams = (0.83, 0.70, 0.59, 0.49, 0.42, 0.35)
+    unknown_error = 0.5
+    averaging = Scale(
+        _early_share,
+        lambda share: 10 * np.log10(share / (1 - share)),
+        lambda c: np.log(10) / 10 * _early_share(c) * (1 - _early_share(c)),
+    )
+
+    def value(self, energy: Array, bin_width: float) -> Array:
+        """Return the clarity in dB."""
+        return clarity(energy, bin_width, self.limit)
+
+    def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return DB (share / early - (1 - share) / late), share the part of a bin before the limit."""
+        share = np.clip(self.limit / bin_width - np.arange(energy.shape[-1]), 0.0, 1.0)
+        early, late = energy @ share, energy @ (1 - share)
+        return np.asarray(
+            DB * (share / early[..., np.newaxis] - (1 - share) / late[..., np.newaxis])
+        )
+
+    def linear(self, values: Array, stated: Array) -> Array:
+        """Return the relative change of the decay rate k of C = 10 lg(exp(k limit) - 1)."""
+        return np.asarray(self._rate(values) / self._rate(stated) - 1)
+
+    def linear_slope(self, values: Array, stated: Array) -> Array:
+        """Return the derivative of `linear` by the clarity."""
+        rate = self._rate(values)
+        by_rate = DB * self.limit / -np.expm1(-rate * self.limit)
+        return np.asarray(1 / (by_rate * self._rate(stated)))
+
+    def _rate(self, clarity: Array) -> Array:
+        """Return the k of an exponential decay with this clarity in dB, in 1/s."""
+        return np.asarray(np.log1p(np.exp(clarity / DB)) / self.limit)
+
+    def scatter(self, frequencies: Array, times: Array) -> Array:
+        """Return the standard deviation in dB of one response, whose field is noise.
+
+        In a window the energy of noise of bandwidth B has the relative variance 1 / (B t), where
+        t = (∫ e)² / ∫ e² of the decaying energy e. For the early sound of an exponential decay t is
+        2 (1 - a) / (k (1 + a)), for the late one 2 / k; k = 6 ln 10 / T, a = exp(-k limit).
+        """
+        bandwidth = bands.bandwidth_factor(frequencies) * frequencies
+        with np.errstate(invalid="ignore"):
+            rate = 6 * np.log(10) / times
+            end = np.exp(-rate * self.limit)
+            variance = rate / (2 * bandwidth) * ((1 + end) / (1 - end) + 1)
+            return np.asarray(10 / np.log(10) * np.sqrt(variance))

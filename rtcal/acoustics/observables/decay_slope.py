@@ -1,0 +1,158 @@
+"""Decay times: the slope of the decay curve between two levels (ISO 3382-1:2009, 5.3 and A.2.2)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.decay_curve import decay_curve_db, ends_above, slope_time
+from rtcal.acoustics.observables.base import DB, Observable, Scale
+from rtcal.errors import DataError
+from rtcal.support.types import Array
+
+LIMITS = (0.01, 120.0)
+"""Shortest and longest T20 and T30 in s that are accepted. A lined box of a litre has 0.01 s or more.
+The longest published T is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic
+Wonderland, 2014)."""
+TEAMS = (0.046, 0.036, 0.028, 0.022, 0.017, 0.013)
+"""Of T, relative. The ends are from the music studio of the PTB (round robin III, Bork 2005; medians over
+pairs), geometric between them. All pairs of a team have this error in common."""
+
+_DECAYS = 10
+"""Decays that an integrated impulse response counts as (ISO 3382-2:2008, 6.2)."""
+
+
+class Relative(Observable):
+    """A time in s, whose logarithm is observed."""
+
+    unit = "s"
+    decimals = 3
+    logarithmic = True
+    unknown_error = 0.05
+
+    def linear(self, values: Array, stated: Array) -> Array:
+        """Return 1 - stated / value: 1 / T and 1 / Ts are linear in the absorption area."""
+        return np.asarray(1 - np.exp(-(values - stated)))
+
+    def linear_slope(self, values: Array, stated: Array) -> Array:
+        """Return the derivative of `linear` by the logarithm."""
+        return np.asarray(np.exp(-(values - stated)))
+
+
+class DecaySlope(Relative):
+    """A decay time in s: -60 dB over the slope of the decay curve within a range of levels.
+
+    Attributes
+    ----------
+    upper, lower : float
+        The range in dB.
+    one_decay : float
+        Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz.
+    averages : (float, float) or None
+        a and b of the uncertainty of a mean over positions (ISO 3382-2:2008, Eqs. 4 and 5).
+    """
+
+    upper: ClassVar[float]
+    lower: ClassVar[float]
+    one_decay: ClassVar[float]
+    averages: ClassVar[tuple[float, float] | None] = None
+    jnd = 0.05
+    relative_jnd = True
+    limits = LIMITS
+    doubt = "is it in seconds?"
+    part = "late"
+    teams = TEAMS
+    averaging = Scale(lambda t: 1 / t, lambda rate: 1 / rate, lambda t: -1 / t**2)
+
+    def value(self, energy: Array, bin_width: float) -> Array:
+        """Return the decay times in s; NaN for a decay that is too short or does not fall."""
+        time = self.of_curve(decay_curve_db(energy), bin_width)
+        return np.where(self.too_short(energy), np.nan, time)
+
+    def of_curve(self, level: Array, bin_width: float) -> Array:
+        """Return the decay times in s of decay curves in dB, wherever they end."""
+        return slope_time(level, bin_width, self.upper, self.lower)
+
+    def too_short(self, energy: Array) -> NDArray[np.bool_]:
+        """Return whether the decays are cut off too early to hold the range of levels."""
+        return ends_above(energy, self.lower)
+
+    def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return d ln T / d E_j.
+
+        T is -60 / slope, the slope that of the regression of L_k = DB ln(B_k / B_0) on k within the
+        range, with B_k the energy from bin k on. So d ln T = -sum c_k dL_k / (slope sum c_k²), where c_k
+        is k less its mean. The range's ends move too: at an end that lies r off the line, points enter
+        or leave at the rate of dL / slope bins, and each has the weight c r / (slope sum c_k²).
+        """
+        within = (level <= self.upper) & (level >= self.lower)
+        k = np.arange(level.shape[-1], dtype=float)
+        n = np.maximum(within.sum(axis=-1, keepdims=True), 1)
+        centred = np.where(within, k - np.where(within, k, 0.0).sum(-1, keepdims=True) / n, 0.0)
+        inside = np.where(within, level, 0.0)
+        spread = np.sum(centred**2, axis=-1, keepdims=True)
+        slope = np.sum(centred * inside, axis=-1, keepdims=True) / spread
+        residual = inside - inside.sum(-1, keepdims=True) / n - slope * centred
+        by_level = -centred / (slope * spread)
+        leverage = centred * residual / (slope**2 * spread)
+        first = np.argmax(within, axis=-1)[..., np.newaxis]
+        last = level.shape[-1] - 1 - np.argmax(np.flip(within, -1), axis=-1)[..., np.newaxis]
+        by_level += np.where(k == last, leverage, 0.0)
+        if self.upper < 0:  # the curve begins at 0 dB, whatever the energy
+            by_level -= np.where(k == first, leverage, 0.0)
+        left = np.flip(np.cumsum(np.flip(energy, -1), axis=-1), -1)
+        share = np.where(within, by_level / np.where(left > 0, left, 1.0), 0.0)
+        whole = by_level.sum(-1, keepdims=True) / left[..., :1]
+        gradient = DB * (np.cumsum(share, axis=-1) - whole)
+        lacking = np.isnan(self.of_curve(level, bin_width))[..., np.newaxis]
+        return np.where(lacking, np.nan, gradient)
+
+    def decay_time(self, values: Array) -> Array:
+        """Return the values."""
+        return values
+
+    def scatter(self, frequencies: Array, times: Array) -> Array:
+        """Return `one_decay` / sqrt(B T) (ISO 3382-2:2008, Eqs. 4 and 5 for T20 and T30)."""
+        bandwidth = bands.bandwidth_factor(frequencies) * frequencies
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.one_decay / np.sqrt(bandwidth * times))
+
+    def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
+        """Return a² T (1 + b / n) / (N B), n the decays of an average, N the positions.
+
+        The standard was not at hand; a and b are those of RWTH Aachen's ITA-Toolbox,
+        ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
+        """
+        if self.averages is None:
+            return super().variance_of_mean(frequencies, mean, positions)
+        a, b = self.averages
+        bandwidth = bands.bandwidth_factor(frequencies) * frequencies
+        return np.asarray(a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth))
+
+    @property
+    def value_rule(self) -> str:
+        """A simulated decay may be of any length."""
+        return "finite and above 0 s"
+
+    def broken(self, values: Array) -> NDArray[np.bool_]:
+        """Return where values are not above 0."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(values <= 0)
+
+    def largest_uncertainty(self, values: Array) -> tuple[Array, str]:
+        """Return the values."""
+        return values, "the value itself"
+
+    def refuse(self, place: str, value: float) -> None:
+        """Raise DataError for a T that no room has: it is most likely in another unit."""
+        if value <= 0:
+            raise DataError(f"{place} = {value:g} s is not above 0")
+        low, high = self.limits
+        if value > high or value < low:
+            low, high = LIMITS
+            raise DataError(
+                f"{place} = {value:g} s is not from {low:g} to {high:g} s, as in any room: {self.doubt}"
+            )

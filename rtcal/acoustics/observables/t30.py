@@ -1,0 +1,18 @@
+"""T30."""
+
+from __future__ import annotations
+
+from rtcal.acoustics.observables.base import register
+from rtcal.acoustics.observables.decay_slope import DecaySlope
+
+
+@register
+class T30(DecaySlope):
+    """T30: -5 to -35 dB (ISO 3382-1:2009, 5.3)."""
+
+    key, label, rank = "t30", "T30", 20
+    spellings = ("rt30", "t60(30)", "t_30", "reverberationtimet30", "nachhallzeitt30")
+    upper, lower = -5.0, -35.0
+    minimum_range = 45.0
+    one_decay = 0.55
+    averages = (0.55, 1.52)
