@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 import rtcal as rt
-from rtcal.acoustics.quality import JND, gap_jnd
+from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.quality import gap_jnd
 from rtcal.datasets import halls
 from rtcal.loop.calibrate import calibrate_simulator
 from rtcal.simulators.path_tracing import PathTracing
@@ -143,7 +144,7 @@ def run(name: str, case: Case, trial: int) -> Trial:
     confirmed = tracer(dict(hall.held_out), 4 * case.n_paths).simulate(
         result.alpha, seed=200 + trial
     )
-    noise = seen.mean_uncertainty("t20") / seen.mean("t20") / JND["t20"]
+    noise = seen.mean_uncertainty("t20") / seen.mean("t20") / TARGET.jnd
     numbers = [
         float(len(result.loop.steps)),
         largest(with_prior, seen, "t20"),

@@ -2,7 +2,7 @@
 
 Rooms of the second hidden world's development population, of which only the first source-receiver pair
 counts, so that no uncertainty follows from the spread over pairs. Prints verdict and effect with the
-numbers of `rtcal.acoustics.uncertainty`, and with half and twice those of times and of levels.
+numbers of `rtcal.acoustics.observables`, and with half and twice those of times and of levels.
 """
 
 from __future__ import annotations
@@ -10,10 +10,13 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from unittest.mock import patch
 
 import numpy as np
 
-from rtcal.acoustics import uncertainty
+from rtcal.acoustics.observables import OBSERVABLES, DecaySlope
 from rtcal.discrepancy import Case, control_rooms, features, find
 from tests.second_world.generate import read
 
@@ -38,16 +41,20 @@ def first_pair(data: dict) -> Case:
     )
 
 
-def scaled(
-    of_time: float, of_level: float, between: dict, one_decay: dict, one_level: float
-) -> None:
-    """Set the numbers of `features` to so many times the chosen ones."""
-    uncertainty.REPRODUCIBILITY = {
-        p: tuple((of_level if p in features.LEVELS else of_time) * np.array(row))
-        for p, row in between.items()
-    }
-    uncertainty.ONE_DECAY = {p: of_time * value for p, value in one_decay.items()}
-    features.ONE_LEVEL = of_level * one_level
+@contextmanager
+def scaled(of_time: float, of_level: float) -> Iterator[None]:
+    """Take so many times the chosen uncertainties."""
+    with ExitStack() as changed:
+        for kind in OBSERVABLES.values():
+            factor = of_time if isinstance(kind, DecaySlope) else of_level
+            teams = tuple(factor * x for x in kind.teams)
+            changed.enter_context(patch.object(type(kind), "teams", teams))
+            if isinstance(kind, DecaySlope):
+                changed.enter_context(
+                    patch.object(type(kind), "one_decay", of_time * kind.one_decay)
+                )
+        changed.enter_context(patch.object(features, "ONE_LEVEL", of_level * features.ONE_LEVEL))
+        yield
 
 
 def main() -> None:
@@ -56,17 +63,15 @@ def main() -> None:
     count = parser.parse_args().rooms
     warnings.simplefilter("ignore")
     cases, truths = read(0, "case"), read(0, "truth")
-    chosen = uncertainty.REPRODUCIBILITY, uncertainty.ONE_DECAY, features.ONE_LEVEL
     changed = np.zeros(len(FACTORS), dtype=int)
     for i in np.linspace(0, len(cases) - 1, count).astype(int):
         case = first_pair(cases[i])
         controls = control_rooms(case)
         results = []
         for of_time, of_level in FACTORS:
-            scaled(of_time, of_level, *chosen)
-            finding = find(case, controls=controls)
+            with scaled(of_time, of_level):
+                finding = find(case, controls=controls)
             results.append((finding.verdict, finding.effect))
-        scaled(1.0, 1.0, *chosen)
         changed += [r != results[0] for r in results]
         print(truths[i]["kind"], *results, sep=" | ")
         sys.stdout.flush()

@@ -18,9 +18,9 @@ from itertools import product
 import numpy as np
 
 from benchmarks.where import case_of
+from rtcal.acoustics.observables import observable
 from rtcal.simulators import Polyhedron
 from rtcal.simulators.observations import MATCH
-from rtcal.where import scales
 from rtcal.where.weighing import Weighing
 from tests.geometric_world.load import IN_SITU, load, stored
 
@@ -89,7 +89,7 @@ def deviations(index: int) -> tuple[np.ndarray, np.ndarray]:
     def linear(energy: np.ndarray) -> np.ndarray:
         values = weighing.parameters(energy)
         rows = zip(MATCH, values, base, strict=True)
-        return np.array([scales.linear(name, value, at) for name, value, at in rows])
+        return np.array([observable(name).linear(value, at) for name, value, at in rows])
 
     here = np.array([linear(e[0]) for e in weighing.of_groups(patches, [SHARE])])
     steps = sorted(set(shares))

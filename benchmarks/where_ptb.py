@@ -32,10 +32,10 @@ from benchmarks.judging import FLAGS, families_of, rate
 from benchmarks.real_data import DATA, OCTAVES, PTB_AIR, handbook_sigma, lines
 from benchmarks.where import PATHS, plain, said
 from benchmarks.where_figures import MODELS, first
+from rtcal.acoustics.observables import observable
 from rtcal.loop.control_runs import control_runs
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.types import Array
-from rtcal.where import scales
 from rtcal.where.evidence import flat
 from rtcal.where.model import Model
 from rtcal.where.model import model as model_of
@@ -310,7 +310,7 @@ def ratios(
     """
     wanted = numbers.data.observations
     rows = [names.index(p) for p in wanted.parameters]
-    change = [scales.linear(names[r], closed[r], opened[r]) for r in rows]
+    change = [observable(names[r]).linear(closed[r], opened[r]) for r in rows]
     used = numbers.used
     shift, residual = flat(np.array(change))[used], numbers.residual[used]
     simulators, prior = numbers.simulator_error(), numbers.alpha @ numbers.alpha.T

@@ -136,7 +136,7 @@ def test_incomplete_octaves_are_refused() -> None:
 def test_bad_values_are_named() -> None:
     with pytest.raises(rt.errors.DataError, match="last axis has 3 bands"):
         band_conversion.absorption([0.1, 0.2], [400, 500, 630], [500])
-    with pytest.raises(rt.errors.DataError, match="t20 = 0 s is not above 0"):
+    with pytest.raises(rt.errors.DataError, match="t20 = 0 is not finite and above 0 s"):
         band_conversion.parameter([0.0, 1.0, 1.0], [400, 500, 630], [500])
     with pytest.raises(rt.errors.DataError, match='"t60" is unknown'):
         band_conversion.parameter([1.0], [500], [500], "t60")

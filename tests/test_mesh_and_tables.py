@@ -138,7 +138,7 @@ TABLES = [
     (b"Frequency,T20\n500,long\n", 'line 2: "long" is not a finite number'),
     (b"Frequency,T20 [min]\n500,1\n", 'line 1: T20 in "min"'),
     (b"Frequency,Volume\n500,1\n", 'line 1: column "Volume" is no parameter'),
-    (b"Frequency,D50\n500,55\n", "line 2: D50 = 55 is not in"),
+    (b"Frequency,D50\n500,55\n", "line 2: D50 = 55 is not from 0 to 1: is it in percent"),
     (b"Frequency,T20\n500\n", "line 2: 1 cells; the header has 2"),
     (b"Frequency,T20\nlow,1\n", 'line 2: band "low" is no frequency'),
     (b"Frequency,T20\n", "line 1: a header and at least one row"),

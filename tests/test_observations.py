@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics import decay
-from rtcal.acoustics.decay_gradients import gradients
+from rtcal.acoustics.decay import gradients
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable
 from rtcal.datasets import halls
 from rtcal.errors import DataError, SimulatorError
 from rtcal.simulators import (
@@ -24,7 +24,7 @@ from rtcal.simulators import (
     paths,
 )
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.simulators.observations import MATCH, differences, jacobian, observe
+from rtcal.simulators.observations import differences, jacobian, observe
 
 
 @pytest.fixture(scope="module")
@@ -46,17 +46,12 @@ def bent_decay(share):
     return (1 - share) * 10 ** (-6 * time / 0.5) + share * 10 ** (-6 * time / 0.7)
 
 
-@pytest.mark.parametrize("parameter", ["t20", "t30", "edt", "c50", "c80", "ts", "level"])
+@pytest.mark.parametrize("parameter", OBSERVABLES)
 def test_gradient_of_a_parameter_is_its_difference(parameter):
+    kind = observable(parameter)
+
     def value(share):
-        energy = bent_decay(share)
-        if parameter in decay.RANGES:
-            return np.log(decay.decay_time(energy, 5e-5, parameter))
-        if parameter == "ts":
-            return np.log(decay.centre_time(energy, 5e-5))
-        if parameter == "level":
-            return 10 * np.log10(energy.sum())
-        return decay.clarity(energy, 5e-5, int(parameter[1:]) / 1000)
+        return kind.observed(kind.value(bent_decay(share), 5e-5))
 
     step = 0.01
     expected = (value(0.3 + step) - value(0.3 - step)) / (2 * step)

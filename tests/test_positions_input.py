@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
+from rtcal.acoustics.observables import MATCH
 from rtcal.command.main import cli
 from rtcal.datasets import halls
 from rtcal.errors import DataError, SimulatorError
@@ -27,7 +28,6 @@ from rtcal.simulators import (
     ScatteringDelayNetwork,
     path_trace,
 )
-from rtcal.simulators.observations import MATCH
 
 HALL = halls.lecture_hall()
 ROOM = HALL.room

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics import band_conversion, uncertainty
+from rtcal.acoustics import band_conversion
+from rtcal.acoustics.observables import observable
 from rtcal.discrepancy import Case, Configuration
 from rtcal.discrepancy.features import _uncertainty, observe
 from rtcal.errors import DataError
@@ -52,7 +53,7 @@ def test_c80_of_decaying_noise_scatters_as_theory_says() -> None:
     energy = (np.fft.irfft(noise, len(t)) * np.exp(-3 * np.log(10) * t / time)) ** 2
     early = t < 0.08
     c80 = 10 * np.log10(energy[:, early].sum(1) / energy[:, ~early].sum(1))
-    (theory,) = uncertainty.of_one_decay("c80", np.array([500.0]), np.array([time]))
+    (theory,) = observable("c80").scatter(np.array([500.0]), np.array([time]))
     assert c80.std() == pytest.approx(theory, rel=0.12)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +13,12 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
+from rtcal.acoustics.observables import observable
 from rtcal.command.main import cli
 from rtcal.errors import DataError
 from rtcal.io import position_files
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.where import scales
 from rtcal.where.patch import patched
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
@@ -62,12 +63,14 @@ def tracing(room: rt.Room, geometry: Polyhedron | None = None, **options: object
     return PathTracing(room=room, **settings)
 
 
-def heard(tracer: PathTracing, alpha: np.ndarray, level: str = "g") -> rt.Measurement:
+def heard(
+    tracer: PathTracing, alpha: np.ndarray, level: str = "g", match: Sequence[str] = MATCH
+) -> rt.Measurement:
     """Return what a tracing measures, with stated noise: 1 %, and 0.1 dB."""
-    seen = tracer.observe(alpha, MATCH, seed=7)
+    seen = tracer.observe(alpha, match, seed=7)
     rng = np.random.default_rng(3)
     values, uncertainty = {}, {}
-    for p in MATCH:
+    for p in match:
         name, value = (level if p == "level" else p), seen.natural(p)
         sigma = np.full(value.shape, 0.1) if p in ("c80", "level") else 0.01 * value
         values[name] = value + sigma * rng.standard_normal(value.shape)
@@ -77,7 +80,7 @@ def heard(tracer: PathTracing, alpha: np.ndarray, level: str = "g") -> rt.Measur
     )
 
 
-def measured(hidden: bool, level: str = "g") -> rt.Measurement:
+def measured(hidden: bool, level: str = "g", match: Sequence[str] = MATCH) -> rt.Measurement:
     """Return a measurement in the box, with other scattering; with or without the opening."""
     room = stated()
     tracer = tracing(room)
@@ -96,7 +99,7 @@ def measured(hidden: bool, level: str = "g") -> rt.Measurement:
             surfaces=(),
         )
         geometry = made
-    return heard(tracing(room, geometry, scattering=0.5, n_paths=19200), alpha, level)
+    return heard(tracing(room, geometry, scattering=0.5, n_paths=19200), alpha, level, match)
 
 
 @pytest.fixture(scope="module")
@@ -340,15 +343,15 @@ def test_the_scales_are_linear_in_absorption() -> None:
         "level": -10 * np.log10(rate),
     }
     for name, each in values.items():
-        got = scales.linear(name, each, each[:1])
+        got = observable(name).linear(each, each[:1])
         if name in ("t20", "ts", "level"):
             got = -got  # 1 / T rises with the absorption, the scale of ln T falls
         assert got == pytest.approx([0.0, 1.0, -0.5]), name
         step = 1e-6
         slope = (
-            scales.linear(name, each + step, each[:1]) - scales.linear(name, each, each[:1])
+            observable(name).linear(each + step, each[:1]) - observable(name).linear(each, each[:1])
         ) / step
-        assert scales.slope(name, each, each[:1]) == pytest.approx(slope, rel=1e-4), name
+        assert observable(name).linear_slope(each, each[:1]) == pytest.approx(slope, rel=1e-4), name
 
 
 def test_coefficients_that_are_all_off_are_no_surface(cache: Path) -> None:

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics import band_conversion as band_conversion
     from rtcal.acoustics import bands as bands
     from rtcal.acoustics import decay as decay
+    from rtcal.acoustics import observables as observables
     from rtcal.acoustics import priors as priors
     from rtcal.acoustics import quality as quality
     from rtcal.acoustics.air import Air as Air

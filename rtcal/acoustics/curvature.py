@@ -8,18 +8,11 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import TARGET, DecaySlope, of_kind
 from rtcal.support.types import Array
 
-CURVATURE_LIMIT = 10.0
-"""Curvature in percent above which a decay is far from straight (ISO 3382-2:2008, B.3)."""
-
-EARLY_LIMIT = 20.0
-"""Largest difference of EDT from T20 in percent, in the mean over positions: four JND."""
-
-# Standard deviation of a ratio times sqrt(B T), over 4,000 exponential decays of Gaussian noise
-# (B T = 44 to 355): 0.70 to 0.77 for T30/T20, 2.2 to 2.3 for EDT/T20. Two of them are allowed.
-_SCATTER = {"t30": 0.75, "edt": 2.25}
 _ALLOWED = 2.0
+"""Standard deviations of a straight decay's ratio that are allowed."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +49,11 @@ def bent_decays(measured: Measurement) -> tuple[BentDecay, ...]:
     [1000.0]
     """
     texts: dict[float, list[str]] = {}
-    for parameter, limit, name in (
-        ("t30", CURVATURE_LIMIT, "curvature T30/T20 - 1"),
-        ("edt", EARLY_LIMIT, "EDT/T20 - 1"),
-    ):
-        if "t20" not in measured.values or parameter not in measured.values:
+    for parameter, slope in of_kind(DecaySlope).items():
+        bend = slope.bend
+        if bend is None or not {TARGET.key, parameter} <= {*measured.values}:
             continue
-        t20, other = measured.values["t20"], measured.values[parameter]
+        t20, other = measured.values[TARGET.key], measured.values[parameter]
         both = np.isfinite(t20) & np.isfinite(other)
         n_positions = np.sum(both, axis=0)
         if measured.is_summary:
@@ -71,9 +62,9 @@ def bent_decays(measured: Measurement) -> tuple[BentDecay, ...]:
         for k in np.flatnonzero(n_positions).tolist():
             t, ratio = t20[both[:, k], k].mean(), other[both[:, k], k].mean()
             percent = float(curvature(t, ratio))
-            scatter = 100 * _SCATTER[parameter] / np.sqrt(width[k] * t * n_positions[k])
-            if abs(percent) > limit + _ALLOWED * scatter:
+            scatter = 100 * bend.scatter / np.sqrt(width[k] * t * n_positions[k])
+            if abs(percent) > bend.limit + _ALLOWED * scatter:
                 texts.setdefault(float(measured.centre_frequencies[k]), []).append(
-                    f"{name} = {percent:+.0f} %"
+                    f"{bend.name} = {percent:+.0f} %"
                 )
     return tuple(BentDecay(f, f"the decay is bent, {', '.join(texts[f])}") for f in sorted(texts))

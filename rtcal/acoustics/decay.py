@@ -185,9 +185,10 @@ def measurement(
         pair, band = (int(i) for i in np.argwhere(bad)[0])
         where = f"{' to '.join(pairs[pair])}, {bands.label(np.asarray(centre_frequencies)[band])}"
         if short[pair, band]:
+            down = max(0.0, -float(cut_off_db(energy)[pair, band]))
             raise TooShortError(
-                f"the decay from {where} is too short to hold {TARGET.label}: {energy.shape[-1] * bin_width:.3g}"
-                f" s end {max(0.0, -float(cut_off_db(energy)[pair, band])):.0f} dB down, "
+                f"the decay from {where} is too short to hold {TARGET.label}: "
+                f"{energy.shape[-1] * bin_width:.3g} s end {down:.0f} dB down, "
                 f"{MARGIN_DB - TARGET.lower:.0f} dB are needed. The room is more reverberant "
                 "than the decay is long: simulate longer"
             )

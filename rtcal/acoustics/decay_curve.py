@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from rtcal.errors import DataError
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 MARGIN_DB = 15.0

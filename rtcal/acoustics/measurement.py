@@ -51,7 +51,8 @@ class Measurement:
     centre_frequencies : array (n_bands,)
         Hz, increasing.
     values : mapping of str to array (n_pairs, n_bands)
-        By parameter (keys of `rtcal.acoustics.observables.OBSERVABLES`), in its unit; NaN is missing, and normal.
+        By parameter (a key of `rtcal.acoustics.observables.OBSERVABLES`), in its unit; NaN is missing,
+        and normal.
     pairs : sequence of (source, receiver)
         Names, (n_pairs,). The single pair ``("*", "*")`` is a summary: means over several pairs.
         ``("S1", "R1#2")`` is a repeat of ``("S1", "R1")``: the repeats' mean is kept, as one pair.

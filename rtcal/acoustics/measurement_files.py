@@ -5,11 +5,12 @@ One row per value. An empty value is missing. Lines that begin with # are notes:
     source,receiver,parameter,band,value
     S1,R1,T20,500,1.92
 
-Parameters: T20, T30, EDT, Ts in s; C50, C80, G in dB; D50 and STI as fractions; the band in Hz. Optional
-columns: ``uncertainty`` (standard uncertainty of the value) and ``common_uncertainty`` (beside it, the
-part that all pairs of a band have in common, the same in each of their rows). A row over several pairs
-has source and receiver ``*``, and may have ``standard_deviation`` over the pairs, ``sources`` and
-``receivers``. A receiver ``R1#2`` is a repeat of ``R1``: one position, with the repeats' mean.
+Parameters: T20, T30, EDT, Ts in s; C50, C80, G in dB; D50 and STI as fractions; the band in Hz.
+Optional columns: ``uncertainty`` (standard uncertainty of the value) and ``common_uncertainty``
+(beside it, the part that all pairs of a band have in common, the same in each of their rows). A row
+over several pairs has source and receiver ``*``, and may have ``standard_deviation`` over the pairs,
+``sources`` and ``receivers``. A receiver ``R1#2`` is a repeat of
+``R1``: one position, with the repeats' mean.
 """
 
 from __future__ import annotations

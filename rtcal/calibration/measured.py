@@ -10,6 +10,7 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.curvature import BentDecay, bent_decays
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -92,7 +93,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
     return MeasuredTimes(
         times,
         np.full(times.shape, np.nan),
-        tuple("t20" if finite else "" for finite in np.isfinite(times)),
+        tuple(TARGET.key if finite else "" for finite in np.isfinite(times)),
         (),
         _of_times(room, times),
         "",

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
@@ -128,7 +129,7 @@ def _mean_measurement(room: Room, measured: MeasuredTimes) -> Measurement:
         if np.isfinite(u).any():
             uncertainty[parameter] = u
     if not values:  # no T was matched
-        values["t20"] = np.full((1, room.n_bands), np.nan)
+        values[TARGET.key] = np.full((1, room.n_bands), np.nan)
     return Measurement(
         centre_frequencies=room.centre_frequencies, values=values, uncertainty=uncertainty
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from rtcal.acoustics.parameters import UNITS
+from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.command.assignments import as_options, errors_name_options, numbers, texts
 from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.errors import DataError
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 
-@click.command(short_help="Impulse responses (WAV) to T20, T30, EDT, C50, C80, D50, Ts.")
+@click.command(short_help="Impulse responses (WAV) to T20, T30, EDT, C50, C80, D50, STI, Ts.")
 @click.argument("responses", type=click.Path(), nargs=-1, required=True)
 @click.option(
     "--bands",
@@ -66,7 +66,7 @@ def measure(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Measure T20, T30, EDT, C50, C80, D50 and Ts of RESPONSES (WAV); say why values are missing.
+    """Measure T20, T30, EDT, C50, C80, D50, STI and Ts of RESPONSES (WAV); say why values are missing.
 
     Example: rtcal measure *.wav --out t.csv
     """
@@ -115,7 +115,7 @@ def measure(
 )
 @click.option(
     "--parameter",
-    type=click.Choice(tuple(UNITS), case_sensitive=False),
+    type=click.Choice(tuple(OBSERVABLES), case_sensitive=False),
     help="The parameter of the values, if the table does not name it.",
 )
 @click.option(

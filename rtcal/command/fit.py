@@ -7,6 +7,7 @@ from typing import Literal
 
 import click
 
+from rtcal.acoustics.observables import MATCH, OBSERVABLES
 from rtcal.command.assignments import errors_name_options
 from rtcal.command.console import (
     bar_wanted,
@@ -18,8 +19,6 @@ from rtcal.command.console import (
     written,
 )
 from rtcal.errors import DataError
-
-_PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
 
 
 @click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
@@ -38,8 +37,8 @@ _PARAMETERS = ("t20", "t30", "edt", "c50", "c80", "ts", "level")
 @click.option(
     "--match",
     multiple=True,
-    type=click.Choice(_PARAMETERS),
-    default=("t20", "edt", "c80", "ts", "level"),
+    type=click.Choice(tuple(OBSERVABLES)),
+    default=MATCH,
     show_default=True,
     help="What is matched at every position. The option may be repeated.",
 )

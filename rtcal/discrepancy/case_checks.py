@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import band_conversion, bands
-from rtcal.acoustics.parameters import DECAY_TIMES, plausible_time
+from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room import AXES, Room, text_name
-from rtcal.discrepancy.configuration import Configuration
+from rtcal.discrepancy.configuration import PARAMETERS, Configuration
 from rtcal.errors import DataError, OtherBandsWarning
 from rtcal.support import checks
 from rtcal.support.types import Array
@@ -122,7 +122,7 @@ def check_configuration(room: Room, c: Configuration) -> None:
             raise DataError(f"{where}: distances is not {n} values above 0, one per pair")
         _check_distances(where, room, c.distances)
     for name, value in c.measured.values.items():
-        if name in (*DECAY_TIMES, *LEVELS):
+        if name in PARAMETERS:
             _check_values(where, room, name, value)
 
 
@@ -143,8 +143,8 @@ def _check_distances(where: str, room: Room, distances: Array) -> None:
 def _check_values(where: str, room: Room, name: str, values: Array) -> None:
     for i, k in np.argwhere(np.isfinite(values)):
         place, value = f"{where}: {name} at {bands.label(room.centre_frequencies[k])}", values[i, k]
-        if name in DECAY_TIMES:
-            plausible_time(place, value, name)
+        if name not in LEVELS:
+            observable(name).refuse(place, value)
         elif not LEVELS[name][0] <= value <= LEVELS[name][1]:
             least, most = LEVELS[name]
             raise DataError(

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics import bands, uncertainty
+from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
+from rtcal.acoustics.observables import observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.configuration import Configuration
@@ -158,9 +159,9 @@ def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
     if m.is_summary:
         n = np.full(len(mean), (m.n_sources or 1) * (m.n_receivers or 1))
     if p in TIMES:
-        one = uncertainty.of_one_decay(p, m.centre_frequencies, mean)
+        one = observable(p).scatter(m.centre_frequencies, mean)
     else:
         one = np.full(len(mean), ONE_LEVEL)
     alone = np.where(stated, alone, np.fmax(alone, one / np.sqrt(np.minimum(n, MAX_POSITIONS))))
-    shared = np.where(stated, 0.0, uncertainty.between_teams(p, m.centre_frequencies))
+    shared = np.where(stated, 0.0, observable(p).between_teams(m.centre_frequencies))
     return np.nan_to_num(alone), np.where(np.isfinite(common), common, shared), MADE

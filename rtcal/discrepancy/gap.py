@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics.quality import JND
+from rtcal.acoustics.observables import observable
 from rtcal.discrepancy.features import Observed
 from rtcal.discrepancy.hypotheses import Hypotheses
 from rtcal.discrepancy.likelihood import covariance_of, log_density
@@ -66,7 +66,7 @@ def gap_check(
     fitted = (c == 0) & (f == 0)
     if fitted.all():
         return GapCheck(np.nan, np.nan, np.nan, 0.0)
-    jnd = np.array([JND[FEATURES[k]] for k in f])[~fitted]
+    jnd = np.array([observable(FEATURES[k]).jnd for k in f])[~fitted]
     mask = observed.used.ravel()
     gaps, moves, density = [], [], []
     for row, factor, exact in ((0, 1.0, True), (i, scale, False)):

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtcal.acoustics.quality import JND
+from rtcal.acoustics.observables import observable
 from rtcal.discrepancy.case import Case
 from rtcal.discrepancy.features import observe
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
@@ -270,7 +270,7 @@ def _better(nats: float) -> str:
 
 
 def _gap(feature: int, measured: Array, modelled: Array) -> Array:
-    jnd = JND[FEATURES[feature]]
+    jnd = observable(FEATURES[feature]).jnd
     if feature < 3:  # relative, from logarithms
         return np.asarray((np.exp(modelled - measured) - 1) / jnd)
     return np.asarray((modelled - measured) / jnd)

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtcal.acoustics import bands, uncertainty
+from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import UNITS, parameter_label
+from rtcal.acoustics.observables import observable
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.support import text
 from rtcal.support.types import Array
 
@@ -18,24 +19,21 @@ _MOST_PAIRS = 4
 
 
 def with_uncertainty(measurement: Measurement) -> Measurement:
-    """Return the measurement with the uncertainty of each value, where theory or round robins have one.
+    """Return the measurement with the uncertainty of each value, from theory and round robins.
 
-    Per value: that of one decay, as the field is noise (`rtcal.acoustics.uncertainty.of_one_decay`). In
-    common to the pairs of a band: what teams differ by (Bork 2005).
+    Per value: that of one response, whose field is noise (`Observable.scatter`). In common to the pairs
+    of a band: what teams differ by (Bork 2005).
     """
     frequencies, values = measurement.centre_frequencies, measurement.values
     times = measurement.decay_time().mean
     own: dict[str, Array] = {}
     common: dict[str, Array] = {}
     for p, table in values.items():
-        if p in uncertainty.ONE_DECAY:
-            own[p] = table * uncertainty.of_one_decay(p, frequencies, table)
-        elif p in uncertainty.LIMITS:
-            decay = np.where(np.isfinite(table), times, np.nan)
-            own[p] = uncertainty.of_one_decay(p, frequencies, decay)
-        if p in uncertainty.REPRODUCIBILITY:
-            teams = uncertainty.between_teams(p, frequencies)
-            common[p] = teams * (measurement.mean(p) if p in uncertainty.ONE_DECAY else 1.0)
+        kind = observable(p)
+        told = kind.decay_time(table)
+        decay = np.where(np.isfinite(table), np.where(np.isfinite(told), told, times), np.nan)
+        own[p] = kind.of_value(kind.scatter(frequencies, decay), table)
+        common[p] = kind.of_value(kind.between_teams(frequencies), measurement.mean(p))
     return replace(measurement, uncertainty=own, common_uncertainty=common)
 
 
@@ -117,9 +115,9 @@ def means(measurement: Measurement) -> list[str]:
     title = f"Means over {n} pairs of source and receiver:" if n > 1 else "Values:"
     rows = [
         (
-            parameter_label(parameter) + (f" / {unit}" if (unit := UNITS[parameter]) else ""),
+            f"{parameter_label(parameter)} / {observable(parameter).unit}".removesuffix(" / "),
             [
-                format(value, ".1f" if unit == "dB" else ".3f") if np.isfinite(value) else "-"
+                format(value, f".{observable(parameter).decimals}f") if np.isfinite(value) else "-"
                 for value in measurement.mean(parameter)
             ],
         )

@@ -1,4 +1,4 @@
-"""Impulse responses (WAV, or pyfar ``Signal``) to T20, T30, EDT, C50, C80, D50 and Ts by band.
+"""Impulse responses (WAV, or pyfar ``Signal``) to T20, T30, EDT, C50, C80, D50, STI and Ts by band.
 
 Each band is filtered backwards in time (Jacobsen & Rindel 1987), so that the filter's ringing precedes
 the sound. A decay then keeps its slope for B T above 4; the forward filter needs 16. The noise is
@@ -32,6 +32,7 @@ from rtcal.acoustics import decay
 from rtcal.acoustics.curvature import bent_decays
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.repeats import groups, in_words, names_of_repeats, places_of
 from rtcal.errors import DataError, MissingDependencyError
@@ -43,20 +44,13 @@ from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 MINIMUM_RANGE: dict[str, float] = {
-    "t30": 45.0,
-    "t20": 35.0,
-    "edt": 20.0,
-    "c50": 20.0,
-    "c80": 20.0,
-    "d50": 20.0,
-    "ts": 20.0,
+    key: o.minimum_range for key, o in OBSERVABLES.items() if o.minimum_range is not None
 }
 """Impulse-to-noise ratio in dB that each parameter needs: its range plus 10 dB, and 5 dB more for T."""
 
 LEAST_BT = 4.0
 """Bandwidth times T above which a backward filter does not bias T (Jacobsen & Rindel 1987)."""
 
-PARAMETERS = ("edt", "t20", "t30", "c50", "c80", "d50", "ts")
 LEAST_SILENCE = 0.01
 """Duration in s from which a note mentions the digital silence at the end of a response."""
 
@@ -213,7 +207,7 @@ def _analysis(
     check_usable((places[pair], signal) for pair, signal in signals.items())
     rate = min(float(s.sampling_rate) for s in signals.values())
     centres, fractions = _centres(bands, rate)
-    values = {p: np.full((len(signals), len(centres)), np.nan) for p in PARAMETERS}
+    values = {p: np.full((len(signals), len(centres)), np.nan) for p in MINIMUM_RANGE}
     ratios = np.full((len(signals), len(centres)), np.nan)
     missing: list[str] = []
     silences: dict[tuple[str, str], float] = {}
@@ -242,7 +236,7 @@ def _analysis(
             missing += [f"{place}: {reason}" for reason in reasons]
             for parameter, value in parameters.items():
                 values[parameter][i, k] = value
-            t = next((parameters[p] for p in ("t20", "t30", "edt") if p in parameters), np.inf)
+            t = next((parameters[p] for p in of_kind(DecaySlope) if p in parameters), np.inf)
             if bandwidth * t < LEAST_BT:
                 short.setdefault(centre, []).append(bandwidth * t)
         if progress is not None:
@@ -294,7 +288,7 @@ def of_energy(
     """Return parameters, the INR in dB and the reasons for what is missing, of one squared response.
 
     ``energy``, (n_samples,), begins with the direct sound. ``early`` is the energy that the filter has
-    moved before it, over ``early_samples``; it counts as early sound in C50, C80, D50 and Ts.
+    moved before it, over ``early_samples``; it counts as early sound.
     """
     needed = _ranges(minimum_range)
     checks.positive("sampling_rate", sampling_rate, "Hz")
@@ -308,29 +302,30 @@ def of_energy(
         return {}, -np.inf, ("no decay stands out of the noise",)
     level = 10 * np.log10(curve / curve[0])
     # Levels below every evaluation range are left out, which saves memory in the regressions.
-    lowest = min(last for _, last in decay.RANGES.values())
+    slopes = of_kind(DecaySlope)
+    lowest = min(o.lower for o in slopes.values())
     in_range = level[: int(np.max(np.flatnonzero(level >= lowest))) + 1]
     times = {
-        p: float(decay.slope_time(in_range, 1 / sampling_rate, p))
-        for p, (_, last) in decay.RANGES.items()
-        if level[-1] <= last
+        p: float(o.of_curve(in_range, 1 / sampling_rate))
+        for p, o in slopes.items()
+        if level[-1] <= o.lower
     }
     times = {p: t for p, t in times.items() if np.isfinite(t)}
-    if "edt" not in times:
+    if EARLY.key not in times:
         reason = f"no decay of 10 dB stands out of the noise ({-level[-1]:.0f} dB do)"
         return {}, -np.inf, (reason,)
-    density = curve[0] * 6 * np.log(10) / (times["edt"] * sampling_rate)
+    density = curve[0] * 6 * np.log(10) / (times[EARLY.key] * sampling_rate)
     inr = float(10 * np.log10(density / noise)) if noise > 0 else np.inf
     curve[0] += max(early - noise * early_samples, 0.0)
     parameters = {**_energy_ratios(curve, sampling_rate), **times}
     reasons = [
         f"{parameter_label(p)} needs {needed[p]:g} dB between sound and noise (ISO 3382); there are "
         f"{inr:.1f} dB"
-        for p in PARAMETERS
+        for p in MINIMUM_RANGE
         if inr < needed[p]
     ] + [
         f"{parameter_label(p)}: the decay curve ends at {level[-1]:.1f} dB"
-        for p in PARAMETERS
+        for p in MINIMUM_RANGE
         if inr >= needed[p] and p not in parameters
     ]
     return {p: v for p, v in parameters.items() if inr >= needed[p]}, inr, tuple(reasons)
@@ -367,17 +362,17 @@ def _curve_and_noise(
 
 
 def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
-    """Return C50, C80, D50 and Ts of a decay curve, which begins at the whole energy.
+    """Return all but the decay times of a decay curve, which begins at the whole energy.
 
     A ratio is left out if its limit is after the end of the curve.
     """
     energy = np.maximum(-np.diff(curve, append=0.0), 0.0)
-    values = decay.parameters(energy, 1 / rate, ("c50", "c80", "d50", "ts"))
-    limits = {"c50": 0.05, "c80": 0.08, "d50": 0.05, "ts": 0.0}
+    others = [p for p in MINIMUM_RANGE if p not in of_kind(DecaySlope)]
+    values = decay.parameters(energy, 1 / rate, others)
     return {
         name: float(value)
         for name, value in values.items()
-        if len(curve) / rate > limits[name] and np.isfinite(value)
+        if len(curve) / rate > OBSERVABLES[name].reaches and np.isfinite(value)
     }
 
 

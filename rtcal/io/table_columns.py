@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.parameters import UNITS, parameter_label
+from rtcal.acoustics.observables import OBSERVABLES, REVERBERATION, observable
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.errors import DataError
 from rtcal.io.text import shown
 from rtcal.support.types import Array
@@ -29,40 +30,9 @@ thirds are 26 % apart. BRAS's published tables write 155 Hz for the third of 158
 called 160 Hz."""
 
 _PARAMETER_SPELLINGS = {
-    "t20": "t20",
-    "rt20": "t20",
-    "t60(20)": "t20",
-    "t_20": "t20",
-    "t30": "t30",
-    "rt30": "t30",
-    "t_30": "t30",
-    "t60(30)": "t30",
-    "edt": "edt",
-    "t10": "edt",
-    "earlydecaytime": "edt",
-    "c50": "c50",
-    "clarityc50": "c50",
-    "c80": "c80",
-    "clarityc80": "c80",
-    "d50": "d50",
-    "definition": "d50",
-    "definitiond50": "d50",
-    "deutlichkeitd50": "d50",
-    "d": "d50",
-    "deutlichkeit": "d50",
-    "ts": "ts",
-    "centretime": "ts",
-    "centertime": "ts",
-    "schwerpunktzeit": "ts",
-    "reverberationtimet20": "t20",
-    "reverberationtimet30": "t30",
-    "nachhallzeitt20": "t20",
-    "nachhallzeitt30": "t30",
-    "g": "g",
-    "strength": "g",
-    "soundstrength": "g",
+    spelling: key for key, o in OBSERVABLES.items() for spelling in (key, *o.spellings)
 }
-DECAY_TIMES_OF_RT60 = ("t20", "t30")
+DECAY_TIMES_OF_RT60 = tuple(o.key for o in REVERBERATION)
 """What a column RT60 may hold (ISO 3382-2). An early decay time is never called so."""
 
 _AMBIGUOUS = {"rt", "rt60", "t60", "t", "reverberationtime", "nachhallzeit", "tr"}
@@ -308,7 +278,7 @@ def _name_and_unit(header: str) -> tuple[str, str]:
 
 def scale_of(parameter: str, unit: str, place: str) -> float:
     """Return the factor from a unit to the parameter's own; DataError for another unit."""
-    scales = _SCALES[UNITS[parameter]]
+    scales = _SCALES[observable(parameter).unit]
     if unit and unit.lower() not in scales:
         raise DataError(
             f'{place}: {parameter_label(parameter)} in "{shown(unit)}"; known are {", ".join(scales)}'

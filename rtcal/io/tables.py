@@ -22,7 +22,8 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import of_single_values
-from rtcal.acoustics.parameters import DECAY_TIMES, SUMMARY, UNITS, parameter_label, plausible_time
+from rtcal.acoustics.observables import OBSERVABLES
+from rtcal.acoustics.parameters import SUMMARY, parameter_label
 from rtcal.acoustics.repeats import in_words, names_of_repeats, places_of
 from rtcal.errors import DataError
 from rtcal.io.analysis import means
@@ -169,7 +170,7 @@ def parse(
     """Return the measurement of a table's content; see `read`."""
     for name, choice, choices in (
         ("decay_time", decay_time, DECAY_TIMES_OF_RT60),
-        ("parameter", parameter, tuple(UNITS)),
+        ("parameter", parameter, tuple(OBSERVABLES)),
     ):
         if choice is not None and choice not in choices:
             raise DataError(f'{name} = "{choice}" is none of {", ".join(choices)}')
@@ -315,7 +316,8 @@ class _Reader:
             kind = statistic or "value"
             numbers = {kind: self._number(cell, parameter, unit, place)}
             if kind == "value":
-                _check_value(parameter, numbers["value"], place)
+                label = parameter_label(parameter)
+                OBSERVABLES[parameter].refuse(f"{place}: {label}", numbers["value"])
             for name in ("uncertainty", "standard_deviation"):
                 if entries.get(name, "").lower() not in _MISSING:
                     numbers[name] = self._number(entries[name], parameter, unit, place)
@@ -431,13 +433,3 @@ class _Reader:
             raise DataError(
                 f"{self.path}, from line {self.layout.header_line} on: {error}"
             ) from error
-
-
-def _check_value(parameter: str, value: float, place: str) -> None:
-    """Raise DataError for a value that no room has."""
-    if parameter in DECAY_TIMES and not value > 0:
-        raise DataError(f"{place}: {parameter_label(parameter)} = {value:g} s is not above 0")
-    if parameter in DECAY_TIMES:
-        plausible_time(f"{place}: {parameter_label(parameter)}", value, parameter)
-    if parameter == "d50" and not 0 <= value <= 1:
-        raise DataError(f"{place}: D50 = {value:g} is not in [0, 1]; percent need their unit")

@@ -17,6 +17,7 @@ from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.problem import Calibration
@@ -36,7 +37,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 
-_ALONE = ("t20",)
+_ALONE = (TARGET.key,)
 
 
 @overload
@@ -255,9 +256,11 @@ def _with_t30(room: Room, measured: Measurement) -> tuple[str, ...]:
     """Return a note of the bands in which T30 stands for T20, which was not measured."""
     parameters = times_in_room(room, measured).parameter
     in_place = [
-        label(f) for f, p in zip(room.centre_frequencies, parameters, strict=True) if p == "t30"
+        label(f)
+        for f, p in zip(room.centre_frequencies, parameters, strict=True)
+        if p not in ("", TARGET.key)
     ]
-    where = f" at {', '.join(in_place)}" if "t20" in parameters else ""
+    where = f" at {', '.join(in_place)}" if TARGET.key in parameters else ""
     note = f"T30 is matched{where} in place of T20, which was not measured."
     return (note,) if in_place else ()
 

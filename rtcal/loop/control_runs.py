@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtcal.acoustics import bands, decay
+from rtcal.acoustics.observables import REVERBERATION
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, RtcalError, TooShortError
 from rtcal.simulators.base import Simulator
@@ -323,9 +324,9 @@ def checked_uncertainty(position_uncertainty: float) -> float:
 def ahead_factor(heard: Observations, tracer: PathTracing, alpha: Array) -> float:
     """Return how many times Eyring's T the decays are followed, so that they hold T20 or T30."""
     times = [
-        heard.natural(name).max() * (decay.MARGIN_DB - decay.RANGES[name][1]) / 60
-        for name in ("t20", "t30")
-        if name in heard.parameters
+        heard.natural(o.key).max() * (decay.MARGIN_DB - o.lower) / 60
+        for o in REVERBERATION
+        if o.key in heard.parameters
     ]
     return _SPARE * max(max(times, default=0.0) / eyring_seconds(tracer.room, alpha), 1.0)
 

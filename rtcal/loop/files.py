@@ -16,6 +16,7 @@ import numpy as np
 
 from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.equations import LinearEquation, linear_equation
+from rtcal.acoustics.observables import EARLY, TARGET
 from rtcal.acoustics.room import Room
 from rtcal.calibration.presets import preset
 from rtcal.errors import DataError
@@ -84,14 +85,14 @@ def attributes(
     ``equation`` replaces the one in the dict. Raises DataError or ModelError for an entry that
     breaks a rule.
     """
-    state = Entries("", data, _KEYS, ("rtcal", "coefficients", "bent", "edt"))
+    state = Entries("", data, _KEYS, ("rtcal", "coefficients", "bent", EARLY.key))
     room = Room.from_text(state.text("room"), "room")
     method = state.text("method")
     preset(method, room)
     wanted = state.array("wanted", (room.n_bands,), _T_LIMITS, missing=True)
     if np.isnan(wanted).all():
         raise DataError("wanted = null in every band: there is nothing to calibrate to")
-    what = _matched(data["edt"], wanted) if "edt" in data else Matched.t20(wanted)
+    what = _matched(data[EARLY.key], wanted) if EARLY.key in data else Matched.t20(wanted)
     loop = {
         "room": room,
         "matched": what,
@@ -109,20 +110,23 @@ def attributes(
 
 def matched_record(matched: Matched) -> dict[str, Any]:
     """Return what is matched as plain values: T20 as "wanted", and a share of EDT as "edt"."""
-    record: dict[str, Any] = {"wanted": json_numbers(matched.measured["t20"])}
-    if "edt" in matched.shares:
-        record["edt"] = {
-            "measured": json_numbers(matched.measured["edt"]),
-            "share": json_numbers(matched.shares["edt"]),
+    record: dict[str, Any] = {"wanted": json_numbers(matched.measured[TARGET.key])}
+    if EARLY.key in matched.shares:
+        record[EARLY.key] = {
+            "measured": json_numbers(matched.measured[EARLY.key]),
+            "share": json_numbers(matched.shares[EARLY.key]),
         }
     return record
 
 
 def _matched(data: Any, t20: Array) -> Matched:
-    edt = Entries("edt.", data, ("measured", "share"))
+    edt = Entries(f"{EARLY.key}.", data, ("measured", "share"))
     share = edt.array("share", t20.shape, (0.0, 1.0))
     measured = edt.array("measured", t20.shape, _T_LIMITS, missing=True)
-    return Matched(measured={"t20": t20, "edt": measured}, shares={"t20": 1 - share, "edt": share})
+    return Matched(
+        measured={TARGET.key: t20, EARLY.key: measured},
+        shares={TARGET.key: 1 - share, EARLY.key: share},
+    )
 
 
 def _bent(i: int, data: Any) -> BentDecay:

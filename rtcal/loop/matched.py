@@ -16,6 +16,7 @@ import numpy as np
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import EARLY, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
@@ -23,7 +24,7 @@ from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.types import Array, read_only
 
-PARAMETERS = ("t20", "edt")
+PARAMETERS = (TARGET.key, EARLY.key)
 Weights = Mapping[str, float | Sequence[float]]
 
 
@@ -50,7 +51,7 @@ class Matched:
     @classmethod
     def t20(cls, measured: Array) -> Matched:
         """Return that T20 alone is matched."""
-        return cls(measured={"t20": measured}, shares={"t20": np.ones(len(measured))})
+        return cls(measured={TARGET.key: measured}, shares={TARGET.key: np.ones(len(measured))})
 
     @property
     def label(self) -> str:
@@ -65,7 +66,7 @@ class Matched:
 
     def combined(self, time: Callable[[str], Array]) -> Array:
         """Return the compromise of the times in s that ``time`` gives for each parameter."""
-        total = np.ones(len(self.shares["t20"]))
+        total = np.ones(len(self.shares[TARGET.key]))
         for parameter, share in self.shares.items():
             total = total * time(parameter) ** share
         return total
@@ -147,8 +148,8 @@ def matched(
         band = label(frequencies[int(np.argmin(total))])
         raise DataError(f"weights are 0 for every parameter at {band}: nothing is matched there")
     in_room = band_conversion.measurement_in_room_bands(measured, frequencies)
-    times = {"t20": t20, "edt": in_room.mean("edt")}
-    anything = np.isfinite(t20) | np.isfinite(times["edt"])
+    times = {TARGET.key: t20, EARLY.key: in_room.mean(EARLY.key)}
+    anything = np.isfinite(t20) | np.isfinite(times[EARLY.key])
     for parameter, weight in by_parameter.items():
         lacking = np.isnan(times[parameter]) & (weight > 0) & anything
         if lacking.any():
@@ -156,7 +157,7 @@ def matched(
                 f"weights[{parameter!r}] is above 0 at {label(frequencies[int(np.argmax(lacking))])}, "
                 f"where the measurement has no {parameter_label(parameter)}"
             )
-    kept = [p for p in PARAMETERS if p == "t20" or by_parameter[p].any()]
+    kept = [p for p in PARAMETERS if p == TARGET.key or by_parameter[p].any()]
     return Matched(
         measured={p: times[p] for p in kept}, shares={p: by_parameter[p] / total for p in kept}
     )

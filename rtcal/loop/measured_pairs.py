@@ -15,23 +15,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtcal.acoustics import band_conversion, bands
-from rtcal.acoustics.decay_gradients import gradients
+from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import LEVEL, OBSERVABLES, REVERBERATION, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.uncertainty import between_teams
 from rtcal.calibration.measured import fingerprint, refuse_repeated_data, times_in_room
 from rtcal.errors import DataError
-from rtcal.simulators.observations import LOGARITHMIC, Observations
+from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
 
 Pair = tuple[str, str]
 
-_AS = {"ts": "edt", "c50": "c80", "level": "g"}
-"""Parameters whose standard deviation between teams is that of another one."""
 _COMMON = 0.5
 """Share that all pairs of a team have in common, of what teams differ by at one pair
-(`rtcal.acoustics.uncertainty.REPRODUCIBILITY`). Positions differed between teams, too."""
+(`rtcal.acoustics.observables.Observable.between_teams`). Positions differed between teams, too."""
 _LEAST = 1e-6
 """Least standard uncertainty that is taken, of a value's share or in dB. Covariances of smaller ones
 cannot be factored."""
@@ -113,9 +111,9 @@ def measured_pairs(
         notes.append(left_out(exclude))
     in_room = band_conversion.measurement_in_room_bands(measured, room.centre_frequencies)
     level = ""
-    if "level" in match:
-        level = "relative" if "level" in measured.values else "absolute"
-        if level == "absolute" and "g" not in measured.values:
+    if LEVEL.key in match:
+        level = "relative" if LEVEL.key in measured.values else "absolute"
+        if LEVEL.key_in(measured.values) not in measured.values:
             level = ""
     observations = Observations.of_measurement(in_room, match, kept)
     absent = [
@@ -137,13 +135,13 @@ def measured_pairs(
     missing = np.count_nonzero(np.isnan(observations.values))
     if missing:
         notes.append(f"Left out, since missing: {missing} of {observations.values.size} values.")
-    if "level" in absent:
+    if LEVEL.key in absent:
         level = ""
     compared = observations
     if level == "relative":
-        row = observations.parameters.index("level")
+        row = observations.parameters.index(LEVEL.key)
         columns = [simulated.pairs.index(pair) for pair in kept]
-        heard = simulated.values[simulated.parameters.index("level")][columns]
+        heard = simulated.values[simulated.parameters.index(LEVEL.key)][columns]
         compared = _with_level(observations, with_reference(observations.values[row], heard, kept))
         # Whatever the reference, the same data have the same name: by distances from their own mean.
         own = with_reference(observations.values[row], np.zeros_like(heard), kept)
@@ -186,7 +184,7 @@ def with_reference(levels: Array, like: Array, pairs: Sequence[Pair]) -> Array:
 
 def _with_level(observations: Observations, levels: Array) -> Observations:
     values = observations.values.copy()
-    values[observations.parameters.index("level")] = levels
+    values[observations.parameters.index(LEVEL.key)] = levels
     return replace(observations, values=values)
 
 
@@ -198,7 +196,7 @@ def fingerprints(room: Room, observations: Observations, measured: Measurement) 
         for f, values in zip(observations.centre_frequencies, of_parameter.T, strict=True)
     }
     names: tuple[str, ...] = (fingerprint("pairs", means),)
-    if {"t20", "t30"} & set(measured.values):
+    if {o.key for o in REVERBERATION} & set(measured.values):
         names = (*names, times_in_room(room, measured).fingerprint)
     refuse_repeated_data(room, *names)
     return names
@@ -223,7 +221,7 @@ def _covariance(
     _, n_pairs, n_bands = shape
     full = np.zeros((*shape, *shape))
     times = _decay_times(observations, measured)
-    assumed = _COMMON * np.array([between_teams(_AS.get(p, p), frequencies) for p in parameters])
+    assumed = _COMMON * np.array([observable(p).between_teams(frequencies) for p in parameters])
     alone = _stated(observations, measured, measured.uncertainty)
     common = _stated(observations, measured, measured.common_uncertainty)
     if (small := alone < _LEAST).any():
@@ -249,8 +247,8 @@ def _covariance(
         full[p, i, k, p, i, k] = alone[p, i, k] ** 2
     for p, k in np.ndindex(len(parameters), n_bands):
         full[p, :, k, p, :, k] += np.outer(shared[p, :, k], shared[p, :, k])
-    if level == "relative" and "level" in parameters:
-        p = parameters.index("level")
+    if level == "relative" and LEVEL.key in parameters:
+        p = parameters.index(LEVEL.key)
         sources = np.array([s for s, _ in pairs])
         same = (sources[:, np.newaxis] == sources).astype(float)
         for k in range(n_bands):
@@ -267,19 +265,20 @@ def _stated(
     rows = [measured.pairs.index(pair) for pair in observations.pairs]
     stated = np.full(observations.values.shape, np.nan)
     for p, name in enumerate(observations.parameters):
-        key = "g" if name == "level" and "level" not in measured.values else name
+        kind = observable(name)
+        key = kind.key_in(measured.values)
         if key in uncertainty:
-            value = measured.values[key][rows] if name in LOGARITHMIC else 1.0
             each = uncertainty[key]  # per pair and band, or per band
-            stated[p] = (each[rows] if each.ndim == 2 else each) / value
+            each = each[rows] if each.ndim == 2 else each
+            stated[p] = kind.of_observed(each, measured.values[key][rows])
     return stated
 
 
 def _decay_times(observations: Observations, measured: Measurement) -> Array:
-    """Return a T per band for the noise of a response, (n_bands,): that of T20, T30, EDT or Ts."""
+    """Return a T per band for the noise of a response, (n_bands,), by the first that tells it."""
     times = np.full(len(observations.centre_frequencies), np.nan)
-    for name, factor in (("t20", 1.0), ("t30", 1.0), ("edt", 1.0), ("ts", 6 * np.log(10))):
-        mean = measured.mean(name) * factor
+    for name, kind in OBSERVABLES.items():
+        mean = kind.decay_time(measured.mean(name))
         times = np.where(np.isfinite(times), times, mean)
     return np.where(np.isfinite(times), times, 1.0)
 

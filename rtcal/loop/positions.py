@@ -20,6 +20,7 @@ from scipy.linalg import eigh, solve_triangular
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem import Calibration
@@ -316,10 +317,10 @@ def _given(
 def _with_t30(match: Sequence[str], measured: Measurement) -> tuple[str, ...]:
     """Return the parameters, with T30 in place of T20 where T30 alone was measured."""
     names = observations.checked_parameters(match)
-    t20, t30 = (np.isfinite(measured.values.get(p, np.nan)).any() for p in ("t20", "t30"))
-    if "t30" in names or t20 or not t30:
+    known = [o.key for o in REVERBERATION if np.isfinite(measured.mean(o.key)).any()]
+    if TARGET.key in known or not known or known[0] in names:
         return names
-    return tuple("t30" if p == "t20" else p for p in names)
+    return tuple(known[0] if p == TARGET.key else p for p in names)
 
 
 def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: float) -> None:

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.stats import chi2
 
-from rtcal.acoustics.parameters import UNITS, parameter_label
+from rtcal.acoustics.observables import LEVEL, observable
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.calibration.certificate import Certificate
@@ -204,7 +205,7 @@ class PositionsResult(Result):
         gaps = []
         for name in self.parameters:
             model, heard = simulated.natural(name), measured.natural(name)
-            if name == "level" and self.measured.level == "relative":
+            if name == LEVEL.key and self.measured.level == "relative":
                 model = with_reference(model, heard, self.pairs)
             gaps.append(gap_jnd(model, heard, name))
         return np.stack(gaps)
@@ -326,7 +327,7 @@ class PositionsResult(Result):
                 "do not simulate with it. The model misses something, or a constraint keeps alpha "
                 "away; look at `predicted`.",
             )
-        if "level" in self.parameters:
+        if LEVEL.key in self.parameters:
             notes.append(
                 "Level: absolute, G of a calibrated source."
                 if self.measured.level == "absolute"
@@ -373,7 +374,7 @@ class PositionsResult(Result):
             "scattering": self.scattering and self.scattering.to_dict(),
             "centre_frequencies": json_numbers(self.prior.centre_frequencies),
             "parameters": list(self.parameters),
-            "units": [UNITS[p] for p in self.parameters],
+            "units": [observable(p).unit for p in self.parameters],
             "level": self.measured.level,
             "pairs": [list(pair) for pair in self.pairs],
             "measured": [json_numbers(v) for v in self._natural(self.measured.observations)],

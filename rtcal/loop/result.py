@@ -10,7 +10,8 @@ import numpy as np
 
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import UNITS, check_parameter, parameter_label
+from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.loop.matched import ParameterGap
@@ -20,7 +21,7 @@ from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 
-_BESIDE = ("edt", "c50", "c80")
+_BESIDE = tuple(k for k, o in OBSERVABLES.items() if o.shown and o is not TARGET)
 """Parameters that are shown beside T20, which is fitted."""
 _STRONGEST_SHADE = 5.0  # JND
 
@@ -94,7 +95,7 @@ class LoopResult(Result):
 
         Of the means over pairs; NaN where the parameter was not measured or not simulated.
         """
-        check_parameter(parameter)
+        observable(parameter)
         if self.measured is None:
             return np.full(self.loop.wanted.shape, np.nan), np.full(self.loop.wanted.shape, np.nan)
         wanted = self.measured.mean(parameter)
@@ -200,7 +201,7 @@ class LoopResult(Result):
         """Return header and rows of EDT, C50 and C80: measured, before and after the loop."""
         columns: dict[str, Sequence[str]] = {"": [label(f) for f in self.room.centre_frequencies]}
         for parameter in (p for p in _BESIDE if p in self.before.values):
-            name = f"{parameter_label(parameter)} / {UNITS[parameter]}"
+            name = f"{parameter_label(parameter)} / {observable(parameter).unit}"
             measured = self.measured and self.measured.values
             for when, of in (
                 ("measured", self.measured if measured and parameter in measured else None),

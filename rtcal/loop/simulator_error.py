@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rtcal.acoustics.observables import observable
 from rtcal.loop.control_runs import MODELS, ControlRuns, level, paths_of_a_run
 from rtcal.loop.listener import Listener
 from rtcal.loop.scattering import (
@@ -16,13 +17,10 @@ from rtcal.loop.scattering import (
     material_scattering,
     scattered,
 )
-from rtcal.simulators import observations
 from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
 
-_UNKNOWN_ERROR = 0.05
-"""Standard deviation of a simulator's error that no control run tells: one JND of T, and 0.5 dB."""
 GROUPS = 4
 """Groups of paths whose differences tell the noise of a control run."""
 
@@ -43,8 +41,8 @@ def simulator_error(
     heard, parameters = listener.heard, listener.data.observations.parameters
     shape = (len(parameters), *heard.values.shape[1:])
     if controls is None:
-        factor = [1.0 if p in observations.LOGARITHMIC else 10.0 for p in parameters]
-        variance = (_UNKNOWN_ERROR * np.array(factor)[:, np.newaxis, np.newaxis]) ** 2
+        error = np.array([observable(p).unknown_error for p in parameters])
+        variance = error[:, np.newaxis, np.newaxis] ** 2
         return listener, np.diag(np.broadcast_to(variance, shape).ravel()), None
     controls = controls.at(parameters, heard.pairs)
     noise, tracer = _noise(listener), listener.simulator

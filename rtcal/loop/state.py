@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.quality import JND, TrustMark, bent_marks, gap_jnd
+from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.quality import TrustMark, bent_marks, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import data_history, refuse_repeated_data, times_in_room
 from rtcal.calibration.presets import preset
@@ -286,7 +287,7 @@ class Loop:
     @property
     def _jnd(self) -> Array:
         """One JND of the measured T in s, (n_bands,)."""
-        return JND["t20"] * self.wanted
+        return np.asarray(TARGET.jnd_of(self.wanted))
 
     @property
     def _gaps(self) -> Array:

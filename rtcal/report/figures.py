@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtcal.acoustics.quality import JND, letters
+from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.quality import letters
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -85,7 +86,7 @@ def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) ->
 @checked
 def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
     """Draw T ± one JND in grey; bands without T interrupt it."""
-    low, high = (1 - JND["t20"]) * measured, (1 + JND["t20"]) * measured
+    low, high = (1 - TARGET.jnd) * measured, (1 + TARGET.jnd) * measured
     axes.fill_between(frequencies, low, high, color="0.85", label="measured ± 1 JND")
     axes.vlines(frequencies, low, high, color="0.85", linewidth=8)  # visible also for a single band
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.discrepancy.case import NORMAL_90
 from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
 from rtcal.discrepancy.states import state
@@ -179,20 +180,18 @@ def decay(verification: Verification) -> Any:
     t20 = float(first.measured.decay_time().mean[band])
     t = np.linspace(0, 0.8 * t20, 200)
     figure, axes = new_figure()
-    for (name, low, high), style in zip(
-        (("edt", 0, 10), ("t20", 5, 25), ("t30", 5, 35)), ("-", "--", ":"), strict=True
-    ):
-        value = float(first.measured.mean(name)[band])
+    for slope, style in zip(of_kind(DecaySlope).values(), cycle(("--", ":", "-"))):
+        value = float(first.measured.mean(slope.key)[band])
         if np.isfinite(value):
-            levels = np.array([low, high])
+            levels = np.array([slope.upper, slope.lower])
             axes.plot(
-                levels / 60 * value,
-                -levels,
+                -levels / 60 * value,
+                levels,
                 color=BLACK,
                 linestyle=style,
                 linewidth=3,
                 alpha=0.5,
-                label=f"measured {parameter_label(name)} {value:.2f} s",
+                label=f"measured {slope.label} {value:.2f} s",
             )
     for model, colour, style, label in (
         (verification.plain, GREEN, "-.", "plainly calibrated"),

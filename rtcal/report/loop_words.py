@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.observables import OBSERVABLES, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.report.rows import material_rows
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from rtcal.loop.result import LoopResult
     from rtcal.loop.state import Loop
 
-_SHOWN = {"t20": (3, "s"), "edt": (3, "s"), "c50": (1, "dB"), "c80": (1, "dB")}
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
     "unreachable": "cannot come nearer: no coefficients within the equation's range do better",
@@ -140,12 +140,18 @@ def ends(result: LoopResult) -> dict[str, Any]:
         ("with the coefficients returned", result.final),
     )
     rows = [
-        (f"{parameter_label(name)}, {when} / {unit}", measurement.mean(name), decimals, False)
-        for name, (decimals, unit) in _SHOWN.items()
+        (
+            f"{parameter_label(name)}, {when} / {kind.unit}",
+            measurement.mean(name),
+            kind.decimals,
+            False,
+        )
+        for name, kind in OBSERVABLES.items()
         for when, measurement in columns
-        if measurement is not None
+        if kind.shown
+        and measurement is not None
         and name in measurement.values
-        and not (name == "t20" and when == "measured")
+        and not (kind is TARGET and when == "measured")
     ]
     matched = result.loop.matched
     of = "its gap" if len(matched.shares) == 1 else f"gap of {matched.label}"

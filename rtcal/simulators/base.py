@@ -19,6 +19,7 @@ import numpy as np
 from rtcal.acoustics import bands, repeats
 from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, RtcalError, SimulatorError, of_bands
 from rtcal.support import checks
@@ -191,14 +192,14 @@ def check_measurement(simulator: Simulator, measurement: object) -> Measurement:
             f"{simulator.name} returned bands {returned.tolist()} Hz; the room has "
             f"{expected.tolist()} Hz"
         )
-    if "t20" not in measurement.values:
+    if TARGET.key not in measurement.values:
         raise SimulatorError(
-            f"{simulator.name} returned no t20, only {', '.join(measurement.values)}"
+            f"{simulator.name} returned no {TARGET.key}, only {', '.join(measurement.values)}"
         )
-    if (missing := np.isnan(measurement.values["t20"])).any():
+    if (missing := np.isnan(measurement.values[TARGET.key])).any():
         pair, band = (int(i) for i in np.argwhere(missing)[0])
         error = SimulatorError(
-            f"{simulator.name} returned NaN for t20[{' to '.join(measurement.pairs[pair])}, "
+            f"{simulator.name} returned NaN for {TARGET.key}[{' to '.join(measurement.pairs[pair])}, "
             f"{bands.label(expected[band])}]; a mean over the other pairs would hide it"
         )
         raise of_bands(error, np.flatnonzero(missing.any(axis=0)))

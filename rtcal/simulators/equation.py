@@ -9,6 +9,7 @@ import numpy as np
 
 from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, of_bands
 from rtcal.simulators.base import RoomSimulator, check_alpha
@@ -65,4 +66,4 @@ class EquationSimulator(RoomSimulator):
         if not (finite := np.isfinite(times)).all():
             error = DataError(f"{self.name} has no finite T: nothing absorbs")
             raise of_bands(error, np.flatnonzero(~finite))
-        return Measurement.from_values(self.centre_frequencies, t20=times)
+        return Measurement.from_values(self.centre_frequencies, **{TARGET.key: times})

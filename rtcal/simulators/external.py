@@ -11,7 +11,7 @@ import numpy as np
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import plausible_time
+from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, SimulatorError, of_bands
 from rtcal.simulators.base import RoomSimulator, check_alpha
@@ -92,7 +92,7 @@ class External(RoomSimulator):
             raise SimulatorError(f"{self.name} called sys.exit({error.code!r})") from error
         if isinstance(answer, Measurement):
             return answer
-        return Measurement.from_values(self.centre_frequencies, t20=self._times(answer))
+        return Measurement.from_values(self.centre_frequencies, **{TARGET.key: self._times(answer)})
 
     def _times(self, answer: object) -> Array:
         """Return the answer as T20 in s, (n_bands,); SimulatorError if it is anything else."""
@@ -118,7 +118,7 @@ class External(RoomSimulator):
             raise of_bands(error, np.flatnonzero(~valid))
         for frequency, time in zip(self.centre_frequencies, times, strict=True):
             try:
-                plausible_time(f"T20[{label(frequency)}]", float(time))
+                TARGET.refuse(f"{TARGET.label}[{label(frequency)}]", float(time))
             except DataError as error:
                 raise SimulatorError(f"{self.name} returned {error}") from error
         return times

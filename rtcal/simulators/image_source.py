@@ -174,7 +174,7 @@ class ImageSource(ShoeboxSimulator):
         return self.energy(alpha), self.bin_width
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return EDT, T20, T30, C50, C80, D50 and Ts by pair; the seed has no effect.
+        """Return the parameters of a response by pair; the seed has no effect.
 
         Raises
         ------

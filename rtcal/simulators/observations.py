@@ -15,10 +15,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands, decay
-from rtcal.acoustics.decay_gradients import LIMITS, PARAMETERS, gradients
+from rtcal.acoustics import bands
+from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import DECAY_TIMES, parameter_label
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable
+from rtcal.acoustics.parameters import parameter_label
 from rtcal.errors import DataError, SimulatorError, TooShortError
 from rtcal.simulators import base
 from rtcal.simulators.base import Simulator
@@ -26,10 +27,6 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array, read_only
 
-MATCH = ("t20", "edt", "c80", "ts", "level")
-"""Parameters that are matched where nothing else is asked for."""
-LOGARITHMIC = (*DECAY_TIMES, "ts")
-"""Parameters whose logarithm is observed; the others are in dB."""
 LARGEST_ALPHA = 0.999
 """Largest alpha in an analytic derivative: beyond it nothing is reflected, and it would be 0 / 0."""
 STEP = 0.01
@@ -45,7 +42,7 @@ class Observations:
     Attributes
     ----------
     parameters : tuple of str (n_parameters,)
-        Of `MATCH`, "t30" and "c50". Decay times and Ts are logarithms, the others in dB.
+        Keys of `rtcal.acoustics.observables.OBSERVABLES`. Decay times and Ts are logarithms.
     pairs : tuple of (source, receiver) (n_pairs,)
     centre_frequencies : array (n_bands,)
         Hz.
@@ -80,7 +77,7 @@ class Observations:
     def natural(self, parameter: str) -> Array:
         """Return a parameter in its own unit, s or dB, (n_pairs, n_bands)."""
         values = self.values[self.parameters.index(parameter)]
-        return np.asarray(np.exp(values) if parameter in LOGARITHMIC else values)
+        return observable(parameter).natural(values)
 
     @classmethod
     @checked
@@ -100,15 +97,13 @@ class Observations:
         rows = {pair: i for i, pair in enumerate(measurement.pairs)}
         values = np.full((len(parameters), len(pairs), len(measurement.centre_frequencies)), np.nan)
         for of_parameter, name in zip(values, checked_parameters(parameters), strict=True):
-            key = "g" if name == "level" and "level" not in measurement.values else name
+            key = observable(name).key_in(measurement.values)
             if key not in measurement.values:
                 continue
             for of_pair, pair in zip(of_parameter, pairs, strict=True):
                 if pair in rows:
                     of_pair[:] = measurement.values[key][rows[pair]]
-            if name in LOGARITHMIC:
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    of_parameter[:] = np.log(of_parameter)
+            of_parameter[:] = observable(name).observed(of_parameter)
         return cls(
             parameters=tuple(parameters),
             pairs=tuple(pairs),
@@ -135,8 +130,8 @@ class Observable(Protocol):
 
 def given(measurement: Measurement) -> tuple[str, ...]:
     """Return the parameters that a measurement has; G is a level too."""
-    level = ("level",) if "g" in measurement.values else ()
-    return (*measurement.values, *level)
+    stood_in = [k for k, o in OBSERVABLES.items() if o.stand_in in measurement.values]
+    return tuple(dict.fromkeys((*measurement.values, *stood_in)))
 
 
 def by_surface(by: object) -> bool:
@@ -152,8 +147,8 @@ def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:
     if not names:
         raise DataError("match is empty; it has at least one parameter")
     for name in names:
-        if not isinstance(name, str) or name not in PARAMETERS:
-            raise DataError(f'match has "{name}"; it has some of {", ".join(PARAMETERS)}')
+        if not isinstance(name, str) or name not in OBSERVABLES:
+            raise DataError(f'match has "{name}"; it has some of {", ".join(OBSERVABLES)}')
     if len(set(names)) < len(names):
         raise DataError(f"match has a parameter twice: {', '.join(names)}")
     return tuple(names)
@@ -242,21 +237,12 @@ def of_decays(
     """
     values = np.empty((len(match), *energy.shape[:-1]))
     for row, name in zip(values, match, strict=True):
-        if name in DECAY_TIMES:
-            row[:] = decay.decay_time(energy, bin_width, name)
-        elif name in LIMITS:
-            row[:] = decay.clarity(energy, bin_width, LIMITS[name])
-        elif name == "ts":
-            row[:] = decay.centre_time(energy, bin_width)
-        else:
-            with np.errstate(divide="ignore"):
-                row[:] = 10 * np.log10(400 * np.pi * energy.sum(-1))
-        if name in LOGARITHMIC:
-            row[:] = np.log(row)
+        kind = observable(name)
+        row[:] = kind.observed(kind.value(energy, bin_width))
         if (lost := ~np.isfinite(row)).any():
             pair, band = (int(i) for i in np.argwhere(lost)[0])
             place = f"{' to '.join(pairs[pair])}, {bands.label(centre_frequencies[band])}"
-            if name in DECAY_TIMES and decay.too_short(energy, name)[pair, band]:
+            if kind.too_short(energy)[pair, band]:
                 raise TooShortError(
                     f"the decay from {place} is too short to hold {parameter_label(name)}: {cause}"
                 )

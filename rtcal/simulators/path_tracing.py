@@ -11,10 +11,11 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.observables import MATCH, longest
 from rtcal.errors import DataError
 from rtcal.simulators import observations, path_trace, paths
 from rtcal.simulators.base import check_alpha
-from rtcal.simulators.observations import MATCH, Observations
+from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.tracer import (
     LONGEST,
@@ -166,7 +167,7 @@ class PathTracing(Tracer):
             lambda seconds: self.energy(alpha, seconds, seed=seed),
             self.room,
             alpha,
-            _longest(match),
+            longest(match),
             None if again else self._followed(seed),
         ).mean(axis=0)
         return self._observed(energy, alpha, match)
@@ -192,7 +193,7 @@ class PathTracing(Tracer):
             lambda seconds: self._in_groups(alpha, seconds, number, seed)[np.newaxis],
             self.room,
             alpha,
-            _longest(match),
+            longest(match),
         )
         return np.array([self._observed(group, alpha, match).values for group in energy])
 
@@ -335,7 +336,7 @@ class PathTracing(Tracer):
                     out[0, s][:, bands] = energy[..., :n_bins]
             return out
 
-        decays = decay_long_enough(trace, self.room, alpha, _longest(match))[0]
+        decays = decay_long_enough(trace, self.room, alpha, longest(match))[0]
         number, n_unknowns = size
         out = np.zeros((number, len(match), *decays.shape[:3], n_unknowns))
         for bands, sweep in zip(groups, sweeps, strict=True):
@@ -390,8 +391,3 @@ def _in_one_group(swept: tuple[Array, Array]) -> tuple[Array, Array]:
     """Return energy and gradient as if of one group of the paths."""
     energy, gradient = swept
     return energy, gradient[np.newaxis]
-
-
-def _longest(match: Sequence[str]) -> str:
-    """Return the decay time that needs the longest decay."""
-    return "t30" if "t30" in match else "t20"

@@ -10,14 +10,15 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.decay_gradients import gradients
+from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.simulators import observations
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.observations import MATCH, Observations
+from rtcal.simulators.observations import Observations
 from rtcal.support import checks
 from rtcal.support.types import Array
 

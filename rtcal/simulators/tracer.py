@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import decay
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope
 from rtcal.acoustics.quality import OFF_VOLUME
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -97,7 +99,7 @@ class Tracer(RoomSimulator, ABC):
         """
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return EDT, T20, T30, C50, C80, D50 and Ts for alpha (n_materials, n_bands), by pair.
+        """Return the parameters of a response for alpha (n_materials, n_bands), by pair.
 
         The uncertainty of EDT, T20, C50 and C80 is the standard error that tracing causes. The
         decay is traced for longer until it holds T20.
@@ -195,13 +197,11 @@ def measurement(
     The parameters belong to the mean over batches. The uncertainty of EDT, T20, C50 and C80 is the
     batches' jackknife standard error.
     """
-    estimates: dict[str, Callable[[Array], Array]] = {
-        "edt": lambda e: decay.decay_time(e, bin_width, "edt"),
-        "t20": lambda e: decay.decay_time(e, bin_width, "t20"),
-        "c50": lambda e: decay.clarity(e, bin_width, 0.05),
-        "c80": lambda e: decay.clarity(e, bin_width, 0.08),
+    noise = {
+        key: jackknife(partial(o.value, bin_width=bin_width), energy)
+        for key, o in OBSERVABLES.items()
+        if o.shown
     }
-    noise = {name: jackknife(estimate, energy) for name, estimate in estimates.items()}
     return decay.measurement(
         energy.mean(axis=0), bin_width, centre_frequencies, pairs, uncertainty=noise
     )
@@ -217,7 +217,7 @@ def decay_long_enough(
     trace: Callable[[float], Array],
     room: Room,
     alpha: Array,
-    parameter: str = "t20",
+    parameter: DecaySlope = TARGET,
     longest: float | None = None,
 ) -> Array:
     """Return ``trace(seconds)``, (n_batches, ...), with seconds doubled until it holds the parameter.
@@ -228,6 +228,6 @@ def decay_long_enough(
     seconds = min(eyring_seconds(room, alpha), longest)
     while True:
         energy = trace(seconds)
-        if seconds >= longest or not decay.too_short(energy.mean(axis=0), parameter).any():
+        if seconds >= longest or not parameter.too_short(energy.mean(axis=0)).any():
             return energy
         seconds = min(2 * seconds, longest)

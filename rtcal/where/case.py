@@ -11,6 +11,7 @@ import numpy as np
 
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import MATCH, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -18,7 +19,7 @@ from rtcal.loop.control_runs import POSITION, checked_uncertainty
 from rtcal.loop.measured_pairs import Pair, history, refuse_unknown
 from rtcal.simulators.base import at_places
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.observations import MATCH, checked_parameters
+from rtcal.simulators.observations import checked_parameters
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -120,22 +121,25 @@ class Case:
                 "add its rows"
             )
         for name in self.match:
-            key = "g" if name == "level" and "level" not in self.measured.values else name
+            kind = observable(name)
+            key = kind.key_in(self.measured.values)
             if key not in self.measured.values:
                 continue
-            if key not in simulated.values and not (name == "level" and "g" in simulated.values):
+            if not {key, kind.stand_in} & {*simulated.values}:
                 raise DataError(
                     f"simulated has no {parameter_label(key)}, which was measured; leave {name} out "
                     "of match"
                 )
-            self._check_values(simulated, key)
+            self._check_values(simulated, name)
 
-    def _check_values(self, simulated: Measurement, key: str) -> None:
+    def _check_values(self, simulated: Measurement, name: str) -> None:
         """Raise DataError for the first measured value that the program did not give."""
+        kind = observable(name)
+        key = kind.key_in(self.measured.values)
         measured = band_conversion.measurement_in_room_bands(
             self.measured, self.room.centre_frequencies
         ).values[key]
-        given = simulated.values.get(key, simulated.values.get("g"))
+        given = simulated.values.get(key, simulated.values.get(str(kind.stand_in)))
         for pair in self.pairs:
             there = np.isfinite(measured[self.measured.pairs.index(pair)])
             off = there & ~np.isfinite(np.asarray(given)[simulated.pairs.index(pair)])

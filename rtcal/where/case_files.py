@@ -25,11 +25,11 @@ from pathlib import Path
 from typing import Any
 
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import geometry_files, position_files
 from rtcal.loop.control_runs import POSITION
-from rtcal.simulators.observations import MATCH
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, toml_table

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import observable
 from rtcal.discrepancy.case import Case as MeansCase
 from rtcal.discrepancy.configuration import PARAMETERS, Configuration
 from rtcal.discrepancy.search import find as find_by_means
@@ -106,7 +107,7 @@ def evidence_of_means(
 def of_means(case: Case) -> MeansCase:
     """Return the case without its geometry; DataError where it has no T that can be trusted."""
     measured, tracer = case.measured, case.simulator
-    names = ["g" if name == "level" else name for name in case.match]
+    names = [observable(name).stand_in or name for name in case.match]
     rows = [measured.pairs.index(pair) for pair in case.pairs]
 
     def some(table: dict[str, Array]) -> dict[str, Array]:

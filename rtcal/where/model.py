@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.observables import observable
 from rtcal.discrepancy.coefficients import SCALES
 from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns, level
@@ -15,7 +16,7 @@ from rtcal.loop.measured_pairs import MeasuredPairs, measured_pairs
 from rtcal.loop.positions import prior_covariance
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
-from rtcal.where import scales, unevenness
+from rtcal.where import unevenness
 from rtcal.where.case import Case
 from rtcal.where.evidence import Likelihood, band_first, flat, reordered
 from rtcal.where.prior import climate_error, usual_errors
@@ -40,7 +41,7 @@ class Model:
     ----------
     data : MeasuredPairs
     residual : array (n,)
-        Measured less simulated as stated, on the scales of `rtcal.where.scales`; 0 where nothing was
+        Measured less simulated as stated, on the scales of `Observable.linear`; 0 where nothing was
         measured.
     scale : array (n,)
         Derivative of the scales at the measured values: factor of an error.
@@ -181,14 +182,14 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
 
 
 def _linear(parameters: Sequence[str], values: Array, stated: Array) -> Array:
-    """Return values (n_parameters, ...) on the scales of `rtcal.where.scales`."""
+    """Return values (n_parameters, ...) on the scales of `Observable.linear`."""
     rows = zip(parameters, values, stated, strict=True)
-    return np.array([scales.linear(name, value, at) for name, value, at in rows])
+    return np.array([observable(name).linear(value, at) for name, value, at in rows])
 
 
 def _slopes(parameters: Sequence[str], values: Array, stated: Array) -> Array:
     rows = zip(parameters, values, stated, strict=True)
-    return np.array([scales.slope(name, value, at) for name, value, at in rows])
+    return np.array([observable(name).linear_slope(value, at) for name, value, at in rows])
 
 
 def _smooth(measured: Array, stated: Array) -> Array:

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.observables import MATCH
 from rtcal.errors import DataError, TooShortError
 from rtcal.loop.control_runs import share_of_signal
-from rtcal.simulators.observations import MATCH, observe
+from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, kept_arrays

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.room import Room
 from rtcal.where.prior import HANDBOOK, IN_SITU, statement
 
@@ -34,7 +35,7 @@ JUDGED = {IN_SITU: "it", HANDBOOK: "an earlier version of it"}
 
 def sentence(room: Room, match: Sequence[str]) -> str:
     """Return how often hidden effects were detected and empty rooms flagged, with such data."""
-    data = "with level" if "level" in match else "without level"
+    data = "with level" if LEVEL.key in match else "without level"
     stated = statement(room)
     detected, flagged = DETECTED[stated][data], FLAGGED[stated][data]
     right = SURFACE[stated][data]

@@ -13,26 +13,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rtcal.acoustics.observables import observable
 from rtcal.support.types import Array
 
 SMALLEST = 1 / 9
 """Least part of a surface for which the shares were found; smaller ones have its error."""
-_T, _EARLY, _LEVEL = ("t20", "t30"), ("edt", "c50", "c80", "ts"), "level"
-COMMON = {"t": 0.05, "early": 0.06, "level": 0.14}
-"""Relative deviation that all pairs share. That of T and of the early parameters is the same one."""
-OWN = {"t": 0.06, "early": 0.06, "level": 0.24}
+COMMON = {"late": 0.05, "early": 0.06, "level": 0.14}
+"""Relative deviation that all pairs share, by `Observable.part`. That of T and of the early parameters
+is the same one."""
+OWN = {"late": 0.06, "early": 0.06, "level": 0.24}
 """Relative deviation of each pair: one for T, one for all early parameters, one for the level."""
-
-
-def _group(parameter: str) -> str:
-    if parameter in _T:
-        return "t"
-    return "early" if parameter in _EARLY else "level"
 
 
 def sign(parameter: str) -> float:
     """Return whether a parameter's linear scale rises or falls with the absorption."""
-    return 1.0 if parameter in ("c50", "c80") else -1.0
+    return 1.0 if observable(parameter).rises else -1.0
 
 
 def factor(covered: Array) -> Array:
@@ -49,12 +44,12 @@ def amount(parameters: Sequence[str], n_pairs: int) -> Array:
 def columns(parameters: Sequence[str], n_pairs: int) -> Array:
     """Return the deviations at a change of 1, (n_parameters n_pairs, n_columns)."""
     signs = np.array([sign(name) for name in parameters])
-    groups = [_group(name) for name in parameters]
+    groups = [observable(name).part for name in parameters]
     out = []
-    for shared in (("t", "early"), ("level",)):
+    for shared in (("late", "early"), ("level",)):
         row = [COMMON[g] if g in shared else 0.0 for g in groups]
         out.append(np.repeat(signs * row, n_pairs))
-    for group in ("t", "early", "level"):
+    for group in OWN:
         own = np.array([OWN[g] if g == group else 0.0 for g in groups])
         for pair in np.eye(n_pairs):
             out.append(np.outer(signs * own, pair).ravel())

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy import stats
 
+from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
@@ -400,7 +401,7 @@ def gap_in_jnd(case: Case, finding: Finding, heard: Observations, pairs: Sequenc
     gaps = []
     for name in finding.parameters:
         model, values = heard.natural(name)[rows], measured.natural(name)
-        if name == "level" and "level" in case.measured.values:
+        if name == LEVEL.key and name in case.measured.values:
             model = with_reference(model, values, pairs)
         gaps.append(gap_jnd(model, values, name))
     return np.stack(gaps)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import decay
+from rtcal.acoustics.observables import longest
 from rtcal.discrepancy.effects.covered import HARD
 from rtcal.simulators import observations, paths
 from rtcal.simulators.path_tracing import PathTracing
@@ -109,7 +109,7 @@ class Weighing:
         room = self.tracer.room
         air = room.air_attenuation if attenuation is None else attenuation
         if not self.seconds:
-            decay_long_enough(self._probe, room, room.alpha, self._longest)
+            decay_long_enough(self._probe, room, room.alpha, longest(self.match))
         while True:
             batches = self._energy(alpha, air, stretch)
             energy = batches.reshape(number, -1, *batches.shape[1:]).mean(axis=1)
@@ -118,14 +118,10 @@ class Weighing:
 
     def _long_enough(self, energy: Array) -> bool:
         """Return whether decays need no longer paths; if they do, the next are longer."""
-        if self.seconds >= LONGEST or not decay.too_short(energy, self._longest).any():
+        if self.seconds >= LONGEST or not longest(self.match).too_short(energy).any():
             return True
         self.seconds = min(1.5 * self.seconds, LONGEST)
         return False
-
-    @property
-    def _longest(self) -> str:
-        return "t30" if "t30" in self.match else "t20"
 
     def _probe(self, seconds: float) -> Array:
         self.seconds = seconds

@@ -8,6 +8,7 @@ its uncertainty, its unit, its limits and its names.
 
 import importlib
 import pkgutil
+from collections.abc import Iterable
 
 from rtcal.acoustics.observables.base import DB as DB
 from rtcal.acoustics.observables.base import OBSERVABLES as OBSERVABLES
@@ -21,9 +22,25 @@ for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
 
 REVERBERATION = tuple(o for o in of_kind(DecaySlope).values() if o.averages is not None)
-"""The reverberation times. Coefficients are calibrated to the first one that was measured, never to EDT:
-it depends on the early sound and the source's directivity, which coefficients must not compensate."""
+"""The reverberation times. Coefficients are calibrated to the first one that was measured, never to
+EDT: it depends on early sound and the source's directivity, which coefficients must not compensate."""
 TARGET = REVERBERATION[0]
 """The decay time that every simulator gives, and that a loop on mean values matches."""
+EARLY = max(of_kind(DecaySlope).values(), key=lambda o: o.lower)
+"""The early decay time, of the first levels."""
+LEVEL = OBSERVABLES["level"]
+"""The level, whose reference is a source's own where G was not measured."""
 MATCH = tuple(key for key, o in OBSERVABLES.items() if o.matched)
 """Keys of what is matched at every position where nothing else is asked for."""
+
+
+def longest(keys: Iterable[str]) -> DecaySlope:
+    """Return the decay time that needs the longest decay, of these observables and `TARGET`.
+
+    Examples
+    --------
+    >>> longest(["edt", "t30", "c80"]).label, longest(["edt"]).label
+    ('T30', 'T20')
+    """
+    every = [TARGET, *(o for key, o in of_kind(DecaySlope).items() if key in [*keys])]
+    return min(every, key=lambda o: o.lower)

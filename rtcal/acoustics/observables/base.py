@@ -8,7 +8,7 @@ function of what is observed is linear in the room's absorption.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeVar
 
@@ -25,6 +25,9 @@ OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 """Centre frequencies in Hz of `Observable.between_teams`."""
 _BINS = 4000
 """Bins of the exponential decay that stands for a noise-like response, over twice its T."""
+
+
+Part = Literal["late", "early", "level"]
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,10 @@ class Observable(ABC):
         Standard deviation of a simulator's error that no control run tells, as observed.
     matched : bool
         Whether it is matched at every position where nothing else is asked for.
+    shown : bool
+        Whether a loop on mean values shows it, and a tracer states its noise.
+    stand_in : str or None
+        Key of an observable that serves in its place where it was not measured.
     averaging : Scale
         The quantity that averages over the thirds of an octave.
     """
@@ -97,10 +104,12 @@ class Observable(ABC):
     reaches: ClassVar[float] = 0.0
     logarithmic: ClassVar[bool] = False
     rises: ClassVar[bool] = False
-    part: ClassVar[Literal["late", "early", "level"]] = "early"
+    part: ClassVar[Part] = "early"
     teams: ClassVar[tuple[float, ...]]
     unknown_error: ClassVar[float]
     matched: ClassVar[bool] = False
+    shown: ClassVar[bool] = False
+    stand_in: ClassVar[str | None] = None
     averaging: ClassVar[Scale] = ITSELF
 
     @abstractmethod
@@ -129,6 +138,10 @@ class Observable(ABC):
         """Return whether energy decays (..., n_bins) are cut off too early to hold it, (...)."""
         return np.zeros(np.shape(energy)[:-1], dtype=bool)
 
+    def key_in(self, values: Container[str]) -> str:
+        """Return under which key a table has it: its own, or else its stand-in's."""
+        return self.key if self.stand_in is None or self.key in values else self.stand_in
+
     def observed(self, values: Array) -> Array:
         """Return what is observed, of values in the unit; NaN where there is no logarithm."""
         if not self.logarithmic:
@@ -153,7 +166,7 @@ class Observable(ABC):
         return self.jnd * values if self.relative_jnd else self.jnd
 
     def decay_time(self, values: Array) -> Array:
-        """Return the T in s of an exponential decay with these values; NaN where they do not tell it."""
+        """Return the T in s of an exponential decay with these values; NaN if they do not tell it."""
         return np.full(np.shape(values), np.nan)
 
     def between_teams(self, frequencies: Array) -> Array:
@@ -231,7 +244,7 @@ O = TypeVar("O", bound=Observable)  # noqa: E741
 
 def register(kind: type[O]) -> type[O]:
     """Name an observable in `OBSERVABLES`; a class decorator."""
-    every = [*OBSERVABLES.values(), kind()]
+    every: list[Observable] = [*OBSERVABLES.values(), kind()]
     OBSERVABLES.clear()
     OBSERVABLES.update({o.key: o for o in sorted(every, key=lambda o: o.rank)})
     return kind

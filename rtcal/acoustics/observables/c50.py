@@ -13,3 +13,4 @@ class C50(Clarity):
     key, label, rank = "c50", "C50", 40
     spellings = ("clarityc50",)
     limit = reaches = 0.05
+    shown = True

@@ -13,4 +13,4 @@ class C80(Clarity):
     key, label, rank = "c80", "C80", 50
     spellings = ("clarityc80",)
     limit = reaches = 0.08
-    matched = True
+    matched = shown = True

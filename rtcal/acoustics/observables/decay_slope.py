@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.decay_curve import decay_curve_db, ends_above, slope_time
-from rtcal.acoustics.observables.base import DB, Observable, Scale
+from rtcal.acoustics.observables.base import DB, Observable, Part, Scale
 from rtcal.errors import DataError
 from rtcal.support.types import Array
 
@@ -18,8 +19,8 @@ LIMITS = (0.01, 120.0)
 The longest published T is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic
 Wonderland, 2014)."""
 TEAMS = (0.046, 0.036, 0.028, 0.022, 0.017, 0.013)
-"""Of T, relative. The ends are from the music studio of the PTB (round robin III, Bork 2005; medians over
-pairs), geometric between them. All pairs of a team have this error in common."""
+"""Of T, relative. The ends are from the music studio of the PTB (round robin III, Bork 2005; medians
+over pairs), geometric between them. All pairs of a team have this error in common."""
 
 _DECAYS = 10
 """Decays that an integrated impulse response counts as (ISO 3382-2:2008, 6.2)."""
@@ -42,6 +43,26 @@ class Relative(Observable):
         return np.asarray(np.exp(-(values - stated)))
 
 
+@dataclass(frozen=True)
+class Bend:
+    """How far a decay time differs from T20 in straight decays.
+
+    Attributes
+    ----------
+    name : str
+        Of the ratio less 1.
+    limit : float
+        Its largest size in percent.
+    scatter : float
+        Standard deviation of the ratio times sqrt(B T), over 4,000 exponential decays of Gaussian noise
+        (B T = 44 to 355).
+    """
+
+    name: str
+    limit: float
+    scatter: float
+
+
 class DecaySlope(Relative):
     """A decay time in s: -60 dB over the slope of the decay curve within a range of levels.
 
@@ -53,17 +74,20 @@ class DecaySlope(Relative):
         Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz.
     averages : (float, float) or None
         a and b of the uncertainty of a mean over positions (ISO 3382-2:2008, Eqs. 4 and 5).
+    bend : Bend or None
+        Where the ratio to T20 tells whether a decay is bent.
     """
 
     upper: ClassVar[float]
     lower: ClassVar[float]
     one_decay: ClassVar[float]
     averages: ClassVar[tuple[float, float] | None] = None
+    bend: ClassVar[Bend | None] = None
     jnd = 0.05
     relative_jnd = True
     limits = LIMITS
     doubt = "is it in seconds?"
-    part = "late"
+    part: ClassVar[Part] = "late"
     teams = TEAMS
     averaging = Scale(lambda t: 1 / t, lambda rate: 1 / rate, lambda t: -1 / t**2)
 
@@ -84,9 +108,9 @@ class DecaySlope(Relative):
         """Return d ln T / d E_j.
 
         T is -60 / slope, the slope that of the regression of L_k = DB ln(B_k / B_0) on k within the
-        range, with B_k the energy from bin k on. So d ln T = -sum c_k dL_k / (slope sum c_k²), where c_k
-        is k less its mean. The range's ends move too: at an end that lies r off the line, points enter
-        or leave at the rate of dL / slope bins, and each has the weight c r / (slope sum c_k²).
+        range, with B_k the energy from bin k on. So d ln T = -sum c_k dL_k / (slope sum c_k²), where
+        c_k is k less its mean. The range's ends move too: at an end that lies r off the line, points
+        enter or leave at the rate of dL / slope bins, and each has the weight c r / (slope sum c_k²).
         """
         within = (level <= self.upper) & (level >= self.lower)
         k = np.arange(level.shape[-1], dtype=float)

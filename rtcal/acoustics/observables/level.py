@@ -54,4 +54,5 @@ class Level(OfEnergy):
     """
 
     key, label, rank = "level", "level", 90
+    stand_in = "g"
     matched = True

@@ -11,9 +11,7 @@ from rtcal.acoustics.observables.edt import EDT
 from rtcal.errors import DataError
 from rtcal.support.types import Array
 
-MODULATIONS = np.array(
-    [0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5]
-)
+MODULATIONS = np.array([0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5])
 """Modulation frequencies in Hz (IEC 60268-16:2020, A.2.2)."""
 _OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 _WEIGHTS = np.array([0.085, 0.127, 0.230, 0.233, 0.309, 0.224, 0.173])
@@ -50,7 +48,7 @@ class STI(Observable):
         return np.asarray(_index(np.abs(_transfer(energy, bin_width)[0])).mean(-1))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return d STI / d E_j = sum of d TI / d m (Re(m* w_j) / |m| - |m|) / sum(E) over frequencies."""
+        """Return d STI / d E_j = mean of d TI / d m (Re(m* w_j) / |m| - |m|) over F, over sum(E)."""
         ratio, waves = _transfer(energy, bin_width)
         m = np.abs(ratio)
         by_ratio = _slope(m) / len(MODULATIONS)

@@ -16,4 +16,4 @@ class T20(DecaySlope):
     minimum_range = 35.0
     one_decay = 0.88
     averages = (0.88, 1.90)
-    matched = True
+    matched = shown = True

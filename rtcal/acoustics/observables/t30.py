@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rtcal.acoustics.observables.base import register
-from rtcal.acoustics.observables.decay_slope import DecaySlope
+from rtcal.acoustics.observables.decay_slope import Bend, DecaySlope
 
 
 @register
@@ -16,3 +16,5 @@ class T30(DecaySlope):
     minimum_range = 45.0
     one_decay = 0.55
     averages = (0.55, 1.52)
+    # ISO 3382-2:2008, B.3: above 10 % a decay is far from straight. The scatter is 0.70 to 0.77.
+    bend = Bend("curvature T30/T20 - 1", 10.0, 0.75)

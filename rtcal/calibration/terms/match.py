@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal.acoustics.quality import JND
+from rtcal.acoustics.observables import TARGET
 from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.problem_data import ProblemData
@@ -84,7 +84,7 @@ class MatchWithin:
 
     def __post_init__(self) -> None:
         checks.number("MatchWithin: jnd", self.jnd, ModelError)
-        if not 0 <= self.jnd < 1 / JND["t20"]:
+        if not 0 <= self.jnd < 1 / TARGET.jnd:
             raise ModelError(f"MatchWithin({self.jnd:g}): the tolerance must be from 0 to below 20")
 
     @property
@@ -119,7 +119,7 @@ class MatchWithin:
         """
         if self.jnd == 0:
             return data.target, data.target
-        tolerance = JND["t20"] * self.jnd
+        tolerance = TARGET.jnd * self.jnd
         low = data.target_of(data.time * (1 + tolerance))
         high = data.target_of(data.time * (1 - tolerance))
         # A T so short that no b gives it: the equation's largest b is the limit.

@@ -1,0 +1,222 @@
+"""One registry says what each observable is: reading, measuring, fitting and finding ask it."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.acoustics import decay
+from rtcal.acoustics.observables import OBSERVABLES, observable, sti
+from rtcal.acoustics.observables.base import Observable, register
+from rtcal.acoustics.quality import gap_jnd
+from rtcal.io import impulse_responses, tables
+from rtcal.io.analysis import with_uncertainty
+from rtcal.loop import control_runs
+from rtcal.simulators import ImageSource
+from tests import test_where
+from tests.test_positions_input import BOX, IN_BOX
+
+ROOT = Path(__file__).resolve().parents[2]
+WIDTH = 1e-3
+NEW = ("d50", "sti")
+"""Observables that were added as one file each."""
+
+
+def exponential(rate: float, width: float = WIDTH) -> np.ndarray:
+    """A decay of energy at ``rate`` in 1/s, long enough for each observable."""
+    return np.exp(-rate * np.arange(int(20 / rate / width)) * width)
+
+
+@pytest.mark.parametrize("key", OBSERVABLES)
+def test_the_linear_scale_is_linear_in_the_absorption(key: str) -> None:
+    """The rate of an exponential decay is proportional to the absorption, its energy to 1 / rate."""
+    kind = observable(key)
+    rates = np.array([8.0, 10.0, 14.0])
+    seen = kind.observed(np.array([kind.value(exponential(r, 1e-4), 1e-4) for r in rates]))
+    sign = 1 if kind.rises else -1
+    assert sign * kind.linear(seen, seen[1]) == pytest.approx(rates / 10 - 1, abs=2e-3)
+    step = 1e-4
+    slope = (kind.linear(seen + step, seen[1]) - kind.linear(seen - step, seen[1])) / (2 * step)
+    assert kind.linear_slope(seen, seen[1]) == pytest.approx(slope, rel=2e-3)
+
+
+@pytest.mark.parametrize("key", OBSERVABLES)
+def test_theory_tells_how_one_response_scatters(key: str) -> None:
+    """Of drawn responses: bins of noise have the relative variance 1 / (B w)."""
+    kind, band, time = observable(key), np.array([1000.0]), 0.8
+    decay_of = exponential(6 * np.log(10) / time)
+    rng = np.random.default_rng(1)
+    shape = 2 * 710.0 * WIDTH / 2  # degrees of freedom of a bin, over two
+    drawn = decay_of * rng.gamma(shape, 1 / shape, (600, decay_of.size))
+    seen = kind.observed(kind.value(drawn, WIDTH))
+    (expected,) = kind.scatter(band, np.array([time]))
+    assert np.nanstd(seen) == pytest.approx(expected, rel=0.12)
+
+
+@pytest.mark.parametrize("key", OBSERVABLES)
+def test_thirds_average_and_uncertainties_are_of_a_kind(key: str) -> None:
+    kind = observable(key)
+    value = kind.natural(np.array([-1.0])) if kind.logarithmic else np.array([0.4])
+    assert kind.averaging.inverse(kind.averaging.forward(value)) == pytest.approx(value)
+    assert (kind.between_teams(np.array([125.0, 4000.0])) > 0).all()
+    assert kind.of_observed(kind.of_value(np.array([0.02]), value), value) == pytest.approx(0.02)
+    assert abs(gap_jnd(value + kind.jnd_of(value), value, key)) == pytest.approx(1.0)
+
+
+def test_sti_is_that_of_iec_60268_16() -> None:
+    """The MTF of an exponential decay (Houtgast and Steeneken 1973), and the weights of the octaves."""
+    time = 1.2
+    m = 1 / np.sqrt(1 + (2 * np.pi * sti.MODULATIONS * time / (6 * np.log(10))) ** 2)
+    ratio = np.clip(10 * np.log10(m / (1 - m)), -15, 15)
+    value = observable("sti").value(exponential(6 * np.log(10) / time), WIDTH)
+    assert value == pytest.approx(np.mean((ratio + 15) / 30), abs=1e-4)
+    octaves = np.array([125, 250, 500, 1000, 2000, 4000, 8000])
+    assert sti.of_octaves(np.ones((2, 7)), octaves) == pytest.approx([1.0, 1.0])
+    with pytest.raises(rt.errors.DataError, match="125 Hz is missing"):
+        sti.of_octaves(np.ones(6), octaves[1:])
+    shuffled = sti.of_octaves(np.linspace(0.3, 0.9, 7), octaves)
+    assert shuffled != pytest.approx(sti.of_octaves(np.linspace(0.9, 0.3, 7), octaves), abs=1e-3)
+
+
+def test_new_observables_are_read_and_written(tmp_path: Path) -> None:
+    table = tables.parse(b"Frequency,D50 [%],STI\n500,48,0.55\n1000,52,0.61\n").measurement
+    assert table.values["d50"].tolist() == [[0.48, 0.52]]
+    assert table.values["sti"].tolist() == [[0.55, 0.61]]
+    table.save(str(tmp_path / "m.csv"))
+    again = rt.Measurement.from_file(str(tmp_path / "m.csv"))
+    assert again.to_dict() == table.to_dict()
+    assert json.loads(json.dumps(table.to_dict()))["values"]["sti"] == [[0.55, 0.61]]
+    assert "STI" in repr(table)
+    with pytest.raises(rt.errors.DataError, match="STI is a fraction"):
+        tables.parse(b"Frequency,STI\n500,55\n")
+
+
+def test_new_observables_are_measured_with_their_uncertainty() -> None:
+    pytest.importorskip("pyfar")
+    pytest.importorskip("pyrato")
+    rate = 8000
+    time = np.arange(2 * rate) / rate
+    energy = np.exp(-6 * np.log(10) / 1.0 * time)
+    found, _, missing = impulse_responses.of_energy(energy, rate)
+    assert missing == ()
+    for key in NEW:
+        assert found[key] == pytest.approx(observable(key).value(energy, 1 / rate), abs=2e-3)
+    measured = rt.Measurement.from_values([1000], **{k: [v] for k, v in found.items()})
+    stated = with_uncertainty(measured)
+    for key in NEW:
+        (own,), (common,) = stated.uncertainty[key][0], [stated.common_uncertainty[key]]
+        assert 0 < own < 3 * observable(key).jnd
+        assert 0 < common[0] < observable(key).jnd
+
+
+def test_new_observables_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control_runs, "RUNS", 2)
+    simulator = ImageSource(room=BOX, duration=1.0, **IN_BOX)
+    seen = simulator.observe(np.array([[0.6], [0.35]]), NEW)
+    measured = rt.Measurement(
+        centre_frequencies=[1000],
+        pairs=seen.pairs,
+        values={p: seen.natural(p) for p in NEW},
+        uncertainty={p: np.full((2, 1), 0.01) for p in NEW},
+    )
+    result = rt.calibrate_simulator(simulator, BOX, measured, match=NEW)
+    assert result.parameters == NEW
+    assert (result.alpha > BOX.alpha).all()
+    assert (np.abs(result.gap_after) < 0.8 * np.abs(result.gap_before)).all()
+    assert all(observable(p).label in str(result) for p in NEW)
+
+
+@pytest.mark.long
+def test_new_observables_are_found_with(tmp_path: Path) -> None:
+    """An opening on one wall, from what D50 and STI hear at each pair."""
+    room = test_where.stated()
+    hole = test_where.measured(True, match=("t20", *NEW))
+    case = rt.where.Case(simulator=test_where.tracing(room), measured=hole, match=("t20", *NEW))
+    finding = rt.where.find(case, cache=tmp_path)
+    assert finding.parameters == ("t20", *NEW)
+    assert finding.detected
+    assert next(iter(finding.surfaces)) == "east wall"
+
+
+def test_an_observable_from_outside_is_heard() -> None:
+    """As one file would: registered, it is simulated, fitted and printed."""
+
+    class Late(Observable):
+        """Level of the energy after 80 ms in dB."""
+
+        key, label, rank, unit = "l80", "L80", 55, "dB"
+        decimals, jnd, limits, doubt = 1, 1.0, (-200.0, 200.0), "is it in dB?"
+        teams, unknown_error, minimum_range = (1.0,) * 6, 0.5, None
+
+        def value(self, energy, bin_width):
+            return 10 * np.log10(energy[..., int(0.08 / bin_width) :].sum(-1))
+
+        def gradient(self, energy, level, bin_width):
+            late = np.arange(energy.shape[-1]) >= int(0.08 / bin_width)
+            total = energy[..., late].sum(-1, keepdims=True)
+            return 10 / np.log(10) * late / total
+
+        def linear(self, values, stated):
+            return 1 - 10 ** ((stated - values) / 10)
+
+        def linear_slope(self, values, stated):
+            return np.log(10) / 10 * 10 ** ((stated - values) / 10)
+
+    before = dict(OBSERVABLES)
+    register(Late)
+    try:
+        assert list(OBSERVABLES).index("l80") == 1 + list(OBSERVABLES).index("c80")
+        seen = ImageSource(room=BOX, duration=1.0, **IN_BOX).observe(BOX.alpha, ("t20", "l80"))
+        measured = rt.Measurement(
+            centre_frequencies=[1000], pairs=seen.pairs, values={"l80": seen.natural("l80")}
+        )
+        assert repr(measured).startswith("<Measurement of L80")
+        energy = exponential(10.0)
+        by_bin = decay.gradients(energy, WIDTH, ["l80"])[0]
+        assert by_bin @ energy == pytest.approx(10 / np.log(10))
+    finally:
+        OBSERVABLES.clear()
+        OBSERVABLES.update(before)
+
+
+def named(path: Path) -> set[str]:
+    """Return the keys of observables that a module has as a text or an argument of its own.
+
+    "g" and "level" are words for other things as well, and are not counted.
+    """
+    counted = {*OBSERVABLES} - {"g", "level"}
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found |= {node.value} & counted
+        elif isinstance(node, ast.keyword) and node.arg is not None:
+            found |= {node.arg} & counted
+    return found
+
+
+THE_MEANS_HAVE_FIVE = {
+    f"discrepancy/{name}.py"
+    for name in (
+        *("advice", "case_checks", "case_files", "configuration", "corrected", "engines"),
+        *("features", "hypotheses", "measurements", "model", "model_error", "planning"),
+        *("recalibration", "search", "track_record"),
+    )
+}
+"""The closed-form model of a room predicts five features, of T20, EDT, T30, C80 and G."""
+A_TYPE = {"loop/calibrate.py"}
+"""The overload of `calibrate_simulator` that matches the mean T20 has its name as a type."""
+
+
+def test_no_module_outside_the_registry_names_an_observable() -> None:
+    package = ROOT / "rtcal"
+    modules = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if "observables" not in path.parts and named(path)
+    }
+    assert modules == THE_MEANS_HAVE_FIVE | A_TYPE
