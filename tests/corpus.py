@@ -304,7 +304,7 @@ def cells() -> list[Case]:
             b"f;D50 %\n500;48\n1000;51.5\n",
             values=one({500: 0.48, 1000: 0.515}, "d50"),
         ),
-        Case("percent, not stated", "tables", b"f;D50\n500;48\n", error="percent need their unit"),
+        Case("percent, not stated", "tables", b"f;D50\n500;48\n", error="is it in percent"),
         Case(
             "percent unit of a row",
             "tables",

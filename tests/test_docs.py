@@ -172,7 +172,6 @@ NEEDS_NO_EXAMPLE = {
     "match_matrix": "for a term of one's own that matches T; ExactMatch shows it",
     "lacking": "for messages about a term of one's own",
     "Threshold": "part of a Finding, never made by a user",
-    "bins": "part of every simulator's decay, never called by a user",
     "bent_marks": "trust_marks calls it",
     "absorption_shares": "the numbers of material_figures.shares",
     "of_energy": "one response of impulse_responses.analyse",

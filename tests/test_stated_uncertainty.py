@@ -59,8 +59,8 @@ def test_c80_of_decaying_noise_scatters_as_theory_says() -> None:
 
 def test_uncertainties_survive_their_file(tmp_path: Path) -> None:
     stated = with_uncertainty(measured())
-    assert set(stated.uncertainty) == {"t20", "edt", "c80"}
-    assert set(stated.common_uncertainty) == {"t20", "edt", "c80"}
+    assert set(stated.uncertainty) == {"t20", "edt", "c80", "ts"}
+    assert set(stated.common_uncertainty) == {"t20", "edt", "c80", "ts"}
     stated.save(str(tmp_path / "t.csv"))
     again = rt.Measurement.from_file(str(tmp_path / "t.csv"))
     for name in ("uncertainty", "common_uncertainty"):
