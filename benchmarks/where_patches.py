@@ -18,9 +18,8 @@ from itertools import product
 import numpy as np
 
 from benchmarks.where import case_of
-from rtcal.acoustics.observables import observable
+from rtcal.acoustics.observables import MATCH, observable
 from rtcal.simulators import Polyhedron
-from rtcal.simulators.observations import MATCH
 from rtcal.where.weighing import Weighing
 from tests.geometric_world.load import IN_SITU, load, stored
 
