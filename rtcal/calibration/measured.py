@@ -10,7 +10,7 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.curvature import BentDecay, bent_decays
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.observables import REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -102,7 +102,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
 
 def _copied(measured: Measurement) -> str:
     """Return a caution if T20 and T30 are the same numbers; "" else."""
-    t20, t30 = (measured.values.get(p, np.full(1, np.nan)) for p in ("t20", "t30"))
+    t20, t30 = (measured.values.get(o.key, np.full(1, np.nan)) for o in REVERBERATION)
     both = (
         np.isfinite(t20) & np.isfinite(t30) if t20.shape == t30.shape else np.zeros(1, dtype=bool)
     )
