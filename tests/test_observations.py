@@ -13,8 +13,8 @@ from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable
 from rtcal.datasets import halls
 from rtcal.errors import DataError, SimulatorError
 from rtcal.simulators import (
+    DifferentiableSimulator,
     ImageSource,
-    Observable,
     PathTracing,
     Polyhedron,
     ScatteringDelayNetwork,
@@ -62,7 +62,7 @@ def test_gradient_of_a_parameter_is_its_difference(parameter):
 
 
 def test_path_tracing_differentiates_as_differences_do(tracer):
-    assert isinstance(tracer, Observable)
+    assert isinstance(tracer, DifferentiableSimulator)
     alpha = tracer.room.alpha
     exact = tracer.jacobian(alpha, seed=3)
     by_difference = differences(tracer, alpha, seed=3)

@@ -23,8 +23,8 @@ from rtcal.loop.measured_pairs import response_noise
 from rtcal.loop.scattering import Scattering
 from rtcal.report import page, positions_figures, positions_folder
 from rtcal.simulators import (
+    DifferentiableSimulator,
     ImageSource,
-    Observable,
     PathTracing,
     ScatteringDelayNetwork,
     path_trace,
@@ -272,7 +272,7 @@ IN_BOX = {
     ids=["image sources", "network"],
 )
 def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
-    assert isinstance(simulator, Observable)
+    assert isinstance(simulator, DifferentiableSimulator)
     heard = simulator.observe(BOX.alpha, MATCH)
     assert heard.values.shape == (5, 2, 1)
     np.testing.assert_allclose(

@@ -124,7 +124,13 @@ def means(measurement: Measurement) -> list[str]:
         for parameter in measurement.values
     ]
     header = ("", [bands.label(f) for f in measurement.centre_frequencies])
-    return [title, *text.table(rows, header=header)]
+    lines = [title, *text.table(rows, header=header)]
+    for parameter in measurement.values:
+        kind = observable(parameter)
+        of_all = kind.overall(measurement.mean(parameter), measurement.centre_frequencies)
+        if np.isfinite(of_all):
+            lines.append(f"{kind.label} of all bands: {of_all:.{kind.decimals}f}")
+    return lines
 
 
 def spread(values: Sequence[float] | Array, form: str) -> str:

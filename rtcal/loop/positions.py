@@ -41,7 +41,7 @@ from rtcal.loop.scattering import Scattering, fitted, scattered
 from rtcal.loop.simulator_error import GROUPS, simulator_error
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
-from rtcal.simulators.observations import Observable, Observations, observe
+from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.checks import instance
 from rtcal.support.progress import Progress
@@ -301,7 +301,7 @@ def _given(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the parameters that the simulator gives, and a note of those that it does not."""
     match = observations.checked_parameters(match)
-    if isinstance(simulator, Observable):
+    if isinstance(simulator, DifferentiableSimulator):
         return match, ()
     simulated = base.run(simulator, alpha, seed=seed)
     given = tuple(p for p in match if p in observations.given(simulated))

@@ -3,7 +3,7 @@
 `PathTracing` and `RayTracing` take rooms with plane walls, a `Polyhedron`. `ScatteringDelayNetwork`
 and `ImageSource` take shoeboxes. `EquationSimulator` evaluates an equation. `External` calls a
 function, `command` another program. `Simulator` is the protocol that all of them follow,
-`Observable` that of those which give the derivatives of their parameters.
+`DifferentiableSimulator` that of those which give the derivatives of their parameters.
 """
 
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rtcal.simulators.external import External as External
     from rtcal.simulators.geometry import Polyhedron as Polyhedron
     from rtcal.simulators.image_source import ImageSource as ImageSource
-    from rtcal.simulators.observations import Observable as Observable
+    from rtcal.simulators.observations import DifferentiableSimulator as DifferentiableSimulator
     from rtcal.simulators.observations import Observations as Observations
     from rtcal.simulators.path_tracing import PathTracing as PathTracing
     from rtcal.simulators.program import command as command

@@ -2,8 +2,8 @@
 
 An `Observations` holds numbers that are nearly linear in alpha: ln T20, ln T30, ln EDT and ln Ts, and
 C50, C80 and the level in dB. `observe` and `jacobian` give them for any simulator. A simulator that
-can weigh its paths anew has methods of its own (`Observable`); others are differentiated by central
-differences with the same seed, so that their random numbers cancel.
+can weigh its paths anew has methods of its own (`DifferentiableSimulator`); others are differentiated
+by central differences with the same seed, so that their random numbers cancel.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Observations:
 
 
 @runtime_checkable
-class Observable(Protocol):
+class DifferentiableSimulator(Protocol):
     """A `Simulator` that gives observations and their derivatives itself."""
 
     def observe(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Observations:
@@ -168,7 +168,7 @@ def observe(
         If the simulator raises it, or does not give a parameter. The message names it.
     """
     match = checked_parameters(match)
-    if isinstance(simulator, Observable):
+    if isinstance(simulator, DifferentiableSimulator):
         return simulator.observe(base.check_alpha(simulator, alpha), match, seed=seed)
     simulated = base.run(simulator, alpha, seed=seed)
     if lacking := [parameter_label(m) for m in match if m not in given(simulated)]:
@@ -188,7 +188,7 @@ def jacobian(
     A simulator without a method of its own is differentiated by `differences`.
     """
     match = checked_parameters(match)
-    if isinstance(simulator, Observable):
+    if isinstance(simulator, DifferentiableSimulator):
         return simulator.jacobian(base.check_alpha(simulator, alpha), match, seed=seed)
     return differences(simulator, alpha, match, seed=seed)
 

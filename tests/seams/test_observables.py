@@ -15,7 +15,7 @@ from rtcal.acoustics.observables import OBSERVABLES, observable, sti
 from rtcal.acoustics.observables.base import Observable, register
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.io import impulse_responses, tables
-from rtcal.io.analysis import with_uncertainty
+from rtcal.io.analysis import means, with_uncertainty
 from rtcal.loop import control_runs
 from rtcal.simulators import ImageSource
 from tests import test_where
@@ -75,12 +75,13 @@ def test_sti_is_that_of_iec_60268_16() -> None:
     ratio = np.clip(10 * np.log10(m / (1 - m)), -15, 15)
     value = observable("sti").value(exponential(6 * np.log(10) / time), WIDTH)
     assert value == pytest.approx(np.mean((ratio + 15) / 30), abs=1e-4)
-    octaves = np.array([125, 250, 500, 1000, 2000, 4000, 8000])
-    assert sti.of_octaves(np.ones((2, 7)), octaves) == pytest.approx([1.0, 1.0])
-    with pytest.raises(rt.errors.DataError, match="125 Hz is missing"):
-        sti.of_octaves(np.ones(6), octaves[1:])
-    shuffled = sti.of_octaves(np.linspace(0.3, 0.9, 7), octaves)
-    assert shuffled != pytest.approx(sti.of_octaves(np.linspace(0.9, 0.3, 7), octaves), abs=1e-3)
+    octaves, overall = np.array([125, 250, 500, 1000, 2000, 4000, 8000]), observable("sti").overall
+    assert overall(np.ones((2, 7)), octaves) == pytest.approx([1.0, 1.0])
+    assert np.isnan(overall(np.ones(6), octaves[1:]))
+    rising, falling = np.linspace(0.3, 0.9, 7), np.linspace(0.9, 0.3, 7)
+    assert overall(rising, octaves) > overall(falling, octaves) + 0.02  # 2 kHz weighs most
+    table = "\n".join(means(rt.Measurement.from_values(octaves, sti=np.full(7, 0.6))))
+    assert "STI of all bands: 0.60" in table
 
 
 def test_new_observables_are_read_and_written(tmp_path: Path) -> None:

@@ -197,6 +197,10 @@ class Observable(ABC):
             out[place] = np.sqrt(by_bin @ by_bin / (bandwidth[place] * width))
         return out
 
+    def overall(self, values: Array, frequencies: Array) -> Array:
+        """Return the one number of all bands, (...), of values (..., n_bands); NaN if it has none."""
+        return np.full(np.shape(values)[:-1], np.nan)
+
     def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
         """Return the variance of a mean over ``positions`` that theory expects; NaN without one."""
         return np.full(np.shape(mean), np.nan)

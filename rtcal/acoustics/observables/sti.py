@@ -8,7 +8,6 @@ import numpy as np
 
 from rtcal.acoustics.observables.base import DB, Observable, register
 from rtcal.acoustics.observables.edt import EDT
-from rtcal.errors import DataError
 from rtcal.support.types import Array
 
 MODULATIONS = np.array([0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5])
@@ -28,7 +27,7 @@ class STI(Observable):
     """Speech transmission index, noise-free, by the indirect method (IEC 60268-16:2020, 5.3.2 and A.5).
 
     In one octave it is the modulation transfer index, the mean transmission index over the modulation
-    frequencies; `of_octaves` is the STI of all octaves. Masking and noise are not in it: speech in a
+    frequencies; `overall` is the STI of all octaves. Masking and noise are not in it: speech in a
     noisy room is understood less well than it says.
     """
 
@@ -66,6 +65,23 @@ class STI(Observable):
         at = np.log(self._rate(values))
         by_logarithm = np.interp(at, logarithms, np.gradient(table, logarithms))
         return np.asarray(self._rate(values) / (by_logarithm * self._rate(stated)))
+
+    def overall(self, values: Array, frequencies: Array) -> Array:
+        """Return the STI of all octaves from 125 Hz to 8 kHz, (...); NaN if one is missing.
+
+        Sum of alpha_k M_k - sum of beta_k sqrt(M_k M_k+1) (IEC 60268-16:2011, A.5.6), M by octave.
+
+        Examples
+        --------
+        >>> octaves = np.array([125, 250, 500, 1000, 2000, 4000, 8000])
+        >>> print(STI().overall(np.full(7, 0.6), octaves).round(3))
+        0.6
+        """
+        listed = np.asarray(frequencies, dtype=float).tolist()
+        if not set(_OCTAVES) <= set(listed):
+            return super().overall(values, frequencies)
+        m = np.asarray(values, dtype=float)[..., [listed.index(f) for f in _OCTAVES]]
+        return np.asarray(m @ _WEIGHTS - np.sqrt(m[..., :-1] * m[..., 1:]) @ _REDUNDANCY)
 
     def _rate(self, values: Array) -> Array:
         """Return the k in 1/s of an exponential decay with this STI."""
@@ -108,35 +124,3 @@ def _slope(m: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         inside = np.abs(10 * np.log10(m / (1 - m))) < _RANGE
         return np.asarray(np.where(inside, DB / (2 * _RANGE) / (m * (1 - m)), 0.0))
-
-
-def of_octaves(values: Array, frequencies: Array) -> Array:
-    """Return the STI of all octaves from 125 Hz to 8 kHz, (...), of that in each octave.
-
-    Parameters
-    ----------
-    values : array (..., n_bands)
-        STI by octave.
-    frequencies : array (n_bands,)
-        Centre frequencies in Hz.
-
-    Raises
-    ------
-    DataError
-        If one of the seven octaves is missing.
-
-    References
-    ----------
-    IEC 60268-16:2011, A.5.6: sum of alpha_k M_k - sum of beta_k sqrt(M_k M_k+1).
-
-    Examples
-    --------
-    >>> octaves = np.array([125, 250, 500, 1000, 2000, 4000, 8000])
-    >>> print(of_octaves(np.full(7, 0.6), octaves).round(3))
-    0.6
-    """
-    listed = np.asarray(frequencies, dtype=float).tolist()
-    if lacking := [f for f in _OCTAVES if f not in listed]:
-        raise DataError(f"STI needs the octaves from 125 Hz to 8 kHz; {lacking[0]:g} Hz is missing")
-    m = np.asarray(values, dtype=float)[..., [listed.index(f) for f in _OCTAVES]]
-    return np.asarray(m @ _WEIGHTS - np.sqrt(m[..., :-1] * m[..., 1:]) @ _REDUNDANCY)
