@@ -28,6 +28,18 @@ def shared_data() -> Path:
     return SHARED
 
 
+@pytest.fixture(scope="session")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for control runs and weighings, one for all tests and processes of a run.
+
+    What is kept has the name of all that it depends on, and is written whole: no process waits.
+    """
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "kept"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
 @pytest.fixture
 def cr2() -> tuple[rt.Room, rt.Measurement]:
     """The shipped real room and its measurement."""

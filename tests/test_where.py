@@ -103,14 +103,9 @@ def measured(hidden: bool, level: str = "g", match: Sequence[str] = MATCH) -> rt
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("kept")
-
-
-@pytest.fixture(scope="module")
-def finding(cache: Path) -> rt.where.Finding:
+def finding(kept: Path) -> rt.where.Finding:
     case = rt.where.Case(simulator=tracing(stated()), measured=measured(True))
-    return rt.where.find(case, cache=cache)
+    return rt.where.find(case, cache=kept)
 
 
 def test_an_opening_is_found_on_its_wall(finding: rt.where.Finding) -> None:
@@ -129,27 +124,27 @@ def test_an_opening_is_found_on_its_wall(finding: rt.where.Finding) -> None:
     )
 
 
-def test_nothing_is_found_where_nothing_is_hidden(cache: Path) -> None:
+def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
     case = rt.where.Case(simulator=tracing(stated()), measured=measured(False))
-    finding = rt.where.find(case, cache=cache)
+    finding = rt.where.find(case, cache=kept)
     assert finding.verdict in ("none", "hint")
     assert finding.surface is None
     with pytest.raises(DataError, match="no surface lacks anything"):
         finding.apply()
 
 
-def test_a_level_between_positions_is_enough(cache: Path) -> None:
+def test_a_level_between_positions_is_enough(kept: Path) -> None:
     case = rt.where.Case(simulator=tracing(stated()), measured=measured(True, "level"))
-    finding = rt.where.find(case, cache=cache)
+    finding = rt.where.find(case, cache=kept)
     assert finding.detected
     assert "east" in finding.likely_surfaces
 
 
-def test_a_receiver_that_stands_elsewhere_is_a_hint(cache: Path) -> None:
+def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     """With three receivers the evidence stays below the threshold."""
     truth = tracing(stated(), receivers=RECEIVERS | {"R1": (2.2, 2.0, 1.2)}, n_paths=19200)
     case = rt.where.Case(simulator=tracing(stated()), measured=heard(truth, truth.room.alpha))
-    finding = rt.where.find(case, cache=cache)
+    finding = rt.where.find(case, cache=kept)
     assert finding.verdict == "hint"
     best = finding.best
     assert best is not None
@@ -173,9 +168,9 @@ def test_the_user_says_where_on_which_surface(finding: rt.where.Finding) -> None
 
 
 def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
-    finding: rt.where.Finding, cache: Path, monkeypatch: pytest.MonkeyPatch
+    finding: rt.where.Finding, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    result = rt.where.verify(finding, cache=cache)
+    result = rt.where.verify(finding, cache=kept)
     assert result.corrected.shape == (1, 5, 6, 3)
     assert np.isfinite(result.corrected).all()
     assert result.shrinks
@@ -187,7 +182,7 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
         raise AssertionError("what was computed for a case is kept")
 
     monkeypatch.setattr(PathTracing, "_trace", traced)
-    again = rt.where.verify(finding, cache=cache)
+    again = rt.where.verify(finding, cache=kept)
     for model in ("before", "plain", "corrected"):
         assert np.array_equal(getattr(again, model), getattr(result, model))
 
@@ -231,10 +226,10 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
         ({"exclude": [("S1", "R1", "R2")]}, "which is no pair of a source and a receiver"),
     ],
 )
-def test_a_wrong_case_is_refused(changes: dict[str, object], message: str, cache: Path) -> None:
+def test_a_wrong_case_is_refused(changes: dict[str, object], message: str, kept: Path) -> None:
     arguments = {"simulator": tracing(stated()), "measured": measured(False)} | changes
     with pytest.raises(DataError, match="(?s)" + re.escape(message)):
-        rt.where.find(rt.where.Case(**arguments), cache=cache)  # type: ignore[arg-type]
+        rt.where.find(rt.where.Case(**arguments), cache=kept)  # type: ignore[arg-type]
 
 
 def test_a_calibrated_room_is_refused() -> None:
@@ -277,6 +272,7 @@ def run(*arguments: str, code: int = 0) -> str:
     return str(done.output)
 
 
+@pytest.mark.long
 def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     case = str(folder / "case.toml")
     found = json.loads(run("find", case, "--json"))
@@ -354,12 +350,12 @@ def test_the_scales_are_linear_in_absorption() -> None:
         assert observable(name).linear_slope(each, each[:1]) == pytest.approx(slope, rel=1e-4), name
 
 
-def test_coefficients_that_are_all_off_are_no_surface(cache: Path) -> None:
+def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     """Half as much again of all coefficients, with the prior of a handbook, names no surface."""
     truth = tracing(stated(), n_paths=19200, scattering=0.5)
     room = stated().replace(sigma=0.3 * stated().alpha)
     data = heard(truth, 1.5 * stated().alpha)
-    finding = rt.where.find(rt.where.Case(simulator=tracing(room), measured=data), cache=cache)
+    finding = rt.where.find(rt.where.Case(simulator=tracing(room), measured=data), cache=kept)
     assert finding.surface is None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -104,26 +105,26 @@ def test_fewer_effects_are_asked_of_the_positions_alone(
     assert rt.where.find(case, **options) is None
 
 
-def test_a_search_for_a_noisy_pair_alone_detects_nothing(case: rt.where.Case) -> None:
-    finding = rt.where.find(case, only=["noise"])
+def test_a_search_for_a_noisy_pair_alone_detects_nothing(case: rt.where.Case, kept: Path) -> None:
+    finding = rt.where.find(case, only=["noise"], cache=kept)
     assert (finding.detected, finding.score) == (False, 0.0)
     assert finding.to_dict()["nats_of_noise"] == finding.detection.noise
-    without = rt.where.find(case, without=["noise"])
+    without = rt.where.find(case, without=["noise"], cache=kept)
     assert without.detection.noise is None
 
 
 @pytest.mark.parametrize("effect", ["coefficients", "unknown"])
 def test_a_candidate_without_a_size_has_none_in_words_and_in_json(
-    case: rt.where.Case, effect: str
+    case: rt.where.Case, effect: str, kept: Path
 ) -> None:
     """A full search ended `to_json` in a ValueError where one was among the first twenty."""
-    finding = rt.where.find(case, only=[effect])
+    finding = rt.where.find(case, only=[effect], cache=kept)
     said = json.loads(finding.to_json())["candidates"]
     assert any(c["size"] is None for c in said)
     assert "nan" not in str(finding)
 
 
-def test_the_record_is_that_of_what_was_measured(case: rt.where.Case) -> None:
+def test_the_record_is_that_of_what_was_measured(case: rt.where.Case, kept: Path) -> None:
     """It was that of all that may be matched, with level, though none had been measured."""
     whole = measured(True)
     without = rt.Measurement(
@@ -133,13 +134,13 @@ def test_the_record_is_that_of_what_was_measured(case: rt.where.Case) -> None:
     )
     lacking = rt.where.Case(simulator=case.simulator, measured=without)
     assert "level" in lacking.match
-    finding = rt.where.find(lacking)
+    finding = rt.where.find(lacking, cache=kept)
     assert track_record.sentence(case.room, finding.parameters) == finding.notes[0]
     assert "level" not in finding.parameters
 
 
-def test_a_finding_tells_what_means_and_positions_say(case: rt.where.Case) -> None:
-    finding = rt.where.find(replace(case, match=MATCH))
+def test_a_finding_tells_what_means_and_positions_say(case: rt.where.Case, kept: Path) -> None:
+    finding = rt.where.find(replace(case, match=MATCH), cache=kept)
     assert finding.detection.means is not None
     assert finding.detected == (finding.score > finding.threshold)
     assert f"{finding.detection.means:+.1f} nats" in " ".join(str(finding).split())

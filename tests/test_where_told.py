@@ -34,11 +34,6 @@ def case() -> rt.where.Case:
     return rt.where.Case(simulator=tracing(stated()), measured=measured(True), match=MATCH)
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("kept")
-
-
 def test_the_families_of_the_means_are_multiplied_in(case: rt.where.Case) -> None:
     some = [s.some(slice(0, 1)) for s in shifts(case) if s.effect in ("opening", "covered surface")]
     pair = [some[0], next(s for s in some if s.family != some[0].family)]
@@ -53,7 +48,7 @@ def test_the_families_of_the_means_are_multiplied_in(case: rt.where.Case) -> Non
 
 
 def test_a_finding_names_the_family_that_means_know_of(
-    case: rt.where.Case, cache: Path, monkeypatch: pytest.MonkeyPatch
+    case: rt.where.Case, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The positions say the same; the families of the means differ."""
     found = {}
@@ -62,7 +57,7 @@ def test_a_finding_names_the_family_that_means_know_of(
         monkeypatch.setattr(
             sys.modules["rtcal.where.find"], "evidence_of_means", lambda *_, m=means: m
         )
-        found[family] = rt.where.find(case, cache=cache)
+        found[family] = rt.where.find(case, cache=kept)
     flat, scale = found.values()
     assert flat.families["added absorption, flat"] > scale.families["added absorption, flat"]
     assert flat.families.get("scale", 0.0) < scale.families["scale"]
@@ -94,9 +89,9 @@ def test_the_stored_rows_are_pooled_as_a_finding_is() -> None:
 
 
 def test_the_means_of_a_drawn_room_have_the_density_of_means(
-    case: rt.where.Case, cache: Path
+    case: rt.where.Case, kept: Path
 ) -> None:
-    numbers, every = where_ideal.prepared(case, cache)
+    numbers, every = where_ideal.prepared(case, kept)
     likelihoods = numbers.likelihoods()
     mean, of_means = where_ideal.averaged(numbers, likelihoods)
     whole, averaged = likelihoods[0], of_means[0]
@@ -117,8 +112,8 @@ def test_the_means_of_a_drawn_room_have_the_density_of_means(
     assert said == pytest.approx(expected + constant, abs=1e-3)
 
 
-def test_drawn_rooms_scatter_as_the_likelihood_says(case: rt.where.Case, cache: Path) -> None:
-    numbers, every = where_ideal.prepared(case, cache)
+def test_drawn_rooms_scatter_as_the_likelihood_says(case: rt.where.Case, kept: Path) -> None:
+    numbers, every = where_ideal.prepared(case, kept)
     likelihood = numbers.likelihoods()[0]
     rng = np.random.default_rng(5)
     squares = []

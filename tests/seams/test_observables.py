@@ -133,12 +133,12 @@ def test_new_observables_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.long
-def test_new_observables_are_found_with(tmp_path: Path) -> None:
+def test_new_observables_are_found_with(kept: Path) -> None:
     """An opening on one wall, from what D50 and STI hear at each pair."""
     room = test_where.stated()
     hole = test_where.measured(True, match=("t20", *NEW))
     case = rt.where.Case(simulator=test_where.tracing(room), measured=hole, match=("t20", *NEW))
-    finding = rt.where.find(case, cache=tmp_path)
+    finding = rt.where.find(case, cache=kept)
     assert finding.parameters == ("t20", *NEW)
     assert finding.detected
     assert next(iter(finding.surfaces)) == "east wall"
