@@ -285,7 +285,7 @@ def moved(before: Any, now: Any, place: str = "") -> list[str]:
     >>> moved({"verdict": "none", "score": [1.0, 2.0]}, {"verdict": "hint", "score": [1.0, 2.5]})
     ['verdict: none -> hint', 'score: 1 of 2 numbers, by 0.5 at most']
     """
-    if before == now:
+    if json.dumps(before) == json.dumps(now):
         return []
     if isinstance(before, dict) and isinstance(now, dict):
         lines = []
