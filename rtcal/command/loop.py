@@ -12,6 +12,7 @@ import click
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.parameters import parameter_label
+from rtcal.command.assignments import numbers
 from rtcal.command.console import (
     equation_option,
     json_option,
@@ -62,6 +63,12 @@ def loop() -> None:
     help="How the loop chooses the next target; see docs/closed_loop.md.",
 )
 @click.option(
+    "--weights",
+    multiple=True,
+    metavar="PARAMETER=NUMBER",
+    help="Match the mean of T20 and EDT with these weights: --weights t20=1 --weights edt=0.5.",
+)
+@click.option(
     "--decimals",
     type=click.IntRange(1),
     help="Decimals of alpha that the program reads; 3 for CATT (0.1 %).",
@@ -77,6 +84,7 @@ def start(
     method: str,
     equation: LinearEquation,
     rule: str,
+    weights: tuple[str, ...],
     decimals: int | None,
     as_json: bool,
     quiet: bool,
@@ -98,6 +106,7 @@ def start(
     spare([state, out], [room, measured])
     by_hand.refuse_progress(state)
     data = Measurement.from_file(measured)
+    stated = numbers("--weights", weights, "PARAMETER=NUMBER, such as edt=0.5")
     begun = begin(
         Room.from_file(room),
         data,
@@ -105,6 +114,7 @@ def start(
         method=method,
         equation=equation,
         decimals=decimals,
+        weights=stated or None,
     )
     first = begun.calibrated(begun.wanted)
     by_hand.write(begun, state, out)
@@ -112,9 +122,16 @@ def start(
     parameters = [
         parameter_label(p) for p in sorted(set(times_in_room(begun.room, data).parameter)) if p
     ]
-    record = {"state": state, "simulate": out, "unreachable": beyond, "measured": parameters}
+    record = {
+        "state": state,
+        "simulate": out,
+        "unreachable": beyond,
+        "measured": parameters,
+        "matched": begun.matched.label,
+    }
     lines = [
         f"Taken as the measured T: {' and '.join(parameters)}.",
+        *([f"Matched: {begun.matched.label}."] if weights else []),
         *beyond,
         _next_step(out),
     ]
@@ -158,8 +175,9 @@ def next_(
     from rtcal.acoustics.quality import explained
     from rtcal.acoustics.room import Room
     from rtcal.loop import by_hand
+    from rtcal.loop.beside import sentences
     from rtcal.loop.state import Loop
-    from rtcal.report.loop_words import statuses
+    from rtcal.report.loop_words import beside_rows, lost_rows, statuses
     from rtcal.support import text
 
     spare([state, out], [room, simulated])
@@ -178,6 +196,16 @@ def next_(
         ("", ["/ s", "(simulated - wanted) / JND", "status"]),
     ]
     lines = text.table(rows, header=header)
+    more = [*lost_rows(after.compromise), *beside_rows(after)]
+    if more:
+        cells = [
+            (name, [text.number(v, f"+.{digits}f" if sign else f".{digits}f") for v in values])
+            for name, values, digits, sign in more
+        ]
+        header = [("", [bands.label(frequency) for frequency in frequencies])]
+        lines += ["", *text.table(cells, header=header)]
+    for sentence in sentences(after.gaps_beside, frequencies):
+        lines += text.wrapped(sentence)
     lines += explained(after.trust_marks)
     lines.append(by_hand.conclusion(after, out) if finished else _next_step(out))
     record = {
@@ -187,6 +215,8 @@ def next_(
         "centre_frequencies": frequencies,
         "gap_jnd": after.gap,
         "status": shown,
+        "beside": {name: values for name, values, _, _ in more},
+        "farther": after.farther,
         "trust_marks": [vars(mark) for mark in after.trust_marks],
     }
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)

@@ -20,8 +20,10 @@ from rtcal.acoustics.observables import EARLY, TARGET
 from rtcal.acoustics.room import Room
 from rtcal.calibration.presets import preset
 from rtcal.errors import DataError
+from rtcal.loop.beside import SHOWN
 from rtcal.loop.matched import Matched
 from rtcal.loop.rules import RULES
+from rtcal.loop.steps import Step
 from rtcal.support import checks
 from rtcal.support.decode import Entries, json_object
 from rtcal.support.files import json_numbers, read_text
@@ -36,6 +38,8 @@ _T_LIMITS = (
     1e-6,
     1e6,
 )  # s; wide, since T of a hard room without air is longer than any measured one
+_MEANS = (-1e6, 1e6)
+"""In s or dB; wide, since a simulator may give what no room has."""
 _KEYS = (
     "room",
     "measured",
@@ -79,13 +83,13 @@ def read(path: str) -> dict[str, Any]:
 
 def attributes(
     data: Mapping[str, Any], equation: LinearEquation | None
-) -> tuple[dict[str, Any], list[dict[str, Array]]]:
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the attributes of a loop, and of its steps, from the dict that `read` returns.
 
     ``equation`` replaces the one in the dict. Raises DataError or ModelError for an entry that
     breaks a rule.
     """
-    state = Entries("", data, _KEYS, ("rtcal", "coefficients", "bent", EARLY.key))
+    state = Entries("", data, _KEYS, ("rtcal", "coefficients", "bent", EARLY.key, "beside"))
     room = Room.from_text(state.text("room"), "room")
     method = state.text("method")
     preset(method, room)
@@ -103,6 +107,7 @@ def attributes(
         "decimals": checked_decimals(data["decimals"]),
         "tolerance": checks.positive("tolerance", data["tolerance"], "JND"),
         "bent": tuple(_bent(i, band) for i, band in enumerate(state.listed("bent", ()))),
+        "beside": _means(state, "beside", room),
     }
     steps = [_step(i, step, room, what.wanted) for i, step in enumerate(state.listed("steps"))]
     return loop, steps
@@ -134,8 +139,27 @@ def _bent(i: int, data: Any) -> BentDecay:
     return BentDecay(band.number("frequency", limits=(0.0, 1e6)), band.text("text"))
 
 
-def _step(i: int, data: Any, room: Room, wanted: Array) -> dict[str, Array]:
-    step = Entries(f"steps[{i}].", data, _STEP_KEYS)
+def means_record(means: Mapping[str, Array]) -> dict[str, Any]:
+    """Return means by parameter and band as plain values."""
+    return {parameter: json_numbers(values) for parameter, values in means.items()}
+
+
+def step_record(step: Step) -> dict[str, Any]:
+    """Return a step as plain values."""
+    arrays = {name: json_numbers(getattr(step, name)) for name in _STEP_KEYS}
+    return {**arrays, "heard": means_record(step.heard)}
+
+
+def _means(of: Entries, key: str, room: Room) -> dict[str, Array]:
+    """Return means by parameter and band; {} in files of before they were kept."""
+    if key not in of:
+        return {}
+    means = of.entries(key, (), SHOWN)
+    return {p: means.array(p, (room.n_bands,), _MEANS, missing=True) for p in means.values}
+
+
+def _step(i: int, data: Any, room: Room, wanted: Array) -> dict[str, Any]:
+    step = Entries(f"steps[{i}].", data, _STEP_KEYS, ("heard",))
     bands = (room.n_bands,)
     target = step.array("target", bands, _T_LIMITS, missing=True)
     if (lacking := np.flatnonzero(np.isnan(target) & np.isfinite(wanted))).size:
@@ -145,6 +169,7 @@ def _step(i: int, data: Any, room: Room, wanted: Array) -> dict[str, Array]:
         "alpha": step.array("alpha", room.alpha.shape, (0.0, 1.0)),
         "simulated": step.array("simulated", bands, _T_LIMITS, missing=True),
         "noise": step.array("noise", bands, (0.0, _T_LIMITS[1]), missing=True),
+        "heard": _means(step, "heard", room),
     }
 
 

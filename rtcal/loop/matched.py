@@ -95,14 +95,19 @@ class Matched:
         """Return the gap of the compromise in JND, (n_bands,)."""
         return gap_jnd(self.combined(measurement.mean), self.wanted)
 
-    def compromise(self, before: Measurement, after: Measurement) -> dict[str, ParameterGap]:
-        """Return the gaps of each parameter in two simulations, and what the compromise cost it."""
-        left = self.gap(after)
+    def compromise(
+        self, before: Callable[[str], Array], after: Callable[[str], Array]
+    ) -> dict[str, ParameterGap]:
+        """Return the gaps of each parameter in two simulations, and what the compromise cost it.
+
+        ``before`` and ``after`` give the mean (n_bands,) of a parameter.
+        """
+        left = gap_jnd(self.combined(after), self.wanted)
         found = {}
         for parameter, share in self.shares.items():
             first, last = (
-                gap_jnd(m.mean(parameter), self.measured[parameter], parameter)
-                for m in (before, after)
+                gap_jnd(mean(parameter), self.measured[parameter], parameter)
+                for mean in (before, after)
             )
             found[parameter] = ParameterGap(share, first, last, np.abs(last - left))
         return found

@@ -10,10 +10,11 @@ import numpy as np
 
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable
+from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
+from rtcal.loop.beside import SHOWN, Gaps, left, sentences
 from rtcal.loop.matched import ParameterGap
 from rtcal.loop.state import Loop
 from rtcal.support import html, text
@@ -21,8 +22,6 @@ from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 
-_BESIDE = tuple(k for k, o in OBSERVABLES.items() if o.shown and o is not TARGET)
-"""Parameters that are shown beside T20, which is fitted."""
 _STRONGEST_SHADE = 5.0  # JND
 
 
@@ -88,7 +87,7 @@ class LoopResult(Result):
     @property
     def compromise(self) -> dict[str, ParameterGap]:
         """Each matched parameter's share, its gaps before and after, and what it lost, in JND."""
-        return self.loop.matched.compromise(self.before, self.final)
+        return self.loop.matched.compromise(self.before.mean, self.final.mean)
 
     def gaps(self, parameter: str) -> tuple[Array, Array]:
         """Return simulated less measured before and after in JND, each (n_bands,).
@@ -111,8 +110,12 @@ class LoopResult(Result):
         The mean T20 is fitted; what it costs in EDT, C50 and C80 is told here. `compromise` tells it
         of what is matched.
         """
-        gaps = {p: self.gaps(p) for p in _BESIDE if p not in self.loop.matched.shares}
-        return tuple(p for p, (old, new) in gaps.items() if (np.abs(new) > np.abs(old) + 1).any())
+        return left(self.gaps_beside)
+
+    @property
+    def gaps_beside(self) -> Gaps:
+        """`gaps` of each parameter that is shown and was not matched."""
+        return {p: self.gaps(p) for p in SHOWN if p not in self.loop.matched.shares}
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
@@ -200,7 +203,7 @@ class LoopResult(Result):
     def _beside(self) -> tuple[list[str], list[list[str]]]:
         """Return header and rows of EDT, C50 and C80: measured, before and after the loop."""
         columns: dict[str, Sequence[str]] = {"": [label(f) for f in self.room.centre_frequencies]}
-        for parameter in (p for p in _BESIDE if p in self.before.values):
+        for parameter in (p for p in SHOWN if p != TARGET.key and p in self.before.values):
             name = f"{parameter_label(parameter)} / {observable(parameter).unit}"
             measured = self.measured and self.measured.values
             for when, of in (
@@ -222,19 +225,8 @@ class LoopResult(Result):
                 "Not confirmed: with another seed the gap exceeds tolerance plus noise, or the noise "
                 "exceeds the tolerance. Simulate with less noise (more paths).",
             )
-        notes[:0] = [self._left(parameter) for parameter in self.farther]
+        notes[:0] = sentences(self.gaps_beside, self.room.centre_frequencies)
         return [*notes, *self.notes]
-
-    def _left(self, parameter: str) -> str:
-        """Return by how much a parameter that was not fitted left what was measured, worst band."""
-        before, after = (np.abs(gap) for gap in self.gaps(parameter))
-        k = int(np.nanargmax(after - before))
-        return (
-            f"{parameter_label(parameter)}, which was not fitted, left what was measured: by "
-            f"{before[k]:.1f} JND before and {after[k]:.1f} JND after, at "
-            f"{label(self.room.centre_frequencies[k])}. Match it at every position, or look for what "
-            "the model misses (rtcal gap)."
-        )
 
 
 def _numbers(values: Array, form: str) -> list[str]:

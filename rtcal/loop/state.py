@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
@@ -27,7 +28,8 @@ from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError, ModelError
 from rtcal.loop import files
-from rtcal.loop.matched import Matched, Weights, matched
+from rtcal.loop.beside import Gaps, left, means
+from rtcal.loop.matched import Matched, ParameterGap, Weights, matched
 from rtcal.loop.rules import RULES, Rule
 from rtcal.loop.status import (
     CLOSE_TARGETS,
@@ -41,7 +43,7 @@ from rtcal.loop.targets import next_targets, target_limits, target_without_t20
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.files import json_numbers, write_text
+from rtcal.support.files import write_text
 from rtcal.support.objects import NOT_SAVED
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
@@ -75,6 +77,8 @@ class Loop:
     steps : tuple of Step
     bent : tuple of BentDecay
         Bands whose measured decay is not straight.
+    beside : dict of parameter to array (n_bands,)
+        Measured means of what is shown and not matched.
 
     Examples
     --------
@@ -97,6 +101,7 @@ class Loop:
     tolerance: float = 1.0
     steps: tuple[Step, ...] = ()
     bent: tuple[BentDecay, ...] = ()
+    beside: Mapping[str, Array] = field(default_factory=dict)
     _problems: list[CalibrationProblem] = field(default_factory=list, metadata=NOT_SAVED)
 
     def __repr__(self) -> str:
@@ -130,6 +135,36 @@ class Loop:
     def best(self) -> NDArray[np.int64]:
         """Number of the step with the smallest gap, per band, (n_bands,)."""
         return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps), nan=np.inf), axis=0))
+
+    @property
+    def compromise(self) -> dict[str, ParameterGap]:
+        """Gaps of each matched parameter in the first and each band's best step, and what it lost."""
+        return self.matched.compromise(self.first, self.nearest)
+
+    @property
+    def gaps_beside(self) -> Gaps:
+        """Gaps of what is not matched in JND: in the first and each band's best step."""
+        return {
+            p: (gap_jnd(self.first(p), wanted, p), gap_jnd(self.nearest(p), wanted, p))
+            for p, wanted in self.beside.items()
+        }
+
+    @property
+    def farther(self) -> tuple[str, ...]:
+        """Parameters that are not matched and left what was measured by more than one JND."""
+        return left(self.gaps_beside)
+
+    def first(self, parameter: str) -> Array:
+        """Return a parameter's mean in the first simulation, (n_bands,), NaN where it has none."""
+        return np.asarray(self._heard(parameter)[0])
+
+    def nearest(self, parameter: str) -> Array:
+        """Return a parameter's mean in each band's best simulation, (n_bands,)."""
+        return np.asarray(self._heard(parameter)[self.best, np.arange(self.room.n_bands)])
+
+    def _heard(self, parameter: str) -> Array:
+        none = np.full(self.room.n_bands, np.nan)
+        return np.stack([step.heard.get(parameter, none) for step in self.steps])
 
     @property
     def best_alpha(self) -> Array:
@@ -281,6 +316,7 @@ class Loop:
             alpha=check_alpha(self.room, alpha),
             simulated=time,
             noise=self.matched.noise(simulated),
+            heard=means(simulated),
         )
         return replace(self, steps=(*self.steps, step))
 
@@ -324,10 +360,8 @@ class Loop:
             "decimals": self.decimals,
             "tolerance": self.tolerance,
             "bent": [vars(band) for band in self.bent],
-            "steps": [
-                {name: json_numbers(values) for name, values in vars(step).items()}
-                for step in self.steps
-            ],
+            "beside": files.means_record(self.beside),
+            "steps": [files.step_record(step) for step in self.steps],
         }
 
     @classmethod
@@ -396,9 +430,11 @@ def start(
     checks.positive("tolerance", tolerance, "JND")
     data = times_in_room(room, measured)
     refuse_repeated_data(room, data.fingerprint)
+    what = matched(room, measured, data.reverberation_time, weights)
+    heard = means(measurement_in_room_bands(measured, room.centre_frequencies))
     return Loop(
         room=room,
-        matched=matched(room, measured, data.reverberation_time, weights),
+        matched=what,
         measured=data_history(room, data),
         rule=rule,
         method=method,
@@ -406,4 +442,5 @@ def start(
         decimals=decimals,
         tolerance=tolerance,
         bent=data.bent,
+        beside={p: mean for p, mean in heard.items() if p not in what.shares},
     )

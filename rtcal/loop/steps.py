@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,12 +32,15 @@ class Step:
         Simulated T in s of what is matched, NaN if these coefficients give none.
     noise : array (n_bands,)
         Standard error of it in s; 0 if the simulator states none, NaN if it is unknown.
+    heard : dict of parameter to array (n_bands,)
+        Means of all parameters that are shown, as simulated, matched or not.
     """
 
     target: Array
     alpha: Array
     simulated: Array
     noise: Array
+    heard: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("target", "alpha", "simulated", "noise"):

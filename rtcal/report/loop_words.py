@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rtcal.acoustics.equations import Eyring
-from rtcal.acoustics.observables import OBSERVABLES, TARGET
+from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.report.rows import material_rows
 from rtcal.report.words import hertz
 
 if TYPE_CHECKING:
+    from rtcal.loop.matched import ParameterGap
     from rtcal.loop.result import LoopResult
     from rtcal.loop.state import Loop
 
@@ -81,6 +82,50 @@ def equation_option(loop: Loop) -> str:
     if loop.equation == Eyring():
         return ""
     return f" --equation {loop.equation.key}"
+
+
+def weights_option(loop: Loop) -> str | None:
+    """Return the weights as options of `rtcal loop start`; None where they differ between bands."""
+    shares = loop.matched.shares
+    if len(shares) == 1:
+        return ""
+    if any(np.ptp(share) > 0 for share in shares.values()):
+        return None
+    return "".join(f" --weights {p}={share[0]:.3g}" for p, share in shares.items())
+
+
+def lost_rows(compromise: Mapping[str, ParameterGap]) -> list[tuple[str, Any, int, bool]]:
+    """Return the rows of what each parameter lost in a compromise; none for T20 alone."""
+    if len(compromise) == 1:
+        return []
+    return [
+        row
+        for parameter, part in compromise.items()
+        for row in (
+            (f"{parameter_label(parameter)}, share of the weights", part.share, 2, False),
+            (f"{parameter_label(parameter)}, first gap / JND", part.before, 1, True),
+            (f"{parameter_label(parameter)}, gap left / JND", part.after, 1, True),
+            (f"{parameter_label(parameter)}, lost / JND", part.lost, 1, False),
+        )
+    ]
+
+
+def beside_rows(loop: Loop) -> list[tuple[str, Any, int, bool]]:
+    """Return the rows of what was measured and not matched: measured, in the first and nearest run."""
+    return [
+        (
+            f"{parameter_label(p)}, {when} / {observable(p).unit}",
+            values,
+            observable(p).decimals,
+            False,
+        )
+        for p, wanted in loop.beside.items()
+        for when, values in (
+            ("measured", wanted),
+            ("first", loop.first(p)),
+            ("nearest simulated", loop.nearest(p)),
+        )
+    ]
 
 
 def bands_table(loop: Loop, status: Sequence[str]) -> dict[str, Any]:

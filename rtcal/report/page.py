@@ -16,6 +16,7 @@ from rtcal.calibration import record
 from rtcal.calibration.result import CalibrationResult
 from rtcal.discrepancy.wording import NATS
 from rtcal.errors import DataError
+from rtcal.loop import beside
 from rtcal.loop import files as loop_files
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
@@ -183,6 +184,11 @@ def loop_page(
     summary = loop_words.summary(loop, status)
     if ends is not None:
         summary.append(loop_words.confirmed(loop, ends))
+    summary += beside.sentences(result.gaps_beside, loop.room.centre_frequencies)
+    bands = loop_words.bands_table(loop, status)
+    bands["numbers"] += loop_words.lost_rows(result.compromise)
+    if ends is None:
+        bands["numbers"] += loop_words.beside_rows(loop)
     figure = loop_figures.path(loop)
     drawn = source(figure, progress or (lambda: None))
     return render(
@@ -199,12 +205,13 @@ def loop_page(
                 "caption": f"By band: {loop.matched.label}, and how far each simulation was off. "
                 "One JND is 5 %.",
             },
-            "bands": loop_words.bands_table(loop, status),
+            "bands": bands,
             "ends": ends,
             "blocks": blocks(loop.room.n_bands),
             "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
             "materials": loop_words.materials_table(loop),
             "equation_option": loop_words.equation_option(loop),
+            "weights_option": loop_words.weights_option(loop),
         },
         (heading or Heading()).completed(loop.room.name, loop.room.author),
     )

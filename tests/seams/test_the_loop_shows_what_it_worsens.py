@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import rtcal as rt
+from rtcal.command.main import cli
+from rtcal.errors import DataError
+from rtcal.loop import Loop
 from rtcal.report import page
 
 
@@ -78,3 +83,78 @@ def test_bands_of_t30_are_named() -> None:
     said = " ".join(str(result).split())
     assert "T30 is matched at 125 Hz, 250 Hz in place of T20, which was not measured." in said
     assert "T20 wanted" not in said
+
+
+def by_hand(folder: Path, cost: float, options: Sequence[str]) -> tuple[Loop, str, str]:
+    """Return the loop of a program run by hand, what its last step printed, and its page."""
+    room, measured = rt.datasets.bras_cr2()
+    times, flat = measured.decay_time().mean, np.full(room.n_bands, 1.5)
+    heard = rt.Measurement.from_values(
+        room.centre_frequencies, t20=times, edt=0.9 * times, c80=flat
+    )
+    names = {n: str(folder / n) for n in ("room.toml", "t.csv", "loop.json", "next.toml", "s.csv")}
+    room.save(names["room.toml"])
+    heard.save(names["t.csv"])
+    files = ["--state", names["loop.json"], "--out", names["next.toml"]]
+    runner = CliRunner()
+    begun = ["loop", "start", names["room.toml"], names["t.csv"], *files, *options]
+    done = runner.invoke(cli, begun)
+    assert done.exit_code == 0, done.output
+    first = rt.Room.from_file(names["next.toml"]).alpha
+    for _ in range(3):
+        alpha = rt.Room.from_file(names["next.toml"]).alpha
+        simulated = Bent(room, cost).simulate(alpha)
+        values = {p: v[0] for p, v in simulated.values.items()}
+        values["c80"] = flat + cost * (alpha - first).sum(axis=0)
+        rt.Measurement.from_values(room.centre_frequencies, **values).save(names["s.csv"])
+        done = runner.invoke(cli, ["loop", "next", names["room.toml"], names["s.csv"], *files])
+        assert done.exit_code == 0, done.output
+        if "Done" in done.output:
+            break
+    loop = Loop.load(names["loop.json"])
+    return loop, " ".join(done.output.split()), page.page_of(names["loop.json"])
+
+
+@pytest.mark.parametrize("cost", [0.0, 30.0])
+def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path) -> None:
+    loop, printed, html = by_hand(tmp_path, cost, ())
+    assert set(loop.beside) == {"edt", "c80"}
+    before, after = loop.gaps_beside["c80"]
+    np.testing.assert_allclose(before, 0.0, atol=1e-9)
+    assert loop.farther == (("c80",) if cost else ())
+    assert np.abs(after).max() == pytest.approx(0.0, abs=1e-9) or cost
+    for said in (printed, html):
+        assert ("C80, which was not fitted, left what was measured" in said) == bool(cost)
+        assert "C80, nearest simulated / dB" in said
+        assert "EDT, measured / s" in said
+
+
+def test_weights_are_an_option_and_what_they_cost_is_shown(tmp_path: Path) -> None:
+    options = ("--weights", "t20=1", "--weights", "edt=0.5")
+    loop, printed, html = by_hand(tmp_path, 0.0, options)
+    np.testing.assert_allclose(loop.matched.shares["edt"], 1 / 3)
+    assert set(loop.beside) == {"c80"}
+    compromise = loop.compromise
+    # EDT was measured 10 % shorter, 2 JND, and simulated as long: T20 gives up a third of it.
+    np.testing.assert_allclose(compromise["t20"].after, -2 / 3, atol=0.3)
+    np.testing.assert_allclose(compromise["edt"].after, 4 / 3, atol=0.5)
+    for said in (printed, html):
+        assert "EDT, lost / JND" in said
+        assert "T20, lost / JND" in said
+    assert "--weights t20=0.667 --weights edt=0.333" in html
+
+
+@pytest.mark.parametrize(
+    ("weight", "said"),
+    [("edt", "is not PARAMETER=NUMBER"), ("c80=1", "c80"), ("edt=-1", "of at least 0")],
+)
+def test_wrong_weights_are_named(weight: str, said: str, tmp_path: Path) -> None:
+    room, measured = rt.datasets.bras_cr2()
+    names = [str(tmp_path / n) for n in ("room.toml", "t.csv", "loop.json", "next.toml")]
+    room.save(names[0])
+    measured.save(names[1])
+    arguments = [*names[:2], "--state", names[2], "--out", names[3], "--weights", weight]
+    done = CliRunner().invoke(cli, ["loop", "start", *arguments])
+    assert isinstance(done.exception, DataError)
+    assert "weights" in str(done.exception)
+    assert said in str(done.exception)
