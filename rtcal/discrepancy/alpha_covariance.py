@@ -130,7 +130,8 @@ def _climate(case: Case) -> Array:
     """Return the change of k in 1/s by one standard deviation of temperature and of humidity.
 
     (n_configurations, n_columns, n_bands). Configurations without a climate of their own share the
-    columns of the room's; without any climate they are 0.
+    columns of the room's; without any climate they are 0. What a temperature changes of the speed of
+    sound, 0.17 % per K, is left out.
     """
     room = case.room
     climates = [c.air or room.air for c in case.configurations]
@@ -140,7 +141,7 @@ def _climate(case: Case) -> Array:
     for c, (air, owner) in enumerate(zip(climates, owners, strict=True)):
         if air is not None:
             first = 2 * place[owner]
-            out[c, first : first + 2] = room.speed_of_sound * _attenuation_changes(
+            out[c, first : first + 2] = air.speed_of_sound * _attenuation_changes(
                 air, case.climate_uncertainty, room.centre_frequencies
             )
     return out

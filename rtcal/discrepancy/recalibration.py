@@ -167,9 +167,8 @@ def _step(point: _Point, measured: Array, u: Array, *, exact: bool) -> JointResu
     """Solve the QP of a Gauss-Newton step: its T is corrected by what the model's T differs."""
     case, states = point.case, point.states
     rooms = [_room(case, c, s) for c, s in zip(case.configurations, states, strict=True)]
-    equation = replace(
-        mean_equation(states[0].equation).linear(), speed_of_sound=states[0].speed_of_sound
-    )
+    # A step corrects T by a ratio, so that the QP needs no speed of sound but its rooms' own.
+    equation = mean_equation(states[0].equation).linear()
     gains = _gains(point)
 
     def qp_log_time(of: _Point) -> Array:

@@ -41,7 +41,7 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
         facing=case.facing,
         air=np.zeros(room.n_bands) if air is None else air.attenuation(room.centre_frequencies),
         frequencies=room.centre_frequencies,
-        speed_of_sound=room.speed_of_sound,
+        speed_of_sound=(air or Air()).speed_of_sound,
         equation=case.equation,
     )
     return with_applied(unchanged, case.applied, configuration)

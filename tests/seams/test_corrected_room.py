@@ -121,8 +121,11 @@ def agree(case: Case) -> None:
     area = whole.surface_absorption + whole.objects + 4 * whole.air * whole.volume
     lacks = [line for line in absent if ": " in line and not line.endswith(ONLY_DECAY)]
     lacks = [x for x in lacks if x.split(":")[0] in {p.name for p in case.applied} - {"formula"}]
-    # A room's speed of sound is that of its air, which the model leaves as stated. It is said.
+    # A room's speed of sound is that of its air, as the model's is. What a user's own effect does to
+    # it is said.
     speeds = whole.speed_of_sound, room.speed_of_sound
+    if not any(p.name == "helium" for p in case.applied):
+        assert speeds[0] == speeds[1]
     assert any(line.startswith("speed of sound: ") for line in absent) == (speeds[0] != speeds[1])
     time = 6 * np.log(10) / whole.rate * speeds[0] / speeds[1]
     if lacks:

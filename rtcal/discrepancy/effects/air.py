@@ -62,9 +62,13 @@ class OmittedAir(Effect):
         return 3.0 if room.air is None else 0.3
 
     def change(self, state: State, parameters: Parameters) -> State:
-        """Return the room with this air."""
+        """Return the room with this air: its attenuation and its speed of sound."""
         climate = parameters["temperature"], parameters["humidity"]
-        return replace(state, air=_attenuation(tuple(state.frequencies), *climate))
+        return replace(
+            state,
+            air=_attenuation(tuple(state.frequencies), *climate),
+            speed_of_sound=Air(*climate).speed_of_sound,
+        )
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
         """Return the climate, with what is known of it."""
