@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.discrepancy import AppliedEffect, Case, corrected_room
+from rtcal.discrepancy import Case, corrected_room, simulator
+from rtcal.discrepancy.corrected import not_in_room
 from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
 from rtcal.io import bras, catt, odeon, pyroomacoustics
@@ -29,6 +30,7 @@ FORMATS: dict[str, tuple[ModuleType, dict[str, str]]] = {
     "bras": (bras, {}),
 }
 HALF_OF_THE_LAST_DECIMAL = 0.0005
+OF_GEOMETRY = ("surfaces", "dimensions")
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +59,13 @@ def test_a_file_of_a_corrected_room_is_the_room(
     for i, changed in enumerate(corrected(case, effect)):
         room = corrected_room(changed)
         path = tmp_path / f"out{i}"
+        if name == "catt" and any(" " in m for m in room.materials):
+            with pytest.raises(
+                DataError, match="a name for CATT-Acoustic is ASCII, without spaces"
+            ):
+                module.write(room, path, **how)
+            assert not path.exists()
+            continue
         report = module.write(room, path, **how)
         assert {"areas and volume", "sigma"} <= set(report.lost)
         assert ("air" in report.lost) == (room.air is not None)
@@ -83,23 +92,9 @@ def test_a_file_of_a_corrected_room_is_the_room(
         read = rt.Eyring().reverberation_time(again)
         np.testing.assert_allclose(report.reverberation_time_as_read, read, rtol=1e-12)
         # d ln T / d alpha is largest where little absorbs: the decimals' share of what does.
+        model = simulator(changed).simulate(room.alpha).mean("t20")[shared]
+        if not [line for line in not_in_room(changed) if not line.startswith(OF_GEOMETRY)]:
+            np.testing.assert_allclose(rows, model, rtol=1e-9)
         absorbed = room.areas @ room.alpha[:, shared]
         share = HALF_OF_THE_LAST_DECIMAL * room.total_area / absorbed
         assert (np.abs(np.log(read[of_file] / rows)) <= 1.1 * share + 1e-9).all()
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_an_absorber_that_is_found_twice_is_two_materials(
-    case: Case, name: str, tmp_path: Path
-) -> None:
-    module, how = FORMATS[name]
-    twice = [AppliedEffect("opening", {"area": area}) for area in (4.0, 2.0)]
-    room = corrected_room(replace(case, applied=twice))
-    assert room.materials[-2:] == ("opening", "opening (found)")
-    if name == "catt":  # its names have no spaces
-        with pytest.raises(DataError, match=r'"opening \(found\)": a name for CATT-Acoustic'):
-            module.write(room, tmp_path / "out", **how)
-        assert not (tmp_path / "out").exists()
-        return
-    module.write(room, tmp_path / "out", **how)
-    assert len(module.read(tmp_path / "out").materials) == len(room.materials)
