@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
 from rtcal.posterior import posterior
 from rtcal.simulators.base import Simulator, run
+from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
 
@@ -273,6 +276,47 @@ def test_what_a_simulator_cannot_have_is_refused() -> None:
         data["present"][0]["size_interval"] = interval
         with pytest.raises(DataError, match=message):
             Case.from_dict(data)
+
+
+@dataclass(frozen=True)
+class Drawn(EquationSimulator):
+    """A simulator with a geometry, whose T is an equation's."""
+
+    geometry: Polyhedron
+
+
+def drawn(height: float) -> Callable[[rt.Room], Simulator]:
+    """Return what builds a simulator with the box's geometry at this height."""
+    walls = dict.fromkeys(SHOEBOX_WALLS, "walls") | {"floor": "floor"}
+    geometry = Polyhedron.shoebox((*SIDES[:2], height), walls)
+    return lambda room: Drawn(rt.Eyring(), room, geometry)
+
+
+@pytest.mark.parametrize("changed", ["volume", "area"])
+def test_a_geometry_without_what_the_finding_changed_is_refused(changed: str) -> None:
+    case = boxed()
+    walls = case.room.materials.index("walls")
+    effect, said = {  # both are those of a box that is 3.6 m high
+        "volume": (
+            AppliedEffect("volume", {"ratio": 1.2}),
+            "volume: the finding has 126 m³, the simulator's geometry 105 m³; draw it anew",
+        ),
+        "area": (
+            AppliedEffect("area", {"material": float(walls), "ratio": 121.4 / 107}),
+            'area of "walls": the finding has 121.4 m², the simulator\'s geometry 107 m²; draw',
+        ),
+    }[changed]
+    case = replace(case, applied=[effect])
+    with pytest.raises(DataError, match=re.escape(said)):
+        simulator(case, drawn(3.0))
+    anew, room = simulator(case, drawn(3.6)), corrected_room(case)
+    np.testing.assert_allclose(
+        anew.simulate(room.alpha).mean("t20"),
+        simulator(case).simulate(room.alpha).mean("t20"),
+        rtol=1e-9,
+    )
+    # What the finding leaves as stated may be drawn otherwise, as always.
+    assert simulator(replace(case, applied=[]), drawn(3.6))
 
 
 def test_the_command_s_room_is_one_that_rtcal_calibrates(

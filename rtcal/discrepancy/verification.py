@@ -33,6 +33,8 @@ from rtcal.support.results import Result
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
+EXACT = 0.005
+"""Gap in JND that is printed as 0.00."""
 MET = 2.0
 """Standard deviations of T within which a calibration has met it."""
 
@@ -123,7 +125,8 @@ class Verification(Result):
         sure = f"The finding was {f.support}."
         if np.isnan(self.before):
             return (
-                f"Unproven: nothing was measured that tells {name} from bent coefficients. {sure}"
+                f"Unproven: nothing was measured that tells {name} from bent coefficients. The finding "
+                f"rests on T20 and on the stated coefficients. {sure}"
             )
         gap = (
             f"with {name} in the model the gap that alpha cannot close goes from {self.before:.2f} to "
@@ -136,9 +139,15 @@ class Verification(Result):
                 f"Supported{apart}: {gap}{', which is little' if little else ''}. That speaks for the "
                 f"model, not for the name ({f.support})."
             )
+        if self.verdict == "withdrawn":
+            but = "although" if self.predictive > 0 else "and"
+            given = f"given T20 it is predicted {_better(self.predictive)}"
+            return f"Withdrawn: {gap}, {but} {given}. {sure}"
+        likely = "more" if self.predictive >= 0 else "less"
         return (
-            f"{self.verdict.capitalize()}: {gap}, and given T20 it is predicted "
-            f"{_better(self.predictive)}. {sure}"
+            f"Unproven: {gap}, which neither supports nor refutes the finding. It rests on T20 and on "
+            "the stated coefficients: weighed with their uncertainty, the other quantities are "
+            f"{abs(self.predictive):.1f} nats {likely} probable with the effect. {sure}"
         )
 
     @property
@@ -146,8 +155,10 @@ class Verification(Result):
         """How closely the two calibrations meet the T that they were fitted to."""
         off = self.corrected.off
         if off <= MET:
+            plainly = next((g.before for g in self.gaps if g.fitted), 0.0)
+            how = "exactly" if plainly < EXACT else f"to {plainly:.2f} JND"
             return (
-                "Plain calibration meets the fitted T20 exactly. The corrected one meets it as closely "
+                f"Plain calibration meets the fitted T20 {how}. The corrected one meets it as closely "
                 "as the uncertainty of T allows."
             )
         return (
@@ -187,7 +198,7 @@ class Verification(Result):
             rows.append(("  what alpha cannot absorb", cells))
         lines = text.wrapped(self.sentence)
         lines += text.table(rows, header=("mean gap in JND", ["plain", "corrected"]))
-        if np.isfinite(self.before):
+        if self.verdict != "unproven":
             lines += text.wrapped(
                 "Once T20 is fitted, the corrected model predicts what alpha cannot absorb "
                 f"{_better(self.predictive)} than the plain one."

@@ -87,8 +87,8 @@ def to_do(finding: Finding, verification: Verification | None) -> list[str]:
             {
                 "supported": "Use the corrected calibration below for T and level, not the plain one. "
                 "Do not quote its coefficients before the effect is confirmed.",
-                "unproven": "Do this before the corrected calibration is used: no measurement but "
-                "that of T speaks for it.",
+                "unproven": "Do this before the corrected calibration is used: the measurements do "
+                "not tell the effect from coefficients other than the stated ones.",
                 "withdrawn": "Use neither calibration: with the effect in the model the measurements "
                 "fit worse.",
             }[verification.verdict]
@@ -115,14 +115,18 @@ def _proof(verification: Verification) -> str:
     """Return what became of the gaps that no choice of coefficients can close."""
     name, before, after = verification.finding.title, verification.before, verification.after
     if np.isnan(before):
-        return f"Nothing confirms {name}: coefficients alone could explain all that was measured."
+        return (
+            f"Nothing but T was measured, which other coefficients than the stated ones give without "
+            f"{name}, too. The finding rests on the stated ones."
+        )
     gap = (
         "Coefficients can hardly change the decay's shape, the level, and T of a second configuration. "
         f"There the mean gap goes from {before:.2f} to {after:.2f} JND with {name} in the model"
     )
     return {
         "supported": f"{gap}, which supports the finding.",
-        "unproven": f"{gap}, which neither supports nor refutes the finding.",
+        "unproven": f"{gap}, which neither supports nor refutes the finding. It rests on T and on the "
+        "stated coefficients.",
         "withdrawn": f"{gap}, which speaks against the finding.",
     }[verification.verdict]
 

@@ -62,3 +62,7 @@ def test_turned_panels_are_named_added_and_verified(again: bool, tmp_path: Path)
     else:
         assert done.verdict == "unproven"
         assert done.predictive > 0
+        neither = "which neither supports nor refutes the finding. It rests on T"
+        assert neither in " ".join(str(done).split())
+        assert neither in words
+        assert "than the plain one" not in str(done)
