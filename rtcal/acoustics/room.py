@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -291,7 +292,7 @@ class Room:
         """Number of bands, the columns of ``alpha``."""
         return len(self.centre_frequencies)
 
-    @property
+    @cached_property
     def total_area(self) -> float:
         """S, the sum of the areas in m²."""
         return float(np.sum(self.areas))
@@ -301,12 +302,12 @@ class Room:
         """S'alpha, the surfaces' equivalent absorption area in m², (n_bands,)."""
         return np.asarray(self.areas @ self.alpha)
 
-    @property
+    @cached_property
     def air_attenuation(self) -> Array:
         """m in 1/m at the nominal centre frequencies, (n_bands,); 0 where no air is stated."""
         if self.air is None:
-            return np.zeros(self.n_bands)
-        return self.air.attenuation(self.centre_frequencies)
+            return read_only(np.zeros(self.n_bands))
+        return read_only(self.air.attenuation(self.centre_frequencies))
 
     @property
     def speed_of_sound(self) -> float:

@@ -46,9 +46,7 @@ class Assembler:
     def weights(self, stated: Mapping[ObjectiveTerm, float] | None) -> tuple[float, ...]:
         """Return the terms' weights, divided by the prior's, which changes no answer."""
         chosen = list(self.objective.weights)
-        if not isinstance(stated, Mapping | None):
-            raise DataError(f"weights = {stated!r} is not a mapping of terms to weights")
-        for term, weight in (stated or {}).items():
+        for term, weight in checks.mapped("weights", {} if stated is None else stated).items():
             if term not in self.objective.terms:
                 raise DataError(f"weights has {term!r}, which is no term of the objective")
             checks.number(f"weights[{term!r}]", weight)
@@ -86,7 +84,9 @@ class Assembler:
         if self._shares:
             self._check_shared(room)
         lower, upper = self._tightest(lower, np.maximum), self._tightest(upper, np.minimum)
-        alpha, sigma = room.alpha[self.layout.first], np.asarray(sigma)[self.layout.first]
+        alpha = room.alpha
+        if self._shares:
+            alpha, sigma = alpha[self.layout.first], sigma[self.layout.first]
         self._check_box(room, alpha, sigma, lower, upper)
         further = self._further
         c, k = len(measured), shape[1]
@@ -95,7 +95,7 @@ class Assembler:
             gains[:, :, p] = term.gains(c, k)
 
         def flat(values: Array, more: list[float]) -> Array:
-            return np.concatenate([values.ravel(), more])
+            return np.concatenate([values.ravel(), more]) if more else values.ravel()
 
         times = np.array([d.reverberation_time for d in measured])
         uncertainty = np.array([d.uncertainty for d in measured])

@@ -87,16 +87,17 @@ def certify(model: NumpyModel, u: Array, multipliers: Multipliers) -> Certificat
     outside = np.maximum(np.maximum(model.lower - u, u - model.upper), 0.0)
     relative = np.divide(violation, model.row_norm, out=violation.copy(), where=model.row_norm > 0)
     bands = model.row_band
-    primal = layout.by_band(outside, np.max)
+    primal = layout.by_band(outside, np.maximum.reduce)
     np.maximum.at(primal, bands, relative)
 
     gradient, pull = model.gradient(u), np.asarray(matrix.T @ multipliers.rows)
     force = gradient + pull
-    dual = layout.by_band(np.abs(sigma * (force - multipliers.lower + multipliers.upper)), np.max)
+    unbalanced = np.abs(sigma * (force - multipliers.lower + multipliers.upper))
+    dual = layout.by_band(unbalanced, np.maximum.reduce)
     slack_lower, slack_upper = u - model.lower, _finite(model.upper - u)
     gap = _gap(multipliers.lower, multipliers.upper, slack_lower, slack_upper)
     row_gap = _row_gap(model, multipliers.rows, values)
-    total_gap = layout.by_band(gap, np.sum)
+    total_gap = layout.by_band(gap, np.add.reduce)
     np.add.at(total_gap, bands, row_gap)
 
     return Certificate(

@@ -133,6 +133,8 @@ class CompiledQP:
         # Of an independent prior with an exact match only A and b have parameters.
         self.fixed_objective = sp.vstack(maps[:2]).tocsc()[:, :-1].nnz == 0
         self._parts = np.cumsum([0, int(upper.sum()), size, last, len(self._constants)]).tolist()
+        self.column = int(program.var_id_to_col[self.x.id])
+        self._unknowns = slice(self.column, self.column + self.x.size)
         self._program = program
         self._trace(chain, inverse)
 
@@ -149,11 +151,6 @@ class CompiledQP:
     def size(self) -> int:
         """Number of variables of the compiled problem, helper variables included."""
         return self._size
-
-    @property
-    def column(self) -> int:
-        """Index of the first unknown among the compiled variables."""
-        return int(self._program.var_id_to_col[self.x.id])
 
     def numbers(self) -> Numbers:
         """Return the matrices' entries for the numbers that the parameters now hold."""
@@ -181,8 +178,5 @@ class CompiledQP:
 
     def unpack(self, x: Array, y: Array) -> tuple[Array, list[Array]]:
         """Return the unknowns, and the duals of the row constraints and of the box's two sides."""
-        first = self.column
         # A copy: the solver may update its x in place.
-        return x[first : first + self.x.size].copy(), [
-            sign * y[place] for place, sign in self._duals
-        ]
+        return x[self._unknowns].copy(), [sign * y[place] for place, sign in self._duals]

@@ -79,7 +79,7 @@ def reach(data: ProblemData) -> tuple[Array, Array]:
 
     Fixed unknowns count with their value. The sizes of effects add the range of their bounds.
     """
-    lower, upper = _box(data)
+    lower, upper = data.reachable_box
     least = data.areas @ data.alpha(lower)
     most = data.areas @ data.alpha(upper)
     if data.gains.size:
@@ -92,15 +92,6 @@ def reach(data: ProblemData) -> tuple[Array, Array]:
     return least, most
 
 
-def _box(data: ProblemData) -> tuple[Array, Array]:
-    """Return the bounds; a fixed unknown has its centre as both bounds."""
-    moves = data.scale > 0
-    return (
-        np.where(moves, data.lower, data.centre),
-        np.where(moves, data.upper, data.centre),
-    )
-
-
 def end_tolerance(data: ProblemData) -> Array:
     """Return the distance in m² up to which b counts as an end, (n_configurations, n_bands).
 
@@ -108,7 +99,7 @@ def end_tolerance(data: ProblemData) -> Array:
     n eps / 2 times the sum of their absolute values (Higham 2002, Sect. 3.1). From alpha to T and back,
     b has at most 1.5 eps sum S (benchmarks/end_rounding.py). So 16 n is eight times their sum or more.
     """
-    upper = data.alpha(_box(data)[1])
+    upper = data.alpha(data.reachable_box[1])
     n = data.areas.shape[1]
     return np.asarray(16 * n * np.finfo(float).eps * (data.areas @ np.abs(upper)))
 
@@ -153,17 +144,14 @@ def restrict_to_reach(
     _refuse_invalid(equation, rooms, asked & (low > (1 + _MARGIN) * data.largest_target), low)
     wanted_low, wanted_high = wanted
     # Where the match has a tolerance, the target becomes the reachable value nearest to it.
-    target = np.where(
-        np.isnan(wanted_low),
-        np.nan,
-        np.clip(
-            0.5 * (low + top), wanted_low, np.where(np.isnan(wanted_high), np.inf, wanted_high)
-        ),
-    )
+    highest = np.where(np.isnan(wanted_high), np.inf, wanted_high)
+    target = np.minimum(
+        np.maximum(0.5 * (low + top), wanted_low), highest
+    )  # NaN where the least is
     too_low = asked & (target < low - tolerance)
     too_high = asked & (np.isnan(target) | (target > top + tolerance))
     beyond = []
-    for c, k in np.argwhere(too_low | too_high):
+    for c, k in zip(*np.nonzero(too_low | too_high), strict=True):
         longest, shortest = (
             where_valid(equation.time, rooms[c], area)[k] for area in (low[c], top[c])
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -127,11 +128,11 @@ def fingerprint(kind: str, values: Mapping[str, float]) -> str:
     >>> fingerprint("T", {"500": 1.92, "1000": 1.8801})
     'T:500=1.92000,1000=1.88010'
     """
-    return f"{kind}:" + ",".join(f"{k}={v:.5f}" for k, v in values.items() if np.isfinite(v))
+    return f"{kind}:" + ",".join(f"{k}={v:.5f}" for k, v in values.items() if math.isfinite(v))
 
 
 def _of_times(room: Room, times: Array) -> str:
-    labels = (f"{f:g}" for f in room.centre_frequencies)
+    labels = (f"{f:g}" for f in room.centre_frequencies.tolist())
     return fingerprint("T", dict(zip(labels, times.tolist(), strict=True)))
 
 

@@ -161,11 +161,8 @@ class NumpyModel:
 
     def gradient(self, u: Array) -> Array:
         """Return the objective's gradient at the unknowns."""
-        total, u = np.zeros_like(u), read_only_view(u)
-        for term, weight in zip(self.objective.terms, self.data.weights, strict=True):
-            if weight > 0:
-                total = total + weight * term.gradient(u, self.data)
-        return total
+        pairs, u = zip(self.objective.terms, self.data.weights, strict=True), read_only_view(u)
+        return np.asarray(sum(w * t.gradient(u, self.data) for t, w in pairs if w > 0))
 
     def steepness(self, u: Array, gradient: Array | None = None) -> Array:
         """Return 1 + max |sigma gradient| over the bands that each unknown is coupled with, (size,).
@@ -176,8 +173,9 @@ class NumpyModel:
         slope = np.abs(self.sigma * (self.gradient(u) if gradient is None else gradient))
         if not self.separate(u):
             return np.full(len(slope), 1 + np.max(slope, initial=0.0))
-        by_band = 1 + np.max(self.data.alpha(slope), axis=0)
-        return np.tile(by_band, self.data.layout.n_rows)
+        by_band = self.data.alpha(slope)
+        by_band[:] = 1 + by_band.max(axis=0)  # a view of all unknowns: there are no further ones
+        return slope
 
     def value(self, u: Array) -> float:
         """Return the objective at the unknowns."""

@@ -62,7 +62,7 @@ def polish(
     """
     lower, upper, sigma = model.lower, model.upper, model.sigma
     # At an optimum either a slack or its multiplier is 0: in whitened units, the smaller one.
-    reciprocal = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=model.movable)
+    reciprocal = model.data.inverse_sigma
     at_lower = model.movable & (multipliers.lower * sigma > (alpha - lower) * reciprocal)
     at_upper = model.movable & (multipliers.upper * sigma > (upper - alpha) * reciprocal)
     at_lower = (at_lower & ~forced_upper) | forced_lower
@@ -83,7 +83,7 @@ def polish(
         if solved is None:
             return None
         trial, rows, moving = solved
-        nearest = np.clip(trial, lower, upper)
+        nearest = np.minimum(np.maximum(trial, lower), upper)
         trial = np.where(free & (np.abs(trial - nearest) <= _AT_BOUND), nearest, trial)
         below, above = free & (trial < lower), free & (trial > upper)
         at_rows = np.asarray(model.matrix @ trial)
@@ -93,7 +93,7 @@ def polish(
         if (below | above).any() or (row_below | row_above).any():
             at_lower, at_upper = at_lower | below, at_upper | above
             side = np.where(row_below, -1, np.where(row_above, 1, side))
-            alpha = np.clip(trial, lower, upper) if start is None else start
+            alpha = nearest if start is None else start
             continue
         without_free = (side != 0) & ~moving & (model.row_norm > 0)
         if without_free.any():

@@ -72,9 +72,9 @@ class ProblemData:
     observed: Mapping[object, Whitened] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, value in list(vars(self).items()):
+        for name, value in vars(self).items():
             if isinstance(value, np.ndarray) and value.flags.writeable:
-                object.__setattr__(self, name, read_only_view(value))
+                vars(self)[name] = read_only_view(value)
 
     @cached_property
     def matched(self) -> Flags:
@@ -92,6 +92,27 @@ class ProblemData:
         inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
         inverse.setflags(write=False)
         return inverse
+
+    @cached_property
+    def reachable_box(self) -> tuple[Array, Array]:
+        """The box, (size,) each, in which a fixed unknown has its centre as both sides."""
+        moves = self.scale > 0
+        return (
+            np.where(moves, self.lower, self.centre),
+            np.where(moves, self.upper, self.centre),
+        )
+
+    @cached_property
+    def match_scale(self) -> Array:
+        """1 / |S sigma| over the unknowns that can move, (n_matches,); 0 where nothing is matched."""
+        alpha, further = self.alpha(self.scale), self.further(self.scale)
+        square = self.areas**2 @ alpha**2
+        if self.gains.size:
+            square = square + self.gains**2 @ further**2
+        size = np.sqrt(square)
+        inverse = np.divide(1.0, size, out=np.zeros_like(size), where=self.matched & (size > 0))
+        inverse.setflags(write=False)
+        return inverse.ravel()
 
     def __repr__(self) -> str:
         return f"<ProblemData: {self.layout!r}>"

@@ -48,6 +48,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 """Settings by solver, in cvxpy's capital spelling; solvers not named run at their defaults."""
 
+QUICK = {
+    "tol_feas": 1e-8,
+    "tol_gap_abs": 1e-8,
+    "tol_gap_rel": 1e-8,
+    "iterative_refinement_enable": False,
+}
+"""Clarabel's settings where only the active bounds are asked of it: half its time, 5 iterations."""
+
 
 @dataclass(frozen=True)
 class SolverOutput:
@@ -77,6 +85,11 @@ class SolverOutput:
     seconds: float
 
 
+def settings_of(options: SolveOptions) -> dict[str, Any]:
+    """Return the settings that a solve runs with: the options' override those of `SETTINGS`."""
+    return {**SETTINGS.get(options.solver.upper(), {}), **(options.settings or {})}
+
+
 def run(
     compiled: CompiledQP, options: SolveOptions, start: tuple[Array, list[Array]] | None = None
 ) -> SolverOutput:
@@ -86,7 +99,7 @@ def run(
     ----------
     compiled : CompiledQP
     options : SolveOptions
-        The solver's name, in any case of letters; the settings override those of `SETTINGS`.
+        The solver's name, in any case of letters, and its settings; see `settings_of`.
     start : (x, row duals), optional
         Primal and dual start of a problem without helper variables, for a solver that takes one.
         qpsolvers passes on the primal one.
@@ -101,7 +114,7 @@ def run(
         If it returns no values.
     """
     name = options.solver.lower()
-    chosen = {**SETTINGS.get(name.upper(), {}), **(options.settings or {})}
+    chosen = settings_of(options)
     if name == "clarabel":
         return _clarabel(compiled, chosen)
     if name == "osqp":
@@ -167,8 +180,9 @@ def _clarabel(compiled: CompiledQP, settings: dict[str, Any]) -> SolverOutput:
     began = time.perf_counter()
     given, solver = compiled.workspaces.pop("clarabel", ({}, None))
     if solver is not None and given == settings:
-        objective = {} if compiled.fixed_objective else {"P": numbers.P, "q": numbers.q}
-        solver.update(A=numbers.A, b=numbers.b, **objective)
+        names = "Ab" if compiled.fixed_objective else "PqAb"
+        # It reads lists twice as fast as arrays.
+        solver.update(**{name: getattr(numbers, name).tolist() for name in names})
     else:
         chosen = clarabel.DefaultSettings()
         chosen.verbose = False

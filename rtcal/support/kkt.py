@@ -91,8 +91,9 @@ def _eliminated(diagonal: Array, matrix: Any, force: Array, limit: Array) -> tup
     weighted = matrix / diagonal
     schur = weighted @ matrix.T
     schur = schur.toarray() if sp.issparse(schur) else schur
-    if np.count_nonzero(schur) == np.count_nonzero(np.diag(schur)):
-        multipliers = ((weighted @ force - limit).T / np.diag(schur)).T
+    diagonals = schur.diagonal()
+    if np.count_nonzero(schur) == np.count_nonzero(diagonals):
+        multipliers = ((weighted @ force - limit).T / diagonals).T
         return ((force - matrix.T @ multipliers).T / diagonal).T, multipliers
     step, multipliers = (force.T / diagonal).T, np.zeros_like(limit)
     n_groups, group = connected_components(sp.csr_array(schur), directed=False)

@@ -13,7 +13,7 @@ from rtcal.acoustics.observables import TARGET
 from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.problem_data import ProblemData
-from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited, reciprocal
+from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited
 from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -47,7 +47,7 @@ class ExactMatch:
 
     def row_scale(self, data: ProblemData) -> Array:
         """Return 1 / |S sigma| over the unknowns that can move; 0 where there is no row."""
-        return _row_scale(data)
+        return data.match_scale
 
     def rows(self, data: ProblemData) -> Rows:
         """S'alpha = b; bands without T have a row of zeros without limits."""
@@ -128,7 +128,7 @@ class MatchWithin:
 
     def row_scale(self, data: ProblemData) -> Array:
         """Return 1 / |S sigma| over the unknowns that can move; 0 where there is no row."""
-        return _row_scale(data)
+        return data.match_scale
 
     def rows(self, data: ProblemData) -> Rows:
         """Lower <= S'alpha <= upper; bands without T have a row of zeros without limits."""
@@ -320,14 +320,12 @@ class AddedAbsorption(BaseTerm):
 
 def match_values(data: ProblemData) -> Array:
     """Coefficients of the unknowns in S'alpha, in the order of `Context.match_pattern`."""
-    layout = data.layout
-    c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
-    areas = np.broadcast_to(data.areas[:, :, np.newaxis], (c, n, k))
-    gains = np.swapaxes(data.gains, 1, 2)
     matched = data.matched[:, np.newaxis, :]
-    return np.concatenate(
-        [np.where(matched, areas, 0.0).ravel(), np.where(matched, gains, 0.0).ravel()]
-    )
+    values = np.where(matched, data.areas[:, :, np.newaxis], 0.0).ravel()
+    if not data.gains.size:
+        return values
+    gains = np.swapaxes(data.gains, 1, 2)
+    return np.concatenate([values, np.where(matched, gains, 0.0).ravel()])
 
 
 @checked
@@ -353,12 +351,7 @@ def _match_rows(data: ProblemData) -> Any:
     c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
     if layout.further or (c * k) * (n * k) > DENSE:
         return match_matrix(data)
-    matrix, band = np.zeros((c, k, n, k)), np.arange(k)
-    matrix[:, band, :, band] = np.where(data.matched.T[:, :, np.newaxis], data.areas, 0.0)
+    matrix = np.zeros((c, k, n, k))
+    values = np.where(data.matched[:, np.newaxis, :], data.areas[:, :, np.newaxis], 0.0)
+    np.einsum("cknk->cnk", matrix)[...] = values  # a view of each band's own columns
     return matrix.reshape(c * k, n * k)
-
-
-def _row_scale(data: ProblemData) -> Array:
-    alpha, further = data.alpha(data.scale), data.further(data.scale)
-    size = np.sqrt(data.areas**2 @ alpha**2 + data.gains**2 @ further**2)
-    return np.where(data.matched, reciprocal(size), 0.0).ravel()
