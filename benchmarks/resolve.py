@@ -2,7 +2,7 @@
 
 The first table has a re-solve of a problem that was built once, a second `rt.calibrate` of the same
 shape, a calibration after `rt.calibration.forget()`, and Clarabel alone: set up at its defaults, but
-for rtcal's tolerance, and solved for the same matrices, which are ready. Then come the parts of a
+for a tolerance of 1e-10, and solved for the same matrices, which are ready. Then come the parts of a
 re-solve beside the solver: polish and certificate. The error bound is computed when it is read. The
 second table has the solvers that take a start, with and without the closed form. The last line is
 `import rtcal` against `import numpy`.

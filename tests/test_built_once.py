@@ -15,9 +15,10 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration import convex_program
+from rtcal.calibration import convex_program, solvers
 from rtcal.discrepancy import AppliedEffect, find, recalibrate, verify
 from rtcal.discrepancy.effects.opening import Opening
+from rtcal.errors import SolverError
 from tests.conftest import random_room, true_times
 from tests.test_discrepancy import controls_of, opened
 
@@ -94,6 +95,54 @@ def test_a_solver_s_workspace_is_updated_in_place(monkeypatch: pytest.MonkeyPatc
     for tolerance in (1e-9, 1e-9, 1e-7):
         rt.calibrate(room, t, settings={"tol_gap_rel": tolerance})
     assert len(set_up) == 9
+
+
+def test_a_quick_first_solve_changes_no_answer_and_says_its_tolerance() -> None:
+    for room, t in cases(40):
+        quick, full = rt.calibrate(room, t), rt.calibrate(room, t, settings={})
+        assert quick.raw.settings["tol_gap_abs"] == 1e-8
+        assert full.raw.settings["tol_gap_abs"] == 1e-10
+        assert quick.raw.iterations < full.raw.iterations
+        np.testing.assert_array_equal(quick.alpha, full.alpha)
+        np.testing.assert_array_equal(quick.multipliers, full.multipliers)
+        np.testing.assert_array_equal(quick.active, full.active)
+
+
+@pytest.mark.parametrize("fault", ["no polish", "wrong polish", "no values"])
+def test_where_the_quick_answer_does_not_do_the_full_solve_follows(
+    fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ((room, t),) = cases(1)
+    usual = rt.calibrate(room, t)
+    run, polish, calls = solvers.run, convex_program.polish, []
+
+    def failing_once(*given):
+        calls.append(given)
+        if len(calls) > 1:
+            return polish(*given)
+        right = polish(*given)
+        return replace(right, alpha=right.alpha + 1e-6) if fault == "wrong polish" else None
+
+    def without_values_once(*given):
+        calls.append(given)
+        if len(calls) > 1:
+            return run(*given)
+        raise SolverError("no values")
+
+    if fault == "no values":
+        monkeypatch.setattr(solvers, "run", without_values_once)
+    else:
+        monkeypatch.setattr(convex_program, "polish", failing_once)
+    result = rt.calibrate(room, t)
+    assert len(calls) == 2
+    assert result.polished
+    assert result.raw.settings["tol_gap_abs"] == 1e-10
+    np.testing.assert_array_equal(result.alpha, usual.alpha)
+
+
+def test_a_term_without_a_closed_form_is_solved_in_full_at_once() -> None:
+    ((room, t),) = cases(1)
+    assert rt.calibrate(room, t, method="robust").raw.settings["tol_gap_abs"] == 1e-10
 
 
 def test_threads_share_one_problem(compilations: list[object]) -> None:

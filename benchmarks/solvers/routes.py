@@ -197,12 +197,11 @@ def by_slsqp(case: Case, settings: SolverSettings, setting: str) -> Found:
 def by_rtcal(
     name: str, polished: bool, case: Case, settings: SolverSettings, setting: str
 ) -> Found:
-    own = setting == "default"  # rtcal's own settings, not the solver's
+    full = None if polished else {}  # a raw answer is that of rtcal's full settings
+    chosen = full if setting == "default" else settings[name]
     began = time.perf_counter()
     try:
-        result: Any = case.built.solve(
-            case.measured, case.room, solver=name, settings=None if own else settings[name]
-        )
+        result: Any = case.built.solve(case.measured, case.room, solver=name, settings=chosen)
     except rt.errors.InfeasibleError:
         return Found("infeasible", time.perf_counter() - began)
     except rt.errors.SolverError:

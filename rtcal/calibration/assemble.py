@@ -18,7 +18,6 @@ from rtcal.calibration.observed import Observed, Whitened
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms import (
     BoundConstraint,
-    FurtherUnknown,
     LinearObservations,
     Objective,
     ObjectiveTerm,
@@ -56,7 +55,7 @@ class Assembler:
         prior = chosen[self.prior]
         if prior == 0:
             raise DataError("the prior deviation has weight 0; the answer would not be unique")
-        for further in self._further:
+        for further in self.objective.further:
             if chosen[self.objective.terms.index(further)] == 0:
                 raise DataError(
                     f'{type(further).__name__}("{further.name}") has weight 0: then nothing keeps '
@@ -88,7 +87,7 @@ class Assembler:
         if self._shares:
             alpha, sigma = alpha[self.layout.first], sigma[self.layout.first]
         self._check_box(room, alpha, sigma, lower, upper)
-        further = self._further
+        further = self.objective.further
         c, k = len(measured), shape[1]
         gains = np.zeros((c, k, len(further)))
         for p, term in enumerate(further):
@@ -145,10 +144,6 @@ class Assembler:
         return np.array(
             [self.equation.target(room, t) for room, t in zip(rooms, times, strict=True)]
         )
-
-    @cached_property
-    def _further(self) -> list[FurtherUnknown]:
-        return [t for t in self.objective.terms if isinstance(t, FurtherUnknown)]
 
     @cached_property
     def _soft(self) -> list[SoftMatch]:
@@ -236,7 +231,7 @@ def layout_of(
             head = next(m for m in materials if row_of[m] in merged)
             row_of = {m: head if r in merged else r for m, r in row_of.items()}
     heads = list(dict.fromkeys(row_of.values()))
-    further = tuple(t.name for t in objective.terms if isinstance(t, FurtherUnknown))
+    further = tuple(t.name for t in objective.further)
     if len(set(further)) < len(further):
         raise ModelError(f"two further unknowns have one name: {', '.join(further)}")
     return Layout(

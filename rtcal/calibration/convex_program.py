@@ -47,7 +47,7 @@ and the gap, a shift of one sigma counts as 1."""
 
 
 _FAR = 1e-3
-"""Shift by polishing in sigmas above which the terms are checked: solvers' errors are smaller."""
+"""Shift by polishing in sigmas above which the terms are checked: few errors of solvers are larger."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -365,7 +365,8 @@ class ConvexProgram:
 def _attempts(model: NumpyModel, options: SolveOptions) -> Iterator[SolveOptions]:
     """The options to solve with, until an answer passes.
 
-    Where the polished answer depends on the active bounds alone, Clarabel first runs quickly.
+    Where the polished answer depends on the active bounds alone, Clarabel first runs with looser
+    settings. Its full ones follow if that answer cannot be polished or does not pass.
     """
     if model.has_closed_form and options.settings is None and options.solver.lower() == "clarabel":
         yield replace(options, settings=solvers.QUICK)

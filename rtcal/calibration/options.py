@@ -40,7 +40,8 @@ class SolveOptions:
         ``"auto"`` starts a solver that takes a start from the paper's closed form, if the problem has
         one. ``"closed_form"`` raises ModelError where that cannot be. Clarabel takes no start.
     settings : mapping, optional
-        The solver's own settings by name.
+        The solver's own settings by name, beside rtcal's; ``{}`` for rtcal's alone. Without it,
+        Clarabel may run with looser ones first; ``result.raw.settings`` says with which.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, Unpack, overload
 
@@ -26,6 +27,8 @@ _RELATIVE = 0.05
 _SMOOTHING = 0.3
 """Weight of the smoothness: small enough to cost under 1 % where the truth is uncorrelated over
 bands (notebooks/studies/smoothing.ipynb)."""
+
+_INDEPENDENT = PriorDeviation()
 
 METHODS: dict[str, Callable[[PriorDeviation], Calibration]] = {
     "mle": lambda prior: Calibration(prior, [ExactMatch()]),
@@ -56,7 +59,7 @@ def preset(method: str, room: Room | None = None) -> Calibration:
     """
     if not isinstance(method, str) or method not in METHODS:
         raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')
-    prior = PriorDeviation()
+    prior = _INDEPENDENT
     if room is not None and (room.band_correlation or room.material_correlation):
         if method == "robust":
             raise ModelError(
@@ -65,6 +68,12 @@ def preset(method: str, room: Room | None = None) -> Calibration:
         prior = PriorDeviation(
             band_correlation=room.band_correlation, material_correlation=room.material_correlation
         )
+    return _stated(method, prior)
+
+
+@functools.lru_cache(maxsize=16)
+def _stated(method: str, prior: PriorDeviation) -> Calibration:
+    """Return a method's calibration, whose terms are checked once."""
     return METHODS[method](prior)
 
 

@@ -163,9 +163,9 @@ def _refuse_repeated(terms: Sequence[object], place: str) -> None:
 def _compiled(
     calibration: Calibration, configurations: Configurations, equation: Equation
 ) -> tuple[Assembler, ConvexProgram]:
-    if not isinstance(equation, Equation) or isinstance(equation, type):
-        raise ModelError(f"equation = {equation!r} is not an equation such as rtcal.Eyring()")
     if not isinstance(equation, LinearEquation):
+        if not isinstance(equation, Equation) or isinstance(equation, type):
+            raise ModelError(f"equation = {equation!r} is not an equation such as rtcal.Eyring()")
         raise ModelError(
             f"{equation.name} is not a function of the mean absorption coefficient, so it gives "
             "no linear target; calibrate it in the closed loop with calibrate_simulator"

@@ -54,7 +54,8 @@ QUICK = {
     "tol_gap_rel": 1e-8,
     "iterative_refinement_enable": False,
 }
-"""Clarabel's settings where only the active bounds are asked of it: half its time, 5 iterations."""
+"""Clarabel's settings where polishing asks for the active bounds alone: its own default tolerance, and
+no iterative refinement."""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import cvxpy as cp
@@ -68,6 +69,11 @@ class Objective:
 
     terms: tuple[ObjectiveTerm, ...]
     weights: tuple[float, ...]
+
+    @cached_property
+    def further(self) -> list[FurtherUnknown]:
+        """The terms that bring an unknown of their own."""
+        return [t for t in self.terms if isinstance(t, FurtherUnknown)]
 
     def __add__(self, other: Any) -> Objective:
         other = as_objective(other)
