@@ -1,9 +1,9 @@
 """Call every public function with wrong arguments: `python benchmarks/wrong_arguments.py`.
 
-Each function gets valid arguments, then one of them is replaced by each of `WRONG`: None, texts, empty
-and object arrays, NaN, wrong shapes. A call may work or raise a typed error (`rtcal.errors`). Counted
-are the untyped exceptions (asked: at most 1 %) and the calls without an end within `LIMIT` (asked: 0).
-Public are the names that the packages list, the functions of the modules among them, and the methods
+Each function gets valid arguments, then one of them is replaced by each of `WRONG`, None, texts, empty
+and object arrays, NaN, wrong shapes, and by a generator. A call may work or raise a typed error
+(`rtcal.errors`). Counted are the untyped exceptions (asked: at most 1 %) and the calls without an end
+within `LIMIT` (asked: 0). Public are the names that the packages list, the functions of the modules among them, and the methods
 of the classes for which `instances` has an example.
 
 ``--list`` prints each untyped call. ``--only TEXT ...`` takes the functions with a TEXT in their name.
@@ -33,6 +33,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import rtcal as rt
+from rtcal.calibration.options import SolveKeywords
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.discrepancy import AppliedEffect, Case, Change, Configuration, find, plan, verify
 from rtcal.errors import ModelError, RtcalError
@@ -381,13 +382,18 @@ def functions(by_class: dict[str, Any]) -> Iterator[tuple[str, Callable[..., Any
 def wrong_calls(
     function: Callable[..., Any], valid: dict[str, Any]
 ) -> Iterator[tuple[str, Any, dict[str, Any]]]:
-    """Yield a parameter, a wrong value and all arguments of the call."""
+    """Yield a parameter, a wrong value and all arguments of the call.
+
+    A function that takes the options of a solve gets each of them, and one that is unknown.
+    """
     for p in inspect.signature(function).parameters.values():
+        names = [p.name]
         if p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL):
-            continue
-        for wrong in WRONG:
-            if p.default is not wrong or isinstance(wrong, float):
-                yield p.name, wrong, valid | {p.name: wrong}
+            names = [*SolveKeywords.__annotations__, "unknown"] * ("SolveKeywords" in str(p))
+        for name in names:
+            for wrong in (*WRONG, (member for member in ("a", "b"))):
+                if p.default is not wrong or isinstance(wrong, float):
+                    yield name, wrong, valid | {name: wrong}
 
 
 def main() -> None:

@@ -161,6 +161,7 @@ class Finding(Result):
         added = AppliedEffect.of(self.effects[name], fit.parameters, ends)
         return replace(case, applied=(*case.applied, added))
 
+    @checked
     def title_of(self, name: str) -> str:
         """A candidate as a sentence names it."""
         if name == COEFFICIENTS:
@@ -179,6 +180,7 @@ class Finding(Result):
         """The candidates other than the best."""
         return list(self.candidates[1:])
 
+    @checked
     def percent(self, name: str) -> str:
         """The probability of an effect in percent."""
         return f"{100 * self.probabilities.get(name, 0.0):.0f} %"
@@ -401,6 +403,7 @@ class Finding(Result):
         """The best effect's size with its interval, and its other parameters; "" without any."""
         return self.size_of(str(self.best))
 
+    @checked
     def size_of(self, name: str) -> str:
         """A candidate's size with its interval, and its other parameters; "" without any."""
         fit = self.fits.get(name)

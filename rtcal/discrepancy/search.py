@@ -103,7 +103,7 @@ def find(
     checks.whole("seed", seed, 0)
     effects, left_out = effects_to_try(effects, without, only)
     observed, notes = observe(case)
-    if without or only or prior:
+    if len(without) or len(only) or prior:
         notes = [*notes, CHOSEN]
     before = prior_of(case.room, effects, checked_odds(effects, prior), left_out)
     predicted = predict_hypotheses(case, effects)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.quality import gap_jnd
+from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array, read_only
 
 SHOWN = tuple(key for key, kind in OBSERVABLES.items() if kind.shown)
@@ -22,8 +25,68 @@ Gaps = Mapping[str, tuple[Array, Array]]
 
 
 def means(measurement: Measurement) -> dict[str, Array]:
-    """Return the means over pairs of the parameters that are shown, each (n_bands,)."""
-    return {p: read_only(measurement.mean(p)) for p in SHOWN if p in measurement.values}
+    """Return the means over pairs of the parameters that are shown and there, each (n_bands,)."""
+    found = {p: read_only(measurement.mean(p)) for p in SHOWN}
+    return {p: mean for p, mean in found.items() if np.isfinite(mean).any()}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Beside:
+    """What the positions heard that is not matched: measured, before and after.
+
+    Attributes
+    ----------
+    measured, before, after : Observations
+        Of the same parameters and pairs.
+    """
+
+    measured: Observations
+    before: Observations
+    after: Observations
+
+    @classmethod
+    def of(
+        cls,
+        measured: Measurement,
+        matched: Observations,
+        before: Observations,
+        after: Observations,
+    ) -> Beside:
+        """Return what is in ``before`` and not in ``matched``, at the pairs that are matched."""
+        names = [p for p in before.parameters if p not in matched.parameters]
+        wanted = Observations.of_measurement(measured, names, matched.pairs)
+        return cls(measured=wanted, before=before.at(wanted), after=after.at(wanted))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """What was measured and not matched."""
+        return self.measured.parameters
+
+    @property
+    def gap_before(self) -> Array:
+        """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
+        return self._gap(self.before)
+
+    @property
+    def gap_after(self) -> Array:
+        """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
+        return self._gap(self.after)
+
+    @property
+    def gaps(self) -> Gaps:
+        """Root mean squares over the pairs."""
+        ends = zip(self.parameters, self.gap_before, self.gap_after, strict=True)
+        return {p: (_over_pairs(before), _over_pairs(after)) for p, before, after in ends}
+
+    def _gap(self, simulated: Observations) -> Array:
+        gaps = [gap_jnd(simulated.natural(p), self.measured.natural(p), p) for p in self.parameters]
+        return np.reshape(gaps, self.measured.values.shape)
+
+
+def _over_pairs(gap: Array) -> Array:
+    known = np.isfinite(gap)
+    number = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.asarray(np.sqrt((np.where(known, gap, 0.0) ** 2).sum(axis=0) / number))
 
 
 def left(gaps: Gaps) -> tuple[str, ...]:

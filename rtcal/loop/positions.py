@@ -18,6 +18,7 @@ import numpy as np
 from scipy.linalg import eigh, solve_triangular
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET
@@ -27,6 +28,8 @@ from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
 from rtcal.errors import DataError, SimulatorError
+from rtcal.loop.beside import Beside
+from rtcal.loop.beside import means as measured_beside
 from rtcal.loop.control_runs import (
     POSITION,
     ControlRuns,
@@ -101,9 +104,9 @@ def calibrate_positions(
     match, notes = _given(simulator, room.alpha, wanted, seed)
     if replaced:
         notes = ("T30 is matched in place of T20, which was not measured.", *notes)
-    first = observe(simulator, room.alpha, match, seed=seed)
+    first, not_heard = _first(simulator, room.alpha, match, measured, seed)
     data = measured_pairs(room, measured, match, first, exclude)
-    notes = (*notes, *repeated)
+    notes = (*notes, *not_heard, *repeated)
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
     if isinstance(simulator, PathTracing):  # too few paths are told before the control runs
         simulator.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
@@ -117,6 +120,7 @@ def calibrate_positions(
             cache=cache,
             progress=progress,
         )
+    in_room = measurement_in_room_bands(measured, room.centre_frequencies)
     listener = Listener(simulator, data, first, room.alpha, seed)
     before = listener.values()
     prior = prior_covariance(room)
@@ -147,6 +151,7 @@ def calibrate_positions(
         scattering=scattering,
         simulations=listener.calls,
         measured=data,
+        beside=Beside.of(in_room, data.observations, first, listener.heard),
         before=_with(data.observations, before),
         after=_with(data.observations, listener.values()),
         predicted=predicted,
@@ -312,6 +317,28 @@ def _given(
     absent = [parameter_label(p) for p in match if p not in given]
     note = f"Left out, since the simulator does not give it: {', '.join(absent)}."
     return given, (note,) if absent else ()
+
+
+def _first(
+    simulator: Simulator, alpha: Array, match: tuple[str, ...], measured: Measurement, seed: int
+) -> tuple[Observations, tuple[str, ...]]:
+    """Return what is heard with the prior, also of what was measured and is not matched.
+
+    A note names what the simulator does not give of that.
+    """
+    more = [p for p in measured_beside(measured) if p not in match]
+    if not isinstance(simulator, DifferentiableSimulator):
+        simulated = base.run(simulator, alpha, seed=seed)
+        heard = [p for p in more if p in observations.given(simulated)]
+        return Observations.of_measurement(simulated, (*match, *heard), simulated.pairs), ()
+    try:
+        return observe(simulator, alpha, (*match, *more), seed=seed), ()
+    except DataError:
+        if not more:
+            raise
+        without = observe(simulator, alpha, match, seed=seed)
+    names = ", ".join(map(parameter_label, more))
+    return without, (f"Not shown, since the simulated decays do not hold it: {names}.",)
 
 
 def _with_t30(match: Sequence[str], measured: Measurement) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.result import CalibrationResult
+from rtcal.loop.beside import Beside, left, sentences
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, with_reference
 from rtcal.loop.positions_tables import Table, gap_table, material_table, rms
@@ -76,6 +77,8 @@ class PositionsResult(Result):
         `PathTracing` weighs the same traced paths in each.
     measured : MeasuredPairs
         What was matched; its ``observations`` name parameters and pairs.
+    beside : Beside
+        What was measured and not matched, before and after.
     before, after : Observations
         What the simulator given hears with the prior; what is expected of ``tracer`` with the
         coefficients returned. It was not run with the last change of the scattering, which is taken
@@ -111,6 +114,7 @@ class PositionsResult(Result):
     scattering: Scattering | None
     simulations: int
     measured: MeasuredPairs
+    beside: Beside
     before: Observations
     after: Observations
     predicted: Observations
@@ -132,10 +136,10 @@ class PositionsResult(Result):
         """
         if self.scattering is None:
             return self
-        heard = observe(self.weighed, self.alpha, self.parameters, seed=self.seed)
-        rows = [heard.pairs.index(pair) for pair in self.pairs]
-        after = replace(self.after, values=heard.values[:, rows])
-        return replace(self, after=after, is_traced=True)
+        every = (*self.parameters, *self.beside.parameters)
+        heard = observe(self.weighed, self.alpha, every, seed=self.seed)
+        beside = replace(self.beside, after=heard.at(self.beside.measured))
+        return replace(self, after=heard.at(self.after), beside=beside, is_traced=True)
 
     @property
     def alpha(self) -> Array:
@@ -187,8 +191,13 @@ class PositionsResult(Result):
     def farther(self) -> tuple[str, ...]:
         """Parameters in which ``tracer`` is farther from what was measured than the simulator given.
 
-        The root mean square gap over pairs and bands is larger by over half a JND.
+        Of what was matched, the root mean square gap over pairs and bands is larger by over half a JND.
+        Of what was not, that over the pairs is larger by over a JND in some band.
         """
+        return (*self._farther_matched, *left(self.beside.gaps))
+
+    @property
+    def _farther_matched(self) -> tuple[str, ...]:
         before, after = (rms(gap) for gap in (self.gap_before, self.gap_after))
         each = zip(self.parameters, before, after, strict=True)
         return tuple(p for p, old, new in each if new > old + _FARTHER)
@@ -289,8 +298,11 @@ class PositionsResult(Result):
 
     def __str__(self) -> str:
         lines = [f"Coefficients only for {self.simulator}"]
-        gaps = gap_table(self.parameters, self.pairs, self.gap_before, self.gap_after)
-        for header, rows in (gaps, self._material_table()):
+        tables = [gap_table(self.parameters, self.pairs, self.gap_before, self.gap_after)]
+        if more := self.beside.parameters:
+            ends = self.beside.gap_before, self.beside.gap_after
+            tables.append(gap_table(more, self.pairs, *ends, title="not matched: gap / JND"))
+        for header, rows in (*tables, self._material_table()):
             lines += [
                 "",
                 *text.table([(r[0], r[1:]) for r in rows], header=(header[0], header[1:])),
@@ -319,8 +331,9 @@ class PositionsResult(Result):
     def every_note(self) -> list[str]:
         """The ``notes``, and what the result says against itself."""
         notes = list(self.notes)
-        if self.farther:
-            names = ", ".join(parameter_label(p) for p in self.farther)
+        notes[:0] = sentences(self.beside.gaps, self.prior.centre_frequencies)
+        if self._farther_matched:
+            names = ", ".join(parameter_label(p) for p in self._farther_matched)
             notes.insert(
                 0,
                 f"In {names} the calibrated simulator is farther from what was measured than before: "
@@ -382,6 +395,11 @@ class PositionsResult(Result):
             "after": [json_numbers(v) for v in self._natural(self.after)],
             "gap_before_jnd": json_numbers(self.gap_before),
             "gap_after_jnd": json_numbers(self.gap_after),
+            "not_matched": {
+                "parameters": list(self.beside.parameters),
+                "gap_before_jnd": json_numbers(self.beside.gap_before),
+                "gap_after_jnd": json_numbers(self.beside.gap_after),
+            },
             "materials": [
                 {
                     "name": name,

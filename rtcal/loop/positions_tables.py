@@ -18,7 +18,11 @@ Table = tuple[list[str], list[list[str]]]
 
 
 def gap_table(
-    parameters: Sequence[str], pairs: Sequence[Pair], before: Array, after: Array
+    parameters: Sequence[str],
+    pairs: Sequence[Pair],
+    before: Array,
+    after: Array,
+    title: str = "rms gap / JND",
 ) -> Table:
     """Return rms gaps by pair, before and after, and over all pairs.
 
@@ -31,7 +35,7 @@ def gap_table(
         return [name, *cells]
 
     rows = [row(" to ".join(pair), [i]) for i, pair in enumerate(pairs)]
-    header = ["rms gap / JND", *(parameter_label(p) for p in parameters)]
+    header = [title, *(parameter_label(p) for p in parameters)]
     return header, [*rows, row("all", list(range(len(pairs))))]
 
 

@@ -47,7 +47,10 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
             },
             "learned": [_learned(result, i) for i in order],
             "gaps": _gaps(result),
-            "parameters": [parameter_label(p) for p in result.parameters],
+            "parameters": [
+                *(parameter_label(p) for p in result.parameters),
+                *(f"{parameter_label(p)}, not matched" for p in result.beside.parameters),
+            ],
             "doubts": _doubts(result),
             "blocks": blocks(len(result.prior.centre_frequencies)),
             "labels": [f"{f:g} Hz" for f in result.prior.centre_frequencies],
@@ -150,13 +153,15 @@ def _scattering(result: PositionsResult, i: int) -> tuple[float, float] | None:
 def _gaps(result: PositionsResult) -> list[dict[str, Any]]:
     """Return a row per pair and one for all: gap before and after of each parameter, and the misfit."""
     rows = [(" to ".join(p), [i], float(result.misfit[i])) for i, p in enumerate(result.pairs)]
+    before = (*result.gap_before, *result.beside.gap_before)
+    after = (*result.gap_after, *result.beside.gap_after)
     rows.append(("all", list(range(len(result.pairs))), float("nan")))
     return [
         {
             "name": name,
             "cells": [
                 (float(_rms(b[pairs])), float(_rms(a[pairs])))
-                for b, a in zip(result.gap_before, result.gap_after, strict=True)
+                for b, a in zip(before, after, strict=True)
             ],
             "misfit": misfit,
         }

@@ -79,6 +79,18 @@ class Observations:
         values = self.values[self.parameters.index(parameter)]
         return observable(parameter).natural(values)
 
+    def at(self, like: Observations) -> Observations:
+        """Return the observations of another's parameters and pairs, which these have, too."""
+        rows = [self.parameters.index(p) for p in like.parameters]
+        columns = [self.pairs.index(pair) for pair in like.pairs]
+        shape = (len(rows), len(columns), len(self.centre_frequencies))
+        return Observations(
+            parameters=like.parameters,
+            pairs=like.pairs,
+            centre_frequencies=self.centre_frequencies,
+            values=self.values[np.ix_(rows, columns)].reshape(shape),
+        )
+
     @classmethod
     @checked
     def of_measurement(
@@ -96,7 +108,8 @@ class Observations:
         """
         rows = {pair: i for i, pair in enumerate(measurement.pairs)}
         values = np.full((len(parameters), len(pairs), len(measurement.centre_frequencies)), np.nan)
-        for of_parameter, name in zip(values, checked_parameters(parameters), strict=True):
+        names = checked_parameters(parameters) if parameters else ()
+        for of_parameter, name in zip(values, names, strict=True):
             key = observable(name).key_in(measurement.values)
             if key not in measurement.values:
                 continue

@@ -25,6 +25,7 @@ from rtcal.simulators.tracer import (
     eyring_seconds,
 )
 from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _REFLECTING = 0.7
@@ -149,6 +150,7 @@ class PathTracing(Tracer):
             energy[:, :, :, bands] = decay[..., :n_bins]
         return energy
 
+    @checked
     def observe(
         self,
         alpha: Array,

@@ -74,11 +74,11 @@ def command(
     """
     checks.instance("room", room, Room)
     started = list(checks.listed("arguments", arguments))
-    if not started or not started[0]:
-        raise DataError(f"arguments = {started!r} names no program")
     for argument in started:
         if not isinstance(argument, str | os.PathLike):
             raise DataError(f"arguments has {argument!r}, which is not a text")
+    if not started or not started[0]:
+        raise DataError(f"arguments = {started!r} names no program")
     if time_limit is not None:
         checks.positive("time_limit", time_limit, "s")
 

@@ -36,6 +36,8 @@ Test = Callable[[Any], bool]
 Rule = tuple[Test, str]
 """A test of a value against an annotation, and the annotation in words."""
 
+_OPTIONS = "**"
+"""Key of the rules of a function whose further keyword arguments a TypedDict lists."""
 _FEW = 1000
 """Largest number of members of a list or mapping that are checked; longer ones are not."""
 
@@ -74,6 +76,9 @@ def _wrapped(function: Callable[..., Any], called: str = "") -> Callable[..., An
             rules.update(_rules(function, parameters))
         place = called or _place(function)
         values = dict([*zip(positional, args, strict=False), *kwargs.items()])
+        if _OPTIONS in rules and (unknown := [name for name in kwargs if name not in rules]):
+            known = ", ".join(name for name in rules if name not in ("self", _OPTIONS))
+            return f"{place}: {unknown[0]} is no argument; it has {known}"
         for name, value in values.items():
             rule = rules.get(name)
             if rule is not None and not rule[0](value):
@@ -151,7 +156,7 @@ def _rules(
     names = _typing_names(module) | vars(module)
     out: dict[str, Rule | None] = {"self": None}
     for p in parameters:
-        if p.kind is p.VAR_KEYWORD:
+        if p.kind is p.VAR_KEYWORD and "Unpack[" not in str(p.annotation):
             continue
         annotation = p.annotation
         if isinstance(annotation, str):
@@ -159,6 +164,13 @@ def _rules(
                 annotation = eval(annotation, names)
             except NameError:  # imported for type checkers only
                 annotation = Any
+        if p.kind is p.VAR_KEYWORD:
+            keywords = (
+                typing.get_type_hints(get_args(annotation)[0]) if annotation is not Any else {}
+            )
+            out |= {name: _rule(of_keyword) for name, of_keyword in keywords.items()}
+            out[_OPTIONS] = None
+            continue
         rule = None if annotation is p.empty else _rule(annotation)
         out[p.name] = rule
     return out
@@ -200,7 +212,7 @@ def _rule(annotation: Any) -> Rule | None:
         if origin is not type and issubclass(origin, Iterable) and args:
             return _listing(origin, args[0])
         if origin is typing.get_origin(Callable[..., Any]):
-            return callable, "a function"
+            return _function(args[0] if args else ...)
         annotation = origin
     if not isinstance(annotation, type):
         return None
@@ -242,6 +254,27 @@ def _listing(origin: type, member: Any) -> Rule:
         return all(rule[0](v) for v in value)
 
     return test, words
+
+
+def _function(parameters: Any) -> Rule:
+    """Return the rule of a function of so many arguments; of any number where they are not listed."""
+    if not isinstance(parameters, list):
+        return callable, "a function"
+
+    def test(value: Any) -> bool:
+        if not callable(value):
+            return False
+        try:
+            signature = inspect.signature(value)
+        except (TypeError, ValueError):  # written in C, and it does not tell
+            return True
+        try:
+            signature.bind(*parameters)
+        except TypeError:
+            return False
+        return True
+
+    return test, f"a function of {len(parameters)} argument{'s' * (len(parameters) != 1)}"
 
 
 def _tuple(rules: list[Rule | None]) -> Rule:

@@ -15,7 +15,8 @@ import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.errors import DataError
 from rtcal.loop import Loop
-from rtcal.report import page
+from rtcal.report import page, positions_page
+from rtcal.report.document import Heading
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,19 @@ class Bent:
         moved = (alpha - self.room.alpha).sum(axis=0)
         return rt.Measurement.from_values(
             self.room.centre_frequencies, t20=times, edt=times, c80=self.cost * moved
+        )
+
+
+@dataclass(frozen=True)
+class AtPositions(Bent):
+    """The same at two receivers."""
+
+    def simulate(self, alpha: np.ndarray, *, seed: int = 0) -> rt.Measurement:
+        mean = super().simulate(alpha, seed=seed)
+        return rt.Measurement(
+            centre_frequencies=mean.centre_frequencies,
+            values={p: np.vstack([v, v * 1.05]) for p, v in mean.values.items()},
+            pairs=[("S", "R1"), ("S", "R2")],
         )
 
 
@@ -158,3 +172,51 @@ def test_wrong_weights_are_named(weight: str, said: str, tmp_path: Path) -> None
     assert isinstance(done.exception, DataError)
     assert "weights" in str(done.exception)
     assert said in str(done.exception)
+
+
+@pytest.mark.parametrize("cost", [0.0, 300.0])
+def test_every_position_shows_it_too(cost: float) -> None:
+    room, _ = rt.datasets.bras_cr2()
+    simulator = AtPositions(room, cost)
+    first = simulator.simulate(room.alpha)
+    values = {"t20": 0.7 * first.values["t20"], "c80": first.values["c80"]}
+    measured = rt.Measurement(
+        centre_frequencies=room.centre_frequencies, values=values, pairs=first.pairs
+    )
+    result = rt.calibrate_simulator(simulator, room, measured, match=("t20", "ts"))
+    assert result.parameters == ("t20",)
+    assert result.beside.parameters == ("c80",)
+    np.testing.assert_allclose(result.beside.gap_before, 0.0, atol=1e-9)
+    after = simulator.simulate(result.alpha).values["c80"] - values["c80"]
+    np.testing.assert_allclose(result.beside.gap_after[0], after, atol=1e-6)
+    assert result.farther == (("c80",) if cost else ())
+    printed = " ".join(str(result).split())
+    assert "not matched: gap / JND C80" in printed
+    html = positions_page.page(result, Heading(), lambda: None)
+    assert "C80, not matched" in html
+    for said in (printed, html):
+        assert ("C80, which was not fitted, left what was measured" in said) == bool(cost)
+
+
+def test_a_tracer_hears_at_its_end_what_was_not_matched() -> None:
+    pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+    hall = rt.datasets.halls.corridor()
+    tracer = rt.simulators.PathTracing(
+        geometry=hall.geometry,
+        room=hall.room,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=320,
+        scattering=0.5,
+    )
+    measured = tracer.simulate(hall.room.alpha * 1.1, seed=3)
+    rng = np.random.default_rng(1)
+    errors = 0.1 * rng.normal(size=(4, 2, len(tracer.pairs), hall.room.n_bands))
+    controls = rt.loop.ControlRuns(parameters=("t20", "ts"), pairs=tracer.pairs, errors=errors)
+    result = rt.calibrate_simulator(
+        tracer, hall.room, measured, match=("t20", "ts"), controls=controls, fit_scattering=False
+    )
+    assert result.beside.parameters == ("edt", "c50", "c80")
+    heard = result.weighed.observe(result.alpha, result.beside.parameters, seed=result.seed)
+    # The paths of the fit were followed for another time, so the ends of the decays differ a little.
+    np.testing.assert_allclose(result.beside.after.values, heard.values, atol=1e-3)

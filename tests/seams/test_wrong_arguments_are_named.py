@@ -31,3 +31,68 @@ def test_a_generator_in_place_of_a_sequence() -> None:
     program = rt.simulators.External(room=room, name="p", run=lambda alpha, seed: np.ones(6))
     with pytest.raises(RtcalError, match="exclude"):
         rt.calibrate_simulator(program, room, measured, exclude=(pair for pair in measured.pairs))
+
+
+ARRAYS = (np.ones(3), np.array([]), np.array(["a", "b"]))
+
+
+@pytest.mark.parametrize("array", ARRAYS, ids=str)
+@pytest.mark.parametrize("option", ["solver", "unreachable", "warm_start", "settings"])
+def test_an_array_in_place_of_an_option(option: str, array: np.ndarray) -> None:
+    with pytest.raises(RtcalError, match=option):
+        rt.calibrate(*rt.datasets.bras_cr2(), **{option: array})
+
+
+def test_an_unknown_option() -> None:
+    with pytest.raises(RtcalError, match=r"solvr is no argument; it has .*solver, unreachable"):
+        rt.calibrate(*rt.datasets.bras_cr2(), solvr="osqp")
+
+
+@pytest.fixture(scope="module")
+def finding() -> rt.discrepancy.Finding:
+    return rt.discrepancy.find(rt.datasets.hidden_room()[0])
+
+
+@pytest.mark.parametrize("wrong", [[], {}, set(), np.ones(3)], ids=str)
+@pytest.mark.parametrize("method", ["percent", "size_of", "title_of"])
+def test_a_name_of_a_finding(finding, method: str, wrong: object) -> None:
+    with pytest.raises(RtcalError, match=f"{method}: name"):
+        getattr(finding, method)(wrong)
+
+
+@pytest.mark.parametrize("names", ["only", "without"])
+def test_arrays_and_generators_of_effects(names: str) -> None:
+    case, _ = rt.datasets.hidden_room()
+    known = [name for name in rt.discrepancy.find(case).effects if name != "none"][:3]
+    by_list = rt.discrepancy.find(case, **{names: known})
+    by_array = rt.discrepancy.find(case, **{names: np.array(known)})
+    assert by_array.candidates == by_list.candidates
+    with pytest.raises(RtcalError, match=names):
+        rt.discrepancy.find(case, **{names: (name for name in known)})
+
+
+def test_progress_of_another_kind() -> None:
+    case, _ = rt.datasets.hidden_room()
+    with pytest.raises(RtcalError, match=r"progress = .*is not a function of 3 arguments"):
+        rt.discrepancy.control_rooms(case, progress=len)
+
+
+def test_arguments_of_a_program() -> None:
+    room, _ = rt.datasets.bras_cr2()
+    with pytest.raises(RtcalError, match="arguments has"):
+        rt.simulators.command(np.ones((2, 2)), room)
+
+
+def test_a_flag_of_a_tracer() -> None:
+    pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+    hall = rt.datasets.halls.corridor()
+    tracer = rt.simulators.PathTracing(
+        geometry=hall.geometry,
+        room=hall.room,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=160,
+    )
+    tracer.observe(hall.room.alpha, ("edt",))
+    with pytest.raises(RtcalError, match="again"):
+        tracer.observe(hall.room.alpha, ("edt",), again=np.ones(3))
