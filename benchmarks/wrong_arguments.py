@@ -3,8 +3,8 @@
 Each function gets valid arguments, then one of them is replaced by each of `WRONG`, None, texts, empty
 and object arrays, NaN, wrong shapes, and by a generator. A call may work or raise a typed error
 (`rtcal.errors`). Counted are the untyped exceptions (asked: at most 1 %) and the calls without an end
-within `LIMIT` (asked: 0). Public are the names that the packages list, the functions of the modules among them, and the methods
-of the classes for which `instances` has an example.
+within `LIMIT` (asked: 0). Public are the names that the packages list, the functions of the modules
+among them, and the methods of the classes for which `instances` has an example.
 
 ``--list`` prints each untyped call. ``--only TEXT ...`` takes the functions with a TEXT in their name.
 ``--slow`` prints the processor time by function.

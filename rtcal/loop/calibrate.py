@@ -303,6 +303,8 @@ def _run(
 def _without(measurement: Measurement, exclude: Sequence[Pair]) -> Measurement:
     """Return a measurement without some pairs, so that means are over the same ones."""
     kept = [pair for pair in measurement.pairs if pair not in exclude]
+    if not kept:
+        raise DataError("exclude has every pair: none is left")
     return measurement if len(kept) == len(measurement.pairs) else measurement.select(kept)
 
 

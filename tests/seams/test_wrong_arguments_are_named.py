@@ -29,7 +29,7 @@ def test_of_a_loop(wrong: dict[str, object]) -> None:
 def test_a_generator_in_place_of_a_sequence() -> None:
     room, measured = rt.datasets.bras_cr2()
     program = rt.simulators.External(room=room, name="p", run=lambda alpha, seed: np.ones(6))
-    with pytest.raises(RtcalError, match="exclude"):
+    with pytest.raises(RtcalError, match="exclude has every pair"):
         rt.calibrate_simulator(program, room, measured, exclude=(pair for pair in measured.pairs))
 
 
