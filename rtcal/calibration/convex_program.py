@@ -47,7 +47,7 @@ and the gap, a shift of one sigma counts as 1."""
 
 
 _FAR = 1e-3
-"""Shift by polishing in sigmas above which the terms are checked: few errors of solvers are larger."""
+"""Shift by polishing in sigmas above which the terms are checked: solvers' errors are smaller."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -248,10 +248,13 @@ class ConvexProgram:
                 continue
             solution = _polished(model, raw, at_lower, at_upper)
             failure = _failure(solution, options.solver)
-            if not failure and (solution.polished or tried is options):
-                moved = np.abs(solution.unknowns - raw.unknowns) > _FAR * model.sigma
-                if (moved & model.movable).any():
-                    self._require_agreement(reachable)
+            if failure:
+                continue
+            moved = np.abs(solution.unknowns - raw.unknowns) > _FAR * model.sigma
+            far = bool((moved & model.movable).any())
+            if tried is options and far:
+                self._require_agreement(reachable)
+            if tried is options or (solution.polished and not far):
                 return replace(solution, unreachable=beyond) if beyond else solution
         contradiction.explain(model)
         self._require_agreement(reachable)
@@ -366,7 +369,7 @@ def _attempts(model: NumpyModel, options: SolveOptions) -> Iterator[SolveOptions
     """The options to solve with, until an answer passes.
 
     Where the polished answer depends on the active bounds alone, Clarabel first runs with looser
-    settings. Its full ones follow if that answer cannot be polished or does not pass.
+    settings. Its full ones follow if that answer cannot be polished, does not pass, or was far off.
     """
     if model.has_closed_form and options.settings is None and options.solver.lower() == "clarabel":
         yield replace(options, settings=solvers.QUICK)
