@@ -69,7 +69,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
                 f"the measurement has {parameters}, but no T20 and no T30 in any band of the room"
             )
         stated, wanted = measured.centre_frequencies, room.centre_frequencies
-        cautions = (band_conversion.rule(stated, wanted, "T"), _copied(measured))
+        cautions = (band_conversion.rule(stated, wanted, "T"), copied(measured))
         return MeasuredTimes(
             reverberation_time=mean,
             uncertainty=decay.uncertainty,
@@ -101,7 +101,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
     )
 
 
-def _copied(measured: Measurement) -> str:
+def copied(measured: Measurement) -> str:
     """Return a caution if T20 and T30 are the same numbers; "" else."""
     t20, t30 = (measured.values.get(o.key, np.full(1, np.nan)) for o in REVERBERATION)
     both = (

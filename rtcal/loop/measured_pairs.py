@@ -20,7 +20,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, OBSERVABLES, REVERBERATION, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.calibration.measured import fingerprint, refuse_repeated_data, times_in_room
+from rtcal.calibration.measured import copied, fingerprint, refuse_repeated_data, times_in_room
 from rtcal.errors import DataError
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
@@ -135,6 +135,8 @@ def measured_pairs(
     missing = np.count_nonzero(np.isnan(observations.values))
     if missing:
         notes.append(f"Left out, since missing: {missing} of {observations.values.size} values.")
+    if all(o.key in observations.parameters for o in REVERBERATION) and (copy := copied(measured)):
+        notes.append(f"{copy}. Both are matched, and count twice: leave one out of match.")
     if LEVEL.key in absent:
         level = ""
     compared = observations

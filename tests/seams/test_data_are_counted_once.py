@@ -7,7 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.errors import DataError
-from rtcal.loop.measured_pairs import fingerprints
+from rtcal.loop.measured_pairs import fingerprints, measured_pairs
 from rtcal.simulators.observations import Observations
 
 
@@ -59,6 +59,21 @@ def test_a_copied_decay_time_is_said(room_and_times) -> None:
     assert "one of them is a copy" in " ".join(str(rt.calibrate(room, copied)).split())
     other = rt.Measurement.from_values(room.centre_frequencies, t20=times, t30=1.01 * times)
     assert "is a copy" not in " ".join(str(rt.calibrate(room, other)).split())
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, True), (1.01, False)])
+def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, said) -> None:
+    room, times = room_and_times
+    pairs = [("S1", "R1"), ("S1", "R2")]
+    t20 = np.stack([times, 1.1 * times])
+    heard = rt.Measurement(
+        centre_frequencies=room.centre_frequencies,
+        values={"t20": t20, "t30": factor * t20},
+        pairs=pairs,
+    )
+    match = ("t20", "t30")
+    data = measured_pairs(room, heard, match, Observations.of_measurement(heard, match, pairs))
+    assert any("leave one out of match" in note for note in data.notes) == said
 
 
 def test_an_empty_calibration_is_refused() -> None:

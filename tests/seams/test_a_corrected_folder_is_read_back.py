@@ -1,0 +1,53 @@
+"""A law: what a corrected room's folder holds absorbs what the corrected room does, in every file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.io import catt, obj, odeon, position_files
+from rtcal.simulators import Polyhedron
+from rtcal.where.corrected import corrected
+from tests.test_where_corrected import BANDS, L_PLAN, candidate, case_in, prism, triangulated
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+SHAPES = {"L": prism(L_PLAN), "triangles": triangulated(prism(L_PLAN))}
+ROUNDED = 0.0005
+"""Half of the last decimal of the coefficients in the lists."""
+
+
+@pytest.mark.parametrize("form", ["patch", "material"])
+@pytest.mark.parametrize("wall_alpha", [0.05, 0.6])
+@pytest.mark.parametrize("surface", ["floor", "wall 5"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_every_file_has_the_patch(
+    shape: str, surface: str, wall_alpha: float, form: str, tmp_path: Path
+) -> None:
+    case = case_in(SHAPES[shape], alpha=wall_alpha)
+    made = corrected(case, candidate(surface, 4.0), form)
+    made.save(tmp_path)
+    room = rt.Room.from_file(str(tmp_path / "room.toml"))
+    mesh = obj.read(tmp_path / "room.obj")
+    assert isinstance(mesh, Polyhedron)
+    for name in ("alpha", "sigma", "areas", "scattering"):
+        stated, read = getattr(made.room, name), getattr(room, name)
+        np.testing.assert_allclose(read, stated, rtol=1e-9)
+    assert made.material in room.materials
+    places = position_files.read(tmp_path / "positions.toml")
+    assert places == (dict(case.simulator.sources), dict(case.simulator.receivers))
+    sizes = np.array([mesh.areas[m] for m in room.materials])
+    np.testing.assert_allclose(sizes, [made.geometry.areas[m] for m in room.materials], rtol=1e-6)
+    absorbed = made.room.absorption_area
+    np.testing.assert_allclose(sizes @ room.alpha, absorbed, rtol=1e-6)
+    for program, file in ((catt, "catt.txt"), (odeon, "odeon.txt")):
+        listed = program.read(tmp_path / file).materials
+        columns = [list(listed[0].centre_frequencies).index(f) for f in BANDS]
+        alpha = np.array([np.asarray(m.alpha)[columns] for m in listed])
+        np.testing.assert_allclose(sizes @ alpha, absorbed, atol=1.01 * ROUNDED * sizes.sum())
+        # ODEON's names begin with a number; CATT's have no blanks.
+        for read, stated in zip(listed, room.materials, strict=True):
+            assert read.name.endswith(stated.replace(" ", "_") if program is catt else stated)

@@ -1,0 +1,66 @@
+"""A law: too few paths are told before the control runs, and that more paths would help."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import rtcal as rt
+from rtcal.command.main import cli
+from rtcal.errors import DataError
+from rtcal.io import obj, position_files
+from rtcal.loop import positions
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+HALL = rt.datasets.halls.lecture_hall()
+
+
+def tracer(n_paths: int) -> rt.simulators.PathTracing:
+    return rt.simulators.PathTracing(
+        geometry=HALL.geometry,
+        room=HALL.room,
+        sources=HALL.sources,
+        receivers=HALL.receivers,
+        n_paths=n_paths,
+        scattering=0.5,
+    )
+
+
+@pytest.fixture
+def measured(monkeypatch: pytest.MonkeyPatch) -> rt.Measurement:
+    """What was measured; control runs are not to begin."""
+
+    def begun(*_: object, **__: object) -> None:
+        raise AssertionError("the control runs have begun")
+
+    heard = tracer(160).simulate(HALL.room.alpha * 1.1, seed=3)
+    monkeypatch.setattr(positions, "control_runs", begun)
+    return heard
+
+
+def test_in_python(measured: rt.Measurement) -> None:
+    with pytest.raises(DataError, match=r"paths per source are too few\. Take a larger n_paths"):
+        rt.calibrate_simulator(tracer(16), HALL.room, measured, match=("t20", "edt"))
+    with pytest.raises(AssertionError, match="have begun"):  # enough paths come to them
+        rt.calibrate_simulator(tracer(160), HALL.room, measured, match=("t20", "edt"))
+
+
+def test_by_command(
+    measured: rt.Measurement, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The option is at least 100, which suffices in this hall: as many are weighed as of 16.
+    monkeypatch.setattr(positions, "precise", lambda s, _: replace(s, n_paths=64, n_batches=16))
+    HALL.room.save(str(tmp_path / "room.toml"))
+    measured.save(str(tmp_path / "pairs.csv"))
+    obj.write(HALL.geometry, tmp_path / "room.obj")
+    (tmp_path / "positions.toml").write_text(position_files.text(HALL.sources, HALL.receivers))
+    options = ["--mesh", "room.obj", "--positions", "positions.toml", "--paths", "100"]
+    options = [str(tmp_path / o) if "." in o else o for o in options]
+    files = [str(tmp_path / n) for n in ("room.toml", "pairs.csv")]
+    done = CliRunner().invoke(cli, ["fit", *files, *options, "--match", "t20", "--match", "edt"])
+    assert isinstance(done.exception, DataError)
+    assert "Take a larger --paths" in str(done.exception)
