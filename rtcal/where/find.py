@@ -191,8 +191,9 @@ def every_hypothesis(
 
 def left_out_of(only: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
     """Return the effects that are not tried; DataError for an unknown name."""
+    only, without = checks.listed("only", only), checks.listed("without", without)
     for place, names in (("only", only), ("without", without)):
-        for name in checks.listed(place, names):
+        for name in names:
             if name not in EFFECTS:
                 raise DataError(f'{place} has "{name}", which is not one of {", ".join(EFFECTS)}')
     left = set(without) | (set(EFFECTS) - set(only) if only else set())

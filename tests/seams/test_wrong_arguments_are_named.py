@@ -96,3 +96,14 @@ def test_a_flag_of_a_tracer() -> None:
     tracer.observe(hall.room.alpha, ("edt",))
     with pytest.raises(RtcalError, match="again"):
         tracer.observe(hall.room.alpha, ("edt",), again=np.ones(3))
+
+
+@pytest.mark.parametrize("kind", [list, np.array, iter], ids=str)
+def test_effects_in_a_geometry_of_any_kind(kind: type) -> None:
+    """A generator was read once and then ignored; an array raised a ValueError."""
+    pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+    from rtcal.where.find import left_out_of
+
+    names = [*left_out_of(["porous"], [])][:2]
+    assert left_out_of([], kind(names)) == tuple(sorted(names))
+    assert left_out_of(kind(names), []) == left_out_of(names, [])
