@@ -2,13 +2,16 @@
 
     python -m benchmarks.where_seeds --rooms 2.21 --seeds 0,1 --paths 8000 --folder out
 
-Prints the score, with level and in situ, for each seed of the control runs and each of the paths.
+Prints the score, with level and in situ, for each seed of the control runs and each of the paths, at
+once. What is traced is kept in the folder, so that an interrupted run goes on. A seed takes about 80 s
+of processor with 8000 paths, 35 s with 2000.
 """
 
 from __future__ import annotations
 
 import argparse
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,16 +25,19 @@ from rtcal.where.responses import parameters
 from tests.geometric_world.load import IN_SITU, load
 
 
-def scores(population: int, index: int, seeds: list[int], paths: int, folder: Path) -> np.ndarray:
-    """Return the score by the seed of the control runs and that of the paths, in nats."""
+def scores(
+    population: int, index: int, seeds: list[int], paths: int, folder: Path
+) -> Iterator[tuple[int, int, float]]:
+    """Yield the seed of the control runs, that of the paths, and the score in nats."""
     case = case_of(load(population, index, IN_SITU), "level")
     case = replace(case, simulator=replace(case.simulator, n_paths=paths))
-    every = [
-        control_runs(case.simulator, case.room, parameters(case), seed=seed, cache=folder)
-        for seed in seeds
-    ]
-    found = [[find_by_positions(case, c, folder, seed, ()).score for seed in seeds] for c in every]
-    return np.array(found)
+    for of_runs in seeds:
+        controls = control_runs(
+            case.simulator, case.room, parameters(case), seed=of_runs, cache=folder
+        )
+        for of_paths in seeds:
+            found = find_by_positions(case, controls, folder, of_paths, ())
+            yield of_runs, of_paths, found.score
 
 
 def main() -> None:
@@ -43,10 +49,15 @@ def main() -> None:
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     given.folder.mkdir(parents=True, exist_ok=True)
+    seeds = [int(seed) for seed in given.seeds.split(",")]
     for room in given.rooms.split(","):
         population, index = map(int, room.split("."))
-        seeds = [int(seed) for seed in given.seeds.split(",")]
-        print(room, scores(population, index, seeds, given.paths, given.folder).round(2).tolist())
+        every = []
+        for runs, of_paths, score in scores(population, index, seeds, given.paths, given.folder):
+            print(f"{room}, control runs {runs}, paths {of_paths}: {score:+.2f}", flush=True)
+            every.append(score)
+        if len(every) > 1:
+            print(f"{room}: standard deviation {np.std(every, ddof=1):.2f}", flush=True)
 
 
 if __name__ == "__main__":

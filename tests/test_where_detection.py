@@ -48,6 +48,12 @@ def test_a_noisy_pair_is_a_hint() -> None:
     assert "noisier" not in Detection(THRESHOLD + 1, noise=3.0).in_words
 
 
+def test_a_score_near_its_threshold_says_that_a_seed_may_decide() -> None:
+    assert "another seed" in Detection(THRESHOLD - 1).in_words
+    assert "another seed" in Detection(THRESHOLD + 1).in_words
+    assert "another seed" not in Detection(THRESHOLD + 20).in_words
+
+
 def spread(effect: str) -> Spread:
     return Spread(effect, "S1", 3.0, "", np.arange(1), np.eye(1), 0.5)
 

@@ -25,6 +25,9 @@ from rtcal.where.case import Case
 THRESHOLD = 2.5
 """Of the evidence of the positions, in nats. In situ 1 of 23 rooms for development with nothing hidden
 exceeds it without level, and 1 with it (`python -m benchmarks.where_decides`)."""
+BY_SEED = 3.8
+"""Standard deviation in nats of the score by random numbers, with nothing hidden, in the development
+room in which it is highest (`python -m benchmarks.where_seeds --paths 8000`)."""
 OF_PROGRAMS = 13.0
 """The same where another program's values are compared, which errs in ways that control runs do not
 show. Of 17 participants' models of PTB's studio as it was, an earlier version flagged one."""
@@ -83,6 +86,11 @@ class Detection:
             f"Evidence that something is other than stated: {self.score:+.1f} nats; "
             f"threshold {self.threshold:.1f}."
         )
+        if abs(self.score - self.threshold) < BY_SEED:
+            said += (
+                f" In one room random numbers gave it a standard deviation of {BY_SEED:.1f} nats: look "
+                "whether another seed says the same."
+            )
         if self.verdict is not None and self.noise is not None and self.noise > 0:
             said += f" That one pair is noisier than assumed: {self.noise:+.1f} nats."
         if self.means is None:
