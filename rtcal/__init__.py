@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.materials import Surface as Surface
     from rtcal.acoustics.measurement import Measurement as Measurement
     from rtcal.acoustics.room import Room as Room
+    from rtcal.acoustics.scene import Scene as Scene
     from rtcal.calibration import closed_form as closed_form
     from rtcal.calibration import terms as terms
     from rtcal.calibration.configurations import Configurations as Configurations

@@ -74,7 +74,7 @@ TABLES = (
     b'position\tparameter\tfrequency\tvalue\tunit\nR1\tC80\t500\t2,5\tdB\n"R 2"\tTs\t1k\t90\tms\n',
 )
 SIGMA = (b"material,sigma\nbrick,0.02\nfelt,.1\n", b"material,125,250\nbrick,0.02,0.03\n")
-ROOM = (Path(str(rt.datasets.path("bras_cr2/room.toml"))).read_bytes(),)
+ROOM = (Path(str(rt.datasets.path("bras_cr2/room.toml"))).read_bytes(), *native.ROOM)
 MEASURED = (Path(str(rt.datasets.path("bras_cr2/measured.csv"))).read_bytes(),)
 
 

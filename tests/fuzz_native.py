@@ -29,7 +29,20 @@ from tests.test_discrepancy import opened
 
 _ROOM, _MEASURED = rt.datasets.bras_cr2()
 
-ROOM = (_ROOM.to_text().encode(),)
+_SCENE = rt.Scene(
+    mesh="room.obj",
+    unit=0.001,
+    sources={"S1": (1, 2, 1.5)},
+    receivers={"R1": (4, 2.2, 1.2), "R 2": (5, 1, 1.2)},
+    position_uncertainty=0.05,
+    surfaces={"south wall": ("face 3", "face 7")},
+)
+ROOM = (
+    _ROOM.to_text().encode(),
+    _ROOM.replace(scene=_SCENE, scattering_model="vector", author="A. Consultant")
+    .to_text()
+    .encode(),
+)
 MEASURED = (_MEASURED.to_text().encode(),)
 
 

@@ -22,5 +22,6 @@ if TYPE_CHECKING:
     from rtcal.acoustics.materials import Surface as Surface
     from rtcal.acoustics.measurement import Measurement as Measurement
     from rtcal.acoustics.room import Room as Room
+    from rtcal.acoustics.scene import Scene as Scene
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

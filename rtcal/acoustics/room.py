@@ -6,7 +6,8 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,12 +22,14 @@ from rtcal.acoustics.materials import (
     Material,
     Surface,
     array_of,
+    check_correlation,
     check_surfaces,
     number,
     short_name,
     stacked,
     text_name,
 )
+from rtcal.acoustics.scene import Scene
 from rtcal.errors import DataError
 from rtcal.support import checks, html
 from rtcal.support.arguments import checked
@@ -70,10 +73,14 @@ class Room:
         Lower bounds of the calibrated coefficients; 0 if not stated.
     scattering : array (n_materials, n_bands), optional
         Scattering coefficients, 0 to 1, for simulators.
+    scattering_model : {"random", "vector"}
+        What they mean; see `rtcal.simulators.path_batch.ScatteringModel`.
     surfaces : sequence of Surface
         The single surfaces, if stated: the areas are their sums.
     dimensions : (x, y, z), optional
         Of a shoebox, in m, for simulators.
+    scene : Scene
+        Mesh, sources and receivers, for simulators; empty unless stated.
     sources : mapping of str to str
         By material, where its coefficients come from.
     band_correlation : float
@@ -113,8 +120,10 @@ class Room:
     air: Air | None = None
     alpha_min: Array | None = None
     scattering: Array | None = None
+    scattering_model: Literal["random", "vector"] = "random"
     surfaces: Sequence[Surface] = ()
     dimensions: tuple[float, float, float] | None = None
+    scene: Scene = field(default_factory=Scene)
     sources: Mapping[str, str] = field(default_factory=dict)
     band_correlation: float = 0.0
     material_correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
@@ -177,8 +186,12 @@ class Room:
             if len(sides) != 3:
                 raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
             put("dimensions", sides)
+        if self.scattering_model not in ("random", "vector"):
+            model = checks.shown(self.scattering_model)
+            raise DataError(f'scattering_model = {model} is not "random" or "vector"')
+        checks.instance("scene", self.scene, Scene)
         check_surfaces(self.materials, self.areas, self.surfaces)
-        self._check_correlation()
+        check_correlation(self.materials, self.band_correlation, self.material_correlation)
 
     def _clip(self, put: Callable[[str, object], None]) -> None:
         """Cut coefficients above 1 to 1 and name them."""
@@ -195,30 +208,6 @@ class Room:
             cut = [f"{self.place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above.tolist()]
             put("clipped", (*self.clipped, *cut))
             put("alpha", np.minimum(alpha, 1.0))
-
-    def _check_correlation(self) -> None:
-        checks.number("band_correlation", self.band_correlation)
-        if not 0 <= self.band_correlation < 1:
-            raise DataError(
-                f"band_correlation = {self.band_correlation:g} is not from 0 to below 1"
-            )
-        between: dict[tuple[int, int], float] = {}
-        for pair, value in self.material_correlation.items():
-            if not isinstance(pair, tuple) or len(pair) != 2:
-                raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
-            first, second = pair
-            checks.number(f'material_correlation["{first}", "{second}"]', value)
-            i, j = self.material_index(first), self.material_index(second)
-            if i == j or not -1 < value < 1:
-                raise DataError(
-                    f'material_correlation["{first}", "{second}"] = {value:g} is not a value between '
-                    "-1 and 1 for two materials"
-                )
-            between[i, j] = between[j, i] = value
-        named = sorted({i for i, _ in between})
-        matrix = np.array([[between.get((i, j), float(i == j)) for j in named] for i in named])
-        if named and np.linalg.eigvalsh(matrix)[0] <= 0:
-            raise DataError("material_correlation is not positive definite: the values contradict")
 
     def _checked_areas(self, n: int) -> Array:
         areas = array_of("areas", self.areas)
@@ -430,7 +419,8 @@ class Room:
     @classmethod
     def from_file(cls, path: str) -> Room:
         """Read a room from TOML; see `rtcal.acoustics.room_files` for the format."""
-        return cls.from_text(read_text(path, room_files.MAX_BYTES), os.fspath(path))
+        room = cls.from_text(read_text(path, room_files.MAX_BYTES), os.fspath(path))
+        return room.replace(scene=room.scene.within(Path(path).parent)) if room.scene else room
 
     @classmethod
     @checked
@@ -441,11 +431,15 @@ class Room:
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
 
-    def to_text(self) -> str:
-        """Return the room as the text of its TOML file; reading it gives the same numbers."""
-        return room_files.text(self.to_dict())
+    def to_text(self, folder: str | os.PathLike[str] | None = None) -> str:
+        """Return the text of its TOML file; reading it gives the same numbers.
+
+        The scene's mesh is named as seen from ``folder``, if that is given.
+        """
+        room = self if folder is None else self.replace(scene=self.scene.seen_from(folder))
+        return room_files.text(room.to_dict())
 
     @checked
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""
-        write_text(path, self.to_text())
+        write_text(path, self.to_text(Path(path).parent))

@@ -7,6 +7,21 @@ One ``[[material]]`` per material::
     above_one = "clip"                  # optional: cut ISO 354 coefficients above 1, and say so
     volume = 146.1                      # m³
     centre_frequencies = [500, 1000]    # Hz
+    scattering_model = "random"         # optional: what scattering means; or "vector"
+
+    [geometry]                          # optional, for simulators
+    mesh = "room.obj"                   # Wavefront OBJ, relative to this file; without it the room
+                                        # is the box of its dimensions
+    unit = 0.001                        # optional: of the mesh, in m
+    position_uncertainty = 0.1          # optional: of sources and receivers, in m
+    [geometry.surfaces]                 # optional: names of the faces of each surface
+    "south wall" = ["face 3", "face 7"]
+
+    [sources]                           # optional, with [receivers]: x, y and z in m
+    S1 = [1.2, 3.4, 1.5]
+
+    [receivers]
+    R1 = [4.0, 2.2, 1.2]
 
     [air]                               # left out: the air absorbs nothing
     temperature = 19.5                  # °C
@@ -54,6 +69,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import CalibrationRecord, Material, Surface, stacked
 from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
+from rtcal.acoustics.scene import TABLES, Scene
 from rtcal.errors import DataError
 from rtcal.support.decode import Entries, toml_table
 from rtcal.support.files import json_numbers
@@ -72,6 +88,7 @@ _PRIOR = ("relative", "minimum", "iso_12999_2", "in_situ_factor", "band_correlat
 _FILE = (
     "name",
     "author",
+    "scattering_model",
     "air",
     "dimensions",
     "calibration",
@@ -79,7 +96,7 @@ _FILE = (
     "clipped",
 )
 """Optional keys that the file and the dict have in common."""
-_TABLES = ("prior", "material", "surface", "correlation")
+_TABLES = (*TABLES, "prior", "material", "surface", "correlation")
 _NEEDED = ("volume", "materials", "areas", "alpha", "sigma", "centre_frequencies")
 _OPTIONAL = (
     *_FILE,
@@ -87,6 +104,7 @@ _OPTIONAL = (
     "scattering",
     "surfaces",
     "sources",
+    "scene",
     "band_correlation",
     "material_correlation",
 )
@@ -105,6 +123,8 @@ def attributes(data: Mapping[str, Any], place: str = "") -> dict[str, Any]:
     arguments: dict[str, Any] = {
         "name": room.text("name", "room"),
         "author": room.text("author", ""),
+        "scattering_model": room.text("scattering_model", "random"),
+        "scene": Scene.from_dict(data.get("scene", {}), f"{place}: scene" if place else ""),
         "volume": room.number("volume"),
         "materials": materials,
         "areas": room.array("areas", shape[:1]),
@@ -147,6 +167,10 @@ def air(place: str, data: Any) -> Air | None:
 def parse(text: str) -> dict[str, Any]:
     """Return a TOML text as `Room.to_dict` would; DataError names place, value and rule."""
     content = toml_table(text)
+    if content and set(content) <= set(TABLES):
+        raise DataError(
+            f"{' and '.join(content)} are tables of the room's file: copy them to the end of room.toml"
+        )
     file = Entries("", content, ("volume", "centre_frequencies"), (*_FILE, *_TABLES))
     frequencies = bands.as_bands(file.array("centre_frequencies", (None,)))
     prior = file.entries("prior", (), _PRIOR) if "prior" in file else None
@@ -179,6 +203,7 @@ def parse(text: str) -> dict[str, Any]:
         },
         "surfaces": [vars(surface) for surface in surfaces],
         "sources": rows["sources"],
+        "scene": {key: content[key] for key in TABLES if key in content},
         "band_correlation": 0.0 if prior is None else prior.number("band_correlation", 0.0),
         "material_correlation": [entry for _, entry in _tables(file, "correlation")],
     }
@@ -295,6 +320,10 @@ def plain(room: Any) -> dict[str, Any]:
         ]
     if room.calibration is not None:
         stated["calibration"] = vars(room.calibration).copy()
+    if room.scattering_model != "random":
+        stated["scattering_model"] = room.scattering_model
+    if room.scene:
+        stated["scene"] = room.scene.to_dict()
     if room.author:
         stated["author"] = room.author
     if room.clipped:
@@ -322,6 +351,9 @@ def text(data: Mapping[str, Any]) -> str:
         lines.append(f"dimensions = {_listed(data['dimensions'])}")
     if "clipped" in data:
         lines.append("clipped = [" + ", ".join(map(_quoted, data["clipped"])) + "]")
+    if "scattering_model" in data:
+        lines.append(f"scattering_model = {_quoted(data['scattering_model'])}")
+    lines += _scene(data.get("scene", {}))
     if data["band_correlation"]:
         lines += ["", "[prior]", f"band_correlation = {data['band_correlation']!r}"]
     if data["air"] is not None:
@@ -350,6 +382,26 @@ def text(data: Mapping[str, Any]) -> str:
         if surface["axis"] is not None:
             lines.append(f"axis = {_quoted(surface['axis'])}")
     return "\n".join(lines) + "\n"
+
+
+def _scene(tables: Mapping[str, Any]) -> list[str]:
+    """Return the lines of `Scene.to_dict`'s tables."""
+    lines: list[str] = []
+    geometry = tables.get("geometry", {})
+    if geometry:
+        lines += ["", "[geometry]"]
+        lines += [f"mesh = {_quoted(geometry[key])}" for key in ("mesh",) if key in geometry]
+        numbers = ("unit", "position_uncertainty")
+        lines += [f"{key} = {geometry[key]!r}" for key in numbers if key in geometry]
+        if "surfaces" in geometry:
+            lines += ["", "[geometry.surfaces]"]
+            for name, faces in geometry["surfaces"].items():
+                lines.append(f"{_quoted(name)} = [{', '.join(map(_quoted, faces))}]")
+    for kind in ("sources", "receivers"):
+        if kind in tables:
+            lines += ["", f"[{kind}]"]
+            lines += [f"{_quoted(n)} = {_listed(point)}" for n, point in tables[kind].items()]
+    return lines
 
 
 def _quoted(text: str) -> str:

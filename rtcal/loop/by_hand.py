@@ -85,7 +85,7 @@ def write(loop: Loop, state: str, out: str) -> None:
         note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
     note += f"# Coefficients {digest}.\n"
     content = files.text({**loop.to_dict(), "coefficients": digest})
-    write_all({out: (note + room.to_text()).encode(), state: content.encode()})
+    write_all({out: (note + room.to_text(Path(out).parent)).encode(), state: content.encode()})
 
 
 def conclusion(loop: Loop, out: str) -> str:

@@ -285,7 +285,7 @@ def _calibrated(
 ) -> Room:
     """Return the room with its coefficients, their sigma where it is known, and a record.
 
-    It has the scattering coefficients of a `PathTracing`, too.
+    It has the scattering coefficients of a `PathTracing` and their meaning, too.
     """
     answer = path.steps[-1].answer
     record = CalibrationRecord(
@@ -297,7 +297,9 @@ def _calibrated(
     )
     sigma = room.sigma if controls is None else np.minimum(answer.posterior_sigma, 1.0)
     if isinstance(simulator, PathTracing):
-        room = room.replace(scattering=simulator.scattering)
+        room = room.replace(
+            scattering=simulator.scattering, scattering_model=simulator.scattering_model
+        )
     return room.replace(alpha=np.clip(path.alpha, 0.0, 1.0), sigma=sigma, calibration=record)
 
 

@@ -92,11 +92,6 @@ class Scattering:
             f"Scattering: {self}, fitted with alpha. It is no measurement: another seed or more paths "
             "may give other coefficients."
         ]
-        if self.model == "vector":
-            notes.append(
-                'The coefficients are of the model "vector": trace with scattering_model="vector". A '
-                "room file does not keep the model."
-            )
         if self.limited:
             names = ", ".join(materials[i] for i in self.limited)
             notes.append(

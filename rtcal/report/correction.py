@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from rtcal.discrepancy.corrected import corrected_room, not_in_room
@@ -55,7 +56,7 @@ def correct(
     files = {case_path: corrected.to_json().encode()}
     absent: list[str] = []
     if room_path is not None:
-        files[room_path] = corrected_room(corrected).to_text().encode()
+        files[room_path] = corrected_room(corrected).to_text(Path(room_path).parent).encode()
         absent = not_in_room(corrected)
     sentence = finding.added
     lines = [

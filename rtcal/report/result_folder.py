@@ -47,7 +47,7 @@ def write_with_figures(
 ) -> list[Path]:
     """Write room, numbers and the figures that ``draw`` makes by file name; see `write`."""
     contents = {
-        folder / ROOM: result.room.to_text().encode(),
+        folder / ROOM: result.room.to_text(folder).encode(),
         folder / NUMBERS: result.to_json().encode(),
     }
     try:

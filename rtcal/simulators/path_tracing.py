@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import repeat
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from rtcal.errors import DataError
 from rtcal.simulators import observations, path_trace, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.observations import Observations
-from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.tracer import (
     LONGEST,
     Tracer,
@@ -56,9 +55,10 @@ class PathTracing(Tracer):
         Independent batches of paths; their spread gives the standard errors.
     scattering : float, array (n_materials,) or (n_materials, n_bands), optional
         Scattering coefficients, by default the room's. Bands with equal ones share their paths.
-    scattering_model : {"random", "vector"}
-        How a wall scatters; see `rtcal.simulators.path_batch.ScatteringModel`. The two models give
-        different decays in long or flat rooms.
+    scattering_model : {"random", "vector"}, optional
+        How a wall scatters, by default as the room states; see
+        `rtcal.simulators.path_batch.ScatteringModel`. The two models give different decays in long or
+        flat rooms.
     radius : float, optional
         Radius of the receivers in m, by default 0.075 times the cube root of the volume. A receiver
         nearer to a wall has the distance from it as radius. The standard errors depend on the
@@ -91,7 +91,7 @@ class PathTracing(Tracer):
 
     n_paths: int = 8000
     n_batches: int = 16
-    scattering_model: ScatteringModel = "random"
+    scattering_model: Any = None
     workers: int | None = None
     smooth: ClassVar[bool] = True
     _traced: dict[tuple[int, int], paths.Paths] = field(
@@ -101,6 +101,8 @@ class PathTracing(Tracer):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_batches("n_paths", self.n_paths)
+        if self.scattering_model is None:
+            object.__setattr__(self, "scattering_model", self.room.scattering_model)
         if self.scattering_model not in ("random", "vector"):
             raise DataError(
                 f'scattering_model = "{self.scattering_model}" is not "random" or "vector"'

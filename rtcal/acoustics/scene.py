@@ -1,0 +1,164 @@
+"""Where a room's walls, sources and receivers are, as its file states it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePath
+from typing import Any
+
+from rtcal.acoustics.materials import number, text_name
+from rtcal.errors import DataError
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.decode import Entries
+
+Point = tuple[float, float, float]
+_GEOMETRY = ("mesh", "unit", "position_uncertainty", "surfaces")
+_POINTS = ("sources", "receivers")
+TABLES = ("geometry", *_POINTS)
+"""Names of its tables in a room's file."""
+MAX_POINTS = 1000
+"""Largest number of sources, and of receivers."""
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Where a room's walls, sources and receivers are. It names files and reads none.
+
+    Parameters
+    ----------
+    mesh : path, optional
+        The room's mesh (Wavefront OBJ). Without it the room is the box of its dimensions. In a file the
+        path is relative to the file.
+    unit : float
+        Length of the mesh's unit in m.
+    sources, receivers : mapping of str to (x, y, z)
+        Positions in m, by the names of the measurement's pairs. Both are stated, or neither.
+    position_uncertainty : float, optional
+        Root mean square distance of the positions from those stated, in m.
+    surfaces : mapping of str to sequence of str
+        Names of each surface's faces, where coplanar faces of one material are not the surfaces.
+
+    Raises
+    ------
+    DataError
+        For a value that breaks its rule; the message names place, value and rule.
+
+    Examples
+    --------
+    >>> scene = Scene(mesh="room.obj", sources={"S1": (1.2, 3.4, 1.5)}, receivers={"R1": (4, 2.2, 1.2)})
+    >>> scene.receivers
+    {'R1': (4.0, 2.2, 1.2)}
+    """
+
+    mesh: str | os.PathLike[str] | None = None
+    unit: float = 1.0
+    sources: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    receivers: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    position_uncertainty: float | None = None
+    surfaces: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.mesh is not None:
+            object.__setattr__(self, "mesh", os.fspath(checks.path("mesh", self.mesh)))
+        elif self.unit != 1:
+            raise DataError(
+                f"unit = {checks.shown(self.unit)} is that of a mesh, and none is stated"
+            )
+        object.__setattr__(self, "unit", number("unit", self.unit, " m"))
+        for kind in _POINTS:
+            object.__setattr__(self, kind, _points(kind, getattr(self, kind)))
+        for kind, other in (_POINTS, _POINTS[::-1]):
+            if getattr(self, kind) and not getattr(self, other):
+                raise DataError(f"{other} is empty, and {kind} is not; state both or neither")
+        if self.position_uncertainty is not None:
+            stated = number("position_uncertainty", self.position_uncertainty, " m")
+            object.__setattr__(self, "position_uncertainty", stated)
+        surfaces = {}
+        for name, faces in checks.mapped("surfaces", self.surfaces).items():
+            place = f'surfaces["{text_name("surfaces", name)}"]'
+            surfaces[name] = tuple(text_name(place, face) for face in checks.listed(place, faces))
+        object.__setattr__(self, "surfaces", surfaces)
+
+    def __bool__(self) -> bool:
+        """Whether anything is stated."""
+        return self != Scene()
+
+    def within(self, folder: str | os.PathLike[str]) -> Scene:
+        """Return the scene of a file in this folder, whose mesh is named relative to it."""
+        return self if self.mesh is None else replace(self, mesh=Path(folder) / self.mesh)
+
+    def seen_from(self, folder: str | os.PathLike[str]) -> Scene:
+        """Return the scene as a file in this folder states it; the inverse of `within`."""
+        if self.mesh is None:
+            return self
+        try:
+            mesh = os.path.relpath(self.mesh, folder)
+        except ValueError:  # another drive
+            mesh = os.path.abspath(self.mesh)
+        return replace(self, mesh=PurePath(mesh).as_posix())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return its tables as plain values, without those that are not stated."""
+        geometry: dict[str, Any] = {}
+        if self.mesh is not None:
+            geometry["mesh"] = self.mesh
+        if self.unit != 1:
+            geometry["unit"] = self.unit
+        if self.position_uncertainty is not None:
+            geometry["position_uncertainty"] = self.position_uncertainty
+        if self.surfaces:
+            geometry["surfaces"] = {name: list(faces) for name, faces in self.surfaces.items()}
+        tables = {
+            "geometry": geometry,
+            **{kind: {n: list(p) for n, p in getattr(self, kind).items()} for kind in _POINTS},
+        }
+        return {name: table for name, table in tables.items() if table}
+
+    @classmethod
+    def from_dict(cls, data: Any, place: str = "scene") -> Scene:
+        """Return the scene of tables as `to_dict` returns them.
+
+        Raises DataError, which begins with ``place``, for an unknown key or a value of the wrong kind.
+        """
+        tables = Entries(f"{place}." if place else "", data, (), TABLES)
+        stated: dict[str, Any] = {}
+        if "geometry" in tables:
+            geometry = tables.entries("geometry", (), _GEOMETRY)
+            if "mesh" in geometry.values:
+                stated["mesh"] = geometry.text("mesh")
+                if not stated["mesh"].strip():
+                    raise DataError(f"{geometry.place}mesh is not the name of a mesh's file")
+            for key in ("unit", "position_uncertainty"):
+                if key in geometry.values:
+                    stated[key] = geometry.number(key)
+            if "surfaces" in geometry:
+                names = geometry.mapping("surfaces")
+                faces = geometry.entries("surfaces", (), names)
+                stated["surfaces"] = {name: faces.texts(name) for name in names}
+        for kind in _POINTS:
+            if kind in tables.values:
+                names = tables.mapping(kind)
+                if not names:
+                    raise DataError(f"{tables.place}{kind} is empty; there is at least one")
+                points = tables.entries(kind, (), names)
+                stated[kind] = {name: points.array(name, (3,)).tolist() for name in names}
+        return cls(**stated)
+
+
+def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point]:
+    points = checks.mapped(kind, stated)
+    if len(points) > MAX_POINTS:
+        raise DataError(f"{len(points)} {kind}; a room has at most {MAX_POINTS}")
+    made: dict[str, Point] = {}
+    for name, point in points.items():
+        place = f'{kind}["{text_name(kind, name)}"]'
+        coordinates = checks.array(place, point)
+        if coordinates.shape != (3,) or not abs(coordinates).max() < float("inf"):
+            raise DataError(f"{place} = {checks.shown(point)} is not three finite numbers in m")
+        x, y, z = coordinates.tolist()
+        made[name] = (x, y, z)
+    return made

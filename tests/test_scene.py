@@ -1,0 +1,119 @@
+"""The scene that a room's file states: mesh, sources, receivers, and what scattering means."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+
+STATED = rt.Scene(
+    mesh="meshes/room.obj",
+    unit=0.001,
+    sources={"S1": (1, 2, 1.5), 'Bühne "links"': (3, 2, 1.5)},
+    receivers={"R1": [4, 2.2, 1.2]},
+    position_uncertainty=0.05,
+    surfaces={"south wall": ["face 3", "face 7"]},
+)
+
+
+def room(**stated: object) -> rt.Room:
+    return rt.Room(
+        name="box",
+        volume=60,
+        materials=["floor", "rest"],
+        areas=[20, 74],
+        alpha=[[0.4], [0.6]],
+        sigma=[[0.1], [0.1]],
+        scattering=[[0.3], [0.2]],
+        sources={"floor": "a book"},
+        centre_frequencies=[1000],
+        **stated,  # type: ignore[arg-type]
+    )
+
+
+def test_a_room_keeps_its_scene_in_text_and_dict() -> None:
+    stated = room(scene=STATED, scattering_model="vector", author="A. Consultant")
+    for again in (
+        rt.Room.from_text(stated.to_text(), "again"),
+        rt.Room.from_dict(stated.to_dict()),
+    ):
+        assert again.scene == STATED
+        assert again.scattering_model == "vector"
+        assert again.to_dict() | stated.to_dict() == again.to_dict()
+    assert "scene" not in room().to_dict()
+    assert "scattering_model" not in room().to_dict()
+
+
+def test_the_mesh_is_the_same_file_wherever_the_room_is_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project" / "fitted").mkdir()
+    stated = room(scene=STATED)
+    (tmp_path / "project" / "room.toml").write_text(stated.to_text(), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    for folder in (Path("project"), tmp_path / "project"):
+        read = rt.Room.from_file(str(folder / "room.toml"))
+        assert Path(read.scene.mesh or "") == folder / "meshes" / "room.obj"
+        read.save(str(folder / "fitted" / "room.toml"))
+        text = (folder / "fitted" / "room.toml").read_text(encoding="utf-8")
+        assert 'mesh = "../meshes/room.obj"' in text
+        again = rt.Room.from_file(str(folder / "fitted" / "room.toml")).scene.mesh
+        assert Path(again or "").resolve() == tmp_path / "project" / "meshes" / "room.obj"
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ("[sources]\nS = [1, 2, 3]\n", "receivers is empty, and sources is not"),
+        ("[sources]\nS = [1, 2, 3]\n[receiver]\nR = [1, 2, 2]\n", 'has the key "receiver"'),
+        ("[sources]\n[receivers]\nR = [1, 2, 3]\n", "sources is empty"),
+        ("[sources]\nS = [1, 2]\n[receivers]\nR = [1, 2, 3]\n", "sources.S has 2 values"),
+        ("[sources]\nS = [1, 2, inf]\n[receivers]\nR = [1, 2, 3]\n", "sources.S[2] = inf"),
+        ("[geometry]\nmesh = 3\n", "geometry.mesh = 3 is not a text"),
+        ('[geometry]\nmesh = " "\n', "geometry.mesh is not the name of a mesh's file"),
+        ("[geometry]\nunit = 0.001\n", "unit = 0.001 is that of a mesh, and none is stated"),
+        ('[geometry]\nmesh = "a"\nunit = -1\n', "unit = -1 m is not finite and above 0"),
+        ("[geometry]\nmash = 3\n", 'geometry has the key "mash"'),
+        ("[geometry.surfaces]\nwall = 3\n", "geometry.surfaces.wall = 3 is not a list"),
+        ("[geometry]\nposition_uncertainty = 0\n", "position_uncertainty = 0 m"),
+        ("geometry = 3\n", "geometry"),
+    ],
+)
+def test_a_wrong_scene_is_named(tables: str, message: str) -> None:
+    text = room().to_text()
+    at = text.index("\n[[material]]")
+    with pytest.raises(DataError, match="room.toml: .*" + re.escape(message)):
+        rt.Room.from_text(text[:at] + tables + text[at:], "room.toml")
+
+
+def test_the_file_of_positions_is_said_to_be_tables_of_the_room() -> None:
+    with pytest.raises(DataError, match="sources and receivers are tables of the room's file"):
+        rt.Room.from_text(
+            "[sources]\nS = [1, 2, 3]\n[receivers]\nR = [1, 2, 3]\n", "positions.toml"
+        )
+
+
+def test_a_wrong_scene_is_named_in_python() -> None:
+    with pytest.raises(DataError, match=re.escape('sources["S"] = (1, 2) is not three finite')):
+        rt.Scene(sources={"S": (1, 2)}, receivers={"R": (1, 2, 3)})
+    with pytest.raises(DataError, match='scattering_model = .lambert. is not "random" or "vector"'):
+        room(scattering_model="lambert")
+    with pytest.raises(DataError, match="scene"):
+        room(scene={"mesh": "room.obj"})
+
+
+def test_a_path_tracer_takes_the_meaning_of_scattering_from_its_room() -> None:
+    hall = rt.datasets.halls.lecture_hall()
+    stated = hall.room.replace(scattering_model="vector")
+    places = {"geometry": hall.geometry, "sources": hall.sources, "receivers": hall.receivers}
+    tracing = rt.simulators.PathTracing
+    assert tracing(room=stated, **places).scattering_model == "vector"
+    assert tracing(room=hall.room, **places).scattering_model == "random"
+    assert tracing(room=stated, scattering_model="random", **places).scattering_model == "random"
+    np.testing.assert_array_equal(tracing(room=stated, **places).scattering, stated.scattering)
