@@ -98,15 +98,13 @@ def box_with_pairs(folder: Path) -> None:
         centre_frequencies=[1000],
         dimensions=(5, 7, 3),
         scattering=[[0.5]],
+        scene=rt.Scene(sources={"S": (1, 2, 1)}, receivers={"A": (4, 5, 1), "B": (2, 6, 2)}),
     ).save(str(folder / "room.toml"))
     rt.Measurement(
         centre_frequencies=[1000],
         pairs=[("S", "A"), ("S", "B")],
         values={"t20": [[0.5], [0.52]], "c80": [[8.0], [7.0]]},
     ).save(str(folder / "pairs.csv"))
-    (folder / "positions.toml").write_text(
-        "[sources]\nS = [1, 2, 1]\n[receivers]\nA = [4, 5, 1]\nB = [2, 6, 2]\n"
-    )
 
 
 def case(folder: Path) -> None:
@@ -117,7 +115,7 @@ def case_with_geometry(folder: Path) -> None:
     (folder / "case.toml").write_text('geometry = "room.obj"\n')
 
 
-FIT = "fit @room.toml @pairs.csv --positions @positions.toml --match t20 --match c80 --paths 100"
+FIT = "fit @room.toml @pairs.csv --match t20 --match c80 --paths 100"
 
 
 def fit_once(monkeypatch: pytest.MonkeyPatch) -> None:

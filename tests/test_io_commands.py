@@ -305,7 +305,7 @@ def test_a_mesh_that_does_not_suit_the_room_is_named(tmp_path: Path) -> None:
         DataError,
         match=r'bad\.obj, face "[^"]+": "wood" is no material of room "Kirche"; it has brick',
     ):
-        geometry_files.read(room, mesh)
+        geometry_files.read(room.replace(scene=rt.Scene(mesh=mesh)))
 
 
 def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, capsys) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from rtcal.acoustics.observables import MATCH
 from rtcal.command.main import cli
 from rtcal.datasets import halls
 from rtcal.errors import DataError, SimulatorError
-from rtcal.io import obj, position_files
+from rtcal.io import obj
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
 from rtcal.loop.scattering import Scattering
@@ -320,22 +319,17 @@ def test_noise_of_a_response_is_that_of_iso_3382_2():
 
 @pytest.fixture
 def folder(tmp_path, tracer, measured):
-    ROOM.replace(scattering=np.full(ROOM.alpha.shape, 0.5)).save(str(tmp_path / "room.toml"))
+    scattering = np.full(ROOM.alpha.shape, 0.5)
+    scene = rt.Scene(mesh=tmp_path / "room.obj", **PLACES)
+    ROOM.replace(scattering=scattering, scene=scene).save(str(tmp_path / "room.toml"))
     measured.save(str(tmp_path / "pairs.csv"))
     obj.write(HALL.geometry, tmp_path / "room.obj")
-    lines = []
-    for kind, points in PLACES.items():
-        lines += [f"[{kind}]", *(f"{name} = {point}" for name, point in points.items())]
-    (tmp_path / "positions.toml").write_text("\n".join(lines))
     return tmp_path
 
 
 def fit(folder: Path, *options: str):
     files = [str(folder / name) for name in ("room.toml", "pairs.csv")]
-    where = ["--positions", str(folder / "positions.toml")]
-    if "--mesh" not in options:
-        where += ["--mesh", str(folder / "room.obj")]
-    return CliRunner().invoke(cli, ["fit", *files, *where, "--paths", "160", *options])
+    return CliRunner().invoke(cli, ["fit", *files, "--paths", "160", *options])
 
 
 def test_the_command_writes_room_and_record_whole(folder):
@@ -391,10 +385,13 @@ def test_the_page_of_a_fit_shows_what_was_learned_and_what_not_to_believe(folder
     ("options", "said"),
     [
         (("--exclude", "S1R1"), "is not SOURCE:RECEIVER"),
-        (("--mesh", "nowhere.obj"), "nowhere.obj"),
+        (
+            ("--mesh", "x.obj"),
+            "--mesh is no option: write it into the room's file ([geometry], mesh",
+        ),
+        (("--positions", "p.toml"), "the room's file ([sources] and [receivers])"),
         (("--out", ""), "--out is empty"),
-        (("--position-uncertainty", "-1"), "--position-uncertainty"),
-        (("--position-uncertainty", "1.1"), "--position-uncertainty 1.1 m is above 1 m"),
+        (("--position-uncertainty", "0.2"), "([geometry], position_uncertainty)"),
     ],
 )
 def test_wrong_options_are_named(folder, options, said):
@@ -404,35 +401,29 @@ def test_wrong_options_are_named(folder, options, said):
     assert not (folder / "made").exists()
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("[sources]\nS = [1, 2, 3]\n", "lacks receivers"),
-        (
-            "[sources]\nS = [1, 2, 3]\n[receiver]\nR = [1, 2, 2]\n",
-            'lacks receivers .it has "receiver", which has no meaning',
-        ),
-        ("[sources]\n[receivers]\nR = [1, 2, 3]\n", "sources is empty"),
-        ("[sources]\nS = [1, 2]\n[receivers]\nR = [1, 2, 3]\n", "sources.S"),
-        ("[sources]\nS = [1, 2, inf]\n[receivers]\nR = [1, 2, 3]\n", "sources.S"),
-        ("x = [", "TOML"),
-    ],
-)
-def test_wrong_positions_are_named(tmp_path, content, said):
-    path = tmp_path / "positions.toml"
-    path.write_text(content)
-    with pytest.raises(DataError, match=said):
-        position_files.read(path)
-
-
 def test_what_is_missing_is_asked_for_by_its_option(folder):
-    ROOM.replace(scattering=None).save(str(folder / "room.toml"))
+    room = rt.Room.from_file(str(folder / "room.toml"))
+    room.replace(scattering=None).save(str(folder / "room.toml"))
     done = fit(folder)
     assert "states no scattering coefficients; give --scattering NUMBER" in str(done.exception)
 
 
 def test_without_a_mesh_the_room_is_a_box_or_refused(folder):
-    shutil.copy(folder / "room.toml", folder / "other.toml")
-    files = [str(folder / name) for name in ("other.toml", "pairs.csv")]
-    done = CliRunner().invoke(cli, ["fit", *files, "--positions", str(folder / "positions.toml")])
-    assert "give its mesh" in str(done.exception)
+    room = rt.Room.from_file(str(folder / "room.toml"))
+    room.replace(scene=replace(room.scene, mesh=None)).save(str(folder / "room.toml"))
+    assert "states neither a mesh nor dimensions" in str(fit(folder).exception)
+    room.replace(scene=rt.Scene(mesh=room.scene.mesh)).save(str(folder / "room.toml"))
+    assert "write [sources] and [receivers] into its file" in str(fit(folder).exception)
+
+
+def test_a_room_keeps_what_its_scattering_means(folder):
+    """A fit's coefficients were traced as the other model's once the room had been read again."""
+    done = fit(
+        folder, "--scattering-model", "vector", "--match", "t20", "--out", str(folder / "made")
+    )
+    assert done.exit_code == 0, done.output
+    room = rt.Room.from_file(str(folder / "made" / "room.toml"))
+    assert room.scattering_model == "vector"
+    again = rt.io.geometry_files.path_tracing(room)
+    assert again.scattering_model == "vector"
+    assert again.geometry.areas == rt.io.obj.read(folder / "room.obj").areas

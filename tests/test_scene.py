@@ -102,7 +102,7 @@ def test_the_file_of_positions_is_said_to_be_tables_of_the_room() -> None:
 def test_a_wrong_scene_is_named_in_python() -> None:
     with pytest.raises(DataError, match=re.escape('sources["S"] = (1, 2) is not three finite')):
         rt.Scene(sources={"S": (1, 2)}, receivers={"R": (1, 2, 3)})
-    with pytest.raises(DataError, match='scattering_model = .lambert. is not "random" or "vector"'):
+    with pytest.raises(DataError, match="scattering_model = 'lambert' is not"):
         room(scattering_model="lambert")
     with pytest.raises(DataError, match="scene"):
         room(scene={"mesh": "room.obj"})

@@ -43,10 +43,9 @@ def projects(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("room", "responses", "simulator", "missing-effect"):
         assert run("example", name, "--out", str(folder / name), "--quiet") == 0
     hall = halls.lecture_hall()
-    lines = []
-    for kind, points in (("sources", hall.sources), ("receivers", hall.receivers)):
-        lines += [f"[{kind}]", *(f"{name} = {list(point)}" for name, point in points.items())]
-    (folder / "simulator" / "positions.toml").write_text("\n".join(lines))
+    mesh = folder / "simulator" / "room.obj"
+    scene = rt.Scene(mesh=mesh, sources=hall.sources, receivers=hall.receivers)
+    hall.room.replace(scene=scene).save(str(folder / "simulator" / "hall.toml"))
     (folder / "room" / "dirac.csv").write_text(
         "Frequenz [Hz];RT60 [s];EDT [s]\n500;1,32;1,21\n1000;1,30;1,25\n"
     )
@@ -61,8 +60,7 @@ def projects(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 AREAS = [x for i in range(11) for x in ("--area", f"material_{i}={10 + i}")]
 STATE = ["--state", "loop.json", "--out", "next.toml"]
-FIT = ["fit", "room.toml", "t.csv", "--mesh", "room.obj", "--positions", "positions.toml"]
-FIT += ["--paths", "160", "--match", "t20", "--out", "fitted"]
+FIT = ["fit", "hall.toml", "t.csv", "--paths", "160", "--match", "t20", "--out", "fitted"]
 CALLS: list[tuple[str, list[str], int]] = [
     ("room", ["example", "optimisation", "--out", "a-rather-long-name-of-a-folder"], 0),
     ("room", ["example", "optimisation", "--out", "a-rather-long-name-of-a-folder"], 2),

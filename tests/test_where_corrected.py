@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.errors import DataError
-from rtcal.io import catt, obj, odeon, position_files
+from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.where.candidate import Candidate
@@ -250,11 +250,8 @@ def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> 
     assert dict(zip(room.materials, room.areas, strict=True)) == pytest.approx(mesh.areas)
     assert mesh.names == made.geometry.names
     assert list(of_geometry(mesh)) == list(of_geometry(made.geometry))
-    sources, receivers = position_files.read(tmp_path / "positions.toml")
-    assert (sources, receivers) == (SOURCES, RECEIVERS)
-    heard = PathTracing(
-        geometry=mesh, room=room, sources=sources, receivers=receivers, n_paths=6400
-    )
+    assert (room.scene.sources, room.scene.receivers) == (SOURCES, RECEIVERS)
+    heard = geometry_files.path_tracing(room, n_paths=6400)
     assert mean_t(heard, room.alpha) == pytest.approx(mean_t(made.simulator, room.alpha), rel=1e-9)
     for program, name in ((catt, "catt.txt"), (odeon, "odeon.txt")):
         listed = program.read(tmp_path / name)

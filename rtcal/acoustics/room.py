@@ -442,4 +442,4 @@ class Room:
     @checked
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""
-        write_text(path, self.to_text(Path(path).parent))
+        write_text(path, self.to_text(checks.path("path", path).parent))

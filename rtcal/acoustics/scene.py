@@ -19,6 +19,11 @@ _GEOMETRY = ("mesh", "unit", "position_uncertainty", "surfaces")
 _POINTS = ("sources", "receivers")
 TABLES = ("geometry", *_POINTS)
 """Names of its tables in a room's file."""
+POSITION = 0.1
+"""Root mean square distance in m of sources and receivers from where they are stated. Each coordinate
+has a standard deviation sqrt(3) times smaller."""
+MOST_OFF = 1.0
+"""Largest `POSITION` in m that is taken."""
 MAX_POINTS = 1000
 """Largest number of sources, and of receivers."""
 
@@ -37,7 +42,7 @@ class Scene:
         Length of the mesh's unit in m.
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, by the names of the measurement's pairs. Both are stated, or neither.
-    position_uncertainty : float, optional
+    position_uncertainty : float
         Root mean square distance of the positions from those stated, in m.
     surfaces : mapping of str to sequence of str
         Names of each surface's faces, where coplanar faces of one material are not the surfaces.
@@ -58,7 +63,7 @@ class Scene:
     unit: float = 1.0
     sources: Mapping[str, Sequence[float]] = field(default_factory=dict)
     receivers: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    position_uncertainty: float | None = None
+    position_uncertainty: float = POSITION
     surfaces: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -74,9 +79,8 @@ class Scene:
         for kind, other in (_POINTS, _POINTS[::-1]):
             if getattr(self, kind) and not getattr(self, other):
                 raise DataError(f"{other} is empty, and {kind} is not; state both or neither")
-        if self.position_uncertainty is not None:
-            stated = number("position_uncertainty", self.position_uncertainty, " m")
-            object.__setattr__(self, "position_uncertainty", stated)
+        uncertainty = checked_uncertainty(self.position_uncertainty)
+        object.__setattr__(self, "position_uncertainty", uncertainty)
         surfaces = {}
         for name, faces in checks.mapped("surfaces", self.surfaces).items():
             place = f'surfaces["{text_name("surfaces", name)}"]'
@@ -108,7 +112,7 @@ class Scene:
             geometry["mesh"] = self.mesh
         if self.unit != 1:
             geometry["unit"] = self.unit
-        if self.position_uncertainty is not None:
+        if self.position_uncertainty != POSITION:
             geometry["position_uncertainty"] = self.position_uncertainty
         if self.surfaces:
             geometry["surfaces"] = {name: list(faces) for name, faces in self.surfaces.items()}
@@ -147,6 +151,17 @@ class Scene:
                 points = tables.entries(kind, (), names)
                 stated[kind] = {name: points.array(name, (3,)).tolist() for name in names}
         return cls(**stated)
+
+
+def checked_uncertainty(position_uncertainty: float) -> float:
+    """Return the standard uncertainty of places in m; DataError for none, or above `MOST_OFF`."""
+    uncertainty = checks.positive("position_uncertainty", position_uncertainty, "m")
+    if uncertainty > MOST_OFF:
+        raise DataError(
+            f"position_uncertainty = {uncertainty:g} m is above {MOST_OFF:g} m: such a position says "
+            "nothing"
+        )
+    return uncertainty
 
 
 def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point]:

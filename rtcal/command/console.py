@@ -76,6 +76,16 @@ class CannotPrint(click.ClickException):
     exit_code = 5
 
 
+def in_the_room(option: str, keys: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Add an option of earlier versions: its error says what to write into the room's file instead."""
+
+    def refuse(_: click.Context, __: click.Parameter, value: str | None) -> None:
+        if value is not None:
+            raise DataError(f"{option} is no option: write it into the room's file ({keys})")
+
+    return click.option(option, hidden=True, expose_value=False, callback=refuse)
+
+
 def tell(text: str, record: Mapping[str, Any], *, quiet: bool, as_json: bool) -> None:
     """Print a text, or with ``--json`` its record; nothing with ``--quiet``.
 

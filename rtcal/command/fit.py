@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 import click
 
@@ -11,6 +10,7 @@ from rtcal.acoustics.observables import MATCH, OBSERVABLES
 from rtcal.command.assignments import errors_name_options
 from rtcal.command.console import (
     bar_wanted,
+    in_the_room,
     json_option,
     output_folder,
     quiet_option,
@@ -24,16 +24,10 @@ from rtcal.errors import DataError
 @click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
 @click.argument("room", type=click.Path())
 @click.argument("measured", type=click.Path())
-@click.option(
-    "--positions",
-    type=click.Path(dir_okay=False),
-    required=True,
-    help="Where sources and receivers stand (TOML, m).",
-)
-@click.option(
-    "--mesh", type=click.Path(dir_okay=False), help="The room's mesh (OBJ). Not needed for a box."
-)
-@click.option("--unit", type=float, default=1.0, show_default=True, help="The mesh's unit in m.")
+@in_the_room("--mesh", "[geometry], mesh")
+@in_the_room("--unit", "[geometry], unit")
+@in_the_room("--position-uncertainty", "[geometry], position_uncertainty")
+@in_the_room("--positions", "[sources] and [receivers]")
 @click.option(
     "--match",
     multiple=True,
@@ -63,21 +57,12 @@ from rtcal.errors import DataError
 @click.option(
     "--scattering-model",
     type=click.Choice(["random", "vector"]),
-    default="random",
-    show_default=True,
-    help="Meaning of the coefficients; fitted with random alone.",
+    help="Meaning of the coefficients, if not the room's; fitted with random alone.",
 )
 @click.option(
     "--keep-scattering",
     is_flag=True,
     help="Keep the stated scattering; by default it is fitted too.",
-)
-@click.option(
-    "--position-uncertainty",
-    type=float,
-    default=0.1,
-    show_default=True,
-    help="Root mean square distance of the positions from those stated, in m.",
 )
 @click.option(
     "--seed",
@@ -97,16 +82,12 @@ from rtcal.errors import DataError
 def fit(
     room: str,
     measured: str,
-    positions: str,
-    mesh: str | None,
-    unit: float,
     match: tuple[str, ...],
     exclude: tuple[str, ...],
     scattering: float | None,
-    scattering_model: Literal["random", "vector"],
+    scattering_model: str | None,
     keep_scattering: bool,
     paths: int,
-    position_uncertainty: float,
     seed: int,
     out: str | None,
     as_json: bool,
@@ -114,43 +95,32 @@ def fit(
 ) -> None:
     """Calibrate ROOM (TOML) to every pair of MEASURED (CSV) by path tracing.
 
+    ROOM states its mesh, sources and receivers (docs/files.md).
+
     The control runs take most of the time. They are kept beside ROOM, in .rtcal_cache, so that a second
     calibration is quicker.
 
-    \b
-    Example: rtcal fit room.toml pairs.csv --mesh room.obj \\
-        --positions positions.toml --out fitted
-    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    Example: rtcal fit room.toml pairs.csv --out fitted
+    """
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.discrepancy.cache import FOLDER
-    from rtcal.io import geometry_files, position_files
+    from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
     from rtcal.report import positions_folder
-    from rtcal.simulators.path_tracing import PathTracing
     from rtcal.support.files import spare
     from rtcal.support.progress import bar
 
     folder = output_folder("--out", out)
-    if folder is not None:
-        read = [room, measured, positions, *([] if mesh is None else [mesh])]
-        spare([folder / name for name in positions_folder.FILES], read)
     stated = Room.from_file(room)
+    if folder is not None:
+        mesh = [] if stated.scene.mesh is None else [stated.scene.mesh]
+        spare([folder / name for name in positions_folder.FILES], [room, measured, *mesh])
     heard = Measurement.from_file(measured)
-    sources, receivers = position_files.read(positions)
-    with (
-        errors_name_options("scattering", "position_uncertainty", "n_paths"),
-        without_air_warning(),
-    ):
-        tracer = PathTracing(
-            geometry=geometry_files.read(stated, mesh, unit),
-            room=stated,
-            sources=sources,
-            receivers=receivers,
-            scattering=scattering,
-            scattering_model=scattering_model,
-            n_paths=paths,
+    with errors_name_options("scattering", "n_paths"), without_air_warning():
+        tracer = geometry_files.path_tracing(
+            stated, scattering=scattering, scattering_model=scattering_model, n_paths=paths
         )
         with bar(RUNS, "control run", bar_wanted(quiet)) as shown:
             result = calibrate_positions(
@@ -160,7 +130,7 @@ def fit(
                 match,
                 exclude=[_pair(text) for text in exclude],
                 cache=Path(room).parent / FOLDER,
-                position_uncertainty=position_uncertainty,
+                position_uncertainty=stated.scene.position_uncertainty,
                 fit_scattering=not keep_scattering,
                 seed=seed,
                 progress=lambda done, total: shown.update(1),

@@ -1,8 +1,9 @@
 """Formats of other programs; most are ``read(path)`` and ``write(room, path)``.
 
 `catt`, `odeon`, `pyroomacoustics` and `bras` hold material lists, `obj` a room's mesh, `tables`
-measured values in CSV. `impulse_responses` turns WAV files into a `Measurement` and needs
-``rtcal[measurement]``. Each module is imported at its first use.
+measured values in CSV. `geometry_files` makes a path tracing of a room that states its scene.
+`impulse_responses` turns WAV files into a `Measurement` and needs ``rtcal[measurement]``. Each module
+is imported at its first use.
 """
 
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from rtcal.support import lazy
 if TYPE_CHECKING:
     from rtcal.io import bras as bras
     from rtcal.io import catt as catt
+    from rtcal.io import geometry_files as geometry_files
     from rtcal.io import impulse_responses as impulse_responses
     from rtcal.io import obj as obj
     from rtcal.io import odeon as odeon

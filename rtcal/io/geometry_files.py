@@ -1,34 +1,68 @@
-"""The geometry of a room's file: its mesh, or the box of its dimensions."""
+"""The geometry of a room's scene: its mesh, or the box of its dimensions."""
 
 from __future__ import annotations
 
 import os
+from typing import Any
 
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.io import obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
 
 
 @checked
-def read(room: Room, mesh: str | os.PathLike[str] | None = None, unit: float = 1.0) -> Polyhedron:
-    """Return the mesh (OBJ), or the box of a room with dimensions and a surface per wall.
+def read(room: Room) -> Polyhedron:
+    """Return the mesh of a room's scene, or the box of a room with dimensions and a surface per wall.
 
-    ``unit`` is the length of the mesh's unit in m. Raises DataError as `rtcal.io.obj.read`, for a
-    mesh with a material that the room lacks, and for a room without a mesh that states no dimensions.
+    Raises DataError as `rtcal.io.obj.read`, for a mesh with a material that the room lacks, and for a
+    room that states neither a mesh nor dimensions.
     """
-    if mesh is not None:
-        geometry = obj.read(mesh, unit=unit)
+    if room.scene.mesh is not None:
+        geometry = obj.read(room.scene.mesh, unit=room.scene.unit)
         for face, material in zip(geometry.names, geometry.materials, strict=True):
             try:
                 room.material_index(material)
             except DataError as error:
-                raise DataError(f'{os.fspath(mesh)}, face "{face}": {error}') from error
+                raise DataError(f'{os.fspath(room.scene.mesh)}, face "{face}": {error}') from error
         return geometry
     if room.dimensions is None:
-        raise DataError(f'room "{room.name}" states no dimensions: give its mesh')
+        raise DataError(
+            f'room "{room.name}" states neither a mesh nor dimensions: write [geometry] with '
+            'mesh = "room.obj" into its file'
+        )
     if room.n_materials == 1:
         return Polyhedron.shoebox(room.dimensions, room.materials[0])
     walls = {s.name: s.material for s in room.surfaces if s.name in SHOEBOX_WALLS}
     return Polyhedron.shoebox(room.dimensions, walls)
+
+
+@checked
+def path_tracing(room: Room, **options: Any) -> PathTracing:
+    """Return a path tracing of a room that states its scene; ``options`` as of `PathTracing`.
+
+    Raises DataError as `read` and `PathTracing` do, and for a room without sources and receivers.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> box = rt.Room(name="box", volume=60, dimensions=(4, 5, 3), materials=["plaster"], areas=[94],
+    ...               alpha=[[0.1]], sigma=[[0.02]], centre_frequencies=[1000], scattering=[[0.3]],
+    ...               scene=rt.Scene(sources={"S1": (1, 1, 1.5)}, receivers={"R1": (3, 4, 1.2)}))
+    >>> path_tracing(box, n_paths=160).pairs
+    (('S1', 'R1'),)
+    """
+    if not room.scene.sources:
+        raise DataError(
+            f'room "{room.name}" does not state where its sources and receivers are: write [sources] '
+            "and [receivers] into its file, a line such as S1 = [1.2, 3.4, 1.5] for each"
+        )
+    return PathTracing(
+        geometry=read(room),
+        room=room,
+        sources=room.scene.sources,
+        receivers=room.scene.receivers,
+        **options,
+    )

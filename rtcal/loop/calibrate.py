@@ -19,10 +19,11 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import POSITION
 from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.problem import Calibration
 from rtcal.errors import DataError, RtcalError, SimulatorError
-from rtcal.loop.control_runs import POSITION, ControlRuns
+from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.matched import Weights
 from rtcal.loop.measured_pairs import Pair, left_out, refuse_unknown
 from rtcal.loop.positions import calibrate_positions

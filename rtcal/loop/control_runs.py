@@ -20,6 +20,7 @@ import numpy as np
 from rtcal.acoustics import bands, decay
 from rtcal.acoustics.observables import REVERBERATION
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.errors import DataError, RtcalError, TooShortError
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -36,11 +37,6 @@ from rtcal.support.version import __version__
 
 RUNS = 16
 """Traces for the control runs."""
-POSITION = 0.1
-"""Root mean square distance in m of sources and receivers from where they are stated. Each coordinate
-has a standard deviation sqrt(3) times smaller."""
-MOST_OFF = 1.0
-"""Largest `POSITION` in m that is taken."""
 SCATTERING = (0.1, 0.85)
 """Scattering coefficients of the control runs: those of ordinary walls and furniture."""
 MODELS: tuple[ScatteringModel, ...] = ("random", "vector")
@@ -308,17 +304,6 @@ def control_runs(
     if path is not None:
         kept_arrays.write(path, made)
     return runs(made)
-
-
-def checked_uncertainty(position_uncertainty: float) -> float:
-    """Return the standard uncertainty of places in m; DataError for none, or above `MOST_OFF`."""
-    uncertainty = checks.positive("position_uncertainty", position_uncertainty, "m")
-    if uncertainty > MOST_OFF:
-        raise DataError(
-            f"position_uncertainty = {uncertainty:g} m is above {MOST_OFF:g} m: such a position says "
-            "nothing"
-        )
-    return uncertainty
 
 
 def ahead_factor(heard: Observations, tracer: PathTracing, alpha: Array) -> float:

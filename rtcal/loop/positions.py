@@ -24,6 +24,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
@@ -31,9 +32,7 @@ from rtcal.errors import DataError, SimulatorError
 from rtcal.loop.beside import Beside
 from rtcal.loop.beside import means as measured_beside
 from rtcal.loop.control_runs import (
-    POSITION,
     ControlRuns,
-    checked_uncertainty,
     control_runs,
     trace_ahead,
 )

@@ -14,8 +14,8 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.errors import DataError
-from rtcal.loop.control_runs import POSITION, checked_uncertainty
 from rtcal.loop.measured_pairs import Pair, history, refuse_unknown
 from rtcal.simulators.base import at_places
 from rtcal.simulators.geometry import Polyhedron

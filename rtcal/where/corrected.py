@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import Scene
 from rtcal.errors import DataError
-from rtcal.io import catt, obj, odeon, position_files
+from rtcal.io import catt, obj, odeon
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
@@ -30,14 +31,8 @@ SPECTRUM_ERROR = 0.15
 HEADROOM = 0.9
 """Size over area of a patch of alpha = 1. It is drawn larger, so that a calibration can make it absorb
 more as well as less."""
-ROOM, MESH, PLACES, CATT, ODEON = (
-    "room.toml",
-    "room.obj",
-    "positions.toml",
-    "catt.txt",
-    "odeon.txt",
-)
-FILES = (ROOM, MESH, PLACES, CATT, ODEON)
+ROOM, MESH, CATT, ODEON = "room.toml", "room.obj", "catt.txt", "odeon.txt"
+FILES = (ROOM, MESH, CATT, ODEON)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,8 +46,8 @@ class Corrected:
     added : Candidate
     room : Room
         With a further material. Its sigma is what the size's interval and the spectrum leave open. It
-        states the simulator's scattering. With a patch a box states no dimensions, since simulators of
-        boxes know one material per wall.
+        states the simulator's scattering, and no scene: its mesh is ``geometry``. With a patch a box
+        states no dimensions, since simulators of boxes know one material per wall.
     geometry : Polyhedron
     material : str
         Name of the further material.
@@ -84,17 +79,22 @@ class Corrected:
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write `FILES` into a folder, all or none, and return their paths.
 
-        ``room.toml``, ``room.obj`` and ``positions.toml`` are for rtcal and any program that reads a
-        mesh, ``catt.txt`` and ``odeon.txt`` lists of materials. Octaves that the room lacks have the
+        ``room.toml`` and its mesh, ``room.obj``, are for rtcal and any program that reads a mesh,
+        ``catt.txt`` and ``odeon.txt`` lists of materials. Octaves that the room lacks have the
         coefficients of the nearest one there. In CATT's list a name has an underscore in place of a
         character that CATT does not read.
         """
         where = checks.path("folder", folder)
         simulator = self.case.simulator
+        scene = Scene(
+            mesh=MESH,
+            sources=simulator.sources,
+            receivers=simulator.receivers,
+            position_uncertainty=self.case.position_uncertainty,
+        )
         contents = {
-            ROOM: self.room.to_text().encode(),
+            ROOM: self.room.replace(scene=scene).to_text().encode(),
             MESH: obj.text(self.geometry).encode(),
-            PLACES: position_files.text(simulator.sources, simulator.receivers).encode(),
             **self._lists(),
         }
         make_folder(where)
@@ -208,6 +208,8 @@ def _made(
     optional: dict[str, Any] = {}
     scattering = case.simulator.scattering
     optional["scattering"] = extended(scattering, scattering[below])
+    optional["scattering_model"] = case.simulator.scattering_model
+    optional["scene"] = Scene()  # its mesh is not that of the corrected geometry
     if form == "patch":  # simulators of boxes know one material per wall
         optional["dimensions"] = None
     if room.alpha_min is not None:
