@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import rtcal as rt
 from rtcal.command.example import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
@@ -66,7 +67,8 @@ def test_the_case_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_case_with_a_geometry_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run("example", "where", "-q") == 0
-    case = Case.from_file("where/case.toml")
+    measured = rt.Measurement.from_file("where/pairs.csv")
+    case = Case.from_room(rt.Room.from_file("where/room.toml"), measured)
     assert len(case.pairs) == 12
     assert set(case.faces) == {"floor", "ceiling", *examples._WALLS}
     areas = {material: 0.0 for material, _ in where_room.surfaces()}

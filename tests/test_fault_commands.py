@@ -111,10 +111,6 @@ def case(folder: Path) -> None:
     opened().save(str(folder / "case.json"))
 
 
-def case_with_geometry(folder: Path) -> None:
-    (folder / "case.toml").write_text('geometry = "room.obj"\n')
-
-
 FIT = "fit @room.toml @pairs.csv --match t20 --match c80 --paths 100"
 
 
@@ -192,9 +188,11 @@ WRITERS = {
     "gap apply": Writer(case, "gap apply @case.json --out @new.json --room @new.toml"),
     "gap report": Writer(case, "gap report @case.json --out @gap"),
     "gap apply with a geometry": Writer(
-        case_with_geometry, "gap apply @case.toml --out @corrected"
+        box_with_pairs, "gap apply @room.toml @pairs.csv --out @corrected"
     ),
-    "gap report with a geometry": Writer(case_with_geometry, "gap report @case.toml --out @page"),
+    "gap report with a geometry": Writer(
+        box_with_pairs, "gap report @room.toml @pairs.csv --out @page"
+    ),
 }
 
 

@@ -16,7 +16,6 @@ import rtcal as rt
 from rtcal.acoustics.observables import observable
 from rtcal.command.main import cli
 from rtcal.errors import DataError
-from rtcal.io import position_files
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.where.patch import patched
@@ -252,48 +251,45 @@ def test_an_unknown_effect_is_refused(finding: rt.where.Finding) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A user's files: room, mesh, positions, measurement and case."""
+    """A user's files: room, mesh and measurement."""
     where = tmp_path_factory.mktemp("case")
     case = rt.where.Case(simulator=tracing(stated()), measured=measured(True))
-    case.room.save(str(where / "room.toml"))
+    scene = rt.Scene(mesh=where / "room.obj", sources=SOURCES, receivers=RECEIVERS)
+    case.room.replace(scene=scene).save(str(where / "room.toml"))
     rt.io.obj.write(case.geometry, where / "room.obj")
-    (where / "positions.toml").write_text(position_files.text(SOURCES, RECEIVERS))
     case.measured.save(str(where / "pairs.csv"))
-    (where / "case.toml").write_text(
-        'room = "room.toml"\ngeometry = "room.obj"\npositions = "positions.toml"\n'
-        'measured = "pairs.csv"\nscattering = 0.4\npaths = 4800\n'
-    )
     return where
 
 
-def run(*arguments: str, code: int = 0) -> str:
-    done = CliRunner().invoke(cli, ["gap", *arguments], catch_exceptions=False)
+def run(command: str, folder: Path, *options: str, code: int = 0) -> str:
+    files = [str(folder / "room.toml"), str(folder / "pairs.csv")]
+    stated = [command, *files, "--scattering", "0.4", "--paths", "4800", *options]
+    done = CliRunner().invoke(cli, ["gap", *stated], catch_exceptions=False)
     assert done.exit_code == code, done.output
     return str(done.output)
 
 
 @pytest.mark.long
 def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
-    case = str(folder / "case.toml")
-    found = json.loads(run("find", case, "--json"))
+    found = json.loads(run("find", folder, "--json"))
     assert found["likely_surfaces"][0] == "east"
-    run("apply", case, "--out", str(tmp_path / "corrected"), "--quiet")
+    run("apply", folder, "--out", str(tmp_path / "corrected"), "--quiet")
     mesh = rt.io.obj.read(tmp_path / "corrected" / "room.obj")
     room = rt.Room.from_file(str(tmp_path / "corrected" / "room.toml"))
     assert set(mesh.materials) == set(room.materials)
     assert mesh.areas[room.materials[-1]] == pytest.approx(room.areas[-1])
     assert (tmp_path / "corrected" / "catt.txt").exists()
     assert (tmp_path / "corrected" / "odeon.txt").exists()
-    said = run("apply", case, "--out", str(tmp_path / "there"), "--at", "7,2.2,1.4")
+    said = run("apply", folder, "--out", str(tmp_path / "there"), "--at", "7,2.2,1.4")
     assert "as patch: material" in said
     there = rt.io.obj.read(tmp_path / "there" / "room.obj")
     hole = there.vertices[list(there.faces[there.materials.index(room.materials[-1])])]
     assert hole.mean(axis=0) == pytest.approx([7.0, 2.2, 1.4])
-    run("apply", case, "--out", str(tmp_path / "wall"), "--form", "material", "--quiet")
+    run("apply", folder, "--out", str(tmp_path / "wall"), "--form", "material", "--quiet")
     assert len(rt.io.obj.read(tmp_path / "wall" / "room.obj").faces) == 6
     with pytest.raises(DataError, match='--at "7,1" is not X,Y,Z in m'):
-        run("apply", case, "--out", str(tmp_path / "no"), "--at", "7,1")
-    assert "not fitted" in run("report", case, "--out", str(tmp_path / "page"))
+        run("apply", folder, "--out", str(tmp_path / "no"), "--at", "7,1")
+    assert "not fitted" in run("report", folder, "--out", str(tmp_path / "page"))
     names = {"report.html", "result.json", "map.png", "plan.png", "room.png", "gap.png"}
     assert {p.name for p in (tmp_path / "page").iterdir()} == names
     page = (tmp_path / "page" / "report.html").read_text()
@@ -301,31 +297,54 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "message"),
+    ("old", "new", "message"),
     [
-        ('geometry = "nowhere.obj"', "nowhere.obj"),
-        ("paths = 0", "paths = 0"),
-        ("paths = 1000000000000", "paths = 1000000000000 is above 10000000"),
-        ("position_uncertainty = 50.0", "position_uncertainty = 50 m is above 1 m"),
-        ('geometri = "room.obj"', "geometri"),
-        ("exclude = 3", "exclude"),
-        ('exclude = ["S1", "R1"]', "which is no pair of a source and a receiver"),
+        ("room.obj", "nowhere.obj", "nowhere.obj"),
+        ("[geometry]", "[geometry]\nposition_uncertainty = 50.0", "= 50 m is above 1 m"),
+        ("mesh =", "mash =", 'geometry has the key "mash"'),
     ],
 )
-def test_a_wrong_file_is_refused(folder: Path, tmp_path: Path, line: str, message: str) -> None:
-    key = line.split(" ")[0]
-    lines = (folder / "case.toml").read_text().splitlines()
-    text = "\n".join([one for one in lines if not one.startswith(f"{key} ")] + [line])
-    for name in ("room.toml", "room.obj", "positions.toml", "pairs.csv"):
+def test_a_wrong_file_is_refused(
+    folder: Path, tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    text = (folder / "room.toml").read_text()
+    assert old in text
+    (tmp_path / "room.toml").write_text(text.replace(old, new))
+    for name in ("room.obj", "pairs.csv"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
-    (tmp_path / "case.toml").write_text(text)
     with pytest.raises(DataError, match=re.escape(message)):
-        rt.where.Case.from_file(tmp_path / "case.toml")
+        run("find", tmp_path)
 
 
-def test_engines_are_refused_with_a_geometry(folder: Path) -> None:
-    with pytest.raises(DataError, match="--engine"):
-        run("find", str(folder / "case.toml"), "--engine", "network", "--engine", "path tracing")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--exclude", "S1R1"), '--exclude: "S1R1" is not SOURCE:RECEIVER'),
+        (("--match", "t61"), "t61"),
+        (("--engine", "network", "--engine", "path tracing"), "--engine"),
+        (("--prior", "opening=2"), "--prior"),
+        (("--scattering", "2"), "scattering"),
+    ],
+)
+def test_a_wrong_option_is_named(folder: Path, options: tuple[str, ...], message: str) -> None:
+    with pytest.raises(DataError, match=re.escape(message)):
+        run("find", folder, *options)
+
+
+def test_a_case_that_states_its_geometry_is_told_where_to_write_it(tmp_path: Path) -> None:
+    """Until rtcal had one room file, a case named room, mesh, positions and measurement."""
+    case = tmp_path / "case.toml"
+    case.write_text(
+        'room = "room.toml"\ngeometry = "room.obj"\npositions = "p.toml"\nmeasured = "pairs.csv"\n'
+    )
+    said = r"case\.toml: a case states no geometry: write \[geometry\] with mesh, \[sources\]"
+    with pytest.raises(DataError, match=said):
+        CliRunner().invoke(cli, ["gap", "find", str(case)], catch_exceptions=False)
+
+
+def test_a_room_alone_is_told_to_name_its_measurement(folder: Path) -> None:
+    with pytest.raises(DataError, match="this is a room's file; name what was measured"):
+        CliRunner().invoke(cli, ["gap", "find", str(folder / "room.toml")], catch_exceptions=False)
 
 
 def test_the_scales_are_linear_in_absorption() -> None:

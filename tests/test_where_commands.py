@@ -14,7 +14,7 @@ from rtcal.command import gap_where
 from rtcal.command.main import main
 from rtcal.where import Finding, Verification
 from tests.test_terminal import longest
-from tests.test_where import measured, stated, tracing
+from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_page import PLACE, finding_of, verification_of
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -22,7 +22,7 @@ pytest.importorskip("jinja2", reason="needs the extra report")
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
 WIDTHS = (40, 60, 80, 120)
-CASE = 'room = "room.toml"\ngeometry = "room.obj"\npositions = "p.toml"\nmeasured = "pairs.csv"\n'
+FILES = ("room.toml", "pairs.csv")
 COMMANDS = [
     ("find",),
     ("plan",),
@@ -57,7 +57,9 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
     monkeypatch.setattr(rt.where, "verify", verified)
     monkeypatch.setattr(rt.where, "next_position", lambda *_, **__: (PLACE,))
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "case.toml").write_text(CASE)
+    scene = rt.Scene(sources=SOURCES, receivers=RECEIVERS)
+    stated().replace(scene=scene).save("room.toml")
+    measured(False).save("pairs.csv")
     return finding
 
 
@@ -68,25 +70,25 @@ def test_no_line_is_longer_than_the_terminal(
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
     for command, *options in COMMANDS:
-        assert run(command, "case.toml", *options) == 0, capsys.readouterr().err
+        assert run(command, *FILES, *options) == 0, capsys.readouterr().err
         said = capsys.readouterr().out
         line = longest(said)
         assert len(line) <= columns, f"rtcal gap {command}: {line}"
-    assert run("apply", "case.toml", "--out", "x", "--at", "3,2,1.5") == 2
+    assert run("apply", *FILES, "--out", "x", "--at", "3,2,1.5") == 2
     assert len(longest(capsys.readouterr().err)) <= columns
 
 
 def test_the_next_position_is_proposed(
     found: Finding, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("plan", "case.toml", "--json") == 0
+    assert run("plan", *FILES, "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["places"] == [
         {"point": list(PLACE.point), "source": PLACE.source, "nats": PLACE.nats}
     ]
     claimed = replace(found, surface="floor")
     monkeypatch.setattr(gap_where, "find", lambda *_, **__: claimed)
-    assert run("plan", "case.toml") == 0
+    assert run("plan", *FILES) == 0
     assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
 
 
@@ -95,7 +97,7 @@ def test_the_next_position_is_proposed(
 def test_options_of_a_plan_with_means_are_refused(
     option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("plan", "case.toml", option) == 2
+    assert run("plan", *FILES, option) == 2
     assert f"{option.split('=')[0]}: with a geometry" in capsys.readouterr().err
 
 
@@ -107,11 +109,11 @@ def test_nothing_found_is_said_and_nothing_is_written(
 ) -> None:
     nothing = replace(found, verdict="none", effect=None, family=None)
     monkeypatch.setattr(gap_where, "find", lambda *_, **__: nothing)
-    assert run("apply", "case.toml", "--out", "corrected") == 6
+    assert run("apply", *FILES, "--out", "corrected") == 6
     assert not (tmp_path / "corrected").exists()
-    assert run("verify", "case.toml") == 0
+    assert run("verify", *FILES) == 0
     assert "There is nothing to add" in capsys.readouterr().out
-    assert run("report", "case.toml", "--out", "page") == 0
+    assert run("report", *FILES, "--out", "page") == 0
     assert not (tmp_path / "page" / "gap.png").exists()
 
 
@@ -124,7 +126,7 @@ def test_nothing_found_is_said_and_nothing_is_written(
         (("--at", "6,2,0", "--form", "material"), "at is the middle of a patch"),
         (("--form", "hole"), "'hole' is not one of"),
         (("--room", "x.toml"), "--room: with a geometry"),
-        (("--out", "case.toml"), "--out case.toml is a file; with a geometry it is a folder"),
+        (("--out", "pairs.csv"), "--out pairs.csv is a file; with a geometry it is a folder"),
     ],
 )
 def test_a_wrong_option_is_refused(
@@ -135,7 +137,7 @@ def test_a_wrong_option_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
-    assert run("apply", "case.toml", "--out", "corrected", *options) == 2
+    assert run("apply", *FILES, "--out", "corrected", *options) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "corrected").exists()
 

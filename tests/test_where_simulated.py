@@ -11,7 +11,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.errors import DataError
-from rtcal.io import position_files
 from rtcal.simulators import RayTracing
 from rtcal.where.corrected import corrected
 from tests.test_where import BANDS, RECEIVERS, SOURCES, measured, stated, tracing
@@ -21,15 +20,16 @@ pytest.importorskip("pyroomacoustics", reason="the other program")
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
 MATCH = ("t20", "edt", "c80", "ts")
-CASE = """room = "room.toml"
-geometry = "box"
-positions = "positions.toml"
-measured = "measured.csv"
-simulated = "simulated.csv"
-scattering = 0.4
-paths = 4800
-match = ["t20", "edt", "c80", "ts"]
-"""
+
+
+def read(folder: Path, measured: str = "measured.csv") -> rt.where.Case:
+    return rt.where.Case.from_room(
+        rt.Room.from_file(str(folder / "room.toml")),
+        rt.Measurement.from_file(str(folder / measured)),
+        tracing={"scattering": 0.4, "n_paths": 4800},
+        match=MATCH,
+        simulated=rt.Measurement.from_file(str(folder / "simulated.csv")),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -51,20 +51,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
         return tracer.simulate(of.alpha, seed=seed)
 
-    room.save(str(where / "room.toml"))
-    (where / "positions.toml").write_text(position_files.text(SOURCES, RECEIVERS))
+    scene = rt.Scene(sources=SOURCES, receivers=RECEIVERS)
+    room.replace(scene=scene).save(str(where / "room.toml"))
     program(case.geometry, room, 1).save(str(where / "simulated.csv"))
     program(case.geometry, room, 2).save(str(where / "same.csv"))
     program(made.geometry, made.room, 3).save(str(where / "measured.csv"))
-    (where / "case.toml").write_text(CASE)
-    (where / "same.toml").write_text(CASE.replace("measured.csv", "same.csv"))
     return where
 
 
 def test_the_disagreement_is_the_programs(folder: Path) -> None:
     """Its own error cancels: what it says of the same room twice differs by its noise alone."""
-    same = rt.where.find(rt.where.Case.from_file(folder / "same.toml"), cache=folder / "kept")
-    other = rt.where.find(rt.where.Case.from_file(folder / "case.toml"), cache=folder / "kept")
+    same = rt.where.find(read(folder, "same.csv"), cache=folder / "kept")
+    other = rt.where.find(read(folder), cache=folder / "kept")
     assert np.sqrt(np.nanmean(same.map**2)) < 1.0
     assert same.verdict == "none"
     assert np.nanmean(other.map[0]) > 1.0  # T20 is measured shorter
@@ -76,7 +74,7 @@ def test_the_disagreement_is_the_programs(folder: Path) -> None:
 
 def test_what_neither_has_is_left_out(folder: Path) -> None:
     """A program's blank cell made every probability NaN."""
-    case = rt.where.Case.from_file(folder / "case.toml")
+    case = read(folder)
     assert case.simulated is not None
 
     def blank(data: rt.Measurement) -> rt.Measurement:
@@ -111,25 +109,25 @@ def test_a_file_that_lacks_something_is_refused(
     folder: Path, tmp_path: Path, changed: object, message: str
 ) -> None:
     """Pairs and values that lacked had been left out without a word."""
-    for name in ("room.toml", "positions.toml", "measured.csv", "case.toml"):
+    for name in ("room.toml", "measured.csv"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     kept = [row for row in rows(folder) if changed(row)]  # type: ignore[operator]
     assert len(kept) < len(rows(folder))
     (tmp_path / "simulated.csv").write_text("\n".join(kept) + "\n")
     with pytest.raises(DataError, match=re.escape(message)):
-        rt.where.Case.from_file(tmp_path / "case.toml")
+        read(tmp_path)
 
 
 def test_a_level_without_its_reference_is_no_g(folder: Path) -> None:
     """G is absolute; a program's level that is not must not be compared with it."""
-    read = rt.where.Case.from_file(folder / "case.toml")
-    given = read.simulated
+    case = read(folder)
+    given = case.simulated
     assert given is not None
     level = np.zeros((len(given.pairs), len(BANDS)))
     values = {name: given.values[name] for name in MATCH} | {"level": level}
     with pytest.raises(DataError, match="simulated has no G, which was measured"):
         rt.where.Case(
-            simulator=read.simulator,
+            simulator=case.simulator,
             measured=measured(False),
             simulated=rt.Measurement(
                 centre_frequencies=given.centre_frequencies, pairs=given.pairs, values=values

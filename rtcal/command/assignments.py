@@ -37,6 +37,17 @@ def errors_name_options(*arguments: str) -> Iterator[None]:
         raise DataError(as_options(str(error), arguments)) from error
 
 
+def pairs(option: str, stated: Sequence[str]) -> list[tuple[str, str]]:
+    """Return pairs of a source and a receiver; DataError for another form than SOURCE:RECEIVER."""
+    found = []
+    for text in stated:
+        source, colon, receiver = text.partition(":")
+        if not (source and colon and receiver):
+            raise DataError(f'{option}: "{text}" is not SOURCE:RECEIVER')
+        found.append((source, receiver))
+    return found
+
+
 def texts(option: str, stated: Sequence[str], form: str) -> dict[str, str]:
     """Return the texts by name; DataError for another form than NAME=VALUE and for a repeated name.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rtcal.acoustics.observables import MATCH, OBSERVABLES
-from rtcal.command.assignments import errors_name_options
+from rtcal.command.assignments import errors_name_options, pairs
 from rtcal.command.console import (
     bar_wanted,
     in_the_room,
@@ -18,7 +18,6 @@ from rtcal.command.console import (
     without_air_warning,
     written,
 )
-from rtcal.errors import DataError
 
 
 @click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
@@ -128,7 +127,7 @@ def fit(
                 stated,
                 heard,
                 match,
-                exclude=[_pair(text) for text in exclude],
+                exclude=pairs("--exclude", exclude),
                 cache=Path(room).parent / FOLDER,
                 position_uncertainty=stated.scene.position_uncertainty,
                 fit_scattering=not keep_scattering,
@@ -142,10 +141,3 @@ def fit(
         )
         text += "\n" + written(paths_written)
     tell(text, result.to_dict(), quiet=quiet, as_json=as_json)
-
-
-def _pair(text: str) -> tuple[str, str]:
-    source, colon, receiver = text.partition(":")
-    if not (source and colon and receiver):
-        raise DataError(f'--exclude: "{text}" is not SOURCE:RECEIVER')
-    return source, receiver

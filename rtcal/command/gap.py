@@ -24,7 +24,9 @@ from rtcal.command.console import (
 )
 from rtcal.command.gap_options import (
     ENGINES,
+    Inputs,
     Search,
+    input_options,
     search_options,
     seed_option,
     several_options,
@@ -47,15 +49,17 @@ NOTHING_TO_ADD = 6
 def gap() -> None:
     """Find what a model misses, add it, and verify it by the gaps that alpha cannot close.
 
-    CASE is a TOML file: a room, its equation, and measurements by configuration (docs/files.md). With
-    geometry = a mesh and positions, it also says on which surface (docs/where.md). The first search of
-    a case simulates control rooms, which takes a minute or more. They are kept beside CASE, in
-    .rtcal_cache.
+    A ROOM and what was MEASURED in it are two files. If ROOM states a mesh, sources and receivers, and
+    MEASURED has every pair of them, the answer says on which surface (docs/where.md). A CASE is one
+    file that names a room, its equation, and measurements by configuration (docs/files.md).
+
+    The first search simulates control rooms, which takes a minute or more. They are kept beside ROOM or
+    CASE, in .rtcal_cache.
     """
 
 
 @gap.command(short_help="Which effects the data could tell apart; what to measure next.")
-@click.argument("case", type=click.Path())
+@input_options
 @click.option(
     "--change",
     type=float,
@@ -76,7 +80,7 @@ def gap() -> None:
 @json_option
 @quiet_option
 def plan(
-    case: str,
+    inputs: Inputs,
     change: float | None,
     after: bool,
     costs: tuple[str, ...],
@@ -84,28 +88,28 @@ def plan(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Print which effects CASE's data could distinguish, and what to measure next.
+    """Print which effects the data could distinguish, and what to measure next.
 
     A configuration may state parameters = ["t20", "edt"] in place of measured. If others are measured,
     it is among what could be measured next. Each proposal has the information to expect about which
     effects are there, and its hours. With --next the proposals go on from what has been measured.
 
-    With a geometry CASE is searched first. Where several surfaces are in question, places for a further
-    receiver are proposed, with the evidence that is to be expected of them.
+    With a geometry the room is searched first. Where several surfaces are in question, places for a
+    further receiver are proposed, with the evidence that is to be expected of them.
 
     Example: rtcal gap plan case.toml
     """
     search = Search(ENGINES, seed, (), (), {})
-    if has_geometry(case):
+    if inputs.of_positions:
         for option, stated in (("--change", change is not None), ("--cost", bool(costs))):
             if stated:
                 raise DataError(f"{option}: with a geometry a place for a receiver is proposed")
-        gap_where.plan(case, search, quiet=quiet, as_json=as_json)
+        gap_where.plan(inputs, search, quiet=quiet, as_json=as_json)
         return
     from rtcal.discrepancy import plan as planned_with
     from rtcal.discrepancy.set_posterior import EXPECTED
 
-    read = _case(case)
+    read = _case(inputs)
     planned = [c for c in read.configurations if c.planned]
     if len(planned) < len(read.configurations):
         measured = [c for c in read.configurations if not c.planned]
@@ -114,7 +118,7 @@ def plan(
         planned = []
     finding = None
     if after:
-        finding = _find_several(case, read, search, quiet, EXPECTED)
+        finding = _find_several(inputs, read, search, quiet, EXPECTED)
     hours = numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5")
     result = planned_with(
         read,
@@ -129,24 +133,26 @@ def plan(
 @gap.command(short_help="Whether the model misses something, and what.")
 @search_options
 @several_options
-def find(case: str, search: Search, expected: float | None, as_json: bool, quiet: bool) -> None:
-    """Print whether CASE's model misses something, where it shows, and what it is.
+def find(
+    inputs: Inputs, search: Search, expected: float | None, as_json: bool, quiet: bool
+) -> None:
+    """Print whether the model misses something, where it shows, and what it is.
 
     With --several, sets of up to three effects are compared, and each effect has the probability that
     it is there at all.
 
-    Example: rtcal gap find case.toml
+    Example: rtcal gap find room.toml measured.csv
     """
-    if has_geometry(case):
+    if inputs.of_positions:
         _refuse_several(expected)
-        gap_where.tell_finding(case, search, quiet=quiet, as_json=as_json)
+        gap_where.tell_finding(inputs, search, quiet=quiet, as_json=as_json)
         return
-    read = _case(case)
+    read = _case(inputs)
     finding: Finding | SeveralFinding
     if expected is None:
-        finding = _find(case, read, search, quiet)
+        finding = _find(inputs, read, search, quiet)
     else:
-        finding = _find_several(case, read, search, quiet, expected)
+        finding = _find_several(inputs, read, search, quiet, expected)
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
@@ -156,7 +162,7 @@ def find(case: str, search: Search, expected: float | None, as_json: bool, quiet
     "--out",
     type=click.Path(),
     required=True,
-    help="The case with the effect (JSON); of a case with a geometry, a folder.",
+    help="The case with the effect (JSON); with a geometry, a folder.",
 )
 @click.option(
     "--room",
@@ -173,7 +179,7 @@ def find(case: str, search: Search, expected: float | None, as_json: bool, quiet
 )
 @several_options
 def apply(
-    case: str,
+    inputs: Inputs,
     search: Search,
     expected: float | None,
     as_json: bool,
@@ -183,7 +189,7 @@ def apply(
     form: str | None,
     at: str | None,
 ) -> None:
-    """Add the named effect to CASE's model, and print the calibration with it.
+    """Add the named effect to the model, and print the calibration with it.
 
     If the finding is ambiguous, the best candidate is added, and the others are printed. If there is
     nothing to add, nothing is written and the exit code is 6. With --several, the most probable set is
@@ -191,36 +197,36 @@ def apply(
 
     The written case can be used like any other. Neither it nor the room is calibrated.
 
-    With a geometry, a folder gets room, mesh, positions, and lists of materials for CATT and ODEON. The
+    With a geometry, a folder gets room, mesh, and lists of materials for CATT and ODEON. The
     patch stands in the middle of its surface unless --at says where.
 
     \b
     Example: rtcal gap apply case.toml \\
         --out corrected.json --room corrected.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    if has_geometry(case):
+    if inputs.of_positions:
         _refuse_several(expected)
         if room is not None:
             raise DataError("--room: with a geometry the room is written into the folder of --out")
         if os.path.isfile(out):
             raise DataError(f"--out {out} is a file; with a geometry it is a folder")
         patch = gap_where.Patch(form or "patch", _place(at))
-        if not gap_where.apply(case, search, out, patch, quiet=quiet, as_json=as_json):
+        if not gap_where.apply(inputs, search, out, patch, quiet=quiet, as_json=as_json):
             raise click.exceptions.Exit(NOTHING_TO_ADD)
         return
     from rtcal.report.correction import correct
     from rtcal.support.files import write_all
 
     targets = [out] if room is None else [out, room]
-    read = _case(case, targets)
+    read = _case(inputs, targets)
     for option, value in (("--form", form), ("--at", at)):
         if value is not None:
             raise DataError(f"{option}: a case without a geometry has no surface")
     finding: Finding | SeveralFinding
     if expected is None:
-        finding = _find(case, read, search, quiet)
+        finding = _find(inputs, read, search, quiet)
     else:
-        finding = _find_several(case, read, search, quiet, expected)
+        finding = _find_several(inputs, read, search, quiet, expected)
     correction = correct(finding, out, room)
     write_all(correction.files)
     tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
@@ -230,7 +236,7 @@ def apply(
 
 @gap.command(short_help="Compare the gaps with and without the effect.")
 @search_options
-def verify(case: str, search: Search, as_json: bool, quiet: bool) -> None:
+def verify(inputs: Inputs, search: Search, as_json: bool, quiet: bool) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
     This shows whether the model gets better, not whether the name is right, so the rivals are printed
@@ -239,12 +245,12 @@ def verify(case: str, search: Search, as_json: bool, quiet: bool) -> None:
 
     Example: rtcal gap verify case.toml
     """
-    if has_geometry(case):
-        gap_where.verify(case, search, quiet=quiet, as_json=as_json)
+    if inputs.of_positions:
+        gap_where.verify(inputs, search, quiet=quiet, as_json=as_json)
         return
     from rtcal.discrepancy import verify as verified
 
-    finding = _find(case, _case(case), search, quiet)
+    finding = _find(inputs, _case(inputs), search, quiet)
     if (nothing := finding.reason_for_none) is not None:
         record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
         tell(nothing, record, quiet=quiet, as_json=as_json)
@@ -264,7 +270,7 @@ def verify(case: str, search: Search, as_json: bool, quiet: bool) -> None:
 @several_options
 @heading_options
 def report(
-    case: str,
+    inputs: Inputs,
     search: Search,
     expected: float | None,
     heading: Heading,
@@ -280,26 +286,25 @@ def report(
 
     Example: rtcal gap report case.toml --out gap
     """
-    from rtcal.discrepancy.case_files import files as files_of
     from rtcal.report.gap_report import WRITTEN, Reproduction, write
 
     if not out:
         raise DataError("--out is empty; it is a folder")
-    if has_geometry(case):
+    if inputs.of_positions:
         _refuse_several(expected)
-        gap_where.report(case, search, out, heading, quiet=quiet, as_json=as_json)
+        gap_where.report(inputs, search, out, heading, quiet=quiet, as_json=as_json)
         return
-    read = _case(case, [str(Path(out) / name) for name in WRITTEN])
+    read = _case(inputs, [str(Path(out) / name) for name in WRITTEN])
     finding: Finding | SeveralFinding
     several: list[str] = []
     if expected is None:
-        finding = _find(case, read, search, quiet)
+        finding = _find(inputs, read, search, quiet)
     else:
-        finding = _find_several(case, read, search, quiet, expected)
+        finding = _find_several(inputs, read, search, quiet, expected)
         several = ["--several", "--expected", f"{expected:g}"]
     options = [*search.arguments(), *several, "--out", out]
-    command = shlex.join(["rtcal", "gap", "report", case, *options])
-    files = [os.fspath(p) for p in files_of(case)]
+    command = shlex.join(["rtcal", "gap", "report", *inputs.arguments(), *options])
+    files = _files(inputs)
     paths = write(finding, Path(out), Reproduction(command, tuple(files), search.seed), heading)
     names = [str(p) for p in paths]
     text = f"{finding}\n{written(names)}"
@@ -320,52 +325,59 @@ def _place(text: str | None) -> tuple[float, ...] | None:
 
 
 def _refuse_several(expected: float | None) -> None:
-    """Raise DataError if several effects are sought in a case with a geometry."""
+    """Raise DataError if several effects are sought with positions."""
     if expected is not None:
-        raise DataError("--several: a case with a geometry is searched for one effect at a time")
+        raise DataError("--several: with a geometry one effect is sought at a time")
 
 
-def has_geometry(path: str) -> bool:
-    """Return whether the case's file states a geometry."""
-    from rtcal.where import case_files
+def _case(inputs: Inputs, targets: Sequence[str] = ()) -> Case:
+    """Read the case; DataError if a file to be written is also one of those that are read."""
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Room
+    from rtcal.discrepancy import Case, Configuration
 
-    return case_files.has_geometry(path)
+    inputs.refuse_options()
+    spare(targets, [inputs.case])
+    if inputs.measured is None:
+        case = Case.from_file(inputs.case)
+        spare(targets, _files(inputs))
+        return case
+    spare(targets, _files(inputs))
+    room = Room.from_file(inputs.case)
+    measured = Measurement.from_file(inputs.measured)
+    return Case(room=room, configurations=[Configuration("as measured", measured)])
 
 
-def _case(path: str, targets: Sequence[str] = ()) -> Case:
-    """Read the case; DataError if a file to be written is also one of the case's files."""
-    from rtcal.discrepancy import Case
-    from rtcal.discrepancy.case_files import files as files_of
+def _files(inputs: Inputs) -> list[str]:
+    """Return the paths of the files that are read."""
+    from rtcal.discrepancy.case_files import files
 
-    spare(targets, [path])
-    case = Case.from_file(path)
-    spare(targets, files_of(path))
-    return case
+    if inputs.measured is None:
+        return [os.fspath(path) for path in files(inputs.case)]
+    return [inputs.case, inputs.measured]
 
 
-def _find(path: str, case: Case, search: Search, quiet: bool) -> Finding:
+def _find(inputs: Inputs, case: Case, search: Search, quiet: bool) -> Finding:
     """Find what the case's model misses; control rooms are kept beside its file."""
     from rtcal import discrepancy
 
-    with _arguments(path, search, quiet) as arguments:
+    with _arguments(inputs, search, quiet) as arguments:
         return discrepancy.find(case, **arguments)
 
 
 def _find_several(
-    path: str, case: Case, search: Search, quiet: bool, expected: float
+    inputs: Inputs, case: Case, search: Search, quiet: bool, expected: float
 ) -> SeveralFinding:
     """Find several effects at once, ``expected`` in number."""
     from rtcal import discrepancy
 
-    with _arguments(path, search, quiet) as arguments:
+    with _arguments(inputs, search, quiet) as arguments:
         return discrepancy.find_several(case, expected=expected, **arguments)
 
 
 @contextmanager
-def _arguments(path: str, search: Search, quiet: bool) -> Iterator[dict[str, Any]]:
+def _arguments(inputs: Inputs, search: Search, quiet: bool) -> Iterator[dict[str, Any]]:
     """Return the arguments of a search, whose progress is shown."""
-    from rtcal.discrepancy.cache import FOLDER
-
     begun: list[str] = []
     with bar(0, "control room", bar_wanted(quiet)) as shown:
 
@@ -382,6 +394,6 @@ def _arguments(path: str, search: Search, quiet: bool) -> Iterator[dict[str, Any
             "only": search.only,
             "prior": search.prior,
             "engines": search.engines,
-            "cache": Path(path).parent / FOLDER,
+            "cache": inputs.kept,
             "progress": progress,
         }

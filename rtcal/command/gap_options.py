@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import wraps
+from pathlib import Path
 from typing import Any
 
 import click
@@ -18,6 +19,104 @@ _EXPECTED = 0.7  # set_posterior.EXPECTED, which takes seconds to import
 seed_option = click.option(
     "--seed", default=0, show_default=True, help="Seed of the control rooms and the bootstrap."
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """What a command of ``rtcal gap`` reads: a case, or a room and what was measured in it."""
+
+    case: str
+    measured: str | None = None
+    simulated: str | None = None
+    match: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    scattering: float | None = None
+    paths: int | None = None
+
+    @property
+    def of_positions(self) -> bool:
+        """Whether a room that states where its sources and receivers are was measured pair by pair."""
+        if self.measured is None:
+            return False
+        from rtcal.acoustics.measurement import Measurement
+        from rtcal.acoustics.room import Room
+
+        stated = Room.from_file(self.case).scene.sources
+        return bool(stated) and not Measurement.from_file(self.measured).is_summary
+
+    @property
+    def kept(self) -> Path:
+        """The folder in which simulations are kept, beside the case or room."""
+        from rtcal.discrepancy.cache import FOLDER
+
+        return Path(self.case).parent / FOLDER
+
+    @property
+    def options(self) -> dict[str, list[str]]:
+        """The stated options of a search with positions."""
+        return {
+            f"--{name}": [str(v) for v in (value if isinstance(value, tuple) else (value,))]
+            for name in ("simulated", "match", "exclude", "scattering", "paths")
+            if (value := getattr(self, name)) not in (None, ())
+        }
+
+    def arguments(self) -> list[str]:
+        """Return arguments and options of a command that reads the same."""
+        files = [self.case] if self.measured is None else [self.case, self.measured]
+        return [
+            *files,
+            *(x for name, texts in self.options.items() for t in texts for x in (name, t)),
+        ]
+
+    def refuse_options(self) -> None:
+        """Raise DataError for an option of a search with positions."""
+        for option in self.options:
+            raise DataError(
+                f"{option} needs a room that states its sources and receivers, measured pair by pair"
+            )
+
+
+def input_options(command: Any) -> Any:
+    """Add the arguments and options of `Inputs`, which the command takes as ``inputs``."""
+    names = [field.name for field in fields(Inputs)]
+
+    @wraps(command)
+    def with_inputs(**stated: Any) -> Any:
+        of_inputs = {name: stated.pop(name) for name in names}
+        return command(inputs=Inputs(**of_inputs), **stated)
+
+    for option in (
+        click.option(
+            "--paths",
+            type=click.IntRange(100, 10_000_000),
+            help="Paths from each source, with positions; 8000 unless stated.",
+        ),
+        click.option(
+            "--scattering",
+            type=float,
+            help="Scattering coefficient of all materials, with positions, if the room states none.",
+        ),
+        click.option(
+            "--exclude",
+            multiple=True,
+            metavar="SOURCE:RECEIVER",
+            help="Leave a pair out, with positions.",
+        ),
+        click.option(
+            "--match",
+            multiple=True,
+            help="Compare this parameter alone, with positions; may repeat.",
+        ),
+        click.option(
+            "--simulated",
+            type=click.Path(dir_okay=False),
+            help="What another program gave for the model as stated (CSV), with positions.",
+        ),
+        click.argument("measured", type=click.Path(), required=False),
+        click.argument("case", metavar="CASE|ROOM", type=click.Path()),
+    ):
+        with_inputs = option(with_inputs)
+    return with_inputs
 
 
 @dataclass(frozen=True)
@@ -45,7 +144,7 @@ class Search:
 
 
 def search_options(command: Any) -> Any:
-    """Add a case and the options of its search, which the command takes as ``search``."""
+    """Add `Inputs` and the options of the search, which the command takes as ``search``."""
 
     @wraps(command)
     def with_search(
@@ -78,10 +177,9 @@ def search_options(command: Any) -> Any:
             multiple=True,
             help="Simulator of the control rooms, at least two; by default path tracing and network.",
         ),
-        click.argument("case", type=click.Path()),
     ):
         with_search = option(with_search)
-    return with_search
+    return input_options(with_search)
 
 
 def several_options(command: Any) -> Any:

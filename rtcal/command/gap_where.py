@@ -1,4 +1,4 @@
-"""``rtcal gap`` for a case with a geometry: what is other than stated, and on which surface."""
+"""``rtcal gap`` with positions: what is other than stated, and on which surface."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rtcal.command.assignments import errors_name_options, pairs
 from rtcal.command.console import bar_wanted, tell, written
+from rtcal.command.gap_options import Inputs
 from rtcal.errors import DataError
 from rtcal.support.files import spare
 from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
     from rtcal.report.document import Heading
-    from rtcal.where import Finding, Place, Verification
+    from rtcal.where import Case, Finding, Place, Verification
 
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap is said."""
@@ -32,22 +34,18 @@ class Patch:
     at: tuple[float, ...] | None
 
 
-def find(path: str, search: Any, quiet: bool, outputs: Sequence[Path] = ()) -> Finding:
-    """Return the finding of a case's file; DataError if an output is also one of its files.
+def find(inputs: Inputs, search: Any, quiet: bool, outputs: Sequence[Path] = ()) -> Finding:
+    """Return the finding in a room; DataError if an output is also one of the files that are read.
 
-    Control runs and weighings are kept beside the file.
+    Control runs and weighings are kept beside the room.
     """
     from rtcal import where
-    from rtcal.discrepancy.cache import FOLDER
-    from rtcal.where import case_files
 
     if search.engines_stated:
-        raise DataError("--engine: a case with a geometry has control runs in that geometry")
+        raise DataError("--engine: a search with positions has control runs in the room's geometry")
     if search.prior:
-        raise DataError("--prior: a case with a geometry takes --only and --without")
-    spare(outputs, [path])
-    case = where.Case.from_file(path)
-    spare(outputs, case_files.files(path))
+        raise DataError("--prior: a search with positions takes --only and --without")
+    case = _case(inputs, outputs)
     begun: list[str] = []
     with bar(0, "control run", bar_wanted(quiet)) as shown:
 
@@ -61,7 +59,7 @@ def find(path: str, search: Any, quiet: bool, outputs: Sequence[Path] = ()) -> F
 
         return where.find(
             case,
-            cache=Path(path).parent / FOLDER,
+            cache=inputs.kept,
             seed=search.seed,
             only=search.only,
             without=search.without,
@@ -69,18 +67,42 @@ def find(path: str, search: Any, quiet: bool, outputs: Sequence[Path] = ()) -> F
         )
 
 
-def tell_finding(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
+def _case(inputs: Inputs, outputs: Sequence[Path]) -> Case:
+    """Return the case of a room and its measurement."""
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Room
+    from rtcal.where import Case
+
+    room = Room.from_file(inputs.case)
+    files = [inputs.case, inputs.measured, inputs.simulated, room.scene.mesh]
+    spare(outputs, [path for path in files if path is not None])
+    simulated = inputs.simulated and Measurement.from_file(inputs.simulated)
+    tracing = {"n_paths": inputs.paths, "scattering": inputs.scattering}
+    with errors_name_options("scattering", "match", "exclude"):
+        return Case.from_room(
+            room,
+            Measurement.from_file(str(inputs.measured)),
+            tracing={name: value for name, value in tracing.items() if value is not None},
+            simulated=simulated,
+            exclude=pairs("--exclude", inputs.exclude),
+            **({"match": inputs.match} if inputs.match else {}),
+        )
+
+
+def tell_finding(inputs: Inputs, search: Any, *, quiet: bool, as_json: bool) -> None:
     """Print the finding."""
-    finding = find(path, search, quiet)
+    finding = find(inputs, search, quiet)
     tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
 
 
-def apply(path: str, search: Any, out: str, patch: Patch, *, quiet: bool, as_json: bool) -> bool:
+def apply(
+    inputs: Inputs, search: Any, out: str, patch: Patch, *, quiet: bool, as_json: bool
+) -> bool:
     """Write the corrected room into a folder; return whether there was something to add."""
     from rtcal.where.corrected import FILES
 
     folder = Path(out)
-    finding = find(path, search, quiet, [folder / name for name in FILES])
+    finding = find(inputs, search, quiet, [folder / name for name in FILES])
     if not finding.can_be_added:
         text = f"{finding.headline}\nNothing is written."
         tell(text, {**finding.to_dict(), "written": []}, quiet=quiet, as_json=as_json)
@@ -108,22 +130,21 @@ def apply(path: str, search: Any, out: str, patch: Patch, *, quiet: bool, as_jso
     return True
 
 
-def verify(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
+def verify(inputs: Inputs, search: Any, *, quiet: bool, as_json: bool) -> None:
     """Print the gaps at pairs that were not fitted."""
-    finding = find(path, search, quiet)
+    finding = find(inputs, search, quiet)
     if not finding.can_be_added:
         text = f"{finding.headline}\nThere is nothing to add to a surface."
         record = {"verdict": None, "sentence": text, "finding": finding.to_dict()}
         tell(text, record, quiet=quiet, as_json=as_json)
         return
-    result = _verified(path, finding, search, quiet)
+    result = _verified(inputs, finding, search, quiet)
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
-def _verified(path: str, finding: Finding, search: Any, quiet: bool) -> Verification:
+def _verified(inputs: Inputs, finding: Finding, search: Any, quiet: bool) -> Verification:
     """Return the gaps at pairs that were not fitted, over `SEEDS`; a bar says how long it will take."""
     from rtcal import where
-    from rtcal.discrepancy.cache import FOLDER
 
     with bar(0, "model", bar_wanted(quiet)) as shown:
 
@@ -135,18 +156,18 @@ def _verified(path: str, finding: Finding, search: Any, quiet: bool) -> Verifica
         return where.verify(
             finding,
             seeds=SEEDS,
-            cache=Path(path).parent / FOLDER,
+            cache=inputs.kept,
             only=search.only,
             without=search.without,
             progress=progress,
         )
 
 
-def plan(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
+def plan(inputs: Inputs, search: Any, *, quiet: bool, as_json: bool) -> None:
     """Print where a further receiver would tell the surfaces apart that are in question."""
     from rtcal.support import text
 
-    finding = find(path, search, quiet)
+    finding = find(inputs, search, quiet)
     places = _places(finding)[:PROPOSED]
     lines = [*text.wrapped(finding.headline), ""]
     if places:
@@ -163,8 +184,8 @@ def plan(path: str, search: Any, *, quiet: bool, as_json: bool) -> None:
     else:
         lines += text.wrapped(
             "No surfaces are in question that a further receiver would tell apart. Which other "
-            "measurement would tell most is planned with means over positions: leave geometry and "
-            "positions out of the case."
+            "measurement would tell most is planned with means over positions: name a case that states "
+            "the room, or a measurement of means."
         )
     record = {
         "places": [
@@ -189,19 +210,27 @@ def _places(finding: Finding) -> tuple[Place, ...]:
 
 
 def report(
-    path: str, search: Any, out: str, heading: Heading, *, quiet: bool, as_json: bool
+    inputs: Inputs, search: Any, out: str, heading: Heading, *, quiet: bool, as_json: bool
 ) -> None:
     """Write page, finding and figures into a folder."""
     from rtcal import where
     from rtcal.report import where_folder
 
     folder = Path(out)
-    finding = find(path, search, quiet, [folder / name for name in where_folder.FILES])
+    finding = find(inputs, search, quiet, [folder / name for name in where_folder.FILES])
     verification = None
     if finding.can_be_added and len(finding.pairs) >= where.LEAST_PAIRS:
-        verification = _verified(path, finding, search, quiet)
+        verification = _verified(inputs, finding, search, quiet)
     command = shlex.join(
-        ["rtcal", "gap", "report", path, *replace(search, engines=()).arguments(), "--out", out]
+        [
+            "rtcal",
+            "gap",
+            "report",
+            *inputs.arguments(),
+            *replace(search, engines=()).arguments(),
+            "--out",
+            out,
+        ]
     )
     place = next(iter(_places(finding)), None)
     paths = where_folder.write(finding, verification, folder, heading, command, place)

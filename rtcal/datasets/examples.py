@@ -11,10 +11,11 @@ from scipy.io import wavfile
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import Scene
 from rtcal.datasets import halls
 from rtcal.datasets.shipped import path
 from rtcal.errors import DataError
-from rtcal.io import obj, position_files
+from rtcal.io import obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
@@ -221,12 +222,6 @@ _RECEIVERS = {
     "R5": (1.1, 6.9, 1.2),
     "R6": (8.0, 1.0, 1.2),
 }
-_CASE = """room = "room.toml"
-geometry = "room.obj"
-positions = "positions.toml"
-measured = "pairs.csv"
-scattering = 0.4
-"""
 
 
 def _l_shape() -> Polyhedron:
@@ -256,6 +251,8 @@ def _rehearsal_room(geometry: Polyhedron) -> Room:
         sigma=np.maximum(0.2 * alpha, 0.01).round(4),
         centre_frequencies=_BANDS,
         air=Air(21, 45),
+        scattering=np.full(alpha.shape, 0.4),
+        scene=Scene(mesh="room.obj", sources=_SOURCES, receivers=_RECEIVERS),
     )
 
 
@@ -266,14 +263,12 @@ def _where() -> Example:
         {
             "room.toml": _rehearsal_room(geometry).to_text().encode(),
             "room.obj": obj.text(geometry).encode(),
-            "positions.toml": position_files.text(_SOURCES, _RECEIVERS).encode(),
             "pairs.csv": path("where_room/pairs.csv").read_bytes(),
-            "case.toml": _CASE.encode(),
         },
         (
-            "rtcal gap find case.toml",
-            "rtcal gap report case.toml --out page",
-            "rtcal gap apply case.toml --out corrected",
+            "rtcal gap find room.toml pairs.csv",
+            "rtcal gap report room.toml pairs.csv --out page",
+            "rtcal gap apply room.toml pairs.csv --out corrected",
         ),
     )
 

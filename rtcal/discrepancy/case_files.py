@@ -56,8 +56,13 @@ def read(path: str) -> dict[str, Any]:
         if str(path).endswith(".json"):
             return json_object(text)
         content = toml_table(text)
+        if "volume" in content:
+            raise DataError("this is a room's file; name what was measured in the room beside it")
         if "geometry" in content:
-            raise DataError("a case with a geometry is read by rtcal.where.Case.from_file")
+            raise DataError(
+                "a case states no geometry: write [geometry] with mesh, [sources] and [receivers] into "
+                "the room's file, and name it and the measurement: room.toml pairs.csv"
+            )
         file = Entries("", content, ("room",), _KEYS)
         configurations = [
             (checks.mapped(f"configuration[{i}]", each))

@@ -1,8 +1,8 @@
 """Say where: what is other than stated in a geometry, and on which surface.
 
     >>> import rtcal as rt
-    >>> case = rt.where.Case(simulator=tracing, measured=pairs)     # doctest: +SKIP
-    >>> print(rt.where.find(case))                                  # doctest: +SKIP
+    >>> case = rt.where.Case.from_room(room, measured)     # doctest: +SKIP
+    >>> print(rt.where.find(case))                         # doctest: +SKIP
 
 docs/where.md has the method and what it can and cannot do.
 """

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.errors import DataError
+from rtcal.io import geometry_files
 from rtcal.loop.measured_pairs import Pair, history, refuse_unknown
 from rtcal.simulators.base import at_places
 from rtcal.simulators.geometry import Polyhedron
@@ -24,7 +25,7 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.text import shortened
-from rtcal.where import case_files, parts
+from rtcal.where import parts
 from rtcal.where import surfaces as of_room
 from rtcal.where.parts import Divided
 from rtcal.where.surfaces import Faces
@@ -152,15 +153,37 @@ class Case:
 
     @classmethod
     @checked
-    def from_file(cls, path: str | os.PathLike[str]) -> Case:
-        """Read a case with a geometry (TOML), as `rtcal.where.case_files` says.
+    def from_room(
+        cls,
+        room: Room,
+        measured: Measurement,
+        *,
+        tracing: Mapping[str, Any] | None = None,
+        **stated: Any,
+    ) -> Case:
+        """Return the case of a room that states its scene: mesh, sources, receivers, names of surfaces.
 
-        Raises DataError naming the file, the key and the rule.
+        Parameters
+        ----------
+        room : Room
+        measured : Measurement
+        tracing : mapping, optional
+            Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``.
+        **stated
+            Further parameters of `Case`.
+
+        Raises
+        ------
+        DataError
+            As `rtcal.io.geometry_files.path_tracing` and `Case` do.
         """
-        try:
-            return cls(**case_files.read(path))
-        except DataError as error:
-            raise DataError(f"{os.fspath(path)}: {error}") from error
+        return cls(
+            simulator=geometry_files.path_tracing(room, **(tracing or {})),
+            measured=measured,
+            surfaces=room.scene.surfaces or None,
+            position_uncertainty=room.scene.position_uncertainty,
+            **stated,
+        )
 
     @property
     def room(self) -> Room:

@@ -7,7 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.errors import DataError
-from rtcal.io import obj, position_files
+from rtcal.io import obj
 from rtcal.simulators import Polyhedron
 
 BANDS = [500.0, 1000.0]
@@ -51,32 +51,28 @@ def test_areas_by_material_are_in_any_order() -> None:
         rt.Room(areas={"floor": 20, "walls": 74}, **stated)
 
 
-def test_both_kinds_of_case_read_their_file(tmp_path) -> None:
+def test_one_room_file_serves_both_kinds_of_case(tmp_path) -> None:
     shape = geometry()
+    points = {
+        "sources": {"S1": (1.0, 1.0, 1.5)},
+        "receivers": {"R1": (3, 4, 1.2), "R2": (1, 4, 1.2)},
+    }
     room = rt.Room.from_geometry(
         shape, name="box", materials=MATERIALS, centre_frequencies=BANDS, air=rt.Air()
-    )
+    ).replace(scene=rt.Scene(mesh=tmp_path / "room.obj", **points), scattering=np.full((2, 2), 0.4))
     room.save(str(tmp_path / "room.toml"))
     shape.save(tmp_path / "room.obj")
-    points = {"S1": (1.0, 1.0, 1.5)}, {"R1": (3.0, 4.0, 1.2), "R2": (1.0, 4.0, 1.2)}
-    (tmp_path / "positions.toml").write_text(position_files.text(*points), encoding="utf-8")
-    pairs = [("S1", "R1"), ("S1", "R2")]
+    pairs = (("S1", "R1"), ("S1", "R2"))
     values = {"t20": np.array([[0.8, 0.7], [0.82, 0.71]])}
-    rt.Measurement(centre_frequencies=BANDS, values=values, pairs=pairs).save(
-        str(tmp_path / "pairs.csv")
-    )
-    (tmp_path / "where.toml").write_text(
-        'room = "room.toml"\ngeometry = "room.obj"\npositions = "positions.toml"\n'
-        'measured = "pairs.csv"\nscattering = 0.4\npaths = 400\n',
-        encoding="utf-8",
-    )
+    measured = rt.Measurement(centre_frequencies=BANDS, values=values, pairs=pairs)
+    measured.save(str(tmp_path / "pairs.csv"))
     (tmp_path / "gap.toml").write_text(
         'room = "room.toml"\n[[configuration]]\nname = "as it is"\nmeasured = "pairs.csv"\n',
         encoding="utf-8",
     )
-    assert rt.where.Case.from_file(tmp_path / "where.toml").pairs == tuple(pairs)
-    assert rt.discrepancy.Case.from_file(str(tmp_path / "gap.toml")).room.volume == room.volume
-    with pytest.raises(DataError, match=r"where\.toml: .*rtcal\.where\.Case\.from_file"):
-        rt.discrepancy.Case.from_file(str(tmp_path / "where.toml"))
-    with pytest.raises(DataError, match=r"gap\.toml: "):
-        rt.where.Case.from_file(tmp_path / "gap.toml")
+    read = rt.Room.from_file(str(tmp_path / "room.toml"))
+    case = rt.where.Case.from_room(read, measured, tracing={"n_paths": 400})
+    assert case.pairs == pairs
+    assert case.geometry.areas == pytest.approx(shape.areas)
+    again = rt.discrepancy.Case.from_file(str(tmp_path / "gap.toml")).room
+    assert again.scene == read.scene
