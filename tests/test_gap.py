@@ -16,6 +16,8 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
+from rtcal.command import gap
+from rtcal.command.gap_options import Inputs
 from rtcal.command.main import cli
 from rtcal.discrepancy import Case, Finding, control_rooms, evidence, find, verify
 from rtcal.discrepancy.engines import ControlRooms
@@ -128,6 +130,20 @@ def test_nothing_is_written_over_what_was_read(
     with pytest.raises(rt.errors.DataError, match="would be written over"):
         run(name, str(tmp_path / "case.toml"), *options)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+def test_a_room_and_its_measurement_are_a_case(folder: Path, tmp_path: Path) -> None:
+    """One configuration needed a third file, which named the other two."""
+    room, measured = str(folder / "room.toml"), str(folder / "measured.csv")
+    (tmp_path / "case.toml").write_text(
+        f'room = "{room}"\n[[configuration]]\nname = "as measured"\nmeasured = "{measured}"\n'
+    )
+    stated = Case.from_file(str(tmp_path / "case.toml"))
+    assert gap._case(Inputs(case=room, measured=measured)).to_dict() == stated.to_dict()
+    with pytest.raises(rt.errors.DataError, match="--paths needs a room that states its sources"):
+        run("find", room, measured, "--paths", "100")
+    with pytest.raises(rt.errors.DataError, match="would be written over"):
+        run("apply", room, measured, "--out", measured)
 
 
 @pytest.fixture(scope="module")

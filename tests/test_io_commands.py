@@ -317,7 +317,9 @@ def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, cap
     assert '"wood" (similar: ' in capsys.readouterr().err
     chosen = ("--catalogue", "wood=wood_16mm", "--catalogue", "brick=brickwork")
     assert run(*command, *chosen) == 0
-    assert rt.Room.from_file(str(out)).volume == 2
+    room = rt.Room.from_file(str(out))
+    assert room.volume == 2
+    assert geometry_files.read(room).areas == rt.io.obj.read(mesh).areas
     assert "Left out" not in capsys.readouterr().out
 
 

@@ -345,7 +345,7 @@ def _case(inputs: Inputs, targets: Sequence[str] = ()) -> Case:
     spare(targets, _files(inputs))
     room = Room.from_file(inputs.case)
     measured = Measurement.from_file(inputs.measured)
-    return Case(room=room, configurations=[Configuration("as measured", measured)])
+    return Case(room=room, configurations=[Configuration(name="as measured", measured=measured)])
 
 
 def _files(inputs: Inputs) -> list[str]:

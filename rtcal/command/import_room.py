@@ -109,6 +109,8 @@ def import_room(
 ) -> None:
     """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
 
+    The room's file names the mesh. Add [sources] and [receivers] to it for what needs positions.
+
     A list states neither uncertainty nor air. Without the options for them, the assumptions are
     printed.
 
@@ -120,6 +122,7 @@ def import_room(
     Example: rtcal import odeon hall.Li8 \\
         --mesh hall.obj --out room.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    from rtcal.acoustics.scene import Scene
     from rtcal.io import sigma_table as table
     from rtcal.io.material_list import SigmaRule
 
@@ -149,6 +152,8 @@ def import_room(
         others=others,
         air=_air(temperature, humidity),
     )
+    if mesh is not None:
+        room = room.replace(scene=Scene(mesh=mesh, unit=unit))
     room.save(out)
     in_use = {listed.listed(name).name for name in used if name not in others}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
