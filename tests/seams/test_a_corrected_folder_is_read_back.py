@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.io import catt, obj, odeon, position_files
+from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import Polyhedron
 from rtcal.where.corrected import corrected
 from tests.test_where_corrected import BANDS, L_PLAN, candidate, case_in, prism, triangulated
@@ -37,8 +37,9 @@ def test_every_file_has_the_patch(
         stated, read = getattr(made.room, name), getattr(room, name)
         np.testing.assert_allclose(read, stated, rtol=1e-9)
     assert made.material in room.materials
-    places = position_files.read(tmp_path / "positions.toml")
+    places = (room.scene.sources, room.scene.receivers)
     assert places == (dict(case.simulator.sources), dict(case.simulator.receivers))
+    assert geometry_files.read(room).areas == mesh.areas
     sizes = np.array([mesh.areas[m] for m in room.materials])
     np.testing.assert_allclose(sizes, [made.geometry.areas[m] for m in room.materials], rtol=1e-6)
     absorbed = made.room.absorption_area

@@ -11,12 +11,13 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.errors import DataError
-from rtcal.io import obj, position_files
+from rtcal.io import obj
 from rtcal.loop import positions
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
 HALL = rt.datasets.halls.lecture_hall()
+OPTIONS = ["--paths", "100", "--match", "t20", "--match", "edt"]
 
 
 def tracer(n_paths: int) -> rt.simulators.PathTracing:
@@ -54,13 +55,11 @@ def test_by_command(
 ) -> None:
     # The option is at least 100, which suffices in this hall: as many are weighed as of 16.
     monkeypatch.setattr(positions, "precise", lambda s, _: replace(s, n_paths=64, n_batches=16))
-    HALL.room.save(str(tmp_path / "room.toml"))
+    scene = rt.Scene(mesh=tmp_path / "room.obj", sources=HALL.sources, receivers=HALL.receivers)
+    HALL.room.replace(scene=scene).save(str(tmp_path / "room.toml"))
     measured.save(str(tmp_path / "pairs.csv"))
     obj.write(HALL.geometry, tmp_path / "room.obj")
-    (tmp_path / "positions.toml").write_text(position_files.text(HALL.sources, HALL.receivers))
-    options = ["--mesh", "room.obj", "--positions", "positions.toml", "--paths", "100"]
-    options = [str(tmp_path / o) if "." in o else o for o in options]
     files = [str(tmp_path / n) for n in ("room.toml", "pairs.csv")]
-    done = CliRunner().invoke(cli, ["fit", *files, *options, "--match", "t20", "--match", "edt"])
+    done = CliRunner().invoke(cli, ["fit", *files, *OPTIONS])
     assert isinstance(done.exception, DataError)
     assert "Take a larger --paths" in str(done.exception)
