@@ -148,9 +148,9 @@ def variants() -> list[Variant]:
             matrix=same_at_each_node(np.roll(np.eye(5), 1, axis=0)),
         ),
         Variant("admittances by the walls' exchange", matrix=from_admittances(exchanged())),
-        Variant("p_S, not p_S / 2, into each port", inject=1.0),
+        Variant("the whole pressure of the source, not half of it, into each port", inject=1.0),
         Variant("taps of gain 1", unit_taps=True),
-        Variant("walls reflect 1 - alpha of the pressure", reflection=lambda alpha: 1 - alpha),
+        Variant("walls reflect 1 - α of the pressure", reflection=lambda alpha: 1 - alpha),
         Variant("the room of Fig. 1, 5 x 4 x 3 m", sides=(5.0, 4.0, 3.0)),
         Variant(
             "a cube of 105 m³, which is not the paper's room",

@@ -57,7 +57,7 @@ WRONG = [
     ("table", [], "a mapping whose values are each a number"),
     ("table", {"a": "b"}, "a mapping whose values are each a number"),
     ("point", (1, 2, 3), "a tuple of 2: a number, a number"),
-    ("call", 3, "a function"),
+    ("call", 3, "a function of 0 arguments"),
     ("room", "room", "a rtcal.Room or None"),
 ]
 

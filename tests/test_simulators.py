@@ -115,7 +115,7 @@ def test_wrong_arguments_are_typed_errors(name, argument, value):
         ("PathTracing", "n_paths", [0, 1, "many", None, 2.5, np.nan]),
         ("PathTracing", "n_batches", [1, "2", None]),
         ("PathTracing", "scattering", [-0.1, "rough", [[0.1, 0.2]], np.nan, [None]]),
-        ("PathTracing", "scattering_model", [None, 5, "", ["random"]]),
+        ("PathTracing", "scattering_model", [5, "", ["random"]]),
         ("PathTracing", "radius", [0, -1, "1", np.inf]),
         ("PathTracing", "bin_width", [0, None, "1", np.nan]),
         ("PathTracing", "workers", [0, "2", 1.5]),

@@ -141,7 +141,6 @@ def checked(calibration: rt.Calibration) -> None:
     joint = calibration.build(ROOM)._joint
     times = [times_in_room(ROOM, MEASURED)]
     data = joint._assembler.problem_data(joint.configurations, times, None)
-    joint._program._context.update(data)
     joint._program._require_agreement(data)
 
 

@@ -217,7 +217,7 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
         ({"surfaces": {"side": ["wset"]}}, 'surfaces["side"] has "wset", which is no face'),
         ({"surfaces": {}}, "surfaces is empty"),
         ({"surfaces": {"a": ["west"], "b": ["west"]}}, 'face "west" stands in two surfaces'),
-        ({"match": ("t20", "sti")}, 'match has "sti"'),
+        ({"match": ("t20", "t15")}, 'match has "t15"'),
         ({"position_uncertainty": 0.0}, "position_uncertainty = 0"),
         ({"measured": rt.Measurement.from_values(BANDS, t20=[1, 1, 1])}, "means over pairs"),
         ({"exclude": [("S1", "R9")]}, "exclude has S1 to R9"),

@@ -83,7 +83,8 @@ def in_the_room(option: str, keys: str) -> Callable[[Callable[..., None]], Calla
         if value is not None:
             raise DataError(f"{option} is no option: write it into the room's file ({keys})")
 
-    return click.option(option, hidden=True, expose_value=False, callback=refuse)
+    said = f"Stands in the room's file: {keys}."
+    return click.option(option, hidden=True, expose_value=False, callback=refuse, help=said)
 
 
 def tell(text: str, record: Mapping[str, Any], *, quiet: bool, as_json: bool) -> None:

@@ -16,7 +16,7 @@ _PURPOSES = {
     "simulator": "a simulator in Python",
     "optimisation": "terms, solvers and the certificate",
     "missing-effect": "a model that may lack something",
-    "told": "two rooms with something hidden: named, and not told",
+    "told": "two rooms: one effect named, one not",
     "where": "a mesh and twelve pairs: on which surface?",
 }
 _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.items())

@@ -56,7 +56,7 @@ def read(path: str) -> dict[str, Any]:
         if str(path).endswith(".json"):
             return json_object(text)
         content = toml_table(text)
-        if "volume" in content:
+        if "material" in content:
             raise DataError("this is a room's file; name what was measured in the room beside it")
         if "geometry" in content:
             raise DataError(

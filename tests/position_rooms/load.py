@@ -1,4 +1,4 @@
-"""A position room as rtcal takes it. It is the one module of this folder that imports rtcal."""
+"""A position room as rtcal takes it. Beside `shipped` it is the one module here that imports rtcal."""
 
 from __future__ import annotations
 
