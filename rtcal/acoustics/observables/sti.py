@@ -44,11 +44,12 @@ class STI(Observable):
 
     def value(self, energy: Array, bin_width: float) -> Array:
         """Return the mean transmission index; NaN without energy."""
-        return np.asarray(_index(np.abs(_transfer(energy, bin_width)[0])).mean(-1))
+        return np.asarray(_index(np.abs(_transfer(energy, bin_width))).mean(-1))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return d STI / d E_j = mean of d TI / d m (Re(m* w_j) / |m| - |m|) over F, over sum(E)."""
-        ratio, waves = _transfer(energy, bin_width)
+        ratio = _transfer(energy, bin_width)
+        waves = np.stack([_wave(f, energy.shape[-1], bin_width) for f in MODULATIONS])
         m = np.abs(ratio)
         by_ratio = _slope(m) / len(MODULATIONS)
         wave = ((by_ratio / m * np.conj(ratio)) @ waves).real
@@ -101,15 +102,22 @@ class STI(Observable):
         return logarithms, np.asarray(table + 1e-9 * np.arange(len(table)))
 
 
-def _transfer(energy: Array, bin_width: float) -> tuple[Array, Array]:
-    """Return the complex modulation transfer, (..., n_modulations), and the waves by bin.
+def _transfer(energy: Array, bin_width: float) -> Array:
+    """Return the complex modulation transfer, (..., n_modulations).
 
-    m(F) = sum E exp(-2 pi i F t) / sum E (Schroeder 1981), t the middle of each bin.
+    m(F) = sum E exp(-2 pi i F t) / sum E (Schroeder 1981), t the middle of each bin. The frequencies
+    are taken one by one, since a response has a million bins.
     """
-    time = (np.arange(np.shape(energy)[-1]) + 0.5) * bin_width
-    waves = np.exp(-2j * np.pi * MODULATIONS[:, np.newaxis] * time)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return energy @ waves.T / np.sum(energy, axis=-1, keepdims=True), waves
+    n_bins = np.shape(energy)[-1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = np.asarray(energy).sum(-1)
+        each = [energy @ _wave(f, n_bins, bin_width) / total for f in MODULATIONS]
+    return np.stack(each, axis=-1)
+
+
+def _wave(frequency: float, n_bins: int, bin_width: float) -> Array:
+    """Return exp(-2 pi i F t) at the middle of each bin, (n_bins,)."""
+    return np.asarray(np.exp(-2j * np.pi * frequency * (np.arange(n_bins) + 0.5) * bin_width))
 
 
 def _index(m: Array) -> Array:
