@@ -60,7 +60,7 @@ def text(data: Mapping[str, Any]) -> str:
 
 
 def is_state(path: Path) -> bool:
-    """Return whether a file is the state of a loop; DataError if it cannot be read."""
+    """Return whether a file is the state of a loop; a file that cannot be read is none."""
     if not path.is_file():
         return False
     try:

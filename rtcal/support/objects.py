@@ -198,11 +198,11 @@ def _class(place: str, name: Any) -> type:
         except ImportError:
             kind = None
     if not isinstance(kind, type) or not _storable(kind) or kind.__module__ != module:
-        raise DataError(f"{place}: {checks.shown(name)} is no class that rtcal {_VERSION_RULE}")
+        raise DataError(
+            f"{place}: {checks.shown(name)} is no class that rtcal saves; another version wrote it, or "
+            "no rtcal"
+        )
     return kind
-
-
-_VERSION_RULE = "saves; another version wrote it, or no rtcal"
 
 
 def _pair(place: str, entry: Any, *keys: str) -> tuple[Any, ...]:
