@@ -35,10 +35,11 @@ from benchmarks.judging import (
     stated_probabilities,
 )
 from benchmarks.second_world import WORLDS, order, place, truth_of
-from rtcal.discrepancy import Case, find, library, likelihood, search
-from rtcal.discrepancy import hypotheses as hypotheses_module
-from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.effects.air import OmittedAir
+from rtcal.finder import Case, find, library
+from rtcal.finder.effects import Effect
+from rtcal.finder.effects.air import OmittedAir
+from rtcal.finder.means import hypotheses as hypotheses_module
+from rtcal.finder.means import likelihood, search
 
 NEW = ("curtain", "membrane", "covered surface", "people")
 

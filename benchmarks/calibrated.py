@@ -22,13 +22,14 @@ import numpy as np
 
 from benchmarks.judging import calibration_error, first_of, kept_controls, one
 from benchmarks.second_world import WORLDS, place, truth_of
-from rtcal.discrepancy import Case, library, likelihood
-from rtcal.discrepancy.evidence import evaluate
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.model_error import estimate_discrepancy
-from rtcal.discrepancy.prior import Prior, prior_of, relative_sigma
-from rtcal.discrepancy.probabilities import posterior
+from rtcal.finder import Case, library
+from rtcal.finder.means import likelihood
+from rtcal.finder.means.evidence import evaluate
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.model_error import estimate_discrepancy
+from rtcal.finder.means.probabilities import posterior
+from rtcal.finder.prior import Prior, prior_of, relative_sigma
 from rtcal.support.threads import single_threaded_blas
 
 CHOSEN = (likelihood.DEGREES, likelihood.COARSENING)

@@ -23,8 +23,8 @@ import numpy as np
 
 def child(folder: str, rooms: int) -> None:
     """Print seconds of each room: {"one": [...], "all": [...]}."""
-    from rtcal.discrepancy import Case, find
-    from rtcal.discrepancy.engines import ControlRooms
+    from rtcal.finder import Case, find
+    from rtcal.finder.means.engines import ControlRooms
     from tests.hidden_world.generate import read
 
     warnings.simplefilter("ignore")

@@ -34,8 +34,8 @@ from benchmarks.judging import one
 from benchmarks.positions import MATCH
 from benchmarks.real_cases import every_case
 from rtcal.acoustics.equations import EQUATIONS
-from rtcal.discrepancy import Case, control_rooms, find, find_several, verify
-from rtcal.discrepancy.engines import ControlRooms
+from rtcal.finder import Case, control_rooms, find, find_several, verify
+from rtcal.finder.means.engines import ControlRooms
 from tests.geometric_world import load as geometric
 from tests.position_rooms import load as positions
 
@@ -126,10 +126,10 @@ def several(plain_case: Any) -> dict[str, Any]:
 def on_pairs(index: int, statement: str, paths: int) -> dict[str, Any]:
     """A geometric room, searched at every position; what was found is verified on other pairs."""
     room = geometric.load(0, index, statement)
-    case = rt.where.Case(
+    case = rt.finder.positions.Case(
         simulator=room.simulator(n_paths=paths), measured=room.measured, match=MATCH
     )
-    found = rt.where.find(case)
+    found = rt.finder.positions.find(case)
     row = {
         "verdict": found.verdict,
         "effect": found.effect,
@@ -147,7 +147,7 @@ def on_pairs(index: int, statement: str, paths: int) -> dict[str, Any]:
         "map": found.map,
     }
     if found.can_be_added:
-        seen = rt.where.verify(found)
+        seen = rt.finder.positions.verify(found)
         row |= {"verification": seen.verdict, "gain": seen.gain, "gaps": seen.corrected}
     return row
 

@@ -24,8 +24,8 @@ LARGEST = 1.2
 def child(name: str, n_materials: int, n_configurations: int) -> None:
     """Print seconds and MB of one call."""
     import rtcal as rt
-    from rtcal.discrepancy import Case, Change, Configuration, find
-    from rtcal.discrepancy.engines import ControlRooms
+    from rtcal.finder import Case, Change, Configuration, find
+    from rtcal.finder.means.engines import ControlRooms
 
     rng = np.random.default_rng(0)
     bands = 250.0 * 2.0 ** np.arange(4)

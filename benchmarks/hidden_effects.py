@@ -21,16 +21,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.judging import FLAGS, NOTHING, first_of, kept_controls, one, rate, row_of
-from rtcal.discrepancy import (
+from rtcal.finder import (
     Case,
     find,
     verify,
 )
-from rtcal.discrepancy.bootstrap import (
+from rtcal.finder.effects.people import AT_1_KHZ
+from rtcal.finder.means.bootstrap import (
     MINIMUM_LEVELS,
 )
-from rtcal.discrepancy.effects.people import AT_1_KHZ
-from rtcal.discrepancy.engines import ControlRooms
+from rtcal.finder.means.engines import ControlRooms
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 

@@ -17,32 +17,30 @@ import numpy as np
 
 from benchmarks.hidden_effects import NAMES, ROOMS, TRUTHS, load, name_of, rows_of
 from benchmarks.judging import first_of, kept_controls, one, rate
-from rtcal.discrepancy import (
+from rtcal.finder import (
     Case,
     Effect,
     Finding,
     control_rooms,
-    evidence,
     find,
-    hypotheses,
     library,
-    model_error,
     recalibrate,
 )
-from rtcal.discrepancy.bootstrap import (
+from rtcal.finder.case import NORMAL_90
+from rtcal.finder.means import evidence, hypotheses, model_error
+from rtcal.finder.means.bootstrap import (
     bootstrap_threshold,
     draw_null_features,
     score,
 )
-from rtcal.discrepancy.case import NORMAL_90
-from rtcal.discrepancy.engines import recentred
-from rtcal.discrepancy.evidence import evaluate
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.model_error import estimate_discrepancy
-from rtcal.discrepancy.prior import prior_of
-from rtcal.discrepancy.probabilities import credible_set, posterior
-from rtcal.discrepancy.recalibration import plain
+from rtcal.finder.means.engines import recentred
+from rtcal.finder.means.evidence import evaluate
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.model_error import estimate_discrepancy
+from rtcal.finder.means.probabilities import credible_set, posterior
+from rtcal.finder.means.recalibration import plain
+from rtcal.finder.prior import prior_of
 
 
 def engines(first: int, rooms: int) -> None:

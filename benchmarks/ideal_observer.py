@@ -18,15 +18,15 @@ import numpy as np
 
 from benchmarks.several_effects import LEVEL
 from benchmarks.several_effects_rooms import rooms
-from rtcal.discrepancy import Case, library
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.model_error import estimate_discrepancy
-from rtcal.discrepancy.prior import UNKNOWN, Prior, prior_of
-from rtcal.discrepancy.set_posterior import families_of, set_posterior
-from rtcal.discrepancy.sets import Comparison, Rows, acting_order, compare, moments, shapes
-from rtcal.discrepancy.several import TWO
+from rtcal.finder import Case, library
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.model_error import estimate_discrepancy
+from rtcal.finder.means.set_posterior import families_of, set_posterior
+from rtcal.finder.means.sets import Comparison, Rows, acting_order, compare, moments, shapes
+from rtcal.finder.means.several import TWO
+from rtcal.finder.prior import UNKNOWN, Prior, prior_of
 
 
 def drawn(compared: Comparison, prior: Prior, number: int, rng: np.random.Generator) -> Rows:

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from rtcal.discrepancy import Case, Finding, control_rooms, library
-from rtcal.discrepancy.engines import ControlRooms
+from rtcal.finder import Case, Finding, control_rooms, library
+from rtcal.finder.means.engines import ControlRooms
 
 NOTHING = "none"
 UNKNOWN = "unknown"

@@ -77,7 +77,7 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "+ step = np.divide(force, diagonal, out=np.zeros_like(force), where=diagonal > 1)",
     ): "looser, not wrong: the step chooses where to look for a better bound, and 1/sigma² is above 1",
     (
-        "rtcal.discrepancy.likelihood.x_alpha_covariance",
+        "rtcal.finder.means.likelihood.x_alpha_covariance",
         '+ full = np.einsum("AFK,AKBL,BGL->AFKBGL", slopes, variance, slopes)',
     ): "equivalent: capitals are subscripts as well",
 }

@@ -24,15 +24,15 @@ from benchmarks.judging import first_of, interval, one
 from benchmarks.second_world import place
 from benchmarks.several_effects import wide
 from benchmarks.several_effects_rooms import Room, judged_alone, rooms
-from rtcal.discrepancy import Case, find_several, library, plan
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.measurements import COSTS
-from rtcal.discrepancy.model_error import estimate_discrepancy
-from rtcal.discrepancy.prior import prior_of
-from rtcal.discrepancy.set_posterior import set_posterior
-from rtcal.discrepancy.sets import compare
+from rtcal.finder import Case, find_several, library, plan
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.measurements import COSTS
+from rtcal.finder.means.model_error import estimate_discrepancy
+from rtcal.finder.means.set_posterior import set_posterior
+from rtcal.finder.means.sets import compare
+from rtcal.finder.prior import prior_of
 from tests.hidden_world.populations import Hidden, make, measure
 
 BASE = ("t20", "edt", "t30")

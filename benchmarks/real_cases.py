@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks import real_data as data
 from benchmarks.judging import NOTHING
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy import Case, Change
+from rtcal.finder import Case, Change
 
 ADDED = ("opening", "furniture", "audience", "porous", "curtain", "people")
 """Absorption that is not low alone: families that say that the model lacks absorption."""

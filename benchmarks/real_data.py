@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import rtcal as rt
-from rtcal.discrepancy import Change, Configuration
+from rtcal.finder import Change, Configuration
 from rtcal.support.types import Array
 
 DATA = Path(os.environ.get("RTCAL_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))

@@ -43,15 +43,15 @@ from benchmarks.several_effects_rooms import (
     rooms,
     true_effects,
 )
-from rtcal.discrepancy import Case, find_several, recalibrate
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.likelihood import alpha_covariance
-from rtcal.discrepancy.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.discrepancy.recalibration import plain
-from rtcal.discrepancy.set_alpha import averaged_alpha, covariance_with_alpha
-from rtcal.discrepancy.sets import compare, moments
+from rtcal.finder import Case, find_several, recalibrate
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import alpha_covariance
+from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
+from rtcal.finder.means.recalibration import plain
+from rtcal.finder.means.set_alpha import averaged_alpha, covariance_with_alpha
+from rtcal.finder.means.sets import compare, moments
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE
 

@@ -21,13 +21,14 @@ from benchmarks.hidden_effects import NAMES
 from benchmarks.second_world import place
 from benchmarks.several_effects import Searched
 from benchmarks.several_effects_rooms import rooms
-from rtcal.discrepancy import find, find_several, library, set_posterior
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.model_error import estimate_discrepancy
-from rtcal.discrepancy.prior import prior_of
-from rtcal.discrepancy.set_posterior import Kept
-from rtcal.discrepancy.sets import compare
+from rtcal.finder import find, find_several, library
+from rtcal.finder.means import set_posterior
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.model_error import estimate_discrepancy
+from rtcal.finder.means.set_posterior import Kept
+from rtcal.finder.means.sets import compare
+from rtcal.finder.prior import prior_of
 
 POPULATION = 0
 NOT_OF_THE_ROOM = frozenset({"climate", "measurement"})

@@ -12,9 +12,9 @@ import numpy as np
 from benchmarks.hidden_effects import name_of
 from benchmarks.judging import first_of, kept_controls, one
 from benchmarks.second_world import place
-from rtcal.discrepancy import AppliedEffect, Case
-from rtcal.discrepancy.effects.people import AT_1_KHZ
-from rtcal.discrepancy.engines import ControlRooms
+from rtcal.finder import AppliedEffect, Case
+from rtcal.finder.effects.people import AT_1_KHZ
+from rtcal.finder.means.engines import ControlRooms
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import COUNTS, DOUBLE, TOGGLED, build
 

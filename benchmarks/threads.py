@@ -29,7 +29,7 @@ def task(name: str) -> Callable[[], object]:
     import rtcal as rt
 
     if name == "find":
-        from rtcal.discrepancy.engines import ControlRooms
+        from rtcal.finder.means.engines import ControlRooms
 
         case, _ = rt.datasets.hidden_room()
         rng = np.random.default_rng(0)
@@ -39,7 +39,7 @@ def task(name: str) -> Callable[[], object]:
             ControlRooms(engine, scale * rng.standard_normal(shape))
             for engine in ("path tracing", "network")
         ]
-        return lambda: rt.discrepancy.find(case, controls=controls)
+        return lambda: rt.finder.find(case, controls=controls)
     room, measured = rt.datasets.bras_cr2()
     if name == "calibrate":
         return lambda: [rt.calibrate(room, measured) for _ in range(20)]

@@ -4,7 +4,7 @@ The test is told which effect is hidden and how large it is, against one alterna
 well. No finder knows as much, so none names the truth more often at as few wrong claims. A second test
 is told the library and the priors alone: the weighted likelihood ratio is then the most powerful.
 
-The data are drawn from what `rtcal.discrepancy.find` assumes: the prior of the coefficients with their
+The data are drawn from what `rtcal.finder.find` assumes: the prior of the coefficients with their
 usual error in common, the measurement's uncertainty, and the model's error as control rooms show it.
 Their density is Student's t of the finder's degrees of freedom, or a normal one.
 
@@ -22,17 +22,18 @@ from unittest import mock
 import numpy as np
 
 from benchmarks.judging import families_of
-from rtcal.discrepancy import Case, library, likelihood
-from rtcal.discrepancy.bootstrap import score
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.evidence import evaluate
-from rtcal.discrepancy.features import Observed, observe
-from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.discrepancy.likelihood import DEGREES, alpha_covariance
-from rtcal.discrepancy.model import predict
-from rtcal.discrepancy.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.discrepancy.prior import prior_of
-from rtcal.discrepancy.states import distances, state
+from rtcal.finder import Case, library
+from rtcal.finder.means import likelihood
+from rtcal.finder.means.bootstrap import score
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.evidence import evaluate
+from rtcal.finder.means.features import Observed, observe
+from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.likelihood import DEGREES, alpha_covariance
+from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
+from rtcal.finder.means.states import distances, state
+from rtcal.finder.model import predict
+from rtcal.finder.prior import prior_of
 from rtcal.support.types import Array
 
 DRAWS, SCORED = 4000, 200

@@ -17,7 +17,8 @@ from unittest.mock import patch
 import numpy as np
 
 from rtcal.acoustics.observables import OBSERVABLES, DecaySlope
-from rtcal.discrepancy import Case, control_rooms, features, find
+from rtcal.finder import Case, control_rooms, find
+from rtcal.finder.means import features
 from tests.second_world.generate import read
 
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")

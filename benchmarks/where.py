@@ -1,4 +1,4 @@
-"""What `rtcal.where` says of rooms in which something is hidden at a place that nobody stated.
+"""What `finder.positions` says of rooms in which something is hidden at a place that nobody stated.
 
     python -m benchmarks.where list
     python -m benchmarks.where run --folder out --number 40 --statement "in situ"    # can be resumed
@@ -11,10 +11,10 @@
 
 tests/geometric_world describes the rooms. Each is judged on T20, EDT, C80 and Ts ("without level") and
 with G beside them ("level"). Control runs and weighings are kept in the folder's `controls`, so that
-another run of a room takes seconds. `means` is `rtcal.discrepancy.find` on the same values, without
+another run of a room takes seconds. `means` is `rtcal.finder.find` on the same values, without
 a geometry.
 
-The gap is at held-out pairs, in JND: `rtcal.where.verify` fits on half of the pairs and predicts the
+The gap is at held-out pairs, in JND: `positions.verify` fits on half of the pairs and predicts the
 other half, and the other way round. It is judged where the effect changes T by over 10 % and something
 was added; the gap to what is heard, without the measurement's noise, stands beside it.
 """
@@ -38,14 +38,14 @@ import rtcal as rt
 from benchmarks.judging import FLAGS, rounded, row_of
 from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.discrepancy import find
+from rtcal.finder import find
+from rtcal.finder.positions import track_record
+from rtcal.finder.positions.detection import of_means
+from rtcal.finder.positions.model import Model, model
+from rtcal.finder.positions.posterior import Hypotheses
+from rtcal.finder.positions.responses import parameters, responses
+from rtcal.finder.positions.search import every_hypothesis
 from rtcal.loop.control_runs import control_runs
-from rtcal.where import track_record
-from rtcal.where.detection import of_means
-from rtcal.where.find import every_hypothesis
-from rtcal.where.model import Model, model
-from rtcal.where.responses import parameters, responses
-from rtcal.where.search import Hypotheses
 from tests.geometric_world import rooms
 from tests.geometric_world.generate import HERE
 from tests.geometric_world.load import (
@@ -75,9 +75,9 @@ def stored_in(which: str) -> Path:
     return HERE / f"population_{population_of(which)}_results.jsonl.gz"
 
 
-def case_of(room: GeometricRoom, data: str) -> rt.where.Case:
+def case_of(room: GeometricRoom, data: str) -> rt.finder.positions.Case:
     level = data == "level"
-    return rt.where.Case(
+    return rt.finder.positions.Case(
         simulator=room.simulator(n_paths=PATHS),
         measured=room.measured if level else room.without_level(),
         match=MATCH if level else MATCH[:-1],
@@ -99,8 +99,8 @@ class Judging:
         return self.folder / f"{step}_{self.population}_{self.statement.replace(' ', '_')}.jsonl"
 
 
-def prepared(case: rt.where.Case, cache: Path) -> tuple[Model, Hypotheses]:
-    """Return the numbers and the hypotheses of a search, as `rtcal.where.find` makes them."""
+def prepared(case: rt.finder.positions.Case, cache: Path) -> tuple[Model, Hypotheses]:
+    """Return the numbers and the hypotheses of a search, as `finder.positions.find` makes them."""
     controls: Any = control_runs(
         case.simulator,
         case.room,
@@ -114,11 +114,11 @@ def prepared(case: rt.where.Case, cache: Path) -> tuple[Model, Hypotheses]:
 
 
 def judged(judging: Judging, index: int, data: str) -> dict[str, Any]:
-    """Return what `rtcal.where.find` says of a room."""
+    """Return what `finder.positions.find` says of a room."""
     room = judging.load(index)
     case = case_of(room, data)
     clock, processor = time.perf_counter(), time.process_time()
-    finding = rt.where.find(case, cache=judging.folder / "controls")
+    finding = rt.finder.positions.find(case, cache=judging.folder / "controls")
     return {
         "index": index,
         "data": data,
@@ -143,10 +143,10 @@ def verified(judging: Judging, index: int, data: str) -> dict[str, Any]:
     for row in read(judging.file("run")):
         if (row["index"], row["data"]) == (index, data) and row["verdict"] not in FLAGS:
             return out
-    finding = rt.where.find(case_of(judging.load(index), data), cache=cache)
+    finding = rt.finder.positions.find(case_of(judging.load(index), data), cache=cache)
     if not finding.can_be_added:
         return out
-    result = rt.where.verify(finding, cache=cache)
+    result = rt.finder.positions.verify(finding, cache=cache)
     gaps = {model: getattr(result, model).mean(axis=0) for model in MODELS}
     off = noise(finding, without_noise(judging.population, index))
     for key, by_model in (
@@ -304,11 +304,11 @@ def speed(folder: Path, population: int) -> None:
         key=lambda i: len(case_of(every[i], "level").faces),
     )
     warm = min(every, key=lambda i: every[i].room.n_materials)
-    rt.where.find(case_of(every[warm], "level"))  # compiles
+    rt.finder.positions.find(case_of(every[warm], "level"))  # compiles
     for which in ("first", "second"):
         case = case_of(every[most], "level")
         clock, processor = time.perf_counter(), time.process_time()
-        rt.where.find(case, cache=folder / "speed")
+        rt.finder.positions.find(case, cache=folder / "speed")
         print(
             f"{len(case.faces)} surfaces, 8 bands, {len(case.pairs)} pairs: {which} run "
             f"{time.perf_counter() - clock:.1f} s, {time.process_time() - processor:.1f} s of processor"

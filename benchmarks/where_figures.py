@@ -38,7 +38,7 @@ OF_KIND = {
     "coupled room": ("field",),
     "covered surface": ("less absorption",),
 }
-"""Right families of kinds whose name is no effect of `rtcal.discrepancy`."""
+"""Right families of kinds whose name is no effect of `rtcal.finder`."""
 
 
 def chosen(rows: Iterable[dict[str, Any]], which: str) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""What an observer could say who believes what `rtcal.where` believes, of data drawn from that belief.
+"""What an observer could say who believes what the finder believes, of data drawn from that belief.
 
     python -m benchmarks.where_ideal run --cache out --out rows.json.gz  # development rooms, in situ
     python -m benchmarks.where_ideal table                             # of the stored run
@@ -27,13 +27,13 @@ from scipy.special import logsumexp
 from benchmarks.positions_table import bootstrap
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import ABSORBERS, DATA
-from rtcal.where import unevenness
-from rtcal.where.evidence import Likelihood
-from rtcal.where.finding import LIKELY
-from rtcal.where.hypotheses import COUPLED
-from rtcal.where.model import Model
-from rtcal.where.search import Hypotheses, evaluate, scores, weights
-from rtcal.where.shift import MEASUREMENT, POSITION, Shift, Spread
+from rtcal.finder.positions import unevenness
+from rtcal.finder.positions.evidence import Likelihood
+from rtcal.finder.positions.finding import LIKELY
+from rtcal.finder.positions.hypotheses import COUPLED
+from rtcal.finder.positions.model import Model
+from rtcal.finder.positions.posterior import Hypotheses, evaluate, scores, weights
+from rtcal.finder.positions.shift import MEASUREMENT, POSITION, Shift, Spread
 from tests.geometric_world.load import IN_SITU, load
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")

@@ -6,7 +6,7 @@ Walls of development boxes (population 0 of tests/geometric_world) are divided i
 covers one to three adjoining ninths, and the same paths are weighed with it and with the same
 absorption spread over its wall. Printed are the deviation of a shift per pair from the spread one's,
 over the mean shift: its part common to all pairs, and each pair's own, by parameter.
-`rtcal.where.unevenness` has them.
+`rtcal.finder.positions.unevenness` has them.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks.where import case_of
 from rtcal.acoustics.observables import MATCH, observable
+from rtcal.finder.positions.weighing import Weighing
 from rtcal.simulators import Polyhedron
-from rtcal.where.weighing import Weighing
 from tests.geometric_world.load import IN_SITU, load, stored
 
 PARTS, PATHS, SHARE, PATCHES = 3, 12_000, 0.8, 12

@@ -1,4 +1,4 @@
-"""What `rtcal.where` says of PTB's studio: the model has its curtains open, they were measured closed.
+"""What the finder says of PTB's studio: the model has its curtains open, they were measured closed.
 
     python -m benchmarks.where_ptb run --folder out              # rtcal's model, then 21 others
     python -m benchmarks.where_ptb run --folder out --only own   # rtcal's model alone
@@ -33,14 +33,14 @@ from benchmarks.real_data import DATA, OCTAVES, PTB_AIR, handbook_sigma, lines
 from benchmarks.where import PATHS, plain, said
 from benchmarks.where_figures import MODELS, first
 from rtcal.acoustics.observables import observable
+from rtcal.finder.positions.evidence import flat
+from rtcal.finder.positions.model import Model
+from rtcal.finder.positions.model import model as model_of
+from rtcal.finder.positions.responses import parameters, precisely, responses
+from rtcal.finder.positions.weighing import Weighing
 from rtcal.loop.control_runs import control_runs
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.types import Array
-from rtcal.where.evidence import flat
-from rtcal.where.model import Model
-from rtcal.where.model import model as model_of
-from rtcal.where.responses import parameters, precisely, responses
-from rtcal.where.weighing import Weighing
 
 PAIRS = [(s, r) for s in ("S1", "S2") for r in ("R1", "R2", "R3")]
 QUANTITIES = {"t30": ("T30", 1.0), "edt": ("EDT", 1.0), "c80": ("C", 1.0), "ts": ("TS", 0.001)}
@@ -207,7 +207,7 @@ def judged(model: str, state: str, folder: Path, workers: int | None) -> dict[st
     """Return what is said of a model against the measurement in a state."""
     case = case_of(model, state, workers)
     clock, processor = time.perf_counter(), time.process_time()
-    finding = rt.where.find(case, cache=folder / "controls")
+    finding = rt.finder.positions.find(case, cache=folder / "controls")
     wall = case.geometry.names.index(SURFACES[WALL][0])
     row = {
         "model": model,
@@ -217,18 +217,18 @@ def judged(model: str, state: str, folder: Path, workers: int | None) -> dict[st
         **said(finding, case, wall),
     }
     if state == "closed" and finding.can_be_added:
-        verification = rt.where.verify(finding, cache=folder / "controls")
+        verification = rt.finder.positions.verify(finding, cache=folder / "controls")
         row["gaps"] = {model: float(verification.gap(model).mean()) for model in MODELS}
         row["by_parameter"] = verification.by_parameter
         row["ratio"] = verification.ratio
     return dict(plain(row))
 
 
-def case_of(model: str, state: str, workers: int | None) -> rt.where.Case:
+def case_of(model: str, state: str, workers: int | None) -> rt.finder.positions.Case:
     """Return a model against the measurement in a state."""
     others = None if model == OWN else simulated(model)
     match = tuple(p for p in QUANTITIES if others is None or p in others.values)
-    return rt.where.Case(
+    return rt.finder.positions.Case(
         simulator=simulator(workers),
         measured=measured(state),
         match=(*match, "level"),

@@ -1,4 +1,4 @@
-"""How far random numbers move the score of `rtcal.where.find`.
+"""How far random numbers move the score of `finder.positions.find`.
 
     python -m benchmarks.where_seeds --rooms 2.21 --seeds 0,1 --paths 8000 --folder out
 
@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.where import case_of
+from rtcal.finder.positions import track_record
+from rtcal.finder.positions.responses import parameters
+from rtcal.finder.positions.search import find_by_positions
 from rtcal.loop.control_runs import control_runs
-from rtcal.where import track_record
-from rtcal.where.find import find_by_positions
-from rtcal.where.responses import parameters
 from tests.geometric_world.load import IN_SITU, load
 
 

@@ -26,13 +26,13 @@ from scipy.special import logsumexp
 from benchmarks.where import case_of, prepared, read
 from benchmarks.where_figures import ABSORBERS, DATA, family_of, right_families
 from benchmarks.where_threshold import numbers_of
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE
-from rtcal.where import search
-from rtcal.where.detection import THRESHOLD, evidence_of_means
-from rtcal.where.find import CLAIMED
-from rtcal.where.hypotheses import COUPLED
-from rtcal.where.search import LEAST_BY_MEANS, evaluate, weights
-from rtcal.where.shift import MEASUREMENT, UNKNOWN
+from rtcal.finder.positions import search
+from rtcal.finder.positions.detection import THRESHOLD, evidence_of_means
+from rtcal.finder.positions.hypotheses import COUPLED
+from rtcal.finder.positions.posterior import LEAST_BY_MEANS, evaluate, weights
+from rtcal.finder.positions.search import CLAIMED
+from rtcal.finder.positions.shift import MEASUREMENT, UNKNOWN
+from rtcal.finder.prior import COEFFICIENTS, NONE
 from tests.geometric_world.load import IN_SITU, load, truth
 from tests.geometric_world.rooms import NOTHING
 
@@ -92,7 +92,7 @@ def of_room(population: int, index: int, data: str, cache: Path) -> Row | None:
 
 
 def pooled(row: Row, temper: float, power: float) -> dict[tuple[str, int], float]:
-    """Return probabilities by family and surface, as `rtcal.where.search.with_families`."""
+    """Return probabilities by family and surface, as `posterior.with_families`."""
     out = {
         (family, surface): p * max(row["means"].get(family, 0.0), LEAST_BY_MEANS) ** power
         for family, surface, p in row["positions"][str(temper)]

@@ -1,4 +1,4 @@
-"""The score that `rtcal.where.find` gives control rooms: rooms as stated that err as is assumed.
+"""The score that `finder.positions.find` gives control rooms: rooms as stated that err as is assumed.
 
     python -m benchmarks.where_threshold --cache out --statement "in situ" --rooms 0-11
 
@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import DATA
-from rtcal.where.model import Model
-from rtcal.where.search import TEMPER, Hypotheses, evaluate, scores, weights
+from rtcal.finder.positions.model import Model
+from rtcal.finder.positions.posterior import TEMPER, Hypotheses, evaluate, scores, weights
 from tests.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 
 FOLDS, DRAWS = 4, 25

@@ -20,17 +20,17 @@ import numpy as np
 import rtcal as rt
 from benchmarks.where import HANDBOOK, STATEMENTS, Judging, case_of, plain, read
 from benchmarks.where_figures import ABSORBERS, LARGE
-from rtcal.where.candidate import Candidate
-from rtcal.where.corrected import corrected
-from rtcal.where.responses import precisely
-from rtcal.where.verification import gap_in_jnd, halves_of, heard_calibrated
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.responses import precisely
+from rtcal.finder.positions.verification import gap_in_jnd, halves_of, heard_calibrated
 from tests.geometric_world.load import stored, truth
 
 
 def told(judging: Judging, index: int) -> dict[str, Any]:
     """Return the mean gaps at held-out pairs in JND, plain and corrected by the truth."""
     case, true = case_of(judging.load(index), "level"), truth(judging.population, index)
-    finding = rt.where.find(case, cache=judging.folder / "controls")
+    finding = rt.finder.positions.find(case, cache=judging.folder / "controls")
     surface = next(name for name, faces in case.faces.items() if true["surface"] in faces)
     hidden = Candidate(
         effect=true["kind"],

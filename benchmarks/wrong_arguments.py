@@ -35,8 +35,8 @@ from matplotlib.figure import Figure
 import rtcal as rt
 from rtcal.calibration.options import SolveKeywords
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
-from rtcal.discrepancy import AppliedEffect, Case, Change, Configuration, find, plan, verify
 from rtcal.errors import ModelError, RtcalError
+from rtcal.finder import AppliedEffect, Case, Change, Configuration, find, plan, verify
 from rtcal.loop.state import start
 from rtcal.posterior.distributions import posterior
 from rtcal.simulators.equation import EquationSimulator
@@ -200,7 +200,7 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         "TruncatedNormal": rt.priors.TruncatedNormal(np.array([0.2]), np.array([0.1])),
         "AppliedEffect": AppliedEffect("opening", {"area": 2.0}),
         "Plan": plan(case),
-        "Recalibrated": rt.discrepancy.recalibrate(case),
+        "Recalibrated": rt.finder.recalibrate(case),
         "Generator": np.random.default_rng(1),
         "ObjectiveTerm": rt.terms.PriorDeviation(),
         "ModelDiscrepancy": finding.discrepancy,

@@ -18,16 +18,15 @@ if TYPE_CHECKING:
     from rtcal import acoustics as acoustics
     from rtcal import calibration as calibration
     from rtcal import datasets as datasets
-    from rtcal import discrepancy as discrepancy
     from rtcal import errors as errors
     from rtcal import exact as exact
+    from rtcal import finder as finder
     from rtcal import io as io
     from rtcal import loop as loop
     from rtcal import posterior as posterior
     from rtcal import report as report
     from rtcal import simulators as simulators
     from rtcal import studies as studies
-    from rtcal import where as where
     from rtcal.acoustics import priors as priors
     from rtcal.acoustics.air import Air as Air
     from rtcal.acoustics.equations import ArauPuchades as ArauPuchades

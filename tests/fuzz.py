@@ -17,8 +17,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 import rtcal as rt
-from rtcal.discrepancy import Case
 from rtcal.errors import DataError
+from rtcal.finder import Case
 from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, sigma_table, tables
 from rtcal.io.material_list import MaterialList
 from rtcal.io.text import number

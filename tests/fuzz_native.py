@@ -14,9 +14,9 @@ import numpy as np
 
 import rtcal as rt
 from rtcal import studies
-from rtcal.discrepancy import Case
-from rtcal.discrepancy.case import AppliedEffect
 from rtcal.errors import DataError
+from rtcal.finder import Case
+from rtcal.finder.case import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import words
 from rtcal.studies.moments import Moments

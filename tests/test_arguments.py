@@ -12,8 +12,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay, quality
-from rtcal.discrepancy import Case, Change, Configuration, plan, recalibrate, simulator
 from rtcal.errors import DataError
+from rtcal.finder import Case, Change, Configuration, plan, recalibrate, simulator
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
@@ -97,9 +97,9 @@ def test_a_typed_error_from_inside_comes_first() -> None:
 @pytest.mark.parametrize(
     ("call", "place"),
     [
-        (lambda: rt.discrepancy.find(3), "case = 3 is not a rtcal.discrepancy.Case"),
-        (lambda: rt.where.find(3), "is not a rtcal.where.Case"),
-        (lambda: rt.discrepancy.corrected_room(3), "discrepancy.corrected_room: case = 3"),
+        (lambda: rt.finder.find(3), "case = 3 is not a rtcal.finder.Case"),
+        (lambda: rt.finder.positions.find(3), "is not a rtcal.finder.positions.Case"),
+        (lambda: rt.finder.corrected_room(3), "finder.corrected_room: case = 3"),
     ],
 )
 def test_a_place_is_the_name_that_a_user_calls(call: Callable[[], Any], place: str) -> None:

@@ -16,10 +16,10 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.room import Surface
 from rtcal.command.main import cli
-from rtcal.discrepancy import AppliedEffect, Case, corrected_room, recalibrate, simulator
-from rtcal.discrepancy.model import predict
-from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
+from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
+from rtcal.finder.means.states import distances, state
+from rtcal.finder.model import predict
 from rtcal.posterior import posterior
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.equation import EquationSimulator
@@ -209,7 +209,7 @@ def boxed() -> Case:
         ],
     )
     opened = AppliedEffect("opening", {"area": 8.0}, (6.0, 10.0))
-    state_ = rt.discrepancy.Configuration(
+    state_ = rt.finder.Configuration(
         name="as built", measured=rt.Measurement.from_values([500, 1000], t20=[1.0, 1.0])
     )
     case = Case(room=room, configurations=[state_], applied=[opened])

@@ -17,7 +17,8 @@ from scipy.stats import chi2, multivariate_t
 from threadpoolctl import threadpool_info
 
 import rtcal as rt
-from rtcal.discrepancy import (
+from rtcal.errors import DataError
+from rtcal.finder import (
     Absorber,
     AppliedEffect,
     Case,
@@ -26,29 +27,28 @@ from rtcal.discrepancy import (
     Effect,
     Threshold,
     find,
-    hypotheses,
     library,
     plan,
     recalibrate,
     verify,
 )
-from rtcal.discrepancy.bootstrap import control_rooms
-from rtcal.discrepancy.corrected import not_in_room
-from rtcal.discrepancy.effects.coupled_room import CoupledDecay
-from rtcal.discrepancy.effects.non_diffuse import DirectionalDecay
-from rtcal.discrepancy.effects.opening import Opening
-from rtcal.discrepancy.effects.porous import Porous
-from rtcal.discrepancy.effects.resonator import Resonator
-from rtcal.discrepancy.effects.stated import WrongArea, WrongVolume
-from rtcal.discrepancy.engines import ControlRooms, recentred
-from rtcal.discrepancy.evidence import evaluate
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.likelihood import alpha_covariance, goodness_of_fit
-from rtcal.discrepancy.model import State, predict, sensitivities
-from rtcal.discrepancy.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.discrepancy.states import distances, state
-from rtcal.errors import DataError
+from rtcal.finder.effects.coupled_room import CoupledDecay
+from rtcal.finder.effects.non_diffuse import DirectionalDecay
+from rtcal.finder.effects.opening import Opening
+from rtcal.finder.effects.porous import Porous
+from rtcal.finder.effects.resonator import Resonator
+from rtcal.finder.effects.stated import WrongArea, WrongVolume
+from rtcal.finder.means import hypotheses
+from rtcal.finder.means.bootstrap import control_rooms
+from rtcal.finder.means.corrected import not_in_room
+from rtcal.finder.means.engines import ControlRooms, recentred
+from rtcal.finder.means.evidence import evaluate
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import alpha_covariance, goodness_of_fit
+from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
+from rtcal.finder.means.states import distances, state
+from rtcal.finder.model import State, predict, sensitivities
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])
@@ -606,7 +606,7 @@ def test_control_rooms_of_another_case_are_refused() -> None:
         (good[:1], "at least two engines"),
         ((), "no engine"),
         ("abc", "is not a list"),
-        ([1, 2], "is not a rtcal.discrepancy.engines.ControlRooms"),
+        ([1, 2], "is not a rtcal.finder.means.engines.ControlRooms"),
     ):
         with pytest.raises(DataError, match=words):
             find(case, controls=controls)  # type: ignore[arg-type]
@@ -741,7 +741,7 @@ def test_what_was_added_must_be_in_the_library() -> None:
 
 
 def test_nothing_outside_an_effect_asks_for_its_name() -> None:
-    folder = Path(rt.discrepancy.__file__).parent
+    folder = Path(rt.finder.__file__).parent
     names = {effect.name for effect in library()}
     words = names - {"air", "area", "volume"}  # also quantities of a room
     for path in [*folder.glob("*.py"), *folder.parent.glob("report/gap*.py")]:

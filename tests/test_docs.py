@@ -162,9 +162,9 @@ def _defined_in(module: ModuleType, name: str, value: object) -> bool:
 
 NEEDS_NO_EXAMPLE = {
     "EFFECTS": "a tuple of names",
-    "Candidate": "part of a rt.where.Finding",
-    "Place": "part of a rt.where.Finding",
-    "Corrected": "what rt.where.verify compares",
+    "Candidate": "part of a rt.finder.positions.Finding",
+    "Place": "part of a rt.finder.positions.Finding",
+    "Corrected": "what rt.finder.positions.verify compares",
     "SeveralFinding": "a Finding of more than one effect",
     "Proposal": "part of a discrepancy.Plan",
     "Rule": "a type: one of three names",

@@ -14,7 +14,7 @@ from rtcal.command.example import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
 from rtcal.errors import DataError
-from rtcal.where import Case
+from rtcal.finder.positions import Case
 from tests.position_rooms import shipped as where_room
 from tests.position_rooms.shapes import area
 

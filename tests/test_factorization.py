@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtcal.discrepancy import Change
-from rtcal.discrepancy.alpha_covariance import AlphaCovariance
-from rtcal.discrepancy.effects.noise_floor import NoiseFloor
-from rtcal.discrepancy.effects.opening import Opening
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.evidence import evaluate
-from rtcal.discrepancy.factorization import Factorization
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.model_error import estimate_discrepancy
+from rtcal.finder import Change
+from rtcal.finder.effects.noise_floor import NoiseFloor
+from rtcal.finder.effects.opening import Opening
+from rtcal.finder.means.alpha_covariance import AlphaCovariance
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.evidence import evaluate
+from rtcal.finder.means.factorization import Factorization
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.support.threads import single_threaded_blas
 from tests.test_discrepancy import ALPHA, opened
 

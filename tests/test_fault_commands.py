@@ -146,8 +146,8 @@ def search_once(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = where_folder.drawn(finding, verified, PLACE)
     pictures = {id(figure): figures.rendered(figure, "png") for figure in drawn.values()}
     monkeypatch.setattr(gap_where, "find", lambda *_, **__: finding)
-    monkeypatch.setattr(rt.where, "verify", lambda *_, **__: verified)
-    monkeypatch.setattr(rt.where, "next_position", lambda *_, **__: (PLACE,))
+    monkeypatch.setattr(rt.finder.positions, "verify", lambda *_, **__: verified)
+    monkeypatch.setattr(rt.finder.positions, "next_position", lambda *_, **__: (PLACE,))
     monkeypatch.setattr(where_folder, "drawn", lambda *_: drawn)
     monkeypatch.setattr(where_folder, "rendered", lambda figure, _: pictures[id(figure)])
     monkeypatch.setattr(where_folder, "page", lambda *_: "<p>a page</p>")

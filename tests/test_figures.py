@@ -40,8 +40,8 @@ def drawn() -> dict[str, Any]:
         exec(block, names)
         found[block.rsplit("figure = ", 1)[1].split("(")[0]] = names["figure"]
     case, _ = rt.datasets.hidden_room()
-    finding = rt.discrepancy.find(case)
-    verification = rt.discrepancy.verify(finding)
+    finding = rt.finder.find(case)
+    verification = rt.finder.verify(finding)
     found["evidence"] = gap_figures.evidence(finding)
     found["residuals"] = gap_figures.residuals(finding)
     for draw in (gap_figures.reverberation_time, gap_figures.shifts, gap_figures.decay):

@@ -19,11 +19,12 @@ import rtcal as rt
 from rtcal.command import gap
 from rtcal.command.gap_options import Inputs
 from rtcal.command.main import cli
-from rtcal.discrepancy import Case, Finding, control_rooms, evidence, find, verify
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.model import predict
-from rtcal.discrepancy.size import Size
-from rtcal.discrepancy.states import distances, state
+from rtcal.finder import Case, Finding, control_rooms, find, verify
+from rtcal.finder.means import evidence
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.states import distances, state
+from rtcal.finder.model import predict
+from rtcal.finder.size import Size
 from rtcal.report.gap_report import summary
 
 pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
@@ -264,7 +265,7 @@ def test_how_closely_t_is_met_is_said_as_it_is(finding: Finding, verdict: str) -
 def test_an_ambiguous_effect_is_not_added_silently(
     folder: Path, finding: Finding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rt.discrepancy, "find", lambda *_, **__: unsure(finding))
+    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: unsure(finding))
     out = folder / "torn.json"
     text = " ".join(run("apply", str(folder / "case.json"), "--out", str(out)).split())
     name = f'area of "{finding.case.room.materials[1]}"'

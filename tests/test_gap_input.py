@@ -16,7 +16,8 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.discrepancy import (
+from rtcal.errors import DataError, OtherBandsWarning, RtcalError
+from rtcal.finder import (
     Absorber,
     AppliedEffect,
     Case,
@@ -32,13 +33,12 @@ from rtcal.discrepancy import (
     simulator,
     verify,
 )
-from rtcal.discrepancy.cache import cached_control_rooms
-from rtcal.discrepancy.effects.opening import Opening
-from rtcal.discrepancy.engines import ControlRooms, Engine
-from rtcal.discrepancy.model import Decay, State
-from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.states import state
-from rtcal.errors import DataError, OtherBandsWarning, RtcalError
+from rtcal.finder.effects.opening import Opening
+from rtcal.finder.means.cache import cached_control_rooms
+from rtcal.finder.means.engines import ControlRooms, Engine
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.states import state
+from rtcal.finder.model import Decay, State
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
 
 

@@ -13,11 +13,12 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from rtcal.command.main import cli
-from rtcal.discrepancy import Case, find_several, likelihood, plan
-from rtcal.discrepancy.information import Information
-from rtcal.discrepancy.measurements import COSTS, extended, possible
-from rtcal.discrepancy.sets import Moments
 from rtcal.errors import DataError
+from rtcal.finder import Case, find_several, plan
+from rtcal.finder.means import likelihood
+from rtcal.finder.means.information import Information
+from rtcal.finder.means.measurements import COSTS, extended, possible
+from rtcal.finder.means.sets import Moments
 from tests.test_several_effects import BOTH, FEW, case_with, compared, controls_of
 
 
@@ -148,7 +149,7 @@ def test_a_finding_of_another_case_is_refused() -> None:
 def test_the_command_proposes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case: Case = case_with(*BOTH).only("t20", "edt")
     monkeypatch.setattr(
-        "rtcal.discrepancy.search.cached_control_rooms", lambda *_a, **_k: controls_of(case)
+        "rtcal.finder.means.search.cached_control_rooms", lambda *_a, **_k: controls_of(case)
     )
     path = tmp_path / "case.json"
     case.save(str(path))

@@ -12,23 +12,24 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
-from rtcal.discrepancy import Case, Configuration, bootstrap, find, library, recalibrate
-from rtcal.discrepancy.bootstrap import draw_null_features
-from rtcal.discrepancy.effects.audience import Audience
-from rtcal.discrepancy.effects.coupled_room import CoupledRoom
-from rtcal.discrepancy.effects.opening import Opening
-from rtcal.discrepancy.effects.people import People
-from rtcal.discrepancy.effects.stated import WrongVolume
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.evidence import Evidence
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import LowRank, predict_hypotheses
-from rtcal.discrepancy.model import predict
-from rtcal.discrepancy.prior import SHARPER, off_together, prior_of
-from rtcal.discrepancy.probabilities import by_family
-from rtcal.discrepancy.states import distances, state
-from rtcal.discrepancy.verdict import claim
 from rtcal.errors import DataError
+from rtcal.finder import Case, Configuration, find, library, recalibrate
+from rtcal.finder.effects.audience import Audience
+from rtcal.finder.effects.coupled_room import CoupledRoom
+from rtcal.finder.effects.opening import Opening
+from rtcal.finder.effects.people import People
+from rtcal.finder.effects.stated import WrongVolume
+from rtcal.finder.means import bootstrap
+from rtcal.finder.means.bootstrap import draw_null_features
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.evidence import Evidence
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
+from rtcal.finder.means.probabilities import by_family
+from rtcal.finder.means.states import distances, state
+from rtcal.finder.means.verdict import claim
+from rtcal.finder.model import predict
+from rtcal.finder.prior import SHARPER, off_together, prior_of
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 ALPHA = np.array([[0.05] * 6, [0.1, 0.15, 0.2, 0.3, 0.35, 0.4], [0.3, 0.2, 0.1, 0.08, 0.07, 0.06]])
@@ -227,14 +228,14 @@ def test_one_size_everywhere() -> None:
     (added,) = finding.apply().applied
     assert added.parameters["area"] == finding.size.mean
     assert added.size_interval == (finding.size.low, finding.size.high)
-    result = rt.discrepancy.verify(finding)
+    result = rt.finder.verify(finding)
     assert result.corrected.sizes["opening"] == finding.size.mean
     words = f"{finding.size.mean:.3g} m² (90 %: {finding.size.low:.3g} to {finding.size.high:.3g})"
     for text in (finding.size_in_words, result.corrected.effects_in_words[0]):
         assert words in text
     assert (
         f"{finding.size.mean:.3g} m²"
-        in rt.discrepancy.corrected_room(finding.apply()).sources["opening"]
+        in rt.finder.corrected_room(finding.apply()).sources["opening"]
     )
     assert distances(case, case.configurations[0]).shape == (1,)
 

@@ -10,13 +10,13 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.effects.base import Effect
-from rtcal.discrepancy.effects.checks import changed_states
-from rtcal.discrepancy.model import State
-from rtcal.discrepancy.states import state
 from rtcal.errors import DataError, SimulatorError
+from rtcal.finder.case import Case
+from rtcal.finder.configuration import Configuration
+from rtcal.finder.effects.base import Effect
+from rtcal.finder.effects.checks import changed_states
+from rtcal.finder.means.states import state
+from rtcal.finder.model import State
 
 
 def test_a_loop_cannot_be_changed_from_after_step(cr2: Any) -> None:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.discrepancy.recalibration import plain
+from rtcal.finder.means.recalibration import plain
 
 
-def millington_case(time: float) -> rt.discrepancy.Case:
+def millington_case(time: float) -> rt.finder.Case:
     alpha = np.array([[0.22], [0.07], [0.68], [0.15], [0.04], [0.06]])
     room = rt.Room(
         name="one hard and one soft wall",
@@ -22,8 +22,8 @@ def millington_case(time: float) -> rt.discrepancy.Case:
         air=rt.Air(20, 50),
     )
     measured = rt.Measurement(centre_frequencies=[8000], values={"t20": [[time]]})
-    configuration = rt.discrepancy.Configuration(name="as is", measured=measured)
-    return rt.discrepancy.Case(room=room, equation="millington", configurations=[configuration])
+    configuration = rt.finder.Configuration(name="as is", measured=measured)
+    return rt.finder.Case(room=room, equation="millington", configurations=[configuration])
 
 
 @pytest.mark.parametrize("time", [0.35, 0.5, 0.6])

@@ -127,12 +127,12 @@ def test_positions_are_read_back(tmp_path: Path) -> None:
 
 def test_findings_are_read_back(tmp_path: Path) -> None:
     case, _ = rt.datasets.hidden_room()
-    finding = rt.discrepancy.find(case)
+    finding = rt.finder.find(case)
     again = back(finding, tmp_path / "finding")
     assert again.apply().to_json() == finding.apply().to_json()
-    back(rt.discrepancy.verify(finding), tmp_path / "verification")
-    back(rt.discrepancy.recalibrate(finding.apply()), tmp_path / "recalibrated")
-    back(rt.discrepancy.plan(case), tmp_path / "plan")
+    back(rt.finder.verify(finding), tmp_path / "verification")
+    back(rt.finder.recalibrate(finding.apply()), tmp_path / "recalibrated")
+    back(rt.finder.plan(case), tmp_path / "plan")
 
 
 def test_findings_in_a_geometry_are_read_back(tmp_path: Path) -> None:

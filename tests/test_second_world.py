@@ -127,4 +127,4 @@ def test_a_seed_gives_one_room_and_a_case_without_the_truth() -> None:
     assert [set(c) - {"changes"} for c in case["configurations"]] == [
         {"name", "distance", *rooms.PARAMETERS}
     ] * 2
-    assert rt.discrepancy.Case.from_dict(case).room.n_bands == rooms.N
+    assert rt.finder.Case.from_dict(case).room.n_bands == rooms.N

@@ -17,29 +17,35 @@ from scipy.stats import multivariate_t
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.discrepancy import (
+from rtcal.errors import DataError
+from rtcal.finder import (
     AppliedEffect,
     Case,
     Configuration,
     Effect,
     SeveralFinding,
     find_several,
-    hypotheses,
     library,
-    likelihood,
 )
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.evidence import evaluate
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.likelihood import DEGREES, alpha_covariance, covariance_of
-from rtcal.discrepancy.model import FEATURES
-from rtcal.discrepancy.model_error import estimate_discrepancy
-from rtcal.discrepancy.prior import UNKNOWN, prior_of
-from rtcal.discrepancy.set_alpha import averaged_alpha
-from rtcal.discrepancy.set_posterior import Kept, log_prior, set_posterior
-from rtcal.discrepancy.sets import Comparison, Screen, acting_order, compare, evaluate_sets, moments
-from rtcal.errors import DataError
+from rtcal.finder.means import hypotheses, likelihood
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.evidence import evaluate
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import DEGREES, alpha_covariance, covariance_of
+from rtcal.finder.means.model_error import estimate_discrepancy
+from rtcal.finder.means.set_alpha import averaged_alpha
+from rtcal.finder.means.set_posterior import Kept, log_prior, set_posterior
+from rtcal.finder.means.sets import (
+    Comparison,
+    Screen,
+    acting_order,
+    compare,
+    evaluate_sets,
+    moments,
+)
+from rtcal.finder.model import FEATURES
+from rtcal.finder.prior import UNKNOWN, prior_of
 from rtcal.report import several_report
 
 F = 125.0 * 2.0 ** np.arange(7)
@@ -216,8 +222,8 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert abs(volume.together.size.mean - 1.3) < abs(volume.alone.size.mean - 1.3)
     corrected = found.apply()
     assert [a.name for a in corrected.applied] == list(found.members)
-    done = rt.discrepancy.recalibrate(corrected, found.discrepancy)
-    plain = rt.discrepancy.recalibrate(case)
+    done = rt.finder.recalibrate(corrected, found.discrepancy)
+    plain = rt.finder.recalibrate(case)
     assert np.abs(done.alpha - ALPHA).max() < 0.5 * np.abs(plain.alpha - ALPHA).max()
     assert found.apply(corrected).applied == corrected.applied
     assert "size" in json.dumps(found.to_dict(), allow_nan=False)
@@ -289,7 +295,7 @@ def test_likely_pairs_are_evaluated_deeply_enough(monkeypatch: pytest.MonkeyPatc
     c = compared_case(case, [e for e in library() if e.name in ("volume", "coupled room", "air")])
     prior = prior_of(case.room, list(c.predicted.effects.values()), {})
     some = set_posterior(c, prior, most=2).sets
-    monkeypatch.setattr("rtcal.discrepancy.set_posterior.KEPT", (Kept(0.0, 1.0, 10_000),))
+    monkeypatch.setattr("rtcal.finder.means.set_posterior.KEPT", (Kept(0.0, 1.0, 10_000),))
     every = set_posterior(c, prior, most=2).sets
     assert sum(abs(p - some[s]) for s, p in every.items()) < 0.02
 
@@ -346,7 +352,7 @@ def test_the_command_finds_and_adds_the_set(
 ) -> None:
     case = case_with(*BOTH)
     monkeypatch.setattr(
-        "rtcal.discrepancy.search.cached_control_rooms", lambda *_a, **_k: controls_of(case)
+        "rtcal.finder.means.search.cached_control_rooms", lambda *_a, **_k: controls_of(case)
     )
     case.save(str(tmp_path / "case.json"))
 
@@ -391,14 +397,14 @@ def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:
     """T then hardly depends on alpha: its uncertainty over that slope is larger than T."""
     coupled = AppliedEffect("coupled room", {"aperture": 8.0, "volume": 900.0, "alpha": 0.02})
     case = replace(case_with(coupled), applied=[coupled])
-    np.testing.assert_allclose(rt.discrepancy.recalibrate(case).alpha, ALPHA, atol=0.01)
+    np.testing.assert_allclose(rt.finder.recalibrate(case).alpha, ALPHA, atol=0.01)
 
 
 def test_sets_of_a_single_effect_are_refused() -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.only("t20", configurations=["A"])
     with pytest.raises(DataError, match="1 effect is tried, and sets need at least two"):
-        rt.discrepancy.find_several(first, only=("opening",))
+        rt.finder.find_several(first, only=("opening",))
 
 
 def test_what_of_the_added_set_is_claimed_is_said() -> None:
@@ -415,7 +421,7 @@ def test_what_of_the_added_set_is_claimed_is_said() -> None:
 def test_prior_odds_of_none_are_refused_for_several_effects() -> None:
     case, _ = rt.datasets.hidden_room()
     with pytest.raises(DataError, match=r'prior has odds of "none".*expected'):
-        rt.discrepancy.find_several(case, prior={"none": 2.0})
+        rt.finder.find_several(case, prior={"none": 2.0})
 
 
 @pytest.mark.parametrize(
@@ -438,5 +444,5 @@ def test_options_of_several_effects_that_would_do_nothing_are_refused(
 def test_a_library_that_was_cut_is_said() -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.only("t20", configurations=["A"])
-    cut = rt.discrepancy.find(first, only=("opening",))
+    cut = rt.finder.find(first, only=("opening",))
     assert any("weighted by hand" in note for note in cut.notes)

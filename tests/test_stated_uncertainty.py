@@ -11,9 +11,9 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.observables import observable
-from rtcal.discrepancy import Case, Configuration
-from rtcal.discrepancy.features import _uncertainty, observe
 from rtcal.errors import DataError
+from rtcal.finder import Case, Configuration
+from rtcal.finder.means.features import _uncertainty, observe
 from rtcal.io.analysis import with_uncertainty
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]

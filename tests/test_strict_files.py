@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 import rtcal as rt
-from rtcal.discrepancy import Case
 from rtcal.errors import DataError
+from rtcal.finder import Case
 from rtcal.loop import Loop, start
 from rtcal.report import gap_report
 from rtcal.support.decode import json_object
@@ -90,7 +90,7 @@ def test_json_in_latin_1_is_refused(name: str, tmp_path: Path) -> None:
 
 def test_a_findings_file_holds_no_nan(tmp_path: Path) -> None:
     """NaN is no JSON: strict readers refuse the file."""
-    unknown = dataclasses.replace(rt.discrepancy.find(opened()), score=float("nan"))
+    unknown = dataclasses.replace(rt.finder.find(opened()), score=float("nan"))
     gap_report.write(unknown, tmp_path / "out")
     text = (tmp_path / "out" / "result.json").read_text(encoding="utf-8")
     assert json_object(text)["finding"]["score"] is None

@@ -100,10 +100,12 @@ CALLS: list[tuple[str, list[str], int]] = [
 @pytest.fixture(scope="module")
 def computed() -> Any:
     """The slow part of `gap` and `fit`, once for all widths: what is tested is their text."""
-    from rtcal import discrepancy
-    from rtcal.loop import positions
+    from rtcal import finder
+
+    # It shall not import what is replaced below.
+    from rtcal.finder.positions import verification  # noqa: F401
+    from rtcal.loop import positions as loop_positions
     from rtcal.report import gap_report, page, positions_folder
-    from rtcal.where import verification  # noqa: F401 (it shall not import what is replaced below)
 
     def once(function: Any) -> Any:
         results: list[Any] = []
@@ -117,10 +119,10 @@ def computed() -> Any:
 
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
-            (discrepancy, "find"),
-            (discrepancy, "verify"),
+            (finder, "find"),
+            (finder, "verify"),
             (gap_report, "verify"),
-            (positions, "calibrate_positions"),
+            (loop_positions, "calibrate_positions"),
         ):
             patch.setattr(module, name, once(getattr(module, name)))
         patch.setattr(gap_report, "figures", lambda *_: {})

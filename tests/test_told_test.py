@@ -11,7 +11,7 @@ pytest.importorskip("numba", reason="the hidden worlds are compiled (extra fast)
 from benchmarks.real_cases import every_case
 from benchmarks.second_world import WORLDS, true_effect, truth_of
 from benchmarks.told_test import best_powers, drawn_ratios, log_ratio
-from rtcal.discrepancy import library
+from rtcal.finder import library
 
 
 @pytest.mark.parametrize("far", [0.5, 2.0, 4.0])

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
-from rtcal.discrepancy import track_record
-from rtcal.where import track_record as where_record
+from rtcal.finder.means import track_record
+from rtcal.finder.positions import track_record as where_record
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "discrepancy_study.md").read_text(encoding="utf-8")
@@ -63,7 +63,7 @@ def test_claims_beside_others_are_those_of_the_table(label: str, stated: tuple[i
 
 def test_every_verdict_says_how_often_it_was_right() -> None:
     case, _ = rt.datasets.hidden_room()
-    finding = rt.discrepancy.find(case)
+    finding = rt.finder.find(case)
     assert finding.track_record == track_record.sentence(finding.verdict, track_record.ALL)
     assert finding.track_record in " ".join(str(finding).split())
     for data in (track_record.TIMES, track_record.ALL):

@@ -13,8 +13,8 @@ from rtcal.acoustics.priors import TruncatedNormal, in_situ, sigma_iso_12999_2, 
 from rtcal.acoustics.quality import agreement, explained, plausibility
 from rtcal.calibration import closed_form
 from rtcal.calibration.terms import SoftMatch
-from rtcal.discrepancy import Change, Configuration
 from rtcal.errors import RtcalError
+from rtcal.finder import Change, Configuration
 from rtcal.loop.state import start
 from rtcal.studies import analytic_scores
 

@@ -16,9 +16,9 @@ import rtcal as rt
 from rtcal.acoustics.observables import observable
 from rtcal.command.main import cli
 from rtcal.errors import DataError
+from rtcal.finder.positions.patch import patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.where.patch import patched
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
@@ -102,12 +102,12 @@ def measured(hidden: bool, level: str = "g", match: Sequence[str] = MATCH) -> rt
 
 
 @pytest.fixture(scope="module")
-def finding(kept: Path) -> rt.where.Finding:
-    case = rt.where.Case(simulator=tracing(stated()), measured=measured(True))
-    return rt.where.find(case, cache=kept)
+def finding(kept: Path) -> rt.finder.positions.Finding:
+    case = rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True))
+    return rt.finder.positions.find(case, cache=kept)
 
 
-def test_an_opening_is_found_on_its_wall(finding: rt.where.Finding) -> None:
+def test_an_opening_is_found_on_its_wall(finding: rt.finder.positions.Finding) -> None:
     assert finding.detected
     assert next(iter(finding.surfaces)) == "east"
     best = finding.best
@@ -124,8 +124,8 @@ def test_an_opening_is_found_on_its_wall(finding: rt.where.Finding) -> None:
 
 
 def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
-    case = rt.where.Case(simulator=tracing(stated()), measured=measured(False))
-    finding = rt.where.find(case, cache=kept)
+    case = rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(False))
+    finding = rt.finder.positions.find(case, cache=kept)
     assert finding.verdict in ("none", "hint")
     assert finding.surface is None
     with pytest.raises(DataError, match="no surface lacks anything"):
@@ -133,8 +133,8 @@ def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
 
 
 def test_a_level_between_positions_is_enough(kept: Path) -> None:
-    case = rt.where.Case(simulator=tracing(stated()), measured=measured(True, "level"))
-    finding = rt.where.find(case, cache=kept)
+    case = rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True, "level"))
+    finding = rt.finder.positions.find(case, cache=kept)
     assert finding.detected
     assert "east" in finding.likely_surfaces
 
@@ -142,8 +142,10 @@ def test_a_level_between_positions_is_enough(kept: Path) -> None:
 def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     """With three receivers the evidence stays below the threshold."""
     truth = tracing(stated(), receivers=RECEIVERS | {"R1": (2.2, 2.0, 1.2)}, n_paths=19200)
-    case = rt.where.Case(simulator=tracing(stated()), measured=heard(truth, truth.room.alpha))
-    finding = rt.where.find(case, cache=kept)
+    case = rt.finder.positions.Case(
+        simulator=tracing(stated()), measured=heard(truth, truth.room.alpha)
+    )
+    finding = rt.finder.positions.find(case, cache=kept)
     assert finding.verdict == "hint"
     best = finding.best
     assert best is not None
@@ -152,7 +154,7 @@ def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     assert finding.surface is None
 
 
-def test_the_user_says_where_on_which_surface(finding: rt.where.Finding) -> None:
+def test_the_user_says_where_on_which_surface(finding: rt.finder.positions.Finding) -> None:
     """The most probable candidate on the surface at that place."""
     made = finding.apply(at=(7.0, 2.2, 1.4))
     assert made.added.surface == "east"
@@ -167,9 +169,9 @@ def test_the_user_says_where_on_which_surface(finding: rt.where.Finding) -> None
 
 
 def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
-    finding: rt.where.Finding, kept: Path, monkeypatch: pytest.MonkeyPatch
+    finding: rt.finder.positions.Finding, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    result = rt.where.verify(finding, cache=kept)
+    result = rt.finder.positions.verify(finding, cache=kept)
     assert result.corrected.shape == (1, 5, 6, 3)
     assert np.isfinite(result.corrected).all()
     assert result.shrinks
@@ -181,7 +183,7 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
         raise AssertionError("what was computed for a case is kept")
 
     monkeypatch.setattr(PathTracing, "_trace", traced)
-    again = rt.where.verify(finding, cache=kept)
+    again = rt.finder.positions.verify(finding, cache=kept)
     for model in ("before", "plain", "corrected"):
         assert np.array_equal(getattr(again, model), getattr(result, model))
 
@@ -200,10 +202,10 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
         centre_frequencies=BANDS,
     )
     simulator = tracing(room, made)
-    case = rt.where.Case(simulator=simulator, measured=measured(False))
+    case = rt.finder.positions.Case(simulator=simulator, measured=measured(False))
     assert len(case.faces) == 6
     assert max(len(faces) for faces in case.faces.values()) == 5
-    two = rt.where.Case(
+    two = rt.finder.positions.Case(
         simulator=simulator,
         measured=measured(False),
         surfaces={"side": ["west"], "ends": ["south", "north"]},
@@ -228,32 +230,32 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
 def test_a_wrong_case_is_refused(changes: dict[str, object], message: str, kept: Path) -> None:
     arguments = {"simulator": tracing(stated()), "measured": measured(False)} | changes
     with pytest.raises(DataError, match="(?s)" + re.escape(message)):
-        rt.where.find(rt.where.Case(**arguments), cache=kept)  # type: ignore[arg-type]
+        rt.finder.positions.find(rt.finder.positions.Case(**arguments), cache=kept)  # type: ignore[arg-type]
 
 
 def test_a_calibrated_room_is_refused() -> None:
     room, data = stated(), measured(False)
     result = rt.calibrate(room, data)
     with pytest.raises(DataError, match="is calibrated: its coefficients hide"):
-        rt.where.Case(simulator=tracing(result.room), measured=data)
+        rt.finder.positions.Case(simulator=tracing(result.room), measured=data)
 
 
-def test_effects_that_were_not_tried_are_said(finding: rt.where.Finding) -> None:
-    limited = rt.where.find(finding.case, controls=finding.controls, only=["curtain"])
+def test_effects_that_were_not_tried_are_said(finding: rt.finder.positions.Finding) -> None:
+    limited = rt.finder.positions.find(finding.case, controls=finding.controls, only=["curtain"])
     assert "whole library" in str(limited)
     assert "whole library" not in str(finding)
 
 
-def test_an_unknown_effect_is_refused(finding: rt.where.Finding) -> None:
+def test_an_unknown_effect_is_refused(finding: rt.finder.positions.Finding) -> None:
     with pytest.raises(DataError, match='only has "door"'):
-        rt.where.find(finding.case, controls=finding.controls, only=["door"])
+        rt.finder.positions.find(finding.case, controls=finding.controls, only=["door"])
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A user's files: room, mesh and measurement."""
     where = tmp_path_factory.mktemp("case")
-    case = rt.where.Case(simulator=tracing(stated()), measured=measured(True))
+    case = rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True))
     scene = rt.Scene(mesh=where / "room.obj", sources=SOURCES, receivers=RECEIVERS)
     case.room.replace(scene=scene).save(str(where / "room.toml"))
     rt.io.obj.write(case.geometry, where / "room.obj")
@@ -374,16 +376,20 @@ def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     truth = tracing(stated(), n_paths=19200, scattering=0.5)
     room = stated().replace(sigma=0.3 * stated().alpha)
     data = heard(truth, 1.5 * stated().alpha)
-    finding = rt.where.find(rt.where.Case(simulator=tracing(room), measured=data), cache=kept)
+    finding = rt.finder.positions.find(
+        rt.finder.positions.Case(simulator=tracing(room), measured=data), cache=kept
+    )
     assert finding.surface is None
 
 
-def test_the_next_position_is_free_and_tells_something(finding: rt.where.Finding) -> None:
-    places = rt.where.next_position(finding, number=6)
+def test_the_next_position_is_free_and_tells_something(
+    finding: rt.finder.positions.Finding,
+) -> None:
+    places = rt.finder.positions.next_position(finding, number=6)
     assert len(places) == 6 * len(SOURCES)
     assert places[0].nats > places[-1].nats > 0
     points = np.array([p.point for p in places])
     assert finding.case.geometry.contains(points).all()
     assert (finding.case.geometry.wall_distance(points) > 0.69).all()
     with pytest.raises(DataError, match="number = 0"):
-        rt.where.next_position(finding, number=0)
+        rt.finder.positions.next_position(finding, number=0)

@@ -12,7 +12,7 @@ import pytest
 import rtcal as rt
 from rtcal.command import gap_where
 from rtcal.command.main import main
-from rtcal.where import Finding, Verification
+from rtcal.finder.positions import Finding, Verification
 from tests.test_terminal import longest
 from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_page import PLACE, finding_of, verification_of
@@ -54,8 +54,8 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
         return verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
 
     monkeypatch.setattr(gap_where, "find", lambda *_, **__: finding)
-    monkeypatch.setattr(rt.where, "verify", verified)
-    monkeypatch.setattr(rt.where, "next_position", lambda *_, **__: (PLACE,))
+    monkeypatch.setattr(rt.finder.positions, "verify", verified)
+    monkeypatch.setattr(rt.finder.positions, "next_position", lambda *_, **__: (PLACE,))
     monkeypatch.chdir(tmp_path)
     scene = rt.Scene(sources=SOURCES, receivers=RECEIVERS)
     stated().replace(scene=scene).save("room.toml")
@@ -155,7 +155,9 @@ def test_a_place_needs_a_geometry(
 
 
 def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(tmp_path: Path) -> None:
-    case = rt.where.Case(simulator=tracing(stated(), n_paths=800), measured=measured(False))
+    case = rt.finder.positions.Case(
+        simulator=tracing(stated(), n_paths=800), measured=measured(False)
+    )
     told: list[str] = []
 
     def stop(what: str, done: int, of: int) -> None:
@@ -165,12 +167,16 @@ def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(tmp_path: P
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rt.where.find(case, cache=tmp_path, progress=stop)
+        rt.finder.positions.find(case, cache=tmp_path, progress=stop)
     assert told.count("control runs") > 1
     again: list[str] = []
-    rt.where.find(case, cache=tmp_path, progress=lambda what, done, of: again.append(what))
+    rt.finder.positions.find(
+        case, cache=tmp_path, progress=lambda what, done, of: again.append(what)
+    )
     assert again
     assert "control runs" not in again
     last: list[str] = []
-    rt.where.find(case, cache=tmp_path, progress=lambda what, done, of: last.append(what))
+    rt.finder.positions.find(
+        case, cache=tmp_path, progress=lambda what, done, of: last.append(what)
+    )
     assert not last

@@ -10,14 +10,14 @@ import pytest
 
 import rtcal as rt
 from rtcal.errors import DataError
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.patch import patched
+from rtcal.finder.positions.surfaces import of_geometry
 from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.where.candidate import Candidate
-from rtcal.where.case import Case
-from rtcal.where.corrected import corrected
-from rtcal.where.patch import patched
-from rtcal.where.surfaces import of_geometry
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 

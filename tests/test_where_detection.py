@@ -11,25 +11,25 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.where import track_record
-from rtcal.where.detection import (
+from rtcal.finder.positions import track_record
+from rtcal.finder.positions.detection import (
     OF_PROGRAMS,
     THRESHOLD,
     Detection,
     evidence_of_means,
     of_means,
 )
-from rtcal.where.hypotheses import shifts
-from rtcal.where.search import Evidence, Hypotheses, scores, weights
-from rtcal.where.shift import NOISE, POSITION, Spread
+from rtcal.finder.positions.hypotheses import shifts
+from rtcal.finder.positions.posterior import Evidence, Hypotheses, scores, weights
+from rtcal.finder.positions.shift import NOISE, POSITION, Spread
 from tests.test_where import MATCH, measured, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.where.Case:
-    return rt.where.Case(simulator=tracing(stated()), measured=measured(True))
+def case() -> rt.finder.positions.Case:
+    return rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True))
 
 
 def test_the_positions_decide() -> None:
@@ -58,7 +58,9 @@ def spread(effect: str) -> Spread:
     return Spread(effect, "S1", 3.0, "", np.arange(1), np.eye(1), 0.5)
 
 
-def scored(of_noise: float, of_position: float, of_shift: float, case: rt.where.Case) -> float:
+def scored(
+    of_noise: float, of_position: float, of_shift: float, case: rt.finder.positions.Case
+) -> float:
     """The score where hypotheses have these log evidences, over that of nothing."""
     one = next(s for s in shifts(case) if s.effect == "opening").some(slice(0, 1))
     every = Hypotheses([one], [spread(NOISE), spread(POSITION)], off=0.0, unknown=False)
@@ -69,7 +71,7 @@ def scored(of_noise: float, of_position: float, of_shift: float, case: rt.where.
 
 
 def test_a_noisy_pair_is_no_evidence_that_the_room_is_other_than_stated(
-    case: rt.where.Case,
+    case: rt.finder.positions.Case,
 ) -> None:
     assert scored(0, 0, 0, case) == pytest.approx(0, abs=1e-9)
     assert scored(20, 0, 0, case) < -10
@@ -77,7 +79,9 @@ def test_a_noisy_pair_is_no_evidence_that_the_room_is_other_than_stated(
     assert scored(0, 0, 40, case) - 20 < scored(20, 0, 40, case) < scored(0, 0, 40, case) - 10
 
 
-def test_the_means_have_the_pairs_and_the_geometry_of_the_case(case: rt.where.Case) -> None:
+def test_the_means_have_the_pairs_and_the_geometry_of_the_case(
+    case: rt.finder.positions.Case,
+) -> None:
     less = replace(case, exclude=[("S1", "R2")], match=("t20", "c80", "ts"))
     (configuration,) = of_means(less).configurations
     assert set(configuration.measured.values) == {"t20", "c80"}
@@ -96,41 +100,45 @@ def test_the_means_have_the_pairs_and_the_geometry_of_the_case(case: rt.where.Ca
     np.testing.assert_allclose(along["floor wall"], [0, 0, 1], atol=1e-12)
 
 
-def test_the_means_say_nothing_without_a_decay_time(case: rt.where.Case) -> None:
+def test_the_means_say_nothing_without_a_decay_time(case: rt.finder.positions.Case) -> None:
     assert evidence_of_means(replace(case, match=("c80", "ts", "level"))) is None
 
 
 @pytest.mark.parametrize("options", [{"without": ["air"]}, {"only": ["opening", "porous"]}])
 def test_fewer_effects_are_asked_of_the_positions_alone(
-    case: rt.where.Case, options: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
+    case: rt.finder.positions.Case, options: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The means know neither those effects nor their names."""
-    module = sys.modules["rtcal.where.find"]
+    module = sys.modules["rtcal.finder.positions.search"]
     monkeypatch.setattr(module, "evidence_of_means", lambda *_: pytest.fail("asked"))
     monkeypatch.setattr(module, "find_by_positions", lambda *arguments: arguments[-1])
-    assert rt.where.find(case, **options) is None
+    assert rt.finder.positions.find(case, **options) is None
 
 
-def test_a_search_for_a_noisy_pair_alone_detects_nothing(case: rt.where.Case, kept: Path) -> None:
-    finding = rt.where.find(case, only=["noise"], cache=kept)
+def test_a_search_for_a_noisy_pair_alone_detects_nothing(
+    case: rt.finder.positions.Case, kept: Path
+) -> None:
+    finding = rt.finder.positions.find(case, only=["noise"], cache=kept)
     assert (finding.detected, finding.score) == (False, 0.0)
     assert finding.to_dict()["nats_of_noise"] == finding.detection.noise
-    without = rt.where.find(case, without=["noise"], cache=kept)
+    without = rt.finder.positions.find(case, without=["noise"], cache=kept)
     assert without.detection.noise is None
 
 
 @pytest.mark.parametrize("effect", ["coefficients", "unknown"])
 def test_a_candidate_without_a_size_has_none_in_words_and_in_json(
-    case: rt.where.Case, effect: str, kept: Path
+    case: rt.finder.positions.Case, effect: str, kept: Path
 ) -> None:
     """A full search ended `to_json` in a ValueError where one was among the first twenty."""
-    finding = rt.where.find(case, only=[effect], cache=kept)
+    finding = rt.finder.positions.find(case, only=[effect], cache=kept)
     said = json.loads(finding.to_json())["candidates"]
     assert any(c["size"] is None for c in said)
     assert "nan" not in str(finding)
 
 
-def test_the_record_is_that_of_what_was_measured(case: rt.where.Case, kept: Path) -> None:
+def test_the_record_is_that_of_what_was_measured(
+    case: rt.finder.positions.Case, kept: Path
+) -> None:
     """It was that of all that may be matched, with level, though none had been measured."""
     whole = measured(True)
     without = rt.Measurement(
@@ -138,15 +146,17 @@ def test_the_record_is_that_of_what_was_measured(case: rt.where.Case, kept: Path
         values={name: v for name, v in whole.values.items() if name != "g"},
         pairs=whole.pairs,
     )
-    lacking = rt.where.Case(simulator=case.simulator, measured=without)
+    lacking = rt.finder.positions.Case(simulator=case.simulator, measured=without)
     assert "level" in lacking.match
-    finding = rt.where.find(lacking, cache=kept)
+    finding = rt.finder.positions.find(lacking, cache=kept)
     assert track_record.sentence(case.room, finding.parameters) == finding.notes[0]
     assert "level" not in finding.parameters
 
 
-def test_a_finding_tells_what_means_and_positions_say(case: rt.where.Case, kept: Path) -> None:
-    finding = rt.where.find(replace(case, match=MATCH), cache=kept)
+def test_a_finding_tells_what_means_and_positions_say(
+    case: rt.finder.positions.Case, kept: Path
+) -> None:
+    finding = rt.finder.positions.find(replace(case, match=MATCH), cache=kept)
     assert finding.detection.means is not None
     assert finding.detected == (finding.score > finding.threshold)
     assert f"{finding.detection.means:+.1f} nats" in " ".join(str(finding).split())

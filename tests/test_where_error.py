@@ -1,4 +1,4 @@
-"""The error of what `rtcal.where` compares, from control runs whose errors are known."""
+"""The error of what `rtcal.finder.positions` compares, from control runs whose errors are known."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from rtcal.errors import DataError
+from rtcal.finder.positions.responses import TRACINGS, _at_shares, without_noise
+from rtcal.finder.positions.simulator_error import COMMON, OWN, simulator_error
 from rtcal.loop.control_runs import ControlRuns
-from rtcal.where.responses import TRACINGS, _at_shares, without_noise
-from rtcal.where.simulator_error import COMMON, OWN, simulator_error
 
 RUNS, GROUPS = 400, 200
 SHAPE = (2, 6, 3)

@@ -11,11 +11,11 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.where import unevenness
-from rtcal.where.aperture import Aperture
-from rtcal.where.candidate import Candidate
-from rtcal.where.evidence import Likelihood
-from rtcal.where.shift import Shift
+from rtcal.finder.positions import unevenness
+from rtcal.finder.positions.aperture import Aperture
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.evidence import Likelihood
+from rtcal.finder.positions.shift import Shift
 
 WIDTH = 0.002
 
@@ -79,7 +79,7 @@ def test_an_aperture_is_named_and_not_added() -> None:
 
 
 def test_the_surface_of_an_aperture_is_not_claimed() -> None:
-    find = importlib.import_module("rtcal.where.find")
+    find = importlib.import_module("rtcal.finder.positions.search")
     aperture = Candidate(
         effect="coupled room",
         family="field",
@@ -165,8 +165,8 @@ def test_the_hidden_worlds_tracer_hears_the_same_second_room() -> None:
     # opening of that area would take 15 %.
     pytest.importorskip("numba", reason="the geometric world is compiled (extra fast)")
     from rtcal.acoustics.observables import MATCH
+    from rtcal.finder.positions.weighing import Weighing
     from rtcal.simulators.observations import Observations
-    from rtcal.where.weighing import Weighing
     from tests.geometric_world.load import IN_SITU, load, truth, without_noise
 
     index = 14

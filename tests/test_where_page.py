@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from rtcal.errors import DataError
+from rtcal.finder.positions import Finding, Place, Verification, verification
+from rtcal.finder.positions.detection import Detection
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import where_figures, where_folder
 from rtcal.report.document import Heading
-from rtcal.where import Finding, Place, Verification, verification
-from rtcal.where.detection import Detection
 from tests.test_figures import LEAST, PHONE, texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.positions import surfaces
+from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.hypotheses import shifts
+from rtcal.finder.positions.part_hypotheses import on_parts
+from rtcal.finder.positions.parts import divided
+from rtcal.finder.positions.patch import face_at, patched
+from rtcal.finder.positions.room_hypotheses import materials
 from rtcal.report import where_figures
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.where import surfaces
-from rtcal.where.corrected import corrected
-from rtcal.where.hypotheses import shifts
-from rtcal.where.part_hypotheses import on_parts
-from rtcal.where.parts import divided
-from rtcal.where.patch import face_at, patched
-from rtcal.where.room_hypotheses import materials
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
@@ -65,7 +65,7 @@ def tracing(
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.where.Case:
+def case() -> rt.finder.positions.Case:
     south = SHOEBOX_WALLS.index("south")
     opened = patched(box(), [south], 6.0, "hole", "hole", np.array(PLACE))
     assert opened is not None
@@ -76,10 +76,10 @@ def case() -> rt.where.Case:
         pairs=heard.pairs,
         values={("g" if p == "level" else p): heard.natural(p) for p in MATCH},
     )
-    return rt.where.Case(simulator=tracing(box()), measured=measured)
+    return rt.finder.positions.Case(simulator=tracing(box()), measured=measured)
 
 
-def test_long_surfaces_are_divided_and_short_ones_are_not(case: rt.where.Case) -> None:
+def test_long_surfaces_are_divided_and_short_ones_are_not(case: rt.finder.positions.Case) -> None:
     names = [list(case.faces)[part.surface] for part in case.divided.parts]
     assert names == [w for w in SHOEBOX_WALLS if w not in ("west", "east") for _ in range(3)]
     for name, faces in zip(case.faces, case.divided.surfaces, strict=True):
@@ -92,7 +92,7 @@ def test_long_surfaces_are_divided_and_short_ones_are_not(case: rt.where.Case) -
     )
 
 
-def test_the_same_paths_are_traced_in_the_divided_geometry(case: rt.where.Case) -> None:
+def test_the_same_paths_are_traced_in_the_divided_geometry(case: rt.finder.positions.Case) -> None:
     whole, alpha = case.simulator, case.room.alpha
     parts = tracing(case.divided.geometry)
     assert len(case.divided.geometry.faces) > len(whole.geometry.faces)
@@ -143,7 +143,7 @@ def test_a_mesh_of_triangles_is_divided_as_its_walls_are() -> None:
     assert np.ptp(hole, axis=0) == pytest.approx([0.0, 2.0, 1.5])
 
 
-def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.where.Case) -> None:
+def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.finder.positions.Case) -> None:
     def odds(every: list) -> dict[tuple[str, int | None, str], float]:
         total: dict[tuple[str, int | None, str], float] = {}
         for s in every:
@@ -160,16 +160,16 @@ def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.where.Case) -
 
 
 def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
-    case: rt.where.Case, tmp_path: Path
+    case: rt.finder.positions.Case, tmp_path: Path
 ) -> None:
     """All four long surfaces say so, and patch and picture show it there."""
     pytest.importorskip("matplotlib", reason="needs the extra report")
-    finding = rt.where.find(case, cache=tmp_path)
+    finding = rt.finder.positions.find(case, cache=tmp_path)
     assert finding.detected
     assert "east" not in finding.likely_surfaces
     least = 0.1 * max(finding.surfaces.values())
     assert all(finding.surfaces[name] > least for group in finding.groups for name in group)
-    assert rt.where.next_position(finding, number=4)[0].nats > 0
+    assert rt.finder.positions.next_position(finding, number=4)[0].nats > 0
     south = next(c for c in finding.candidates if c.title == 'opening on "south"')
     assert south.middle == pytest.approx((3.0, 0.0, 1.5))
     assert 0.6 * south.probability < sum(p for _, p in south.parts) <= south.probability
@@ -178,7 +178,7 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     assert made.geometry.vertices[list(made.geometry.faces[hole])].mean(axis=0) == pytest.approx(
         [3.0, 0.0, 1.5]
     )
-    again = rt.where.find(case, cache=tmp_path)  # from what is kept
+    again = rt.finder.positions.find(case, cache=tmp_path)  # from what is kept
     assert [c.title for c in again.candidates] == [c.title for c in finding.candidates]
     for kept, first in zip(again.candidates, finding.candidates, strict=True):
         assert [p for _, p in kept.parts] == pytest.approx([p for _, p in first.parts])
@@ -190,7 +190,7 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     assert "most probable part of its surface" in legend
 
 
-def test_coefficients_that_were_measured_are_seldom_off(case: rt.where.Case) -> None:
+def test_coefficients_that_were_measured_are_seldom_off(case: rt.finder.positions.Case) -> None:
     """A material off by a factor was as probable in situ as with coefficients from a handbook."""
 
     def odds(sigma: float) -> float:

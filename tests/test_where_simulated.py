@@ -11,8 +11,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.errors import DataError
+from rtcal.finder.positions.corrected import corrected
 from rtcal.simulators import RayTracing
-from rtcal.where.corrected import corrected
 from tests.test_where import BANDS, RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_corrected import candidate
 
@@ -22,8 +22,8 @@ pytest.importorskip("numba", reason="the paths are traced by compiled code (extr
 MATCH = ("t20", "edt", "c80", "ts")
 
 
-def read(folder: Path, measured: str = "measured.csv") -> rt.where.Case:
-    return rt.where.Case.from_room(
+def read(folder: Path, measured: str = "measured.csv") -> rt.finder.positions.Case:
+    return rt.finder.positions.Case.from_room(
         rt.Room.from_file(str(folder / "room.toml")),
         rt.Measurement.from_file(str(folder / measured)),
         tracing={"scattering": 0.4, "n_paths": 4800},
@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A user's files: what pyroomacoustics says of the model, and of the room with 10 m² more."""
     where = tmp_path_factory.mktemp("program")
     room = stated()
-    case = rt.where.Case(simulator=tracing(room), measured=measured(False))
+    case = rt.finder.positions.Case(simulator=tracing(room), measured=measured(False))
     made = corrected(case, replace(candidate("east", 10.0), spectrum=np.ones(len(BANDS))))
 
     def program(geometry: object, of: rt.Room, seed: int) -> rt.Measurement:
@@ -61,8 +61,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_disagreement_is_the_programs(folder: Path) -> None:
     """Its own error cancels: what it says of the same room twice differs by its noise alone."""
-    same = rt.where.find(read(folder, "same.csv"), cache=folder / "kept")
-    other = rt.where.find(read(folder), cache=folder / "kept")
+    same = rt.finder.positions.find(read(folder, "same.csv"), cache=folder / "kept")
+    other = rt.finder.positions.find(read(folder), cache=folder / "kept")
     assert np.sqrt(np.nanmean(same.map**2)) < 1.0
     assert same.verdict == "none"
     assert np.nanmean(other.map[0]) > 1.0  # T20 is measured shorter
@@ -83,7 +83,7 @@ def test_what_neither_has_is_left_out(folder: Path) -> None:
         return rt.Measurement(centre_frequencies=BANDS, pairs=data.pairs, values=values)
 
     less = replace(case, measured=blank(case.measured), simulated=blank(case.simulated))
-    finding = rt.where.find(less, cache=folder / "kept")
+    finding = rt.finder.positions.find(less, cache=folder / "kept")
     assert np.isfinite(finding.score)
     assert np.isnan(finding.map).sum() == 1
 
@@ -126,7 +126,7 @@ def test_a_level_without_its_reference_is_no_g(folder: Path) -> None:
     level = np.zeros((len(given.pairs), len(BANDS)))
     values = {name: given.values[name] for name in MATCH} | {"level": level}
     with pytest.raises(DataError, match="simulated has no G, which was measured"):
-        rt.where.Case(
+        rt.finder.positions.Case(
             simulator=case.simulator,
             measured=measured(False),
             simulated=rt.Measurement(

@@ -12,9 +12,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import rtcal as rt
-from rtcal.where.detection import THRESHOLD, Means
-from rtcal.where.hypotheses import shifts
-from rtcal.where.search import (
+from rtcal.finder.positions.detection import THRESHOLD, Means
+from rtcal.finder.positions.hypotheses import shifts
+from rtcal.finder.positions.posterior import (
     LEAST_BY_MEANS,
     MEANS_POWER,
     TOLD_TEMPER,
@@ -30,11 +30,13 @@ from benchmarks import where_ideal, where_temper
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.where.Case:
-    return rt.where.Case(simulator=tracing(stated()), measured=measured(True), match=MATCH)
+def case() -> rt.finder.positions.Case:
+    return rt.finder.positions.Case(
+        simulator=tracing(stated()), measured=measured(True), match=MATCH
+    )
 
 
-def test_the_families_of_the_means_are_multiplied_in(case: rt.where.Case) -> None:
+def test_the_families_of_the_means_are_multiplied_in(case: rt.finder.positions.Case) -> None:
     some = [s.some(slice(0, 1)) for s in shifts(case) if s.effect in ("opening", "covered surface")]
     pair = [some[0], next(s for s in some if s.family != some[0].family)]
     every = Hypotheses(pair, [], off=0.1)
@@ -48,16 +50,16 @@ def test_the_families_of_the_means_are_multiplied_in(case: rt.where.Case) -> Non
 
 
 def test_a_finding_names_the_family_that_means_know_of(
-    case: rt.where.Case, kept: Path, monkeypatch: pytest.MonkeyPatch
+    case: rt.finder.positions.Case, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The positions say the same; the families of the means differ."""
     found = {}
     for family in ("added absorption, flat", "scale"):
         means = Means(5.0, 2.4, {family: 0.999, "none": 0.001})
         monkeypatch.setattr(
-            sys.modules["rtcal.where.find"], "evidence_of_means", lambda *_, m=means: m
+            sys.modules["rtcal.finder.positions.search"], "evidence_of_means", lambda *_, m=means: m
         )
-        found[family] = rt.where.find(case, cache=kept)
+        found[family] = rt.finder.positions.find(case, cache=kept)
     flat, scale = found.values()
     assert flat.families["added absorption, flat"] > scale.families["added absorption, flat"]
     assert flat.families.get("scale", 0.0) < scale.families["scale"]
@@ -89,7 +91,7 @@ def test_the_stored_rows_are_pooled_as_a_finding_is() -> None:
 
 
 def test_the_means_of_a_drawn_room_have_the_density_of_means(
-    case: rt.where.Case, kept: Path
+    case: rt.finder.positions.Case, kept: Path
 ) -> None:
     numbers, every = where_ideal.prepared(case, kept)
     likelihoods = numbers.likelihoods()
@@ -112,7 +114,9 @@ def test_the_means_of_a_drawn_room_have_the_density_of_means(
     assert said == pytest.approx(expected + constant, abs=1e-3)
 
 
-def test_drawn_rooms_scatter_as_the_likelihood_says(case: rt.where.Case, kept: Path) -> None:
+def test_drawn_rooms_scatter_as_the_likelihood_says(
+    case: rt.finder.positions.Case, kept: Path
+) -> None:
     numbers, every = where_ideal.prepared(case, kept)
     likelihood = numbers.likelihoods()[0]
     rng = np.random.default_rng(5)

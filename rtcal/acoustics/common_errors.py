@@ -2,7 +2,7 @@
 
 The stated sigma of a coefficient is that of an error of its own. Errors that all coefficients of a room
 have in common, or all bands of a material, come on top of it: the table is of another product, or the
-mounting differs. `rtcal.calibrate`, `rtcal.discrepancy` and `rtcal.where` take them from here.
+mounting differs. `rtcal.calibrate`, `rtcal.finder` and `rtcal.finder.positions` take them from here.
 """
 
 from __future__ import annotations

@@ -103,7 +103,7 @@ def fit(
     """
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
-    from rtcal.discrepancy.cache import FOLDER
+    from rtcal.finder.means.cache import FOLDER
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions

@@ -36,7 +36,7 @@ from rtcal.support.files import spare
 from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
-    from rtcal.discrepancy import Case, Finding, SeveralFinding
+    from rtcal.finder import Case, Finding, SeveralFinding
     from rtcal.report.document import Heading
 
 CHANGE = 0.2
@@ -106,8 +106,8 @@ def plan(
                 raise DataError(f"{option}: with a geometry a place for a receiver is proposed")
         gap_where.plan(inputs, search, quiet=quiet, as_json=as_json)
         return
-    from rtcal.discrepancy import plan as planned_with
-    from rtcal.discrepancy.set_posterior import EXPECTED
+    from rtcal.finder import plan as planned_with
+    from rtcal.finder.means.set_posterior import EXPECTED
 
     read = _case(inputs)
     planned = [c for c in read.configurations if c.planned]
@@ -248,7 +248,7 @@ def verify(inputs: Inputs, search: Search, as_json: bool, quiet: bool) -> None:
     if inputs.of_positions:
         gap_where.verify(inputs, search, quiet=quiet, as_json=as_json)
         return
-    from rtcal.discrepancy import verify as verified
+    from rtcal.finder import verify as verified
 
     finding = _find(inputs, _case(inputs), search, quiet)
     if (nothing := finding.reason_for_none) is not None:
@@ -334,7 +334,7 @@ def _case(inputs: Inputs, targets: Sequence[str] = ()) -> Case:
     """Read the case; DataError if a file to be written is also one of those that are read."""
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
-    from rtcal.discrepancy import Case, Configuration
+    from rtcal.finder import Case, Configuration
 
     inputs.refuse_options()
     spare(targets, [inputs.case])
@@ -350,7 +350,7 @@ def _case(inputs: Inputs, targets: Sequence[str] = ()) -> Case:
 
 def _files(inputs: Inputs) -> list[str]:
     """Return the paths of the files that are read."""
-    from rtcal.discrepancy.case_files import files
+    from rtcal.finder.case_files import files
 
     if inputs.measured is None:
         return [os.fspath(path) for path in files(inputs.case)]
@@ -359,20 +359,20 @@ def _files(inputs: Inputs) -> list[str]:
 
 def _find(inputs: Inputs, case: Case, search: Search, quiet: bool) -> Finding:
     """Find what the case's model misses; control rooms are kept beside its file."""
-    from rtcal import discrepancy
+    from rtcal import finder
 
     with _arguments(inputs, search, quiet) as arguments:
-        return discrepancy.find(case, **arguments)
+        return finder.find(case, **arguments)
 
 
 def _find_several(
     inputs: Inputs, case: Case, search: Search, quiet: bool, expected: float
 ) -> SeveralFinding:
     """Find several effects at once, ``expected`` in number."""
-    from rtcal import discrepancy
+    from rtcal import finder
 
     with _arguments(inputs, search, quiet) as arguments:
-        return discrepancy.find_several(case, expected=expected, **arguments)
+        return finder.find_several(case, expected=expected, **arguments)
 
 
 @contextmanager

@@ -47,7 +47,7 @@ class Inputs:
     @property
     def kept(self) -> Path:
         """The folder in which simulations are kept, beside the case or room."""
-        from rtcal.discrepancy.cache import FOLDER
+        from rtcal.finder.means.cache import FOLDER
 
         return Path(self.case).parent / FOLDER
 
@@ -121,7 +121,7 @@ def input_options(command: Any) -> Any:
 
 @dataclass(frozen=True)
 class Search:
-    """What the search takes beside the case, as `rtcal.discrepancy.find` does."""
+    """What the search takes beside the case, as `rtcal.finder.find` does."""
 
     engines: tuple[str, ...]
     seed: int

@@ -16,8 +16,8 @@ from rtcal.support.files import spare
 from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
+    from rtcal.finder.positions import Case, Finding, Place, Verification
     from rtcal.report.document import Heading
-    from rtcal.where import Case, Finding, Place, Verification
 
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap is said."""
@@ -28,7 +28,7 @@ PROPOSED = 3
 
 @dataclass(frozen=True)
 class Patch:
-    """How what was found is added: see `rtcal.where.Finding.apply`."""
+    """How what was found is added: see `rtcal.finder.positions.Finding.apply`."""
 
     form: str
     at: tuple[float, ...] | None
@@ -39,7 +39,7 @@ def find(inputs: Inputs, search: Any, quiet: bool, outputs: Sequence[Path] = ())
 
     Control runs and weighings are kept beside the room.
     """
-    from rtcal import where
+    from rtcal.finder import positions
 
     if search.engines_stated:
         raise DataError("--engine: a search with positions has control runs in the room's geometry")
@@ -57,7 +57,7 @@ def find(inputs: Inputs, search: Any, quiet: bool, outputs: Sequence[Path] = ())
                 shown.set_description(step)
             shown.update(1)
 
-        return where.find(
+        return positions.find(
             case,
             cache=inputs.kept,
             seed=search.seed,
@@ -71,7 +71,7 @@ def _case(inputs: Inputs, outputs: Sequence[Path]) -> Case:
     """Return the case of a room and its measurement."""
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
-    from rtcal.where import Case
+    from rtcal.finder.positions import Case
 
     room = Room.from_file(inputs.case)
     files = [inputs.case, inputs.measured, inputs.simulated, room.scene.mesh]
@@ -99,7 +99,7 @@ def apply(
     inputs: Inputs, search: Any, out: str, patch: Patch, *, quiet: bool, as_json: bool
 ) -> bool:
     """Write the corrected room into a folder; return whether there was something to add."""
-    from rtcal.where.corrected import FILES
+    from rtcal.finder.positions.corrected import FILES
 
     folder = Path(out)
     finding = find(inputs, search, quiet, [folder / name for name in FILES])
@@ -144,7 +144,7 @@ def verify(inputs: Inputs, search: Any, *, quiet: bool, as_json: bool) -> None:
 
 def _verified(inputs: Inputs, finding: Finding, search: Any, quiet: bool) -> Verification:
     """Return the gaps at pairs that were not fitted, over `SEEDS`; a bar says how long it will take."""
-    from rtcal import where
+    from rtcal.finder import positions
 
     with bar(0, "model", bar_wanted(quiet)) as shown:
 
@@ -153,7 +153,7 @@ def _verified(inputs: Inputs, finding: Finding, search: Any, quiet: bool) -> Ver
                 shown.reset(total=total)
             shown.update(1)
 
-        return where.verify(
+        return positions.verify(
             finding,
             seeds=SEEDS,
             cache=inputs.kept,
@@ -199,12 +199,12 @@ def plan(inputs: Inputs, search: Any, *, quiet: bool, as_json: bool) -> None:
 
 def _places(finding: Finding) -> tuple[Place, ...]:
     """Return places for a further receiver, the one that tells most first; none without a question."""
-    from rtcal import where
+    from rtcal.finder import positions
 
     if not finding.can_be_added or finding.surface is not None:
         return ()
     try:
-        return where.next_position(finding)
+        return positions.next_position(finding)
     except DataError:  # at most one surface is in question, or the room is too small for a grid
         return ()
 
@@ -213,13 +213,13 @@ def report(
     inputs: Inputs, search: Any, out: str, heading: Heading, *, quiet: bool, as_json: bool
 ) -> None:
     """Write page, finding and figures into a folder."""
-    from rtcal import where
+    from rtcal.finder import positions
     from rtcal.report import where_folder
 
     folder = Path(out)
     finding = find(inputs, search, quiet, [folder / name for name in where_folder.FILES])
     verification = None
-    if finding.can_be_added and len(finding.pairs) >= where.LEAST_PAIRS:
+    if finding.can_be_added and len(finding.pairs) >= positions.LEAST_PAIRS:
         verification = _verified(inputs, finding, search, quiet)
     command = shlex.join(
         [

@@ -12,7 +12,7 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 
 if TYPE_CHECKING:
-    from rtcal.discrepancy.case import Case
+    from rtcal.finder.case import Case
 
 _HERE = Path(__file__).parent
 
@@ -69,7 +69,7 @@ def untold_room() -> tuple[Case, dict[str, Any]]:
 
 
 def _hidden(case: str, truth: str) -> tuple[Case, dict[str, Any]]:
-    from rtcal.discrepancy.case import Case
+    from rtcal.finder.case import Case
 
     folder = path("hidden_room")
     return (

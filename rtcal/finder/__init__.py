@@ -1,47 +1,39 @@
 """Find what a model misses: compare it with measurements, name the effect, add it, verify it.
 
     >>> import rtcal as rt
-    >>> case = rt.discrepancy.Case.from_file("case.toml")     # doctest: +SKIP
-    >>> print(rt.discrepancy.find(case))                      # doctest: +SKIP
+    >>> case = rt.finder.Case.from_file("case.toml")     # doctest: +SKIP
+    >>> print(rt.finder.find(case))                      # doctest: +SKIP
 
 docs/discrepancy.md has the method and what it can and cannot do.
 """
 
-from rtcal.discrepancy.bootstrap import Threshold, control_rooms
-from rtcal.discrepancy.case import AppliedEffect, Case
-from rtcal.discrepancy.configuration import Change, Configuration
-from rtcal.discrepancy.corrected import corrected_room, simulator
-from rtcal.discrepancy.effects import Absorber, Effect, library
-from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.planning import Plan, Proposal, plan
-from rtcal.discrepancy.recalibrated import Recalibrated
-from rtcal.discrepancy.recalibration import recalibrate
-from rtcal.discrepancy.search import find
-from rtcal.discrepancy.several import find_several
-from rtcal.discrepancy.several_finding import SeveralFinding
-from rtcal.discrepancy.verification import Verification, verify
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "Absorber",
-    "AppliedEffect",
-    "Case",
-    "Change",
-    "Configuration",
-    "Effect",
-    "Finding",
-    "Plan",
-    "Proposal",
-    "Recalibrated",
-    "SeveralFinding",
-    "Threshold",
-    "Verification",
-    "control_rooms",
-    "corrected_room",
-    "find",
-    "find_several",
-    "library",
-    "plan",
-    "recalibrate",
-    "simulator",
-    "verify",
-]
+from rtcal.support import lazy
+
+if TYPE_CHECKING:
+    from rtcal.finder import positions as positions
+    from rtcal.finder.case import AppliedEffect as AppliedEffect
+    from rtcal.finder.case import Case as Case
+    from rtcal.finder.configuration import Change as Change
+    from rtcal.finder.configuration import Configuration as Configuration
+    from rtcal.finder.effects import Absorber as Absorber
+    from rtcal.finder.effects import Effect as Effect
+    from rtcal.finder.effects import library as library
+    from rtcal.finder.means.bootstrap import Threshold as Threshold
+    from rtcal.finder.means.bootstrap import control_rooms as control_rooms
+    from rtcal.finder.means.corrected import corrected_room as corrected_room
+    from rtcal.finder.means.corrected import simulator as simulator
+    from rtcal.finder.means.finding import Finding as Finding
+    from rtcal.finder.means.planning import Plan as Plan
+    from rtcal.finder.means.planning import Proposal as Proposal
+    from rtcal.finder.means.planning import plan as plan
+    from rtcal.finder.means.recalibrated import Recalibrated as Recalibrated
+    from rtcal.finder.means.recalibration import recalibrate as recalibrate
+    from rtcal.finder.means.search import find as find
+    from rtcal.finder.means.several import find_several as find_several
+    from rtcal.finder.means.several_finding import SeveralFinding as SeveralFinding
+    from rtcal.finder.means.verification import Verification as Verification
+    from rtcal.finder.means.verification import verify as verify
+else:
+    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

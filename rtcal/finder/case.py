@@ -13,12 +13,12 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import refuse_repeated_data, times_in_room
-from rtcal.discrepancy import case_files
-from rtcal.discrepancy.case_checks import check_configuration, check_room, in_room_bands, shares
-from rtcal.discrepancy.configuration import Configuration, checked_uncertainty
-from rtcal.discrepancy.effects import Effect, library
-from rtcal.discrepancy.effects.checks import check_parameters
 from rtcal.errors import DataError
+from rtcal.finder import case_files
+from rtcal.finder.case_checks import check_configuration, check_room, in_room_bands, shares
+from rtcal.finder.configuration import Configuration, checked_uncertainty
+from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects.checks import check_parameters
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
@@ -72,7 +72,7 @@ class AppliedEffect:
                 )
         if self.custom is not None:
             if not isinstance(self.custom, Effect):
-                raise DataError(f"effect: custom = {self.custom!r} is no rtcal.discrepancy.Effect")
+                raise DataError(f"effect: custom = {self.custom!r} is no rtcal.finder.Effect")
         elif self.name not in {e.name for e in library()}:
             raise DataError(f'effect "{self.name}" is not in the library')
         check_parameters(self.effect, self.parameters, interval=self.size_interval)
@@ -245,7 +245,7 @@ class Case:
 
     @classmethod
     def from_file(cls, path: str) -> Case:
-        """Read a case: TOML as `rtcal.discrepancy.case_files` says, or the JSON that `save` writes.
+        """Read a case: TOML as `rtcal.finder.case_files` says, or the JSON that `save` writes.
 
         Raises DataError naming the file and the rule.
         """

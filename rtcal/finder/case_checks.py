@@ -11,8 +11,8 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room import AXES, Room, text_name
-from rtcal.discrepancy.configuration import PARAMETERS, Configuration
 from rtcal.errors import DataError, OtherBandsWarning
+from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.support import checks
 from rtcal.support.types import Array
 

@@ -1,6 +1,6 @@
 """A case as TOML, which refers to files of the room and the measurements, or as one JSON file.
 
-The codec of `rtcal.discrepancy.case.Case`: both become the dict that `Case.from_dict` reads. In TOML,
+The codec of `rtcal.finder.case.Case`: both become the dict that `Case.from_dict` reads. In TOML,
 the room and the measurements are files in their native formats::
 
     room = "room.toml"
@@ -35,8 +35,8 @@ from typing import Any
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.configuration import LEVELS, PARAMETERS
 from rtcal.errors import DataError
+from rtcal.finder.configuration import LEVELS, PARAMETERS
 from rtcal.support import checks
 from rtcal.support.decode import Entries, json_object, toml_table
 from rtcal.support.files import read_text

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.common_errors import POWER, common_errors
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.configuration import Change
+from rtcal.finder.case import Case
+from rtcal.finder.configuration import Change
 from rtcal.support.types import Array
 
 NULL_POWER = 4.0

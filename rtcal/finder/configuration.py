@@ -94,7 +94,7 @@ class Configuration:
         for material, change in changes.items():
             text_name(f"{where}: changes: material", material)
             if not isinstance(change, Change):
-                raise DataError(f"{where}: changes[{material!r}] is not a rtcal.discrepancy.Change")
+                raise DataError(f"{where}: changes[{material!r}] is not a rtcal.finder.Change")
         object.__setattr__(self, "changes", changes)
         for name in ("suspect_removed", "planned"):
             checks.flag(f"{where}: {name}", getattr(self, name))

@@ -1,7 +1,7 @@
 """What is believed before anything was measured: which effect, how much of it, which coefficients.
 
 Every number of this page is an assumption. It decides where the data do not. The odds are an argument
-of `rtcal.discrepancy.find`; an effect states its own in its class.
+of `rtcal.finder.find`; an effect states its own in its class.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 
 from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.model import State
 from rtcal.errors import DataError
+from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.model import State
 from rtcal.support import checks
 from rtcal.support.types import Array
 

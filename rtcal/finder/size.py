@@ -10,16 +10,16 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.effects.checks import changed_states
-from rtcal.discrepancy.evidence import NEGLIGIBLE, Evidence, evaluate
-from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.discrepancy.model import rates
-from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.states import state
-from rtcal.discrepancy.wording import amount
+from rtcal.finder.case import Case
+from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.effects.checks import changed_states
+from rtcal.finder.means.evidence import NEGLIGIBLE, Evidence, evaluate
+from rtcal.finder.means.features import Observed
+from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.states import state
+from rtcal.finder.model import rates
+from rtcal.finder.wording import amount
 from rtcal.support.types import Array
 
 _AT_END = 2.0

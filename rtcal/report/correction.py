@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rtcal.discrepancy.corrected import corrected_room, not_in_room
-from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.recalibrated import table
-from rtcal.discrepancy.recalibration import recalibrate
-from rtcal.discrepancy.several_finding import SeveralFinding
+from rtcal.finder.means.corrected import corrected_room, not_in_room
+from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.recalibrated import table
+from rtcal.finder.means.recalibration import recalibrate
+from rtcal.finder.means.several_finding import SeveralFinding
 
 _KEPT = ("verdict", "effect", "named", "family", "candidates", "sets", "probabilities", "evidence")
 """Entries of a finding that are stored with the correction."""

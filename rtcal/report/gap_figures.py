@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.observables import DecaySlope, of_kind
-from rtcal.discrepancy.case import NORMAL_90
-from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
-from rtcal.discrepancy.states import state
-from rtcal.discrepancy.verification import Verification, residual_map, reverberation_times
+from rtcal.finder.case import NORMAL_90
+from rtcal.finder.means.finding import FEATURE_NAMES, Finding
+from rtcal.finder.means.states import state
+from rtcal.finder.means.verification import Verification, residual_map, reverberation_times
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.support.arguments import checked
 from rtcal.support.text import number

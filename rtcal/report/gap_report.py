@@ -10,11 +10,11 @@ from typing import Any
 
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
-from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.several_finding import SeveralFinding
-from rtcal.discrepancy.verification import Verification, verify
-from rtcal.discrepancy.wording import listed
 from rtcal.errors import MissingAirWarning
+from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.several_finding import SeveralFinding
+from rtcal.finder.means.verification import Verification, verify
+from rtcal.finder.wording import listed
 from rtcal.report import gap_figures, gap_words, several_report
 from rtcal.report.document import Heading
 from rtcal.report.figures import rendered

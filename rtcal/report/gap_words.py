@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal.discrepancy.bootstrap import QUANTILE
-from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.verification import Verification
-from rtcal.discrepancy.wording import as_sentence, listed
+from rtcal.finder.means.bootstrap import QUANTILE
+from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.verification import Verification
+from rtcal.finder.wording import as_sentence, listed
 
 _FAMILIES = {
     "added absorption": "something that absorbs sound",

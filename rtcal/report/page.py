@@ -14,8 +14,8 @@ from rtcal.acoustics import room_files
 from rtcal.acoustics.quality import letters
 from rtcal.calibration import record
 from rtcal.calibration.result import CalibrationResult
-from rtcal.discrepancy.wording import NATS
 from rtcal.errors import DataError
+from rtcal.finder.wording import NATS
 from rtcal.loop import beside
 from rtcal.loop import files as loop_files
 from rtcal.loop.positions_result import PositionsResult

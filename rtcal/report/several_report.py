@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.discrepancy.probabilities import family_of
-from rtcal.discrepancy.recalibration import recalibrate
-from rtcal.discrepancy.several import TWO
-from rtcal.discrepancy.several_finding import SeveralFinding
-from rtcal.discrepancy.wording import as_sentence, listed
+from rtcal.finder.means.probabilities import family_of
+from rtcal.finder.means.recalibration import recalibrate
+from rtcal.finder.means.several import TWO
+from rtcal.finder.means.several_finding import SeveralFinding
+from rtcal.finder.wording import as_sentence, listed
 from rtcal.report import gap_figures, gap_words
 from rtcal.report.figures import BLACK, ORANGE, new_figure, shown
 from rtcal.report.rows import material_rows

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.parameters import parameter_label
+from rtcal.finder.positions.advice import Place
+from rtcal.finder.positions.finding import Finding
+from rtcal.finder.positions.surfaces import Faces, kind
+from rtcal.finder.positions.verification import MODELS, Verification
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, shown
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
-from rtcal.where.advice import Place
-from rtcal.where.finding import Finding
-from rtcal.where.surfaces import Faces, kind
-from rtcal.where.verification import MODELS, Verification
 
 _SHOWN = 0.02
 """Smallest probability of a surface that is written beside it."""
@@ -38,7 +38,7 @@ def room(finding: Finding, place: Place | None = None) -> Any:
     """Return the room in an axonometric view, each surface as orange as it is probable.
 
     Surfaces that the positions do not tell apart have a common letter and hatch. ``place`` is a further
-    receiver, as `rtcal.where.next_position` proposes it.
+    receiver, as `rtcal.finder.positions.next_position` proposes it.
     """
     figure, axes = new_figure(6.5, 5.2)
     draw_room(axes, finding, place)

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from rtcal.acoustics.parameters import parameter_label
+from rtcal.finder.positions.advice import Place
+from rtcal.finder.positions.finding import Finding, strongest
+from rtcal.finder.positions.verification import MODELS, TITLES, Verification
 from rtcal.report import document, where_figures
 from rtcal.report.document import Heading
 from rtcal.report.figures import rendered
 from rtcal.support.arguments import checked
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.results import NUMBERS
-from rtcal.where.advice import Place
-from rtcal.where.finding import Finding, strongest
-from rtcal.where.verification import MODELS, TITLES, Verification
 
 PAGE, MAP, PLAN, ROOM, GAP = (
     "report.html",

@@ -96,8 +96,14 @@ def public_name(thing: Any) -> str:
     """
     parts = thing.__module__.split(".")
     packages = [".".join(parts[:n]) for n in range(1, len(parts) + 1)]
-    listing = (p for p in packages if thing.__name__ in getattr(sys.modules.get(p), "__all__", ()))
-    return f"{next(listing, packages[-1])}.{thing.__name__}"
+    name = thing.__name__
+    listing = (p for p in packages if name in getattr(sys.modules.get(p), "__all__", ()))
+    own = (
+        p
+        for p in listing
+        if getattr(getattr(sys.modules[p], name), "__module__", None) == thing.__module__
+    )
+    return f"{next(own, packages[-1])}.{name}"
 
 
 def array(place: str, value: object, error: type[RtcalError] = DataError) -> Array:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.positions.corrected import corrected
 from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import Polyhedron
-from rtcal.where.corrected import corrected
 from tests.test_where_corrected import BANDS, L_PLAN, candidate, case_in, prism, triangulated
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")

@@ -17,13 +17,13 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.equations import mean_equation
-from rtcal.discrepancy import AppliedEffect, Case, corrected_room, recalibrate, simulator
-from rtcal.discrepancy.corrected import not_in_room
-from rtcal.discrepancy.effects import Effect, library
-from rtcal.discrepancy.effects.checks import checked_grid
-from rtcal.discrepancy.model import FEATURES, State, predict
-from rtcal.discrepancy.states import distances, state
 from rtcal.errors import DataError
+from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
+from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects.checks import checked_grid
+from rtcal.finder.means.corrected import not_in_room
+from rtcal.finder.means.states import distances, state
+from rtcal.finder.model import FEATURES, State, predict
 from rtcal.simulators.equation import EquationSimulator
 
 ROUNDING = 1e-9

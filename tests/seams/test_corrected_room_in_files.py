@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.discrepancy import Case, corrected_room, simulator
-from rtcal.discrepancy.corrected import not_in_room
-from rtcal.discrepancy.effects import Effect, library
 from rtcal.errors import DataError
+from rtcal.finder import Case, corrected_room, simulator
+from rtcal.finder.effects import Effect, library
+from rtcal.finder.means.corrected import not_in_room
 from rtcal.io import bras, catt, odeon, pyroomacoustics
 from tests.seams.test_corrected_room import EVERY, of
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.discrepancy import AppliedEffect, Case
-from rtcal.discrepancy.effects import Effect, library
-from rtcal.discrepancy.effects.checks import checked_grid
-from rtcal.discrepancy.states import state
 from rtcal.errors import DataError
+from rtcal.finder import AppliedEffect, Case
+from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects.checks import checked_grid
+from rtcal.finder.means.states import state
 
 
 @pytest.fixture(scope="module")

@@ -47,10 +47,12 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("hidden", [False, True])
 def test_no_reference_changes_a_finding(hidden: bool, cache: Path) -> None:
-    case = rt.where.Case(simulator=simulator(), measured=relative(hidden))
-    found = rt.where.find(case, cache=cache)
+    case = rt.finder.positions.Case(simulator=simulator(), measured=relative(hidden))
+    found = rt.finder.positions.find(case, cache=cache)
     for offset in OFFSETS:
-        other = rt.where.find(replace(case, measured=referred(case.measured, offset)), cache=cache)
+        other = rt.finder.positions.find(
+            replace(case, measured=referred(case.measured, offset)), cache=cache
+        )
         assert other.verdict == found.verdict
         assert other.detection.score == pytest.approx(found.detection.score, abs=1e-6)
         assert other.surfaces == pytest.approx(found.surfaces, abs=1e-6)
@@ -69,10 +71,12 @@ def test_no_reference_of_another_programs_level_changes_a_finding(cache: Path) -
         pairs=heard.pairs,
         values={p: heard.natural(p) for p in MATCH},
     )
-    case = rt.where.Case(simulator=tracer, measured=relative(True), simulated=program)
-    found = rt.where.find(case, cache=cache)
+    case = rt.finder.positions.Case(simulator=tracer, measured=relative(True), simulated=program)
+    found = rt.finder.positions.find(case, cache=cache)
     for offset in OFFSETS:
-        other = rt.where.find(replace(case, simulated=referred(program, offset)), cache=cache)
+        other = rt.finder.positions.find(
+            replace(case, simulated=referred(program, offset)), cache=cache
+        )
         assert other.detection.score == pytest.approx(found.detection.score, abs=1e-6)
         assert other.surfaces == pytest.approx(found.surfaces, abs=1e-6)
 

@@ -137,8 +137,10 @@ def test_new_observables_are_found_with(kept: Path) -> None:
     """An opening is detected by D50 and STI beside T20. Without a level they do not tell its wall."""
     room = test_where.stated()
     hole = test_where.measured(True, match=("t20", *NEW))
-    case = rt.where.Case(simulator=test_where.tracing(room), measured=hole, match=("t20", *NEW))
-    finding = rt.where.find(case, cache=kept)
+    case = rt.finder.positions.Case(
+        simulator=test_where.tracing(room), measured=hole, match=("t20", *NEW)
+    )
+    finding = rt.finder.positions.find(case, cache=kept)
     assert finding.parameters == ("t20", *NEW)
     assert finding.detected
     assert finding.map.shape == (3, len(finding.pairs), len(test_where.BANDS))
@@ -201,7 +203,7 @@ def named(path: Path) -> set[str]:
 
 
 THE_MEANS_HAVE_FIVE = {
-    f"discrepancy/{name}.py"
+    f"finder/{name}.py"
     for name in (
         *("advice", "case_checks", "case_files", "configuration", "corrected", "engines"),
         *("features", "hypotheses", "measurements", "model", "model_error", "planning"),

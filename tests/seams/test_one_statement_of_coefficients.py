@@ -8,8 +8,8 @@ from scipy import stats
 
 import rtcal as rt
 from rtcal.acoustics.quality import agreement
-from rtcal.discrepancy import Case, Configuration
-from rtcal.discrepancy.coefficients import directions
+from rtcal.finder import Case, Configuration
+from rtcal.finder.coefficients import directions
 from rtcal.report.words import verdict
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.hypotheses import _spectra, library
 from rtcal.simulators import Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.where.corrected import corrected
-from rtcal.where.hypotheses import _spectra, library
 from tests.test_where_corrected import BANDS, SIZE, candidate, case_in
 
 

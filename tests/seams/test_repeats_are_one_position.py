@@ -7,9 +7,9 @@ import pytest
 
 import rtcal as rt
 from rtcal.errors import DataError
+from rtcal.finder.positions import Case
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.where import Case
 
 BANDS = [250.0, 500.0, 1000.0]
 RNG = np.random.default_rng(3)

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtcal.discrepancy import Case, find
-from rtcal.discrepancy.doubts import Doubt
-from rtcal.discrepancy.effects import Effect, NoiseFloor, NonDiffuse, Opening, Porous, WrongArea
-from rtcal.discrepancy.effects.checks import checked_grid
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.states import state
-from rtcal.discrepancy.verdict import doubted
+from rtcal.finder import Case, find
+from rtcal.finder.effects import Effect, NoiseFloor, NonDiffuse, Opening, Porous, WrongArea
+from rtcal.finder.effects.checks import checked_grid
+from rtcal.finder.means.doubts import Doubt
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.states import state
+from rtcal.finder.means.verdict import doubted
 from tests.test_discrepancy import case_with, controls_of, opened
 
 FAR: list[tuple[Effect, dict[str, float]]] = [

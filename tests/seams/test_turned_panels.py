@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.discrepancy import corrected_room, find, simulator, verify
+from rtcal.finder import corrected_room, find, simulator, verify
 from rtcal.report.gap_words import rests_on, to_do
 from tests.seams.turned_panels import laboratory
 

@@ -49,8 +49,8 @@ def test_an_unknown_option() -> None:
 
 
 @pytest.fixture(scope="module")
-def finding() -> rt.discrepancy.Finding:
-    return rt.discrepancy.find(rt.datasets.hidden_room()[0])
+def finding() -> rt.finder.Finding:
+    return rt.finder.find(rt.datasets.hidden_room()[0])
 
 
 @pytest.mark.parametrize("wrong", [[], {}, set(), np.ones(3)], ids=str)
@@ -63,18 +63,18 @@ def test_a_name_of_a_finding(finding, method: str, wrong: object) -> None:
 @pytest.mark.parametrize("names", ["only", "without"])
 def test_arrays_and_generators_of_effects(names: str) -> None:
     case, _ = rt.datasets.hidden_room()
-    known = [name for name in rt.discrepancy.find(case).effects if name != "none"][:3]
-    by_list = rt.discrepancy.find(case, **{names: known})
-    by_array = rt.discrepancy.find(case, **{names: np.array(known)})
+    known = [name for name in rt.finder.find(case).effects if name != "none"][:3]
+    by_list = rt.finder.find(case, **{names: known})
+    by_array = rt.finder.find(case, **{names: np.array(known)})
     assert by_array.candidates == by_list.candidates
     with pytest.raises(RtcalError, match=names):
-        rt.discrepancy.find(case, **{names: (name for name in known)})
+        rt.finder.find(case, **{names: (name for name in known)})
 
 
 def test_progress_of_another_kind() -> None:
     case, _ = rt.datasets.hidden_room()
     with pytest.raises(RtcalError, match=r"progress = .*is not a function of 3 arguments"):
-        rt.discrepancy.control_rooms(case, progress=len)
+        rt.finder.control_rooms(case, progress=len)
 
 
 def test_arguments_of_a_program() -> None:
@@ -102,7 +102,7 @@ def test_a_flag_of_a_tracer() -> None:
 def test_effects_in_a_geometry_of_any_kind(kind: type) -> None:
     """A generator was read once and then ignored; an array raised a ValueError."""
     pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-    from rtcal.where.find import left_out_of
+    from rtcal.finder.positions.search import left_out_of
 
     names = [*left_out_of(["porous"], [])][:2]
     assert left_out_of([], kind(names)) == tuple(sorted(names))

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal.discrepancy import Case
+from rtcal.finder import Case
 from tests.hidden_world.populations import (
     BANDS,
     Hidden,

@@ -12,8 +12,8 @@ import numpy as np
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Effect, Limits, Parameters, read_only
-from rtcal.discrepancy.model import State
+from rtcal.finder.effects.base import Effect, Limits, Parameters, read_only
+from rtcal.finder.model import State
 from rtcal.support.types import Array
 
 

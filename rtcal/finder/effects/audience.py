@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import (
+from rtcal.finder.effects.base import (
     AbsorbingObject,
     Limits,
     Parameters,
@@ -17,7 +17,7 @@ from rtcal.discrepancy.effects.base import (
     interpolate_octaves,
     middle_absorption,
 )
-from rtcal.discrepancy.model import State
+from rtcal.finder.model import State
 
 SEATED_ALPHA = 0.86
 """alpha of a seated audience at 1 kHz (Beranek 1996)."""

@@ -12,8 +12,8 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import LARGEST, Room
-from rtcal.discrepancy.model import Decay, State
 from rtcal.errors import DataError
+from rtcal.finder.model import Decay, State
 from rtcal.support import checks
 from rtcal.support.types import Array
 

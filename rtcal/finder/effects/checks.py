@@ -12,9 +12,9 @@ import numpy as np
 
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Effect, Limits, Parameters
-from rtcal.discrepancy.model import Decay, State
 from rtcal.errors import DataError, RtcalError
+from rtcal.finder.effects.base import Effect, Limits, Parameters
+from rtcal.finder.model import Decay, State
 from rtcal.support import checks
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
@@ -56,7 +56,7 @@ def _check(place: str, effect: Any) -> None:
             f"{place} = {effect.__name__} is a class; an effect is made: {effect.__name__}()"
         )
     if not isinstance(effect, Effect):
-        raise DataError(f"{place} = {effect!r} is no effect: not a rtcal.discrepancy.Effect")
+        raise DataError(f"{place} = {effect!r} is no effect: not a rtcal.finder.Effect")
     for name in _TEXTS:
         text = getattr(effect, name, None)
         blank = name != "unit" and not str(text).strip()

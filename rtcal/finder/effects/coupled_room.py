@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import (
+from rtcal.finder.effects.base import (
     Effect,
     Limits,
     Parameters,
@@ -18,7 +18,7 @@ from rtcal.discrepancy.effects.base import (
     first_decay,
     middle_absorption,
 )
-from rtcal.discrepancy.model import Decay, State, rates, speeds
+from rtcal.finder.model import Decay, State, rates, speeds
 
 
 @dataclass(frozen=True)

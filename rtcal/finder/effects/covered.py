@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Limits, Parameters
-from rtcal.discrepancy.effects.stated import OfMaterial
-from rtcal.discrepancy.model import State
+from rtcal.finder.effects.base import Limits, Parameters
+from rtcal.finder.effects.stated import OfMaterial
+from rtcal.finder.model import State
 
 HARD = 0.04
 """alpha of what covers the material: wood, plaster or glass at middle frequencies."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Effect, Limits, Parameters
-from rtcal.discrepancy.model import State
+from rtcal.finder.effects.base import Effect, Limits, Parameters
+from rtcal.finder.model import State
 
 
 @dataclass(frozen=True)

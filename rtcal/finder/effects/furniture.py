@@ -9,14 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import (
+from rtcal.finder.effects.base import (
     AbsorbingObject,
     Limits,
     Parameters,
     interpolate_octaves,
     middle_absorption,
 )
-from rtcal.discrepancy.model import State
+from rtcal.finder.model import State
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from itertools import product
 from typing import ClassVar
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Absorber, Limits, Parameters
-from rtcal.discrepancy.effects.resonator import resonance_alpha
+from rtcal.finder.effects.base import Absorber, Limits, Parameters
+from rtcal.finder.effects.resonator import resonance_alpha
 from rtcal.support.types import Array
 
 _PEAK = 0.55

@@ -10,8 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Effect, Limits, Parameters
-from rtcal.discrepancy.model import State
+from rtcal.finder.effects.base import Effect, Limits, Parameters
+from rtcal.finder.model import State
 
 
 @dataclass(frozen=True)

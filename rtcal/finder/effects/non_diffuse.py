@@ -10,8 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Effect, Limits, Parameters, first_decay
-from rtcal.discrepancy.model import Decay, State, speeds, surface_absorption
+from rtcal.finder.effects.base import Effect, Limits, Parameters, first_decay
+from rtcal.finder.model import Decay, State, speeds, surface_absorption
 from rtcal.support.types import Array
 
 _TERMS = 12

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.discrepancy.effects.base import Absorber, Parameters
+from rtcal.finder.effects.base import Absorber, Parameters
 from rtcal.support.types import Array
 
 

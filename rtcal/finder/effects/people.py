@@ -9,14 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import (
+from rtcal.finder.effects.base import (
     AbsorbingObject,
     Limits,
     Parameters,
     interpolate_octaves,
     middle_absorption,
 )
-from rtcal.discrepancy.model import State
+from rtcal.finder.model import State
 
 PER_PERSON = (0.08, 0.15, 0.29, 0.56, 0.85, 0.98, 0.95, 0.95)
 """Absorption area of one person in m², 63 Hz to 8 kHz: the mean of an audience of 0.72 and of 1 person

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Absorber, Limits, Parameters, read_only
+from rtcal.finder.effects.base import Absorber, Limits, Parameters, read_only
 from rtcal.support.types import Array
 
 

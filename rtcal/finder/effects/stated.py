@@ -11,8 +11,8 @@ import numpy as np
 
 from rtcal.acoustics.equations import Eyring, MeanEquation, Millington, Sabine
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.effects.base import Effect, Limits, Parameters
-from rtcal.discrepancy.model import State
+from rtcal.finder.effects.base import Effect, Limits, Parameters
+from rtcal.finder.model import State
 
 RATIOS = (1e-3, 1e3)
 """Ratios of a true area or volume to the stated one: a unit taken for another is a factor of 1000."""

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.evidence import Evidence
-from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.hypotheses import Hypotheses
-from rtcal.discrepancy.likelihood import alpha_covariance
-from rtcal.discrepancy.measurements import USUAL
-from rtcal.discrepancy.model import FEATURES
-from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import COEFFICIENTS, UNKNOWN
+from rtcal.finder.case import Case
+from rtcal.finder.means.evidence import Evidence
+from rtcal.finder.means.features import Observed
+from rtcal.finder.means.hypotheses import Hypotheses
+from rtcal.finder.means.likelihood import alpha_covariance
+from rtcal.finder.means.measurements import USUAL
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.model import FEATURES
+from rtcal.finder.prior import COEFFICIENTS, UNKNOWN
 from rtcal.support.types import Array
 
 DISTINCT_NATS = 2.3

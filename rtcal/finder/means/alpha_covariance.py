@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import correlation
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.coefficients import directions, factors
-from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.model import Predicted, State, sensitivities
+from rtcal.finder.case import Case
+from rtcal.finder.coefficients import directions, factors
+from rtcal.finder.configuration import Configuration
+from rtcal.finder.model import Predicted, State, sensitivities
 from rtcal.support.types import Array
 
 _SMALL = 64
@@ -100,7 +100,7 @@ class AlphaCovariance:
     def off_together(self, part: slice | NDArray[np.intp]) -> Array:
         """Return the usual changes of ln T20 in common, (n, size, n_directions).
 
-        See `rtcal.discrepancy.coefficients.factors`.
+        See `rtcal.finder.coefficients.factors`.
         """
         if self._off is None:
             return factors(self._directions, self._stored[part])

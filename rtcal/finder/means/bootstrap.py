@@ -14,22 +14,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.coefficients import NULL_POWER, directions, drawn
-from rtcal.discrepancy.engines import (
+from rtcal.errors import DataError
+from rtcal.finder.case import Case
+from rtcal.finder.coefficients import NULL_POWER, directions, drawn
+from rtcal.finder.means.engines import (
     ENGINES,
     ControlRooms,
     draw_alpha,
     recentred,
 )
-from rtcal.discrepancy.evidence import Evidence, evaluate
-from rtcal.discrepancy.features import LEVELS, Observed
-from rtcal.discrepancy.hypotheses import Hypotheses, LowRank
-from rtcal.discrepancy.model import FEATURES, predict
-from rtcal.discrepancy.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.discrepancy.prior import NONE, Prior
-from rtcal.discrepancy.states import distances, state
-from rtcal.errors import DataError
+from rtcal.finder.means.evidence import Evidence, evaluate
+from rtcal.finder.means.features import LEVELS, Observed
+from rtcal.finder.means.hypotheses import Hypotheses, LowRank
+from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
+from rtcal.finder.means.states import distances, state
+from rtcal.finder.model import FEATURES, predict
+from rtcal.finder.prior import NONE, Prior
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress

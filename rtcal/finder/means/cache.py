@@ -12,10 +12,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from rtcal.discrepancy.bootstrap import checked_controls, checked_engines
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.engines import ENGINES, ControlRooms
 from rtcal.errors import DataError
+from rtcal.finder.case import Case
+from rtcal.finder.means.bootstrap import checked_controls, checked_engines
+from rtcal.finder.means.engines import ENGINES, ControlRooms
 from rtcal.support import checks, kept_arrays
 from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress
@@ -44,7 +44,7 @@ def cached_control_rooms(
     case : Case
     folder : path
     seed, engines, progress
-        As for `rtcal.discrepancy.control_rooms`.
+        As for `rtcal.finder.control_rooms`.
 
     Raises
     ------

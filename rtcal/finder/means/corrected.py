@@ -19,12 +19,12 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
-from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.model import FEATURES, State, highest, mean_contributions, predict
-from rtcal.discrepancy.states import distances, seen, state, with_applied
-from rtcal.discrepancy.wording import amount
 from rtcal.errors import DataError
+from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
+from rtcal.finder.configuration import Configuration
+from rtcal.finder.means.states import distances, seen, state, with_applied
+from rtcal.finder.model import FEATURES, State, highest, mean_contributions, predict
+from rtcal.finder.wording import amount
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked

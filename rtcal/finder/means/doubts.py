@@ -9,15 +9,15 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.evidence import evaluate
-from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.gap import GapCheck
-from rtcal.discrepancy.hypotheses import Hypotheses
-from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import NONE
-from rtcal.discrepancy.size import Size
+from rtcal.finder.case import Case
+from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.means.evidence import evaluate
+from rtcal.finder.means.features import Observed
+from rtcal.finder.means.gap import GapCheck
+from rtcal.finder.means.hypotheses import Hypotheses
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.prior import NONE
+from rtcal.finder.size import Size
 from rtcal.support.types import Array
 
 GROSS = np.log(2.0)

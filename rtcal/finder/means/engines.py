@@ -17,8 +17,8 @@ from rtcal.acoustics import bands, decay
 from rtcal.acoustics.equations import Eyring, mean_equation
 from rtcal.acoustics.materials import Surface
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.model import FEATURES, State, predict
+from rtcal.finder.case import Case
+from rtcal.finder.model import FEATURES, State, predict
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing

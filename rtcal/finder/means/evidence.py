@@ -20,15 +20,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.effects.checks import beyond
-from rtcal.discrepancy.factorization import Factorization
-from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.discrepancy.likelihood import covariance_of, log_densities, log_likelihood
-from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN, grid_weights
-from rtcal.discrepancy.states import state
+from rtcal.finder.case import Case
+from rtcal.finder.effects.checks import beyond
+from rtcal.finder.means.factorization import Factorization
+from rtcal.finder.means.features import Observed
+from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.likelihood import covariance_of, log_densities, log_likelihood
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.states import state
+from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, grid_weights
 from rtcal.support.types import Array
 
 # Numbers without a study of their own date from the first version of the finder. Others are tried by

@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.discrepancy import track_record
-from rtcal.discrepancy.case import AppliedEffect, Case
-from rtcal.discrepancy.coefficients import OffTogether
-from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import COEFFICIENTS, Prior
-from rtcal.discrepancy.size import Size
-from rtcal.discrepancy.verdict import Fit
-from rtcal.discrepancy.wording import NATS, as_sentence, engine_title, listed
 from rtcal.errors import DataError
+from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.coefficients import OffTogether
+from rtcal.finder.effects import Effect
+from rtcal.finder.means import track_record
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.verdict import Fit
+from rtcal.finder.prior import COEFFICIENTS, Prior
+from rtcal.finder.size import Size
+from rtcal.finder.wording import NATS, as_sentence, engine_title, listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers

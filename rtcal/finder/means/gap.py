@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics.observables import observable
-from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.hypotheses import Hypotheses
-from rtcal.discrepancy.likelihood import covariance_of, log_density
-from rtcal.discrepancy.model import FEATURES
-from rtcal.discrepancy.model_error import ModelDiscrepancy
+from rtcal.finder.means.features import Observed
+from rtcal.finder.means.hypotheses import Hypotheses
+from rtcal.finder.means.likelihood import covariance_of, log_density
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.model import FEATURES
 from rtcal.support.types import Array
 
 LITTLE = 0.1

@@ -9,15 +9,15 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.discrepancy.alpha_covariance import AlphaCovariance
-from rtcal.discrepancy.case import AppliedEffect, Case
-from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.effects.checks import changed_states, checked_grid
-from rtcal.discrepancy.model import FEATURES, State, predict
-from rtcal.discrepancy.prior import NONE, grid_weights
-from rtcal.discrepancy.states import DISTANCE_ERROR, distances, state
 from rtcal.errors import DataError
+from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.configuration import Configuration
+from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.effects.checks import changed_states, checked_grid
+from rtcal.finder.means.alpha_covariance import AlphaCovariance
+from rtcal.finder.means.states import DISTANCE_ERROR, distances, state
+from rtcal.finder.model import FEATURES, State, predict
+from rtcal.finder.prior import NONE, grid_weights
 from rtcal.support.types import Array
 
 SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.discrepancy.likelihood import student
-from rtcal.discrepancy.sets import Moments
+from rtcal.finder.means.likelihood import student
+from rtcal.finder.means.sets import Moments
 from rtcal.support.types import Array
 
 Mask = NDArray[np.bool_]

@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import chdtrc, gammaln
 
-from rtcal.discrepancy.coefficients import SCALES
-from rtcal.discrepancy.factorization import Factorization
-from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.hypotheses import Hypotheses, LowRank, misfit
-from rtcal.discrepancy.model_error import ModelDiscrepancy
+from rtcal.finder.coefficients import SCALES
+from rtcal.finder.means.factorization import Factorization
+from rtcal.finder.means.features import Observed
+from rtcal.finder.means.hypotheses import Hypotheses, LowRank, misfit
+from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.support.types import Array
 
 DEGREES = 5.0

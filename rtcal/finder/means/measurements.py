@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.configuration import Change, Configuration
-from rtcal.discrepancy.effects.porous import Porous
-from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.information import Mask
-from rtcal.discrepancy.model import FEATURES
-from rtcal.discrepancy.model_error import ModelDiscrepancy
 from rtcal.errors import DataError
+from rtcal.finder.case import Case
+from rtcal.finder.configuration import Change, Configuration
+from rtcal.finder.effects.porous import Porous
+from rtcal.finder.means.features import Observed
+from rtcal.finder.means.information import Mask
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.model import FEATURES
 from rtcal.support import checks
 
 COSTS: Mapping[str, float] = {

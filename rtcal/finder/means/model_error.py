@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.engines import ControlRooms, bias_estimates
-from rtcal.discrepancy.model import FEATURES
 from rtcal.errors import DataError
+from rtcal.finder.case import Case
+from rtcal.finder.means.engines import ControlRooms, bias_estimates
+from rtcal.finder.model import FEATURES
 from rtcal.support import checks
 from rtcal.support.types import Array
 

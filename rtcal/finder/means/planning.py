@@ -9,22 +9,22 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.discrepancy.advice import DISTINCT_NATS, covariance_with, separation, variances_of
-from rtcal.discrepancy.case import AppliedEffect, Case
-from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.effects import Effect, library
-from rtcal.discrepancy.effects.checks import checked_effects
-from rtcal.discrepancy.features import Observed, observe
-from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.discrepancy.information import Information, Mask
-from rtcal.discrepancy.measurements import Extended, Further, checked_costs, extended, possible
-from rtcal.discrepancy.model import FEATURES
-from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
-from rtcal.discrepancy.prior import NONE, prior_of
-from rtcal.discrepancy.sets import compare, moments
-from rtcal.discrepancy.several_finding import SeveralFinding
-from rtcal.discrepancy.wording import listed
 from rtcal.errors import DataError
+from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.configuration import Configuration
+from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects.checks import checked_effects
+from rtcal.finder.means.advice import DISTINCT_NATS, covariance_with, separation, variances_of
+from rtcal.finder.means.features import Observed, observe
+from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.information import Information, Mask
+from rtcal.finder.means.measurements import Extended, Further, checked_costs, extended, possible
+from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
+from rtcal.finder.means.sets import compare, moments
+from rtcal.finder.means.several_finding import SeveralFinding
+from rtcal.finder.model import FEATURES
+from rtcal.finder.prior import NONE, prior_of
+from rtcal.finder.wording import listed
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.results import Result
@@ -260,7 +260,7 @@ def plan(
     finding : SeveralFinding, optional
         Of this case, as `find_several` returns it.
     costs : mapping of str to float, optional
-        Hours that a measurement takes, in place of `rtcal.discrepancy.measurements.COSTS`:
+        Hours that a measurement takes, in place of `rtcal.finder.means.measurements.COSTS`:
         ``{"G": 0.5, "another climate": 40}``.
     planned : sequence of Configuration, optional
         Further configurations that could be measured.
@@ -275,7 +275,7 @@ def plan(
     --------
     >>> import rtcal as rt
     >>> case, truth = rt.datasets.hidden_room()
-    >>> plan = rt.discrepancy.plan(case.only("t20"), costs={"G": 0.5})
+    >>> plan = rt.finder.plan(case.only("t20"), costs={"G": 0.5})
     >>> len(plan.sequence)
     3
     """

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
+from rtcal.finder.effects import Effect
+from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
 
 CREDIBLE = 0.9
 """Probability, given that something is missing, that the candidates hold together."""

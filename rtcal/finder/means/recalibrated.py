@@ -12,9 +12,9 @@ import numpy as np
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.result import JointResult
-from rtcal.discrepancy.case import NORMAL_90, AppliedEffect, Case
-from rtcal.discrepancy.corrected import corrected_room
-from rtcal.discrepancy.wording import amount
+from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
+from rtcal.finder.means.corrected import corrected_room
+from rtcal.finder.wording import amount
 from rtcal.support import text
 from rtcal.support.results import Result
 from rtcal.support.types import Array

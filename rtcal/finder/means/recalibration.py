@@ -23,14 +23,14 @@ from rtcal.calibration.presets import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
-from rtcal.discrepancy.case import AppliedEffect, Case
-from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.model import FEATURES, STEEPEST, State, predict
-from rtcal.discrepancy.model_error import ModelDiscrepancy, checked_discrepancy
-from rtcal.discrepancy.recalibrated import Recalibrated
-from rtcal.discrepancy.states import air_of, distances, seen, state
 from rtcal.errors import MissingAirWarning
+from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.configuration import Configuration
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
+from rtcal.finder.means.recalibrated import Recalibrated
+from rtcal.finder.means.states import air_of, distances, seen, state
+from rtcal.finder.model import FEATURES, STEEPEST, State, predict
 from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array

@@ -8,27 +8,30 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.discrepancy.advice import next_measurement
-from rtcal.discrepancy.bootstrap import (
+from rtcal.errors import DataError
+from rtcal.finder.case import Case
+from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects.checks import checked_effects
+from rtcal.finder.means.advice import next_measurement
+from rtcal.finder.means.bootstrap import (
     Threshold,
     bootstrap_threshold,
     checked_controls,
     control_rooms,
 )
-from rtcal.discrepancy.bootstrap import score as evidence_of_something
-from rtcal.discrepancy.cache import cached_control_rooms
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.doubts import Doubt, schroeder_limit
-from rtcal.discrepancy.effects import Effect, library
-from rtcal.discrepancy.effects.checks import checked_effects
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.evidence import evaluate_beyond
-from rtcal.discrepancy.features import Observed, observe
-from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.discrepancy.likelihood import standardized_residuals
-from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import (
+from rtcal.finder.means.bootstrap import score as evidence_of_something
+from rtcal.finder.means.cache import cached_control_rooms
+from rtcal.finder.means.doubts import Doubt, schroeder_limit
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.evidence import evaluate_beyond
+from rtcal.finder.means.features import Observed, observe
+from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.likelihood import standardized_residuals
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.probabilities import by_family, credible_set, posterior
+from rtcal.finder.means.verdict import Fit, claim, doubted, doubts, fit
+from rtcal.finder.prior import (
     COEFFICIENTS,
     NONE,
     Prior,
@@ -36,9 +39,6 @@ from rtcal.discrepancy.prior import (
     chosen_effects,
     prior_of,
 )
-from rtcal.discrepancy.probabilities import by_family, credible_set, posterior
-from rtcal.discrepancy.verdict import Fit, claim, doubted, doubts, fit
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress
@@ -84,7 +84,7 @@ def find(
     controls : sequence of ControlRooms, optional
         Control rooms that were simulated before.
     cache : path, optional
-        Folder in which control rooms are kept, as `rtcal.discrepancy.cache` says.
+        Folder in which control rooms are kept, as `rtcal.finder.means.cache` says.
     progress : callable, optional
         Called with an engine's name, the number of finished control rooms and their total.
 

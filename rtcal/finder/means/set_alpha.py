@@ -15,9 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtcal.acoustics.bands import correlation
-from rtcal.discrepancy.model import predict, sensitivities
-from rtcal.discrepancy.sets import Comparison, Rows, moments, states_of
-from rtcal.discrepancy.states import distances
+from rtcal.finder.means.sets import Comparison, Rows, moments, states_of
+from rtcal.finder.means.states import distances
+from rtcal.finder.model import predict, sensitivities
 from rtcal.support.types import Array
 
 

@@ -14,13 +14,12 @@ from math import factorial
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal.discrepancy.case import AppliedEffect
-from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.likelihood import goodness_of_fit
-from rtcal.discrepancy.prior import COEFFICIENTS, UNKNOWN, Prior
-from rtcal.discrepancy.probabilities import family_of
-from rtcal.discrepancy.sets import (
+from rtcal.finder.case import AppliedEffect
+from rtcal.finder.effects import Effect
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import goodness_of_fit
+from rtcal.finder.means.probabilities import family_of
+from rtcal.finder.means.sets import (
     Comparison,
     Rows,
     Screen,
@@ -30,6 +29,7 @@ from rtcal.discrepancy.sets import (
     shapes,
     unknown_beside,
 )
+from rtcal.finder.prior import COEFFICIENTS, UNKNOWN, Prior
 from rtcal.support.types import Array
 
 EXPECTED = 0.7

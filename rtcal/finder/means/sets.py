@@ -22,23 +22,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from rtcal.discrepancy.alpha_covariance import AlphaCovariance
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.effects.checks import added, changed_states
-from rtcal.discrepancy.evidence import unknown_evidence
-from rtcal.discrepancy.factorization import Factorization
-from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.hypotheses import Hypotheses, LowRank, misfit
-from rtcal.discrepancy.likelihood import (
+from rtcal.finder.case import Case
+from rtcal.finder.effects import Effect
+from rtcal.finder.effects.checks import added, changed_states
+from rtcal.finder.means.alpha_covariance import AlphaCovariance
+from rtcal.finder.means.evidence import unknown_evidence
+from rtcal.finder.means.factorization import Factorization
+from rtcal.finder.means.features import Observed
+from rtcal.finder.means.hypotheses import Hypotheses, LowRank, misfit
+from rtcal.finder.means.likelihood import (
     covariance_of,
     log_densities,
     student,
     without_alpha,
 )
-from rtcal.discrepancy.model import State, predict
-from rtcal.discrepancy.model_error import COMMON_CORRELATION, ModelDiscrepancy
-from rtcal.discrepancy.states import distances, state
+from rtcal.finder.means.model_error import COMMON_CORRELATION, ModelDiscrepancy
+from rtcal.finder.means.states import distances, state
+from rtcal.finder.model import State, predict
 from rtcal.support.types import Array
 
 

@@ -6,22 +6,22 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from rtcal.discrepancy.case import AppliedEffect, Case
-from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.engines import ControlRooms
-from rtcal.discrepancy.evidence import evaluate_beyond
-from rtcal.discrepancy.features import Observed, observe
-from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
-from rtcal.discrepancy.probabilities import family_of, narrowest_family
-from rtcal.discrepancy.search import effects_to_try, find
-from rtcal.discrepancy.set_alpha import averaged_alpha
-from rtcal.discrepancy.set_posterior import EXPECTED, MOST, Names, SetPosterior, set_posterior
-from rtcal.discrepancy.sets import compare
-from rtcal.discrepancy.several_finding import Member, SeveralFinding, applied_with
-from rtcal.discrepancy.verdict import CLAIMED, Fit, doubts, fit
 from rtcal.errors import DataError
+from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.effects import Effect
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.evidence import evaluate_beyond
+from rtcal.finder.means.features import Observed, observe
+from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.probabilities import family_of, narrowest_family
+from rtcal.finder.means.search import effects_to_try, find
+from rtcal.finder.means.set_alpha import averaged_alpha
+from rtcal.finder.means.set_posterior import EXPECTED, MOST, Names, SetPosterior, set_posterior
+from rtcal.finder.means.sets import compare
+from rtcal.finder.means.several_finding import Member, SeveralFinding, applied_with
+from rtcal.finder.means.verdict import CLAIMED, Fit, doubts, fit
+from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress
@@ -67,7 +67,7 @@ def find_several(
     seed : int
         Of the control rooms and of the bootstrap.
     without, only, prior, engines, controls, cache, progress
-        As `rtcal.discrepancy.find` takes them, but for prior odds of "none": ``expected`` takes their
+        As `rtcal.finder.find` takes them, but for prior odds of "none": ``expected`` takes their
         place.
 
     Returns
@@ -78,13 +78,13 @@ def find_several(
     ------
     DataError
         If ``expected`` or ``most`` is out of its range, if ``prior`` has odds of "none", and as
-        `rtcal.discrepancy.find` does.
+        `rtcal.finder.find` does.
 
     Examples
     --------
     >>> import rtcal as rt
     >>> case, truth = rt.datasets.hidden_room()
-    >>> print(rt.discrepancy.find_several(case))  # doctest: +SKIP
+    >>> print(rt.finder.find_several(case))  # doctest: +SKIP
     """
     expected = checks.positive("expected", expected)
     if not LEAST_EXPECTED <= expected <= MOST_EXPECTED:

@@ -6,18 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from rtcal.discrepancy import track_record
-from rtcal.discrepancy.case import AppliedEffect, Case
-from rtcal.discrepancy.coefficients import OffTogether
-from rtcal.discrepancy.effects import Effect
-from rtcal.discrepancy.finding import Finding
-from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import NONE, UNKNOWN
-from rtcal.discrepancy.probabilities import family_of
-from rtcal.discrepancy.set_posterior import Names
-from rtcal.discrepancy.verdict import Fit
-from rtcal.discrepancy.wording import listed
 from rtcal.errors import DataError
+from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.coefficients import OffTogether
+from rtcal.finder.effects import Effect
+from rtcal.finder.means import track_record
+from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.probabilities import family_of
+from rtcal.finder.means.set_posterior import Names
+from rtcal.finder.means.verdict import Fit
+from rtcal.finder.prior import NONE, UNKNOWN
+from rtcal.finder.wording import listed
 from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.results import Result

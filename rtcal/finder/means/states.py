@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.discrepancy.case import AppliedEffect, Case
-from rtcal.discrepancy.configuration import Configuration
-from rtcal.discrepancy.effects.checks import changed_states
-from rtcal.discrepancy.model import State
+from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.configuration import Configuration
+from rtcal.finder.effects.checks import changed_states
+from rtcal.finder.model import State
 from rtcal.support.types import Array
 
 USUAL_DISTANCE = 0.66

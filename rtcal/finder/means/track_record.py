@@ -8,7 +8,7 @@ several configurations, C80 or G.
 
 from __future__ import annotations
 
-from rtcal.discrepancy.case import Case
+from rtcal.finder.case import Case
 
 TIMES, ALL = "T20, EDT and T30 of one configuration", "several configurations, C80 or G"
 NAMED = {TIMES: (57, 57), ALL: (79, 80)}
@@ -66,7 +66,7 @@ configuration, 57 of 57 such names were right. In 46 measured cases none was wro
 
 
 def of_sets(families: bool, together: bool) -> list[str]:
-    """Return how often claims of `rtcal.discrepancy.find_several` were right: families, and sets."""
+    """Return how often claims of `rtcal.finder.find_several` were right: families, and sets."""
     out = []
     if families:
         right, of = SET_FAMILIES

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from rtcal.discrepancy import coefficients
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.coefficients import SCALES, OffTogether
-from rtcal.discrepancy.doubts import (
+from rtcal.finder import coefficients
+from rtcal.finder.case import Case
+from rtcal.finder.coefficients import SCALES, OffTogether
+from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.means.doubts import (
     Doubt,
     decided_below_schroeder,
     end_of_range,
@@ -17,16 +18,15 @@ from rtcal.discrepancy.doubts import (
     too_large,
     unexplained,
 )
-from rtcal.discrepancy.effects import Effect, Parameters
-from rtcal.discrepancy.evidence import Evidence
-from rtcal.discrepancy.features import Observed
-from rtcal.discrepancy.gap import GapCheck, gap_check
-from rtcal.discrepancy.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.discrepancy.likelihood import covariance_of, goodness_of_fit, spreading
-from rtcal.discrepancy.model_error import ModelDiscrepancy
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE, UNKNOWN
-from rtcal.discrepancy.probabilities import narrowest_family
-from rtcal.discrepancy.size import (
+from rtcal.finder.means.evidence import Evidence
+from rtcal.finder.means.features import Observed
+from rtcal.finder.means.gap import GapCheck, gap_check
+from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.likelihood import covariance_of, goodness_of_fit, spreading
+from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.probabilities import narrowest_family
+from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
+from rtcal.finder.size import (
     AbsorptionChange,
     Size,
     absorption_change,

@@ -15,17 +15,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.observables import observable
-from rtcal.discrepancy.case import Case
-from rtcal.discrepancy.features import observe
-from rtcal.discrepancy.finding import FEATURE_NAMES, Finding
-from rtcal.discrepancy.gap import LITTLE
-from rtcal.discrepancy.hypotheses import predict_hypotheses
-from rtcal.discrepancy.likelihood import standardized_residuals
-from rtcal.discrepancy.model import FEATURES, predict
-from rtcal.discrepancy.recalibrated import Recalibrated, table
-from rtcal.discrepancy.recalibration import plain, recalibrate
-from rtcal.discrepancy.states import distances, state
-from rtcal.discrepancy.wording import listed
+from rtcal.finder.case import Case
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.finding import FEATURE_NAMES, Finding
+from rtcal.finder.means.gap import LITTLE
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import standardized_residuals
+from rtcal.finder.means.recalibrated import Recalibrated, table
+from rtcal.finder.means.recalibration import plain, recalibrate
+from rtcal.finder.means.states import distances, state
+from rtcal.finder.model import FEATURES, predict
+from rtcal.finder.wording import listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers

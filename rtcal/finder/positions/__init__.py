@@ -1,19 +1,19 @@
 """Say where: what is other than stated in a geometry, and on which surface.
 
     >>> import rtcal as rt
-    >>> case = rt.where.Case.from_room(room, measured)     # doctest: +SKIP
-    >>> print(rt.where.find(case))                         # doctest: +SKIP
+    >>> case = rt.finder.positions.Case.from_room(room, measured)     # doctest: +SKIP
+    >>> print(rt.finder.positions.find(case))                         # doctest: +SKIP
 
 docs/where.md has the method and what it can and cannot do.
 """
 
-from rtcal.where.advice import Place, next_position
-from rtcal.where.candidate import Candidate
-from rtcal.where.case import Case
-from rtcal.where.corrected import Corrected
-from rtcal.where.find import EFFECTS, find
-from rtcal.where.finding import Finding
-from rtcal.where.verification import LEAST_PAIRS, Verification, verify
+from rtcal.finder.positions.advice import Place, next_position
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.corrected import Corrected
+from rtcal.finder.positions.finding import Finding
+from rtcal.finder.positions.search import EFFECTS, find
+from rtcal.finder.positions.verification import LEAST_PAIRS, Verification, verify
 
 __all__ = [
     "EFFECTS",

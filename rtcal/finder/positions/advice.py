@@ -8,13 +8,13 @@ from itertools import product
 import numpy as np
 
 from rtcal.errors import DataError
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.finding import Finding
+from rtcal.finder.positions.weighing import Weighing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
-from rtcal.where.candidate import Candidate
-from rtcal.where.case import Case
-from rtcal.where.finding import Finding
-from rtcal.where.weighing import Weighing
 
 MARGIN = 0.7
 """Least distance in m of a proposed place from walls, and from sources."""

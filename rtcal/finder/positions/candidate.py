@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.discrepancy.effects.coupled_room import CoupledRoom
-from rtcal.discrepancy.wording import amount
+from rtcal.finder.effects.coupled_room import CoupledRoom
+from rtcal.finder.wording import amount
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 

@@ -16,6 +16,10 @@ from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.errors import DataError
+from rtcal.finder.positions import parts
+from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.positions.parts import Divided
+from rtcal.finder.positions.surfaces import Faces
 from rtcal.io import geometry_files
 from rtcal.loop.measured_pairs import Pair, history, refuse_unknown
 from rtcal.simulators.base import at_places
@@ -25,10 +29,6 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.text import shortened
-from rtcal.where import parts
-from rtcal.where import surfaces as of_room
-from rtcal.where.parts import Divided
-from rtcal.where.surfaces import Faces
 
 
 @checked
@@ -92,7 +92,7 @@ class Case:
             if values is not None and values.is_summary:
                 raise DataError(
                     f"{name} holds means over pairs; to say where, it needs a row for each source and "
-                    "receiver. Without a geometry rtcal.discrepancy says what is missing"
+                    "receiver. Without a geometry rtcal.finder says what is missing"
                 )
         refuse_unknown(self.exclude, self.measured)
         if self.simulated is not None:

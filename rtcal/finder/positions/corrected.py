@@ -15,6 +15,9 @@ import numpy as np
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.errors import DataError
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.patch import NEAR, face_at, patched
 from rtcal.io import catt, obj, odeon
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
@@ -22,9 +25,6 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.types import Array
-from rtcal.where.candidate import Candidate
-from rtcal.where.case import Case
-from rtcal.where.patch import NEAR, face_at, patched
 
 SPECTRUM_ERROR = 0.15
 """Relative standard deviation of the alpha of what was found: by so much catalogues differ."""

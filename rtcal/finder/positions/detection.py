@@ -15,12 +15,12 @@ import numpy as np
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
-from rtcal.discrepancy.case import Case as MeansCase
-from rtcal.discrepancy.configuration import PARAMETERS, Configuration
-from rtcal.discrepancy.search import find as find_by_means
 from rtcal.errors import DataError
+from rtcal.finder.case import Case as MeansCase
+from rtcal.finder.configuration import PARAMETERS, Configuration
+from rtcal.finder.means.search import find as find_by_means
+from rtcal.finder.positions.case import Case
 from rtcal.support.types import Array
-from rtcal.where.case import Case
 
 THRESHOLD = 2.5
 """Of the evidence of the positions, in nats. In situ 1 of 23 rooms for development with nothing hidden
@@ -40,7 +40,7 @@ class Means:
     Attributes
     ----------
     score, threshold : float
-        As `rtcal.discrepancy.find` has them, in nats.
+        As `rtcal.finder.find` has them, in nats.
     families : mapping of str to float
         Probability of each family, and of "none".
     """
@@ -101,7 +101,7 @@ class Detection:
 def evidence_of_means(
     case: Case, seed: int = 0, cache: str | os.PathLike[str] | None = None
 ) -> Means | None:
-    """Return what `rtcal.discrepancy.find` says of the means over positions.
+    """Return what `rtcal.finder.find` says of the means over positions.
 
     None where that finder has nothing to compare: no T, or none that can be trusted.
     """

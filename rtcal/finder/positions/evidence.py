@@ -9,7 +9,7 @@ A shift of band k is a mixture of the shifts at the nodes of one response, and n
 depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
 
 The error of d_h has two parts. Each band's shift is larger or smaller by a factor (`Shift.error`), and
-pairs hear more or less of it than if it were spread evenly (`rtcal.where.unevenness`).
+pairs hear more or less of it than if it were spread evenly (`rtcal.finder.positions.unevenness`).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.finder.positions.shift import Shift, Spread
 from rtcal.support.types import Array
-from rtcal.where.shift import Shift, Spread
 
 _AT_ONCE = 256
 """Hypotheses in one product: their matrices fill some 10 MB."""
@@ -57,7 +57,7 @@ class Likelihood:
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
         Shifts at the nodes of each response, by band.
     uneven : array (n_values, n_columns)
-        Deviations by pair at a change of 1 of the absorption; see `rtcal.where.unevenness`.
+        Deviations by pair at a change of 1 of the absorption; see `rtcal.finder.positions.unevenness`.
     amount : array (n_values,)
         Weights of a band's shift in that change.
     """

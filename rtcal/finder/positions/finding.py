@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from rtcal.discrepancy.effects.coupled_room import CoupledRoom
-from rtcal.discrepancy.prior import NONE
 from rtcal.errors import DataError
+from rtcal.finder.effects.coupled_room import CoupledRoom
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.detection import Detection
+from rtcal.finder.prior import NONE
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.types import Array
-from rtcal.where.candidate import Candidate
-from rtcal.where.case import Case
-from rtcal.where.detection import Detection
 
 if TYPE_CHECKING:
-    from rtcal.where.corrected import Corrected
+    from rtcal.finder.positions.corrected import Corrected
 
 KIND = "where 1"
 """Value of the key ``rtcal`` in a saved finding."""
@@ -40,7 +40,7 @@ class Finding(Result):
     ----------
     case : Case
     verdict : {"none", "hint", "named", "family", "ambiguous", "unknown"}
-        As that of `rtcal.discrepancy.Finding`: whether something is other than stated, and whether the
+        As that of `rtcal.finder.Finding`: whether something is other than stated, and whether the
         effect, or its family, has a probability of at least 0.9.
     effect, family : str or None
         What is claimed.
@@ -161,7 +161,7 @@ class Finding(Result):
             If nothing is other than stated, or not on a surface, or a second room; or if ``at`` is on
             no surface, or on one on which nothing was found.
         """
-        from rtcal.where.corrected import corrected
+        from rtcal.finder.positions.corrected import corrected
 
         if not self.can_be_added:
             raise DataError(self.reason_for_none)
@@ -170,7 +170,7 @@ class Finding(Result):
 
     def _candidate_at(self, at: Sequence[float]) -> Candidate:
         """Return the most probable candidate on the surface at a place."""
-        from rtcal.where.corrected import surface_at
+        from rtcal.finder.positions.corrected import surface_at
 
         surface = surface_at(self.case, at)
         every = (c for c in self.candidates if c.surface == surface and c.can_be_added)

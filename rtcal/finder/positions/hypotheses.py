@@ -7,24 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal.discrepancy.effects.audience import SEATED_ALPHA, Audience
-from rtcal.discrepancy.effects.base import Absorber, Effect, interpolate_octaves
-from rtcal.discrepancy.effects.coupled_room import CoupledRoom
-from rtcal.discrepancy.effects.covered import HARD, CoveredSurface
-from rtcal.discrepancy.effects.curtain import Curtain
-from rtcal.discrepancy.effects.membrane import Membrane
-from rtcal.discrepancy.effects.opening import Opening
-from rtcal.discrepancy.effects.porous import Porous
-from rtcal.discrepancy.effects.resonator import Resonator
-from rtcal.discrepancy.prior import COEFFICIENTS
-from rtcal.loop.measured_pairs import Pair
-from rtcal.support.types import Array
-from rtcal.where import unevenness
-from rtcal.where.aperture import SECOND_ROOMS
-from rtcal.where.case import Case
-from rtcal.where.responses import MOVE, OPEN, SHARES
-from rtcal.where.room_hypotheses import air, materials, scattering, volume
-from rtcal.where.shift import (
+from rtcal.finder.effects.audience import SEATED_ALPHA, Audience
+from rtcal.finder.effects.base import Absorber, Effect, interpolate_octaves
+from rtcal.finder.effects.coupled_room import CoupledRoom
+from rtcal.finder.effects.covered import HARD, CoveredSurface
+from rtcal.finder.effects.curtain import Curtain
+from rtcal.finder.effects.membrane import Membrane
+from rtcal.finder.effects.opening import Opening
+from rtcal.finder.effects.porous import Porous
+from rtcal.finder.effects.resonator import Resonator
+from rtcal.finder.positions import unevenness
+from rtcal.finder.positions.aperture import SECOND_ROOMS
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.responses import MOVE, OPEN, SHARES
+from rtcal.finder.positions.room_hypotheses import air, materials, scattering, volume
+from rtcal.finder.positions.shift import (
     NOISE,
     ODDS,
     POSITION,
@@ -34,7 +31,10 @@ from rtcal.where.shift import (
     interpolation,
     towards,
 )
-from rtcal.where.surfaces import kind
+from rtcal.finder.positions.surfaces import kind
+from rtcal.finder.prior import COEFFICIENTS
+from rtcal.loop.measured_pairs import Pair
+from rtcal.support.types import Array
 
 COUPLED = CoupledRoom()
 SIZES = tuple(np.geomspace(0.05, 1.4, 14))

@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import observable
-from rtcal.discrepancy.coefficients import SCALES
 from rtcal.errors import DataError
+from rtcal.finder.coefficients import SCALES
+from rtcal.finder.positions import unevenness
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.evidence import Likelihood, band_first, flat, reordered
+from rtcal.finder.positions.prior import climate_error, usual_errors
+from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, Responses
+from rtcal.finder.positions.shift import SCATTERING as SCATTERED
+from rtcal.finder.positions.shift import interpolation
+from rtcal.finder.positions.simulator_error import SimulatorError, simulator_error
 from rtcal.loop.control_runs import ControlRuns, level
 from rtcal.loop.measured_pairs import MeasuredPairs, measured_pairs
 from rtcal.loop.positions import prior_covariance
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
-from rtcal.where import unevenness
-from rtcal.where.case import Case
-from rtcal.where.evidence import Likelihood, band_first, flat, reordered
-from rtcal.where.prior import climate_error, usual_errors
-from rtcal.where.responses import AIR, STEP, TRACINGS, Responses
-from rtcal.where.shift import SCATTERING as SCATTERED
-from rtcal.where.shift import interpolation
-from rtcal.where.simulator_error import SimulatorError, simulator_error
 
 SCATTERING = np.array([0.05, 0.95])
 """Scattering coefficients, of all surfaces, at the nodes -1 and 1."""

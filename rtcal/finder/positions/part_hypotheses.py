@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.discrepancy.effects.covered import CoveredSurface
+from rtcal.finder.effects.covered import CoveredSurface
+from rtcal.finder.positions import unevenness
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.hypotheses import COUPLED, surface_alpha
+from rtcal.finder.positions.parts import Part
+from rtcal.finder.positions.responses import SHARES
+from rtcal.finder.positions.shift import Shift, interpolation, towards
 from rtcal.support.types import Array
-from rtcal.where import unevenness
-from rtcal.where.case import Case
-from rtcal.where.hypotheses import COUPLED, surface_alpha
-from rtcal.where.parts import Part
-from rtcal.where.responses import SHARES
-from rtcal.where.shift import Shift, interpolation, towards
 
 LOCATED = 0.5
 """Prior probability that something which fits on a part of its surface stands on one alone."""

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal.finder.positions import polygons
+from rtcal.finder.positions.polygons import Plane
+from rtcal.finder.positions.surfaces import Faces
 from rtcal.simulators.geometry import WELD, Polyhedron
 from rtcal.support.types import Array
-from rtcal.where import polygons
-from rtcal.where.polygons import Plane
-from rtcal.where.surfaces import Faces
 
 LONG = 2.0
 """Length of a surface that is divided, in mean free paths of the room. A part is half as long."""

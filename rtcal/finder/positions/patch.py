@@ -8,10 +8,10 @@ from itertools import count
 import numpy as np
 
 from rtcal.errors import DataError
+from rtcal.finder.positions import polygons
+from rtcal.finder.positions.polygons import Plane, is_face
 from rtcal.simulators.geometry import WELD, Polyhedron
 from rtcal.support.types import Array
-from rtcal.where import polygons
-from rtcal.where.polygons import Plane, is_face
 
 LARGEST = 0.95
 """Largest share of a surface that is drawn as a patch. The rim around a larger one is narrower than

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal.discrepancy.coefficients import SCALES
-from rtcal.discrepancy.prior import COEFFICIENTS, NO_EFFECT, NONE, off_together
+from rtcal.finder.coefficients import SCALES
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.evidence import Likelihood
+from rtcal.finder.positions.shift import MEASUREMENT, NOISE, ODDS, UNKNOWN, Shift, Spread
+from rtcal.finder.prior import COEFFICIENTS, NO_EFFECT, NONE, off_together
 from rtcal.support.types import Array
-from rtcal.where.case import Case
-from rtcal.where.evidence import Likelihood
-from rtcal.where.shift import MEASUREMENT, NOISE, ODDS, UNKNOWN, Shift, Spread
 
 TEMPER = 1.25
 """Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms

@@ -8,9 +8,9 @@ from rtcal.acoustics import common_errors
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.acoustics.room import Room
-from rtcal.discrepancy.case import CLIMATE_UNCERTAINTY
+from rtcal.finder.case import CLIMATE_UNCERTAINTY
+from rtcal.finder.positions.case import Case
 from rtcal.support.types import Array
-from rtcal.where.case import Case
 
 IN_SITU, HANDBOOK = "measured in situ", "from a handbook"
 """How a room's coefficients are stated."""
@@ -28,7 +28,7 @@ def statement(room: Room) -> str:
 def usual_errors(case: Case) -> Array:
     """Return the changes of alpha that catalogues err by in common, (n, n_materials, n_bands).
 
-    As `rtcal.discrepancy.coefficients` describes them: a factor and a tilt of all coefficients, and of
+    As `rtcal.finder.coefficients` describes them: a factor and a tilt of all coefficients, and of
     each material's.
     """
     room = case.room

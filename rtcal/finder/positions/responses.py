@@ -18,6 +18,10 @@ import numpy as np
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import MATCH
 from rtcal.errors import DataError, TooShortError
+from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.positions.aperture import SECOND_ROOMS, Aperture
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.weighing import Weighing
 from rtcal.loop.control_runs import share_of_signal
 from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import PathTracing
@@ -26,10 +30,6 @@ from rtcal.support import checks, kept_arrays
 from rtcal.support.progress import TaskProgress
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
-from rtcal.where import surfaces as of_room
-from rtcal.where.aperture import SECOND_ROOMS, Aperture
-from rtcal.where.case import Case
-from rtcal.where.weighing import Weighing
 
 SHARES = (-1.0, -0.5, 0.08, 0.25, 0.55, 1.0)
 """Nodes of a surface's alpha: from what it is towards 1, or (below 0) towards that of a hard wall. The

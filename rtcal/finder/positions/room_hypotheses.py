@@ -8,14 +8,21 @@ from dataclasses import replace
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.discrepancy.effects.air import OmittedAir
-from rtcal.discrepancy.effects.base import Parameters
-from rtcal.discrepancy.effects.stated import WrongVolume
-from rtcal.discrepancy.prior import COEFFICIENTS, grid_weights, relative_sigma
+from rtcal.finder.effects.air import OmittedAir
+from rtcal.finder.effects.base import Parameters
+from rtcal.finder.effects.stated import WrongVolume
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.responses import AIR, SHARES, VOLUME
+from rtcal.finder.positions.shift import (
+    ODDS,
+    SCATTERING,
+    Shift,
+    error_over_bands,
+    interpolation,
+    towards,
+)
+from rtcal.finder.prior import COEFFICIENTS, grid_weights, relative_sigma
 from rtcal.support.types import Array
-from rtcal.where.case import Case
-from rtcal.where.responses import AIR, SHARES, VOLUME
-from rtcal.where.shift import ODDS, SCATTERING, Shift, error_over_bands, interpolation, towards
 
 FACTORS = np.array([-1.2, -0.9, -0.65, -0.45, -0.3, 0.3, 0.45, 0.65, 0.9, 1.2])
 """ln of the factors by which one material's coefficients may be off."""

@@ -8,35 +8,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal.discrepancy.effects import library as every_effect
-from rtcal.discrepancy.effects.base import AbsorbingObject
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE
-from rtcal.discrepancy.search import CHOSEN
 from rtcal.errors import DataError
-from rtcal.loop.control_runs import ControlRuns, control_runs
-from rtcal.support import checks
-from rtcal.support.arguments import checked
-from rtcal.support.progress import TaskProgress
-from rtcal.support.threads import single_threaded_blas
-from rtcal.support.types import Array
-from rtcal.where import surfaces as of_room
-from rtcal.where import track_record
-from rtcal.where.candidate import Candidate
-from rtcal.where.case import Case
-from rtcal.where.detection import (
+from rtcal.finder.effects import library as every_effect
+from rtcal.finder.effects.base import AbsorbingObject
+from rtcal.finder.means.search import CHOSEN
+from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.positions import track_record
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.detection import (
     OF_PROGRAMS,
     THRESHOLD,
     Detection,
     Means,
     evidence_of_means,
 )
-from rtcal.where.evidence import Likelihood
-from rtcal.where.finding import Finding
-from rtcal.where.hypotheses import COUPLED, library, shifts, spreads
-from rtcal.where.model import Model, model
-from rtcal.where.part_hypotheses import on_parts
-from rtcal.where.responses import Responses, parameters, responses
-from rtcal.where.search import (
+from rtcal.finder.positions.evidence import Likelihood
+from rtcal.finder.positions.finding import Finding
+from rtcal.finder.positions.hypotheses import COUPLED, library, shifts, spreads
+from rtcal.finder.positions.model import Model, model
+from rtcal.finder.positions.part_hypotheses import on_parts
+from rtcal.finder.positions.posterior import (
     TOLD_TEMPER,
     Hypotheses,
     Weights,
@@ -46,8 +38,16 @@ from rtcal.where.search import (
     weights,
     with_families,
 )
-from rtcal.where.shift import NOISE, POSITION, SCATTERING, UNKNOWN, Shift
-from rtcal.where.summary import Summary, summary_of
+from rtcal.finder.positions.responses import Responses, parameters, responses
+from rtcal.finder.positions.shift import NOISE, POSITION, SCATTERING, UNKNOWN, Shift
+from rtcal.finder.positions.summary import Summary, summary_of
+from rtcal.finder.prior import COEFFICIENTS, NONE
+from rtcal.loop.control_runs import ControlRuns, control_runs
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.progress import TaskProgress
+from rtcal.support.threads import single_threaded_blas
+from rtcal.support.types import Array
 
 EFFECTS = (
     *(e.name for e in library()),
@@ -64,7 +64,7 @@ EFFECTS = (
 _IN_THE_ROOM = [e.name for e in every_effect() if isinstance(e, AbsorbingObject)]
 UNTRIED = (
     f"Not tried, since they stand on no surface: {', '.join(sorted({*_IN_THE_ROOM} - {*EFFECTS}))}. "
-    "Means over positions (rtcal.discrepancy.find) try them."
+    "Means over positions (rtcal.finder.find) try them."
 )
 """What only the finder without a geometry has."""
 CLAIMED = 0.9

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.discrepancy.effects.base import Effect, Parameters
-from rtcal.discrepancy.effects.covered import HARD
-from rtcal.discrepancy.hypotheses import spectrum_errors
-from rtcal.discrepancy.prior import COEFFICIENTS
+from rtcal.finder.effects.base import Effect, Parameters
+from rtcal.finder.effects.covered import HARD
+from rtcal.finder.means.hypotheses import spectrum_errors
+from rtcal.finder.prior import COEFFICIENTS
 from rtcal.support.types import Array
 
 POSITION, NOISE, SCATTERING, UNKNOWN = "position", "noise", "scattering", "unknown"
@@ -55,7 +55,7 @@ class Shift:
     error : array (n_bands, n_bands)
         Covariance of the relative error of the change, band by band.
     uneven : array (n_hypotheses,)
-        How far pairs may hear more or less of it; see `rtcal.where.unevenness.factor`.
+        How far pairs may hear more or less of it; see `rtcal.finder.positions.unevenness.factor`.
     size_error : float
         Standard deviation of ln size that the effect's description leaves open.
     place : str

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.discrepancy.prior import COEFFICIENTS, NONE
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.posterior import Hypotheses, Weights
+from rtcal.finder.positions.shift import MEASUREMENT, UNKNOWN, Shift
+from rtcal.finder.prior import COEFFICIENTS, NONE
 from rtcal.support.types import Array
-from rtcal.where.candidate import Candidate
-from rtcal.where.case import Case
-from rtcal.where.search import Hypotheses, Weights
-from rtcal.where.shift import MEASUREMENT, UNKNOWN, Shift
 
 _SPACING = 0.1
 """Standard deviation of ln size within the grid's distance, which is 0.26."""
@@ -22,7 +22,7 @@ _NORMAL_90 = 1.6449
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """Probabilities of everything that may be other than stated; see `rtcal.where.finding.Finding`.
+    """Probabilities of everything that may be other than stated; see `positions.Finding`.
 
     ``on_surfaces`` is the probability that something stands on a surface.
     """

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.room import Room
-from rtcal.where.prior import HANDBOOK, IN_SITU, statement
+from rtcal.finder.positions.prior import HANDBOOK, IN_SITU, statement
 
 DETECTED = {
     IN_SITU: {"without level": (12, 44), "with level": (15, 44)},

@@ -16,6 +16,12 @@ from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
+from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.finding import Finding
+from rtcal.finder.positions.responses import key_of, precisely
+from rtcal.finder.positions.search import find_by_positions, left_out_of
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, with_reference
 from rtcal.loop.positions import calibrate_positions
@@ -27,12 +33,6 @@ from rtcal.support.files import json_numbers
 from rtcal.support.progress import TaskProgress
 from rtcal.support.results import Result
 from rtcal.support.types import Array
-from rtcal.where.candidate import Candidate
-from rtcal.where.case import Case
-from rtcal.where.corrected import corrected
-from rtcal.where.find import find_by_positions, left_out_of
-from rtcal.where.finding import Finding
-from rtcal.where.responses import key_of, precisely
 
 MODELS = ("before", "plain", "corrected")
 LEAST_PAIRS = 4

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import longest
-from rtcal.discrepancy.effects.covered import HARD
+from rtcal.finder.effects.covered import HARD
+from rtcal.finder.positions.surfaces import Faces
 from rtcal.simulators import observations, paths
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import LONGEST, decay_long_enough, eyring_seconds
 from rtcal.support.types import Array
-from rtcal.where.surfaces import Faces
 
 _AT_ONCE = 8
 """Groups of faces in one sweep: their decays share the memory of one room."""
