@@ -41,6 +41,7 @@ ONE_DOOR = (
     "numba",
     "tqdm",
     "jinja2",
+    "openpyxl",
 )
 
 

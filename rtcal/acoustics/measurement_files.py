@@ -269,8 +269,8 @@ def plain(measurement: Any) -> dict[str, Any]:
     }
 
 
-def text(data: Mapping[str, Any]) -> str:
-    """Return `Measurement.to_dict`'s dict as the text of its CSV file."""
+def rows(data: Mapping[str, Any]) -> list[list[Any]]:
+    """Return the table of `Measurement.to_dict`'s dict: the header, and a row per value."""
     used = {
         "uncertainty": bool(data["uncertainty"]),
         "common_uncertainty": bool(data.get("common_uncertainty")),
@@ -279,9 +279,7 @@ def text(data: Mapping[str, Any]) -> str:
         "receivers": data["n_receivers"] is not None,
     }
     columns = [*_COLUMNS, *(c for c in _OPTIONAL_COLUMNS if used[c])]
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
+    table: list[list[Any]] = [list(columns)]
     for parameter, values in data["values"].items():
         for i, (source, receiver) in enumerate(data["pairs"]):
             for k, band in enumerate(data["centre_frequencies"]):
@@ -289,21 +287,28 @@ def text(data: Mapping[str, Any]) -> str:
                     "source": source,
                     "receiver": receiver,
                     "parameter": parameter.upper(),
-                    "band": repr(band),
-                    "value": _number(values[i][k]),
+                    "band": band,
+                    "value": values[i][k],
                     "sources": data["n_sources"],
                     "receivers": data["n_receivers"],
                 }
                 if parameter in data["uncertainty"]:
-                    cells["uncertainty"] = _number(data["uncertainty"][parameter][i][k])
-                if parameter in data.get("common_uncertainty", {}):
-                    shared = data["common_uncertainty"][parameter][k]
-                    cells["common_uncertainty"] = _number(shared)
-                if parameter in data["standard_deviation"]:
-                    cells["standard_deviation"] = _number(data["standard_deviation"][parameter][k])
-                writer.writerow([cells.get(c, "") for c in columns])
+                    cells["uncertainty"] = data["uncertainty"][parameter][i][k]
+                for name in ("common_uncertainty", "standard_deviation"):
+                    if parameter in data.get(name, {}):
+                        cells[name] = data[name][parameter][k]
+                table.append([cells.get(c) for c in columns])
+    return table
+
+
+def text(data: Mapping[str, Any]) -> str:
+    """Return `Measurement.to_dict`'s dict as the text of its CSV file."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    for row in rows(data):
+        writer.writerow([_cell_text(value) for value in row])
     return stream.getvalue()
 
 
-def _number(value: float | None) -> str:
-    return "" if value is None else repr(value)
+def _cell_text(value: Any) -> Any:
+    return repr(value) if isinstance(value, float) else "" if value is None else value

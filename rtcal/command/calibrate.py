@@ -17,6 +17,7 @@ from rtcal.command.console import (
     without_air_warning,
     written,
 )
+from rtcal.command.measured import read_measured
 
 
 @click.command(short_help="Calibrate a room to measured reverberation times.")
@@ -56,13 +57,12 @@ def calibrate(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Calibrate ROOM (TOML) to MEASURED (CSV) and print T, gaps and coefficients per band.
+    """Calibrate ROOM (TOML) to MEASURED (CSV, xlsx) and print T, gaps and coefficients per band.
 
     Example: rtcal calibrate room.toml t20.csv --out calibrated
 
     `rtcal report calibrated` makes a page of the results.
     """
-    from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.calibration import presets
     from rtcal.report import result_folder
@@ -73,7 +73,7 @@ def calibrate(
     with without_air_warning():
         result = presets.calibrate(
             Room.from_file(room),
-            Measurement.from_file(measured),
+            read_measured(measured, quiet=quiet),
             method=method,
             equation=equation,
             solver=solver,

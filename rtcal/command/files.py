@@ -11,6 +11,7 @@ import numpy as np
 from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.command.assignments import as_options, errors_name_options, numbers, texts
 from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
+from rtcal.command.measured import ARGUMENTS
 from rtcal.errors import DataError
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
 from rtcal.support.files import spare
@@ -52,7 +53,7 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 @click.option(
     "--repeats", is_flag=True, help="Several files of one source and receiver are repeats: average."
 )
-@click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
+@click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
 @json_option
 @quiet_option
 def measure(
@@ -106,8 +107,8 @@ def measure(
     _write_and_tell(analysis, notes, out, as_json, quiet)
 
 
-@click.command(short_help="A measuring system's table (CSV) to a measurement.")
-@click.argument("path", type=click.Path())
+@click.command(short_help="A measuring system's table (CSV, xlsx, REW) to a measurement.")
+@click.argument("paths", type=click.Path(), nargs=-1, required=True)
 @click.option(
     "--decay-time",
     type=click.Choice(DECAY_TIMES_OF_RT60, case_sensitive=False),
@@ -129,11 +130,14 @@ def measure(
     is_flag=True,
     help="Several values of one source and receiver are repeats: average.",
 )
-@click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV) to write.")
+@click.option(
+    "--sheets", multiple=True, metavar="SHEET", help="Read only this sheet of a workbook."
+)
+@click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
 @json_option
 @quiet_option
 def table(
-    path: str,
+    paths: tuple[str, ...],
     decay_time: str | None,
     parameter: str | None,
     where: tuple[str, ...],
@@ -141,21 +145,25 @@ def table(
     sources: int | None,
     receivers: int | None,
     repeats: bool,
+    sheets: tuple[str, ...],
     out: str | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Read a measuring system's table (CSV) and print how each column was read.
+    """Read measuring systems' tables (CSV, Excel's xlsx, REW's and Dirac's text) as one measurement.
+
+    Prints how each column was read.
 
     Example: rtcal table dirac.csv --decay-time t20 --out t.csv
+
+    Example: rtcal table rew_S1R1.txt rew_S1R2.txt --out t.csv
     """
     from rtcal.io import tables
 
-    spare([] if out is None else [out], [path])
-    arguments = ("decay_time", "parameter", "ignore", "n_sources", "n_receivers", "repeats")
-    with errors_name_options(*arguments):
+    spare([] if out is None else [out], paths)
+    with errors_name_options(*ARGUMENTS):
         table_read = tables.read(
-            path,
+            paths,
             decay_time=decay_time,
             parameter=parameter,
             where=texts("--where", where, "NAME=ENTRY"),
@@ -163,8 +171,9 @@ def table(
             n_sources=sources,
             n_receivers=receivers,
             repeats=repeats,
+            sheets=sheets,
         )
-    columns = tuple(as_options(line, arguments) for line in table_read.columns)
+    columns = tuple(as_options(line, ARGUMENTS) for line in table_read.columns)
     table_read = replace(table_read, columns=columns)
     _write_and_tell(table_read, {"columns": table_read.columns}, out, as_json, quiet)
 
@@ -173,9 +182,11 @@ def _write_and_tell(
     analysis: Analysis | Table, notes: dict[str, Any], out: str | None, as_json: bool, quiet: bool
 ) -> None:
     """Write the file, then print the text, since ``| head`` closes the output early."""
+    from rtcal.io import tables
+
     measurement = analysis.measurement
     if out is not None:
-        measurement.save(out)
+        tables.write(measurement, out)
     record = {
         "centre_frequencies": measurement.centre_frequencies,
         "pairs": measurement.pairs,

@@ -18,6 +18,7 @@ from rtcal.command.console import (
     without_air_warning,
     written,
 )
+from rtcal.command.measured import read_measured
 
 
 @click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
@@ -101,7 +102,6 @@ def fit(
 
     Example: rtcal fit room.toml pairs.csv --out fitted
     """
-    from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.finder.means.cache import FOLDER
     from rtcal.io import geometry_files
@@ -116,7 +116,7 @@ def fit(
     if folder is not None:
         mesh = [] if stated.scene.mesh is None else [stated.scene.mesh]
         spare([folder / name for name in positions_folder.FILES], [room, measured, *mesh])
-    heard = Measurement.from_file(measured)
+    heard = read_measured(measured, quiet=quiet)
     with errors_name_options("scattering", "n_paths"), without_air_warning():
         tracer = geometry_files.path_tracing(
             stated, scattering=scattering, scattering_model=scattering_model, n_paths=paths

@@ -20,6 +20,7 @@ from rtcal.command.console import (
     quiet_option,
     tell,
 )
+from rtcal.command.measured import read_measured
 from rtcal.support.files import spare
 from rtcal.support.transaction import locked
 
@@ -97,7 +98,6 @@ def start(
     Example: rtcal loop start room.toml t.csv \\
         --state loop.json --out next.toml --decimals 3
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.calibration.measured import times_in_room
     from rtcal.loop import by_hand
@@ -105,7 +105,7 @@ def start(
 
     spare([state, out], [room, measured])
     by_hand.refuse_progress(state)
-    data = Measurement.from_file(measured)
+    data = read_measured(measured, quiet=quiet)
     stated = numbers("--weights", weights, "PARAMETER=NUMBER, such as edt=0.5")
     begun = begin(
         Room.from_file(room),

@@ -21,13 +21,14 @@ _FIGURES = 5
 @click.option(
     "--out",
     type=click.Path(dir_okay=False),
-    help="Page (HTML) to write; by default report.html beside the result.",
+    help="Page (HTML) to write, by default report.html beside the result; or, as tables.xlsx, a "
+    "workbook of all its tables.",
 )
 @heading_options
 @json_option
 @quiet_option
 def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet: bool) -> None:
-    """Write RESULT as one HTML page: summary, doubts, tables, figures.
+    """Write RESULT as one HTML page: summary, doubts, tables, figures; or its tables as a workbook.
 
     RESULT is the folder of `rtcal calibrate --out` or `rtcal fit --out`, its result.json, the state of
     an `rtcal loop`, or the file of `LoopResult.save`. The page needs no network and no other file. It
@@ -36,8 +37,12 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
     \b
     Example: rtcal report calibrated \\
         --author "A. Consultant" --out hall.html
+
+    \b
+    Example: rtcal report calibrated --out hall.xlsx
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.report import document, page, result_folder
+    from rtcal.io import workbook
+    from rtcal.report import document, page, result_folder, tables
     from rtcal.support.files import spare
     from rtcal.support.progress import bar
 
@@ -47,6 +52,11 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
     kept = [folder / name for name in result_folder.FILES if (folder / name).exists()]
     target = Path(out) if out is not None else folder / "report.html"
     spare([target], [result, *kept])
+    if target.suffix.lower() == workbook.ENDING:
+        tables.write(result, target)
+        done = {"written": str(target), "bytes": target.stat().st_size}
+        tell(f"Written: {target}", done, quiet=quiet, as_json=as_json)
+        return
     with bar(_FIGURES, "figure", bar_wanted(quiet)) as shown:
         text = page.page_of(result, heading=heading, progress=lambda: shown.update(1))
     document.write(target, text)

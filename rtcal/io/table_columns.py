@@ -83,6 +83,7 @@ _COLUMN_SPELLINGS = {
     "statistik": "statistic",
     "uncertainty": "uncertainty",
     "unsicherheit": "uncertainty",
+    "commonuncertainty": "common_uncertainty",
     "standarddeviation": "standard_deviation",
     "stdev": "standard_deviation",
     "std": "standard_deviation",
@@ -100,6 +101,35 @@ _SCALES: dict[str, dict[str, float]] = {
 }
 UNIT_WORDS = {"hz", "khz", "s", "sec", "ms", "db", "%", "percent", "-", "1"}
 
+STATISTICS = {
+    **dict.fromkeys(("mean", "average", "avg", "avg.", "mittel", "mittelwert", "mw"), "value"),
+    **dict.fromkeys(
+        (
+            "sd",
+            "std",
+            "std.",
+            "stdev",
+            "std. dev.",
+            "stdabw",
+            "standard deviation",
+            "standardabweichung",
+        ),
+        "standard_deviation",
+    ),
+    **dict.fromkeys(
+        ("min", "max", "median", "minimum", "maximum", "number of measurements", "n", "count"), ""
+    ),
+}
+"""Names of statistics over positions: of means, of standard deviations, and of what is not read."""
+
+_POSITION = re.compile(
+    r"(L?S\d+)[\s_-]*((?:MP|M|R)\d+(?:\s*#\d+)?)", re.I | re.ASCII
+)  # source and receiver
+_RECEIVER = re.compile(
+    r"(?:MP|M|R|P|rec|receiver|mic|microphone|pos|position|mikrofon|messposition)"
+    r"[\s_.-]*\d+(?:\s*#\d+)?",
+    re.I | re.ASCII,
+)
 _BRACKETS = re.compile(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+)(%|percent|k?hz|m?s|sec|db)", re.I)
 _BOTH = re.compile(r"(\S.*?)[\s_@:,]+(?:at\s+)?(\d[\d.,]*\s*k?(?:hz)?)", re.I)
@@ -115,7 +145,7 @@ class Column:
     kind : str
         "data" for a column of values of the ``parameter``, the ``band`` or both. Other columns hold:
         "source", "receiver", "parameter", "band", "value", "unit", "statistic", "uncertainty",
-        "standard_deviation", "sources" or "receivers"; "" for an ignored column.
+        "common_uncertainty", "standard_deviation", "sources" or "receivers"; "" for an ignored column.
     header : str
     parameter : str
         Empty if each row names it.
@@ -125,6 +155,8 @@ class Column:
         Empty if the header has none.
     decay_time_open : bool
         Whether the header, such as "RT60", does not say which decay time it is.
+    source, receiver : str
+        The position of all values of the column, such as "S1R2"; empty if each row names it.
     """
 
     kind: str
@@ -133,6 +165,8 @@ class Column:
     band: float = np.nan
     unit: str = ""
     decay_time_open: bool = False
+    source: str = ""
+    receiver: str = ""
 
     @property
     def has_band(self) -> bool:
@@ -140,21 +174,28 @@ class Column:
         return bool(np.isfinite(self.band))
 
     def completed(self, below: Column) -> Column | None:
-        """Return the column of two merged headers, one with the parameter, one with the band.
+        """Return the column of two merged headers, such as one with the parameter, one with the band.
 
-        None for any other two headers.
+        None for headers that are no values, that state the same, or of which one states nothing.
         """
         if self.kind != "data" or below.kind != "data":
             return None
-        if self.has_band == below.has_band or bool(self.parameter) == bool(below.parameter):
+        both = [
+            (bool(c.parameter), c.has_band, bool(c.receiver)) for c in (self, below)
+        ]  # what each states
+        if not all(map(any, both)) or any(a and b for a, b in zip(*both, strict=True)):
             return None
+        named = self if self.parameter else below
+        placed = self if self.receiver else below
         return replace(
             self,
             header=f"{self.header}, {below.header}",
-            parameter=self.parameter or below.parameter,
+            parameter=named.parameter,
             band=self.band if self.has_band else below.band,
-            unit=self.unit if self.parameter else below.unit,
-            decay_time_open=self.decay_time_open or below.decay_time_open,
+            unit=named.unit,
+            decay_time_open=named.decay_time_open,
+            source=placed.source,
+            receiver=placed.receiver,
         )
 
     def description(self, stated: str | None) -> str:
@@ -165,10 +206,41 @@ class Column:
             content = parameter_label(name) if name else "the row's parameter"
             if self.has_band:
                 content += f" at {bands.label(self.band)}"
+            if self.receiver:
+                content += f" of {self.source or 'S1'} to {self.receiver}"
             scale = scale_of(self.parameter, self.unit, "") if self.parameter else 1
             if scale != 1:
                 content += f", times {scale:g}"
         return f'"{self.header}": {content}'
+
+
+def position_of(text: str) -> tuple[str, str] | None:
+    """Return source and receiver of a position's name, "" for no source; None for another text.
+
+    Examples
+    --------
+    >>> position_of("S1R2#2"), position_of("Mic 3"), position_of("T20")
+    (('S1', 'R2#2'), ('', 'Mic 3'), None)
+    """
+    text = text.strip()
+    if len(text) <= MAX_HEADER:
+        if both := _POSITION.fullmatch(text):
+            return both[1], both[2]
+        if _RECEIVER.fullmatch(text):
+            return "", text
+    return None
+
+
+def position_in(text: str) -> tuple[str, str] | None:
+    """Return source and receiver that stand within a text, such as a file's name.
+
+    Examples
+    --------
+    >>> position_in("hall S1_R2 06/11"), position_in("hall")
+    (('S1', 'R2'), None)
+    """
+    both = re.search(rf"(?<![A-Za-z0-9]){_POSITION.pattern}(?![A-Za-z0-9])", text, _POSITION.flags)
+    return (both[1], both[2]) if both else None
 
 
 def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
@@ -254,6 +326,8 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
         if unit.lower() not in units.get(kind, ("",)):
             raise DataError(f'{place}: column "{shown(header)}": the unit is not known')
         return Column(kind, header, unit=unit)
+    if position := position_of(header):
+        return Column("data", header, source=position[0], receiver=position[1])
     parameter = parameter_of(name, place, decay_time)
     if parameter is not None:
         scale_of(parameter, unit, place)

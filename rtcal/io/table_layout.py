@@ -5,16 +5,26 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from rtcal.errors import DataError
-from rtcal.io.table_columns import UNIT_WORDS, Column, column_of, frequency_of, parameter_of
+from rtcal.io.table_columns import (
+    STATISTICS,
+    UNIT_WORDS,
+    Column,
+    column_of,
+    frequency_of,
+    parameter_of,
+    position_of,
+)
 from rtcal.io.text import Text, lines, shown
 
 MAX_COLUMNS = 200
 MAX_LINES_BEFORE_HEADER = 40
 SEPARATORS = (";", "\t", ",")
 
+_KNOWN_START = re.compile(r"[A-Za-z]")
 _BARE_NUMBER = re.compile(r"[\d.,]+")
 
 Row = tuple[int, list[str]]
@@ -34,12 +44,15 @@ class Layout:
         Each with n_columns cells.
     notes : sequence of str
         How the text differs from a plain table.
+    titles : sequence of str
+        What stands alone in its row before the header.
     """
 
     columns: tuple[Column, ...]
     header_line: int
     rows: tuple[Row, ...]
     notes: tuple[str, ...]
+    titles: tuple[str, ...] = ()
 
     def cells(self, kind: str) -> list[str]:
         """Return the cells of the columns of a kind (`Column.kind`)."""
@@ -47,25 +60,39 @@ class Layout:
         return [cells[i] for i in columns for _, cells in self.rows]
 
 
-def layout_of(
-    text: Text, path: str, *, decay_time: str | None, extra_columns: Collection[str] = ()
-) -> Layout:
-    """Return the layout of a table's text.
+@dataclass(frozen=True)
+class Sheet:
+    """The cells of one table of a file, which a format's module has made of the file's content.
 
     Parameters
     ----------
-    text : Text
-    path : str
-        The file's name in messages.
-    decay_time : str or None
-        The decay time in a column "RT60".
-    extra_columns : collection of str
-        Headers of columns that hold no values.
+    place : str
+        The table's name in messages: the file's, and the sheet's of a workbook.
+    rows : sequence of (line, cells)
+    note : str
+        How the cells were read, the first line of the report.
+    name : str
+        The table's own name, which may state a parameter or a position; empty without one.
+    position : (str, str)
+        Source and receiver of values whose rows and columns name none; empty if not known.
+    notes : sequence of str
+        What else is to be told.
+    """
 
-    Raises
-    ------
-    DataError
-        If no line is a header, or a row has another number of cells than the header.
+    place: str
+    rows: tuple[Row, ...]
+    note: str
+    name: str = ""
+    position: tuple[str, str] = ("", "")
+    notes: tuple[str, ...] = ()
+
+
+def sheet_of_text(
+    text: Text, path: str, *, decay_time: str | None, extra_columns: Collection[str] = ()
+) -> Sheet:
+    """Return the cells of a table's text; the separator is the one with which a header is complete.
+
+    Raises DataError for a text that is no table of cells. The arguments are those of `layout_of`.
     """
     stated, characters = _stated_separator(text.characters)
     first = next((raw for _, _, raw in lines(characters) if _has_cells(raw)), "")
@@ -86,8 +113,40 @@ def layout_of(
         likely = [s for s in candidates if named.get(s, 0) == best]
         chosen = next((s for s in likely if s in first), likely[0])
     rows = tables[chosen] if chosen in tables else _rows(characters, chosen, path)
-    notes = [f"text in {text.encoding}, columns separated by {chosen!r}"]
-    return headers.layout(rows, notes)
+    note = f"text in {text.encoding}, columns separated by {chosen!r}"
+    return Sheet(path, tuple(rows), note)
+
+
+def layout_of(
+    sheet: Sheet, *, decay_time: str | None, extra_columns: Collection[str] = ()
+) -> list[Layout]:
+    """Return the tables of a sheet: one, or several below each other if each names its parameter.
+
+    Parameters
+    ----------
+    sheet : Sheet
+    decay_time : str or None
+        The decay time in a column "RT60".
+    extra_columns : collection of str
+        Headers of columns that hold no values.
+
+    Raises
+    ------
+    DataError
+        If no line is a header, or a row has another number of cells than the header.
+    """
+    headers = _Headers(sheet.place, decay_time, extra_columns)
+    rows = list(sheet.rows)
+    starts = headers.corners(rows)
+    blocks = [rows[a:b] for a, b in pairwise([0, *starts[1:], len(rows)])]
+    layouts = [headers.layout(block, [sheet.note]) for block in blocks]
+    return [replace(layouts[0], notes=(*layouts[0].notes, *sheet.notes)), *layouts[1:]]
+
+
+def has_header(sheet: Sheet, decay_time: str | None) -> bool:
+    """Return whether a row names a column by more than a number."""
+    headers = _Headers(sheet.place, decay_time, ())
+    return any(headers.names(cells)[0] > 1 for _, cells in sheet.rows[:MAX_LINES_BEFORE_HEADER])
 
 
 def _stated_separator(characters: str) -> tuple[str | None, str]:
@@ -178,6 +237,25 @@ class _Headers:
         named = [i for i in several if len(rows[i][1]) <= MAX_COLUMNS and self.names(rows[i][1])[0]]
         return (named or several or [0])[0]
 
+    def corners(self, rows: list[Row]) -> list[int]:
+        """Return the rows whose first cell names a parameter, and all others bands or positions."""
+        return [
+            i
+            for i, (_, cells) in enumerate(rows)
+            if cells[0] and _KNOWN_START.match(cells[0]) and self.is_corner(cells)
+        ]
+
+    def is_corner(self, cells: list[str]) -> bool:
+        if len(cells) > MAX_COLUMNS:
+            return False
+        while cells and not cells[-1]:
+            cells = cells[:-1]
+        try:
+            columns = [self.column(cell, "") for cell in cells]
+        except DataError:
+            return False
+        return len(columns) > 1 and all(columns) and _has_corner([c for c in columns if c])
+
     def layout(self, rows: list[Row], notes: list[str]) -> Layout:
         at = self.header(rows)
         if at:
@@ -199,7 +277,8 @@ class _Headers:
                 notes.append(f"line {unit_line} has the units")
             columns = self.columns(header, body, line)
         rows_of_width = [(at, self.of_width(cells, len(columns), at)) for at, cells in body]
-        return Layout(tuple(columns), line, tuple(rows_of_width), tuple(notes))
+        titles = [next(filter(None, c)) for _, c in rows[:at] if sum(map(bool, c)) == 1]
+        return Layout(tuple(columns), line, tuple(rows_of_width), tuple(notes), tuple(titles))
 
     def of_width(self, cells: list[str], width: int, line: int) -> list[str]:
         while len(cells) > width and not cells[-1]:
@@ -261,7 +340,11 @@ class _Headers:
     def columns(self, header: list[str], body: list[Row], line: int) -> list[Column]:
         place = f"{self.path}, line {line}"
         columns = []
+        of_positions = any(map(position_of, header))
         for i, name in enumerate(header):
+            if of_positions and i and name.lower() in STATISTICS:
+                columns.append(Column("", name))
+                continue
             cells = [row[i] for _, row in body if len(row) > i and row[i]]
             column = self.column(name, place) if name else Column("") if not cells else None
             if column is None and i == 0 and not name:
@@ -275,6 +358,8 @@ class _Headers:
             columns.append(column)
         if columns and columns[0].kind == "first":
             columns[0] = self.unnamed(columns[1:], [r[0] for _, r in body if r and r[0]])
+        if _has_corner(columns):
+            columns = _without_corner(columns)
         for kind in {c.kind for c in columns} - {"data", ""}:
             if [c.kind for c in columns].count(kind) > 1:
                 raise DataError(f"{place}: two columns are the {kind}")
@@ -282,7 +367,8 @@ class _Headers:
 
     def unnamed(self, others: list[Column], cells: list[str]) -> Column:
         """Return the meaning of a first column without header, which follows from its cells."""
-        if any(c.parameter for c in others) and all(frequency_of(c) for c in cells):
+        named = any(c.parameter or c.receiver for c in others)
+        if named and all(frequency_of(c) for c in cells):
             return Column("band")
         if any(c.has_band for c in others) and all(self.is_parameter(c) for c in cells):
             return Column("parameter")
@@ -293,3 +379,31 @@ class _Headers:
             return parameter_of(cell, "", self.decay_time) is not None
         except DataError:
             return True
+
+
+def _has_corner(columns: list[Column]) -> bool:
+    """Return whether the first column names the parameter of all others, which name none."""
+    first, others = columns[0], [c for c in columns[1:] if c.kind == "data"]
+    return bool(
+        first.kind == "data"
+        and first.parameter
+        and not first.has_band
+        and others
+        and not any(c.parameter for c in others)
+        and (all(c.has_band for c in others) or all(c.receiver for c in others))
+    )
+
+
+def _without_corner(columns: list[Column]) -> list[Column]:
+    """Return the columns with the first one's parameter; its cells are positions or bands."""
+    first = columns[0]
+    across = next(c for c in columns[1:] if c.kind == "data")
+    named = [
+        replace(
+            c, parameter=first.parameter, unit=first.unit, decay_time_open=first.decay_time_open
+        )
+        if c.kind == "data"
+        else c
+        for c in columns[1:]
+    ]
+    return [Column("receiver" if across.has_band else "band", first.header), *named]

@@ -1,89 +1,58 @@
-"""Tables of measured values in CSV, as measuring systems and spreadsheets write them.
+"""Tables of measured values, as measuring systems and spreadsheets write them.
 
-The header decides between three shapes:
+A format is one module that turns a file into `Sheet`s of cells: text with separators (CSV), workbooks
+(`workbook`, xlsx) and REW's text (`rew`). What the cells mean is decided here, in all formats alike.
+The header decides between five shapes:
 
 - *long*: one value per row, in the columns of the native file or their usual spellings;
 - *bands across*: one row per parameter or position, one column per band;
-- *bands down*: one row per band, one column per parameter.
+- *bands down*: one row per band, one column per parameter;
+- *positions across*: one row per band, one column per position (``S1R1``, ``S1R1#2`` for a repeat);
+- *corner*: as the last two, and the first header names the parameter of all values.
 
-Columns are separated by ``;``, tab or ``,``. Decimals may have a comma if columns are not separated by
-commas, or if the cell is quoted. Nothing is guessed: the result describes how each column was read, and
-an error names what the user must state.
+A parameter or a position that neither rows nor columns name may be the name of the sheet, or a title
+above the header. Columns of text are separated by ``;``, tab or ``,``. Decimals may have a comma if
+columns are not separated by commas, or if the cell is quoted. Nothing is guessed: the result describes
+how each column was read, and an error names what the user must state.
 """
 
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from rtcal.acoustics import bands
-from rtcal.acoustics.materials import text_name
+from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.measurement_files import of_single_values
 from rtcal.acoustics.observables import OBSERVABLES
-from rtcal.acoustics.parameters import SUMMARY, parameter_label
-from rtcal.acoustics.repeats import in_words, names_of_repeats, places_of
+from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.repeats import in_words, places_of
 from rtcal.errors import DataError
+from rtcal.io import rew, workbook
 from rtcal.io.analysis import means
 from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
-    frequency_of,
-    nominal_band,
-    parameter_of,
-    scale_of,
+    Column,
+    column_of,
+    position_of,
 )
-from rtcal.io.table_layout import Layout, Row, layout_of
+from rtcal.io.table_layout import Layout, Sheet, has_header, layout_of, sheet_of_text
 from rtcal.io.table_options import check_options
-from rtcal.io.text import MAX_TEXT, decode, number, shown
+from rtcal.io.table_values import Key, Reader, Values
+from rtcal.io.text import decode, shown
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 
 MAX_PAIRS = 5000
-MAX_CELL = 60
-"""Largest length of a cell in characters; the pattern for number and unit is slow on longer ones."""
+MAX_BYTES = 2**22
+"""Largest size of a table in bytes; a workbook of 5000 positions, compressed, is a tenth of it."""
 
-_NUMBER = re.compile(
-    r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
-)
-_POSITION = re.compile(
-    r"(L?S\d+)[\s_-]*((?:MP|M|R)\d+(?:\s*#\d+)?)", re.I | re.ASCII
-)  # source and receiver
-_WITH_UNIT = re.compile(r"([^%a-z]*\d[\d.,]*(?:e[+-]?\d+)?)\s*(%|m?s|db)", re.I)
-_MISSING = {
-    "",
-    "-",
-    "--",
-    "---",
-    "\u2212",
-    "\u2013",
-    "\u2014",
-    "*",
-    "nan",
-    "na",
-    "n/a",
-    "n.a.",
-    "k.a.",
-    "k. a.",
-    "#n/a",
-    "#nv",
-    "#div/0!",
-    "#wert!",
-    "#value!",
-}
-_STATISTICS = {
-    **dict.fromkeys(("mean", "average", "avg", "avg.", "mittel", "mittelwert", "mw"), "value"),
-    **dict.fromkeys(
-        ("sd", "std", "std.", "stdev", "stdabw", "standard deviation", "standardabweichung"),
-        "standard_deviation",
-    ),
-    **dict.fromkeys(("min", "max", "median", "minimum", "maximum"), ""),
-}
-
-Key = tuple[str, str, str, float]
-"""Source, receiver, parameter and band in Hz of a value."""
+FORMATS = (workbook, rew)
+"""Modules of formats beside text with separators. Each has ``claims(content)`` and
+``sheets(content, path, where)``."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +69,7 @@ class Table:
 
 @checked
 def read(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
     decay_time: str | None = None,
     parameter: str | None = None,
@@ -109,12 +78,13 @@ def read(
     n_sources: int | None = None,
     n_receivers: int | None = None,
     repeats: bool = False,
+    sheets: Collection[str] = (),
 ) -> Table:
-    """Return a table's measurement.
+    """Return the measurement of a table, or of several: one per position, as REW exports them.
 
     Parameters
     ----------
-    path : path
+    path : path or sequence of paths
     decay_time : {"t20", "t30"}, optional
         The decay time in a column "RT60" or "T60".
     parameter : str, optional
@@ -129,15 +99,19 @@ def read(
     repeats : bool
         Whether several values of one pair, parameter and band are repeats, and averaged. Else they are
         refused, unless their names are ``R1``, ``R1#2`` and so on.
+    sheets : collection of str, optional
+        Sheets of a workbook to read; by default all that have a header.
 
     Raises
     ------
     DataError
-        Naming file, line and rule.
+        Naming file, sheet, line and rule.
+    MissingDependencyError
+        For a workbook (xlsx) without openpyxl.
     """
-    return parse(
-        read_bytes(path, MAX_TEXT),
-        os.fspath(path),
+    paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
+    return _read(
+        {os.fspath(p): read_bytes(p, MAX_BYTES) for p in paths},
         decay_time=decay_time,
         parameter=parameter,
         where=where,
@@ -145,13 +119,8 @@ def read(
         n_sources=n_sources,
         n_receivers=n_receivers,
         repeats=repeats,
+        sheets=sheets,
     )
-
-
-@checked
-def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
-    """Write the native CSV: one value per row."""
-    measurement.save(os.fspath(path))
 
 
 @checked
@@ -166,8 +135,59 @@ def parse(
     n_sources: int | None = None,
     n_receivers: int | None = None,
     repeats: bool = False,
+    sheets: Collection[str] = (),
 ) -> Table:
     """Return the measurement of a table's content; see `read`."""
+    return _read(
+        {path: content},
+        decay_time=decay_time,
+        parameter=parameter,
+        where=where,
+        ignore=ignore,
+        n_sources=n_sources,
+        n_receivers=n_receivers,
+        repeats=repeats,
+        sheets=sheets,
+    )
+
+
+@checked
+def measurement(path: str | os.PathLike[str]) -> Table:
+    """Return the measurement of a native CSV file, of a workbook or of REW's text.
+
+    Text of any other kind is refused as `rtcal.Measurement.from_file` refuses it: its columns are to
+    be looked at first, with ``rtcal table``. ``columns`` is empty for the native file.
+    """
+    content = read_bytes(path, MAX_BYTES)
+    if any(module.claims(content) for module in FORMATS):
+        return read(path)
+    return Table(Measurement.from_file(os.fspath(path)), ())
+
+
+@checked
+def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
+    """Write the native table, one value per row: CSV, or a workbook if the name ends in .xlsx."""
+    if Path(path).suffix.lower() == workbook.ENDING:
+        workbook.write({"measurement": measurement_files.rows(measurement.to_dict())}, path)
+    else:
+        measurement.save(os.fspath(path))
+
+
+def _read(
+    contents: Mapping[str, bytes],
+    *,
+    decay_time: str | None,
+    parameter: str | None,
+    where: Mapping[str, str] | None,
+    ignore: Collection[str],
+    n_sources: int | None,
+    n_receivers: int | None,
+    repeats: bool,
+    sheets: Collection[str],
+) -> Table:
+    """Return the measurement of some files' contents; see `read`."""
+    if not contents:
+        raise DataError("no table is given")
     for name, choice, choices in (
         ("decay_time", decay_time, DECAY_TIMES_OF_RT60),
         ("parameter", parameter, tuple(OBSERVABLES)),
@@ -180,256 +200,181 @@ def parse(
             stated[name] = checks.whole(f"n_{name}", count, 1)
     checks.flag("repeats", repeats)
     where, ignore = where or {}, [ignore] if isinstance(ignore, str) else ignore
-    layout = layout_of(
-        decode(content, path), path, decay_time=decay_time, extra_columns={*where, *ignore}
-    )
-    check_options(layout, path, parameter=parameter, decay_time=decay_time, ignore=ignore)
-    return _Reader(path, layout, decay_time, parameter, stated, repeats).table(where)
-
-
-class _Reader:
-    """Reads the rows of a table.
-
-    A row has a value for each column of values. It may also have an uncertainty, a statistic (mean or
-    standard deviation), and the number of positions of a mean.
-    """
-
-    def __init__(
-        self,
-        path: str,
-        layout: Layout,
-        decay_time: str | None,
-        parameter: str | None,
-        counts: Mapping[str, float],
-        repeats: bool,
-    ) -> None:
-        self.path, self.layout, self.counts, self.repeats = path, layout, counts, repeats
-        self.decay_time, self.parameter = decay_time, parameter
-        self.header_place = f"{path}, line {layout.header_line}"
-        self.notes = list(layout.notes)
-        kinds = [c.kind for c in layout.columns]
-        self.has_positions = "source" in kinds or "receiver" in kinds
-        if counts and self.has_positions:
-            raise DataError(
-                f"{self.header_place}: numbers of sources and receivers are stated for means, but "
-                "the table has single positions"
-            )
-        is_summary = bool(counts) or {"sources", "receivers", "standard_deviation"} & {*kinds}
-        self.pair = (SUMMARY, SUMMARY) if is_summary and not self.has_positions else ("S1", "R1")
-        if {"uncertainty", "standard_deviation"} & {*kinds} and (
-            kinds.count("data") + kinds.count("value") > 1
-        ):
-            raise DataError(
-                f"{self.header_place}: a column of uncertainties needs one value per row; there "
-                "are several"
-            )
-        self.comma = self._decimal_comma()
-        positions = layout.cells("receiver") if "source" not in kinds else []
-        positions = [p for p in positions if p.lower() not in _STATISTICS]
-        self.example_of_both = (
-            positions[0] if positions and all(map(_POSITION.fullmatch, positions)) else None
-        )
-
-    def table(self, where: Mapping[str, str]) -> Table:
-        """Return the measurement of the rows that ``where`` selects."""
-        single: dict[Key, dict[str, float]] = {}
-        of_several: dict[Key, dict[str, float]] = {}
-        for line, cells in self._selected(where):
-            place = f"{self.path}, line {line}"
-            entries = {
-                column.kind: cell
-                for column, cell in zip(self.layout.columns, cells, strict=True)
-                if column.kind not in ("data", "")
-            }
-            statistic = self._statistic(entries, place)
-            values = single if statistic is None else of_several
-            for key, numbers in self._values(cells, entries, statistic, place):
-                if statistic is None and self.repeats:
-                    named = ((key[0], n, *key[2:]) for n in names_of_repeats(key[1]))
-                    key = next(k for k in named if k not in values)
-                held = values.setdefault(key, dict(self.counts))
-                if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
-                    hint = "" if SUMMARY in key else "; if they are repeats, state repeats=True"
-                    raise DataError(
-                        f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at "
-                        f"{bands.label(key[3])} is given twice{hint}"
-                    )
-                held.update(numbers)
-        if single and of_several:
-            self.notes.append("rows of means and deviations beside single positions are left out")
-        values = single or of_several
-        if not values:
-            raise DataError(f"{self.header_place}: no row with a value below the header")
-        return Table(self._measurement(values), self._report(values))
-
-    def _selected(self, where: Mapping[str, str]) -> list[Row]:
-        headers = [c.header for c in self.layout.columns]
-        for name in where:
-            if headers.count(name) != 1:
-                raise DataError(f'{self.header_place}: column "{shown(name)}" is not there once')
-        rows = [
-            (line, cells)
-            for line, cells in self.layout.rows
-            if all(cells[headers.index(name)] == entry for name, entry in where.items())
+    sheets = [sheets] if isinstance(sheets, str) else sheets
+    columns = {*where, *ignore}
+    found: list[tuple[Sheet, Layout]] = []
+    notes: list[str] = []
+    for path, content in contents.items():
+        of_file = _sheets(content, path, where, decay_time, columns)
+        chosen, left_out = _chosen(of_file, sheets, path, decay_time)
+        notes += left_out
+        found += [
+            (sheet, layout)
+            for sheet in chosen
+            for layout in layout_of(sheet, decay_time=decay_time, extra_columns=columns)
         ]
-        if not rows and where:
-            selection = ", ".join(f"{name} = {entry}" for name, entry in where.items())
-            raise DataError(f'{self.header_place}: no row has "{shown(selection)}"')
-        return rows
-
-    def _statistic(self, entries: Mapping[str, str], place: str) -> str | None:
-        """Return the statistic of a row of means or deviations; None for single values."""
-        if "statistic" in entries:
-            word = entries["statistic"].lower()
-            if word not in _STATISTICS:
-                raise DataError(
-                    f'{place}: statistic "{shown(word)}" is none of {", ".join(_STATISTICS)}'
-                )
-            return _STATISTICS[word]
-        return _STATISTICS.get(entries.get("receiver", "").lower())
-
-    def _values(
-        self, cells: list[str], entries: Mapping[str, str], statistic: str | None, place: str
-    ) -> Iterator[tuple[Key, dict[str, float]]]:
-        """Yield the key and the numbers of each value of a row."""
-        if statistic == "":
-            return
-        pair = (SUMMARY, SUMMARY) if statistic is not None else self._pair_of(entries)
-        text_name(f"{place}: a position", "".join(pair))
-        row_parameter, row_band = (
-            self._row_parameter(entries, place),
-            self._row_band(entries, place),
+    _check_options(found, parameter=parameter, decay_time=decay_time, ignore=ignore)
+    readers = [
+        Reader(
+            sheet.place,
+            layout,
+            decay_time=decay_time,
+            parameter=_parameter(sheet, layout, parameter, decay_time),
+            position=_position(sheet),
+            counts=stated,
+            repeats=repeats,
         )
-        for column, cell in zip(self.layout.columns, cells, strict=True):
-            if column.kind not in ("data", "value") or cell.lower() in _MISSING:
-                continue
-            parameter = column.parameter or row_parameter
-            band = column.band if column.has_band else row_band
-            if parameter is None:
-                raise DataError(
-                    f'{place}: the table does not say what "{shown(cell)}" is; state it: '
-                    'parameter="t20", for instance'
-                )
-            if band is None:
-                raise DataError(f'{place}: no band for the value "{shown(cell)}"')
-            unit = column.unit if column.parameter else entries.get("unit", "") or column.unit
-            kind = statistic or "value"
-            numbers = {kind: self._number(cell, parameter, unit, place)}
-            if kind == "value":
-                label = parameter_label(parameter)
-                OBSERVABLES[parameter].refuse(f"{place}: {label}", numbers["value"])
-            for name in ("uncertainty", "standard_deviation"):
-                if entries.get(name, "").lower() not in _MISSING:
-                    numbers[name] = self._number(entries[name], parameter, unit, place)
-            for name in ("sources", "receivers"):
-                if entries.get(name, "").lower() not in _MISSING:
-                    numbers[name] = number(entries[name], place)
-            if min(numbers.get(n, 0.0) for n in ("uncertainty", "standard_deviation")) < 0:
-                raise DataError(f"{place}: an uncertainty or standard deviation is below 0")
-            yield (*pair, parameter, band), numbers
+        for sheet, layout in found
+    ]
+    return _table(readers, where, notes)
 
-    def _pair_of(self, entries: Mapping[str, str]) -> tuple[str, str]:
-        """Return the source and the receiver of a row."""
-        source, receiver = entries.get("source"), entries.get("receiver")
-        if self.example_of_both and receiver and (both := _POSITION.fullmatch(receiver)):
-            source, receiver = both.groups()
-        return source or self.pair[0], receiver or self.pair[1]
 
-    def _row_parameter(self, entries: Mapping[str, str], place: str) -> str | None:
-        if "parameter" not in entries:
-            return self.parameter
-        parameter = parameter_of(entries["parameter"], place, self.decay_time)
-        if parameter is None:
-            raise DataError(f'{place}: parameter "{shown(entries["parameter"])}" is unknown')
-        return parameter
+def _sheets(
+    content: bytes,
+    path: str,
+    where: Mapping[str, str],
+    decay_time: str | None,
+    columns: Collection[str],
+) -> list[Sheet]:
+    """Return the sheets of a file, by the first format that claims its content."""
+    for module in FORMATS:
+        if module.claims(content):
+            sheets: list[Sheet] = module.sheets(content, path, where)
+            return sheets
+    text = decode(content, path)
+    return [sheet_of_text(text, path, decay_time=decay_time, extra_columns=columns)]
 
-    def _row_band(self, entries: Mapping[str, str], place: str) -> float | None:
-        if "band" not in entries:
-            return None
-        frequency = frequency_of(entries["band"])
-        if frequency is None:
-            raise DataError(f'{place}: band "{shown(entries["band"])}" is no frequency in Hz')
-        column = next(c for c in self.layout.columns if c.kind == "band")
-        frequency *= 1000 if column.unit.lower() == "khz" else 1
-        band = nominal_band(frequency, place)
-        self._note_band(frequency, band)
-        return band
 
-    def _note_band(self, frequency: float, band: float) -> None:
-        note = f"{bands.label(frequency)} is read as {bands.label(band)}"
-        if abs(frequency / band - 1) > 0.015 and note not in self.notes:
-            self.notes.append(note)
-
-    def _number(self, cell: str, parameter: str, unit: str, place: str) -> float:
-        """Return a cell's number in the unit of its parameter."""
-        match = _WITH_UNIT.fullmatch(cell[: MAX_CELL + 1])
-        if match and len(cell) <= MAX_CELL:
-            cell, unit = match[1].strip(), match[2]
-        scale = scale_of(parameter, unit, place)
-        return scale * number(cell.replace(",", ".") if self.comma else cell, place)
-
-    def _decimal_comma(self) -> bool:
-        """Return whether decimals have a comma; DataError if they have commas and points."""
-        commas = points = 0
-        for line, cells in self.layout.rows:
-            for column, cell in zip(self.layout.columns, cells, strict=True):
-                if column.kind in ("data", "value"):
-                    match = _WITH_UNIT.fullmatch(cell[: MAX_CELL + 1])
-                    digits = match[1].strip() if match else cell
-                    if _NUMBER.fullmatch(digits):
-                        commas += "," in digits
-                        points += "." in digits
-            if commas and points:
-                raise DataError(
-                    f"{self.path}, line {line}: decimal commas and decimal points in one table"
-                )
-        return commas > 0
-
-    def _report(self, values: Mapping[Key, object]) -> tuple[str, ...]:
-        mark = "comma" if self.comma else "point"
-        report = [f"{self.notes[0]}, decimal {mark}", *self.notes[1:]]
-        for column in self.layout.columns:
-            report.append(column.description(self.parameter))
-        pairs = {key[:2] for key in values}
-        if pairs == {("S1", "R1")} and not self.has_positions:
-            report.append(
-                "no positions: taken as source S1 and receiver R1; if the values are means, state "
-                "n_sources and n_receivers"
-            )
-        elif self.example_of_both and (SUMMARY, SUMMARY) not in pairs:
-            source, receiver = self._pair_of({"receiver": self.example_of_both})
-            report.append(
-                f'positions name both: "{self.example_of_both}" is source {source}, receiver {receiver}'
-            )
-        elif self.has_positions and (SUMMARY, SUMMARY) not in pairs:
-            kinds = {c.kind for c in self.layout.columns}
-            if "source" not in kinds:
-                report.append(
-                    "no source is named: all positions are taken as receivers of source S1"
-                )
-            if "receiver" not in kinds:
-                report.append("no receiver is named: taken as receiver R1 of each source")
-        return (*report, *in_words(places_of([*dict.fromkeys(key[:2] for key in values)])))
-
-    def _measurement(self, values: Mapping[Key, dict[str, float]]) -> Measurement:
-        pairs = {key[:2] for key in values}
-        if len(pairs) > MAX_PAIRS:
-            raise DataError(f"{self.path}: {len(pairs)} positions; at most {MAX_PAIRS}")
-        for key, numbers in values.items():
-            place = f"{self.path}, from line {self.layout.header_line} on"
-            if "value" not in numbers:
-                raise DataError(
-                    f"{place}: {parameter_label(key[2])} at {bands.label(key[3])} has a standard "
-                    "deviation and no mean"
-                )
-            if "standard_deviation" in numbers and not {"sources", "receivers"} <= {*numbers}:
-                raise DataError(
-                    f"{place}: a standard deviation over positions needs the numbers of sources "
-                    "and receivers; state n_sources and n_receivers"
-                )
-        try:
-            return Measurement.from_dict(of_single_values(values))
-        except DataError as error:
+def _chosen(
+    of_file: list[Sheet], names: Collection[str], path: str, decay_time: str | None
+) -> tuple[list[Sheet], list[str]]:
+    """Return the sheets to read, and a note on those that are left out."""
+    if names:
+        there = [sheet.name for sheet in of_file]
+        if missing := [name for name in names if name not in there]:
             raise DataError(
-                f"{self.path}, from line {self.layout.header_line} on: {error}"
-            ) from error
+                f'{path}: sheets="{shown(missing[0])}" is no sheet; they are '
+                + (", ".join(f'"{shown(n)}"' for n in there if n) or "without a name")
+            )
+        return [sheet for sheet in of_file if sheet.name in names], []
+    chosen = [
+        sheet for sheet in of_file if len(of_file) == 1 or has_header(sheet, decay_time)
+    ] or of_file
+    left_out = [f'"{shown(s.name)}"' for s in of_file if s not in chosen]
+    return chosen, [f"left out, without a header: {', '.join(left_out)}"] if left_out else []
+
+
+def _check_options(
+    found: Sequence[tuple[Sheet, Layout]],
+    *,
+    parameter: str | None,
+    decay_time: str | None,
+    ignore: Collection[str],
+) -> None:
+    """Raise DataError for an option that changes nothing in any table."""
+    none: dict[str, Any] = {"parameter": None, "decay_time": None, "ignore": ()}
+    stated: list[dict[str, Any]] = [{"parameter": parameter}, *({"ignore": [n]} for n in ignore)]
+    names = [text for sheet, layout in found for text in (sheet.name, *layout.titles)]
+    if not any(map(_leaves_open, names)):
+        stated.append({"decay_time": decay_time})
+    for option in stated:
+        errors = []
+        for sheet, layout in found:
+            try:
+                check_options(layout, sheet.place, **(none | option))
+            except DataError as error:
+                errors.append(error)
+        if len(errors) == len(found):
+            raise errors[0]
+
+
+def _leaves_open(text: str) -> bool:
+    named = _named(text, "t20")
+    return named is not None and named.decay_time_open
+
+
+def _named(text: str, decay_time: str) -> Column | None:
+    """Return the parameter that a sheet's name or a title is; None for another text."""
+    try:
+        column = column_of(text, "", decay_time) if text else None
+    except DataError:  # an unknown unit, or a number that is no band
+        return None
+    only = column is not None and column.kind == "data" and column.parameter
+    return column if only and column and not column.has_band else None
+
+
+def _parameter(
+    sheet: Sheet, layout: Layout, stated: str | None, decay_time: str | None
+) -> Column | None:
+    """Return the parameter of a table's values that name none: as stated, of its sheet or title."""
+    values = [c for c in layout.columns if c.kind in ("data", "value")]
+    if any(c.kind == "parameter" for c in layout.columns) or all(c.parameter for c in values):
+        return None
+    texts = [t for t in (sheet.name, *layout.titles) if _named(t, decay_time or "t20")]
+    if stated is None and decay_time is None:
+        for text in filter(_leaves_open, texts):
+            column_of(text, sheet.place, None)  # says which decay time is to be stated
+    named = [_named(text, decay_time or "t20") for text in texts]
+    own = {c.parameter for c in named if c is not None}
+    if stated is not None:
+        if own and own != {stated}:
+            raise DataError(
+                f'{sheet.place}: parameter="{stated}" is stated, and the table is called '
+                f'"{shown(texts[0])}"'
+            )
+        return Column("data", stated, stated)
+    return named[0] if len(own) == 1 else None
+
+
+def _position(sheet: Sheet) -> tuple[str, str]:
+    return sheet.position if any(sheet.position) else position_of(sheet.name) or ("", "")
+
+
+def _table(readers: Sequence[Reader], where: Mapping[str, str], notes: list[str]) -> Table:
+    """Return the measurement of all tables' values, and the reports of how they were read."""
+    single: Values = {}
+    of_several: Values = {}
+    for reader in readers:
+        reader.add_to(single, of_several, where)
+    values = single or of_several
+    places = ", ".join(dict.fromkeys(r.header_place for r in readers))
+    if not values:
+        raise DataError(f"{places}: no row with a value below the header")
+    pairs = list(dict.fromkeys(key[:2] for key in values))
+    report: list[str] = []
+    for reader in readers:
+        if len(readers) > 1:
+            report.append(f"{reader.header_place}:")
+        report += reader.report(pairs)
+    if single and of_several:
+        notes = ["rows of means and deviations beside single positions are left out", *notes]
+    # What stands after the first line of a single table's report is about the columns.
+    report[1:1] = notes if len(readers) == 1 else []
+    report += [] if len(readers) == 1 else notes
+    report += in_words(places_of(pairs))
+    return Table(_measurement(values, places), tuple(report))
+
+
+def _measurement(values: Values, place: str) -> Measurement:
+    pairs = {key[:2] for key in values}
+    if len(pairs) > MAX_PAIRS:
+        raise DataError(f"{place}: {len(pairs)} positions; at most {MAX_PAIRS}")
+    for key, numbers in values.items():
+        _check_statistics(key, numbers, f"{place} on")
+    try:
+        return Measurement.from_dict(measurement_files.of_single_values(values))
+    except DataError as error:
+        raise DataError(f"{place} on: {error}") from error
+
+
+def _check_statistics(key: Key, numbers: Mapping[str, float], place: str) -> None:
+    if "value" not in numbers:
+        raise DataError(
+            f"{place}: {parameter_label(key[2])} at {bands.label(key[3])} has a standard "
+            "deviation and no mean"
+        )
+    if "standard_deviation" in numbers and not {"sources", "receivers"} <= {*numbers}:
+        raise DataError(
+            f"{place}: a standard deviation over positions needs the numbers of sources "
+            "and receivers; state n_sources and n_receivers"
+        )

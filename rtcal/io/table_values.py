@@ -1,0 +1,311 @@
+"""The values of one table: positions, parameters, bands, units and decimals of its rows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.materials import text_name
+from rtcal.acoustics.observables import OBSERVABLES
+from rtcal.acoustics.parameters import SUMMARY, parameter_label
+from rtcal.acoustics.repeats import names_of_repeats
+from rtcal.errors import DataError
+from rtcal.io.table_columns import (
+    STATISTICS,
+    Column,
+    frequency_of,
+    nominal_band,
+    parameter_of,
+    position_of,
+    scale_of,
+)
+from rtcal.io.table_layout import Layout, Row
+from rtcal.io.text import number, shown
+
+MAX_CELL = 60
+"""Largest length of a cell in characters; the pattern for number and unit is slow on longer ones."""
+
+_NUMBER = re.compile(
+    r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
+)
+_WITH_UNIT = re.compile(r"([^%a-z]*\d[\d.,]*(?:e[+-]?\d+)?)\s*(%|m?s|db)", re.I)
+_MISSING = {
+    "",
+    "-",
+    "--",
+    "---",
+    "\u2212",
+    "\u2013",
+    "\u2014",
+    "*",
+    "nan",
+    "na",
+    "n/a",
+    "n.a.",
+    "k.a.",
+    "k. a.",
+    "#n/a",
+    "#nv",
+    "#div/0!",
+    "#wert!",
+    "#value!",
+}
+_SPREADS = ("uncertainty", "common_uncertainty", "standard_deviation")
+
+Key = tuple[str, str, str, float]
+"""Source, receiver, parameter and band in Hz of a value."""
+
+Values = dict[Key, dict[str, float]]
+"""The numbers of each value: "value", "uncertainty", "standard_deviation", "sources", "receivers"."""
+
+
+class Reader:
+    """Reads the rows of a table.
+
+    A row has a value for each column of values. It may also have an uncertainty, a statistic (mean or
+    standard deviation), and the number of positions of a mean.
+
+    Parameters
+    ----------
+    path : str
+        The table's name in messages.
+    layout : Layout
+    decay_time : str or None
+        The decay time that is called RT60.
+    parameter : Column or None
+        The parameter of values for which neither row nor column names one, with its unit.
+    position : (str, str)
+        Source and receiver of values whose rows and columns name none; empty if not known.
+    counts : mapping of str to float
+        The stated numbers of sources and receivers of means.
+    repeats : bool
+        Whether several values of one place are repeats.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        layout: Layout,
+        *,
+        decay_time: str | None,
+        parameter: Column | None,
+        position: tuple[str, str],
+        counts: Mapping[str, float],
+        repeats: bool,
+    ) -> None:
+        self.path, self.layout, self.counts, self.repeats = path, layout, counts, repeats
+        self.decay_time, self.parameter = decay_time, parameter
+        self.header_place = f"{path}, line {layout.header_line}"
+        self.notes = list(layout.notes)
+        kinds = [c.kind for c in layout.columns]
+        across = any(c.receiver for c in layout.columns)
+        if across or {"source", "receiver"} & {*kinds}:
+            position = ("", "")  # of values that name none
+        self.has_positions = bool({"source", "receiver"} & {*kinds} or across or position[1])
+        if counts and self.has_positions:
+            raise DataError(
+                f"{self.header_place}: numbers of sources and receivers are stated for means, but "
+                "the table has single positions"
+            )
+        is_summary = bool(counts) or {"sources", "receivers", "standard_deviation"} & {*kinds}
+        self.named = bool(position[1])
+        self.pair = (position[0] or "S1", position[1] or "R1")
+        if is_summary and not self.has_positions:
+            self.pair = (SUMMARY, SUMMARY)
+        if {*_SPREADS} & {*kinds} and (kinds.count("data") + kinds.count("value") > 1):
+            raise DataError(
+                f"{self.header_place}: a column of uncertainties needs one value per row; there "
+                "are several"
+            )
+        self.comma = self._decimal_comma()
+        positions = layout.cells("receiver") if "source" not in kinds else []
+        positions = [p for p in positions if p.lower() not in STATISTICS]
+        named = [position_of(p) for p in positions]
+        self.example_of_both = positions[0] if named and all(p and p[0] for p in named) else None
+
+    def add_to(self, single: Values, of_several: Values, where: Mapping[str, str]) -> None:
+        """Add the values of the rows that ``where`` selects: of positions, and of several.
+
+        Raises DataError for a value that another row, or another table of the file, has given.
+        """
+        for line, cells in self._selected(where):
+            place = f"{self.path}, line {line}"
+            entries = {
+                column.kind: cell
+                for column, cell in zip(self.layout.columns, cells, strict=True)
+                if column.kind not in ("data", "")
+            }
+            statistic = self._statistic(entries, place)
+            values = single if statistic is None else of_several
+            for key, numbers in self._values(cells, entries, statistic, place):
+                if statistic is None and self.repeats:
+                    named = ((key[0], n, *key[2:]) for n in names_of_repeats(key[1]))
+                    key = next(k for k in named if k not in values)
+                held = values.setdefault(key, dict(self.counts))
+                if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
+                    hint = "" if SUMMARY in key else "; if they are repeats, state repeats=True"
+                    raise DataError(
+                        f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at "
+                        f"{bands.label(key[3])} is given twice{hint}"
+                    )
+                held.update(numbers)
+
+    def _selected(self, where: Mapping[str, str]) -> list[Row]:
+        headers = [c.header for c in self.layout.columns]
+        for name in where:
+            if headers.count(name) != 1:
+                raise DataError(f'{self.header_place}: column "{shown(name)}" is not there once')
+        rows = [
+            (line, cells)
+            for line, cells in self.layout.rows
+            if all(cells[headers.index(name)] == entry for name, entry in where.items())
+        ]
+        if not rows and where:
+            selection = ", ".join(f"{name} = {entry}" for name, entry in where.items())
+            raise DataError(f'{self.header_place}: no row has "{shown(selection)}"')
+        return rows
+
+    def _statistic(self, entries: Mapping[str, str], place: str) -> str | None:
+        """Return the statistic of a row of means or deviations; None for single values."""
+        if "statistic" in entries:
+            word = entries["statistic"].lower()
+            if word not in STATISTICS:
+                raise DataError(
+                    f'{place}: statistic "{shown(word)}" is none of {", ".join(STATISTICS)}'
+                )
+            return STATISTICS[word]
+        return STATISTICS.get(entries.get("receiver", "").lower())
+
+    def _values(
+        self, cells: list[str], entries: Mapping[str, str], statistic: str | None, place: str
+    ) -> Iterator[tuple[Key, dict[str, float]]]:
+        """Yield the key and the numbers of each value of a row."""
+        if statistic == "":
+            return
+        of_row = (SUMMARY, SUMMARY) if statistic is not None else self._pair_of(entries)
+        row_parameter, row_band = (
+            self._row_parameter(entries, place),
+            self._row_band(entries, place),
+        )
+        for column, cell in zip(self.layout.columns, cells, strict=True):
+            if column.kind not in ("data", "value") or cell.lower() in _MISSING:
+                continue
+            pair = of_row
+            if column.receiver:
+                pair = (column.source or of_row[0], column.receiver)
+            text_name(f"{place}: a position", "".join(pair))
+            parameter = column.parameter or row_parameter
+            band = column.band if column.has_band else row_band
+            if parameter is None:
+                raise DataError(
+                    f'{place}: the table does not say what "{shown(cell)}" is; state it: '
+                    'parameter="t20", for instance'
+                )
+            if band is None:
+                raise DataError(f'{place}: no band for the value "{shown(cell)}"')
+            unit = column.unit if column.parameter else entries.get("unit", "") or column.unit
+            if self.parameter is not None and not (column.parameter or "parameter" in entries):
+                unit = unit or self.parameter.unit
+            kind = statistic or "value"
+            numbers = {kind: self._number(cell, parameter, unit, place)}
+            if kind == "value":
+                label = parameter_label(parameter)
+                OBSERVABLES[parameter].refuse(f"{place}: {label}", numbers["value"])
+            for name in _SPREADS:
+                if entries.get(name, "").lower() not in _MISSING:
+                    numbers[name] = self._number(entries[name], parameter, unit, place)
+            for name in ("sources", "receivers"):
+                if entries.get(name, "").lower() not in _MISSING:
+                    numbers[name] = number(entries[name], place)
+            if min(numbers.get(n, 0.0) for n in _SPREADS) < 0:
+                raise DataError(f"{place}: an uncertainty or standard deviation is below 0")
+            yield (*pair, parameter, band), numbers
+
+    def _pair_of(self, entries: Mapping[str, str]) -> tuple[str, str]:
+        """Return the source and the receiver of a row."""
+        source, receiver = entries.get("source"), entries.get("receiver")
+        if self.example_of_both and receiver and (both := position_of(receiver)):
+            source, receiver = both
+        return source or self.pair[0], receiver or self.pair[1]
+
+    def _row_parameter(self, entries: Mapping[str, str], place: str) -> str | None:
+        if "parameter" not in entries:
+            return None if self.parameter is None else self.parameter.parameter
+        parameter = parameter_of(entries["parameter"], place, self.decay_time)
+        if parameter is None:
+            raise DataError(f'{place}: parameter "{shown(entries["parameter"])}" is unknown')
+        return parameter
+
+    def _row_band(self, entries: Mapping[str, str], place: str) -> float | None:
+        if "band" not in entries:
+            return None
+        frequency = frequency_of(entries["band"])
+        if frequency is None:
+            raise DataError(f'{place}: band "{shown(entries["band"])}" is no frequency in Hz')
+        column = next(c for c in self.layout.columns if c.kind == "band")
+        frequency *= 1000 if column.unit.lower() == "khz" else 1
+        band = nominal_band(frequency, place)
+        self._note_band(frequency, band)
+        return band
+
+    def _note_band(self, frequency: float, band: float) -> None:
+        note = f"{bands.label(frequency)} is read as {bands.label(band)}"
+        if abs(frequency / band - 1) > 0.015 and note not in self.notes:
+            self.notes.append(note)
+
+    def _number(self, cell: str, parameter: str, unit: str, place: str) -> float:
+        """Return a cell's number in the unit of its parameter."""
+        match = _WITH_UNIT.fullmatch(cell[: MAX_CELL + 1])
+        if match and len(cell) <= MAX_CELL:
+            cell, unit = match[1].strip(), match[2]
+        scale = scale_of(parameter, unit, place)
+        return scale * number(cell.replace(",", ".") if self.comma else cell, place)
+
+    def _decimal_comma(self) -> bool:
+        """Return whether decimals have a comma; DataError if they have commas and points."""
+        commas = points = 0
+        for line, cells in self.layout.rows:
+            for column, cell in zip(self.layout.columns, cells, strict=True):
+                if column.kind in ("data", "value"):
+                    match = _WITH_UNIT.fullmatch(cell[: MAX_CELL + 1])
+                    digits = match[1].strip() if match else cell
+                    if _NUMBER.fullmatch(digits):
+                        commas += "," in digits
+                        points += "." in digits
+            if commas and points:
+                raise DataError(
+                    f"{self.path}, line {line}: decimal commas and decimal points in one table"
+                )
+        return commas > 0
+
+    def report(self, pairs: Collection[tuple[str, str]]) -> list[str]:
+        """Return how each column was read; ``pairs`` are those of the file."""
+        mark = "comma" if self.comma else "point"
+        report = [f"{self.notes[0]}, decimal {mark}", *self.notes[1:]]
+        stated = self.parameter.parameter if self.parameter is not None else None
+        report += [column.description(stated) for column in self.layout.columns]
+        if (SUMMARY, SUMMARY) in pairs:
+            return report
+        if not self.has_positions:
+            report.append(
+                "no positions: taken as source S1 and receiver R1; if the values are means, state "
+                "n_sources and n_receivers"
+            )
+        elif self.example_of_both:
+            source, receiver = self._pair_of({"receiver": self.example_of_both})
+            report.append(
+                f'positions name both: "{self.example_of_both}" is source {source}, receiver {receiver}'
+            )
+        elif self.named:
+            report.append(f"all values are of {self.pair[0]} to {self.pair[1]}, the table's name")
+        else:
+            kinds = {c.kind for c in self.layout.columns}
+            across = [c for c in self.layout.columns if c.receiver]
+            if "source" not in kinds and not all(c.source for c in across or [Column("data")]):
+                report.append(
+                    "no source is named: all positions are taken as receivers of source S1"
+                )
+            if "receiver" not in kinds and not across:
+                report.append("no receiver is named: taken as receiver R1 of each source")
+        return report

@@ -1,0 +1,228 @@
+"""Workbooks of Excel (xlsx), read and written by openpyxl (``rtcal[tables]``).
+
+A number has the value that the file stores, whatever digits Excel shows. A cell shown in percent is
+read with its unit. A cell that is merged over several rows fills them. Hidden sheets are left out.
+
+Refused by name: xls and other binary formats, a formula without its stored value, a date where Excel
+has taken a number for one.
+"""
+
+from __future__ import annotations
+
+import datetime
+import io
+import os
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io.table_layout import Row, Sheet
+from rtcal.io.text import shown
+from rtcal.support.arguments import checked
+from rtcal.support.files import write_bytes
+
+ENDING = ".xlsx"
+MAX_UNPACKED = 2**26
+"""Largest size in bytes of a workbook's parts: a small file may unpack to gigabytes."""
+MAX_SHEETS = 200
+MAX_ROWS, MAX_COLUMNS = 20_000, 400
+MAX_NAME = 31
+"""Largest length of a sheet's name in Excel."""
+
+_ZIP, _OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
+_OTHERS = {b"\x89HDF": "a SOFA (HDF5) file: `rtcal measure` reads its responses"}
+_NOT_IN_NAMES = dict.fromkeys(map(ord, "[]:*?/\\"), " ")
+
+
+def claims(content: bytes) -> bool:
+    """Return whether a file is a workbook, or another format that is no text."""
+    return content.startswith((_ZIP, _OLE, *_OTHERS))
+
+
+def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
+    """Return the visible sheets of a workbook that have a cell; DataError names sheet and cell.
+
+    ``where`` selects rows later, and is not used here.
+    """
+    for start, is_format in _OTHERS.items():
+        if content.startswith(start):
+            raise DataError(f"{path}: {is_format}")
+    if content.startswith(_OLE):
+        raise DataError(f"{path}: Excel's old format (xls); save it as xlsx")
+    _check_size(content, path)
+    values, formulas = (_workbook(content, path, stored) for stored in (True, False))
+    names = [s.title for s in values.worksheets if s.sheet_state == "visible"]
+    if len(names) > MAX_SHEETS:
+        raise DataError(f"{path}: {len(names)} sheets; at most {MAX_SHEETS}")
+    found = []
+    hidden = [f'"{shown(s.title)}"' for s in values.worksheets if s.sheet_state != "visible"]
+    notes = (f"left out, hidden: {', '.join(hidden)}",) if hidden else ()
+    for name in names:
+        place = f'{path}, sheet "{shown(name)}"'
+        rows = _rows(values[name], formulas[name], place)
+        if rows:
+            note = f'workbook, sheet "{shown(name)}"'
+            found.append(Sheet(place, tuple(rows), note, name, notes=notes))
+            notes = ()
+    if not found:
+        raise DataError(f"{path}: no visible sheet has a cell")
+    return found
+
+
+def _check_size(content: bytes, path: str) -> None:
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            parts = archive.infolist()
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
+        raise DataError(f"{path}: not a workbook (xlsx): {error}") from error
+    if not any(part.filename == "xl/workbook.xml" for part in parts):
+        raise DataError(f"{path}: a zip file, but no workbook (xlsx); save it as xlsx")
+    if (size := sum(part.file_size for part in parts)) > MAX_UNPACKED:
+        raise DataError(f"{path}: {size} bytes when unpacked; at most {MAX_UNPACKED}")
+
+
+def _workbook(content: bytes, path: str, stored: bool) -> Any:
+    """Return openpyxl's workbook: with the stored values of formulas, or the formulas."""
+    openpyxl = _library()
+    try:
+        return openpyxl.load_workbook(io.BytesIO(content), data_only=stored)
+    except Exception as error:  # openpyxl raises what its parsers raise
+        raise DataError(f"{path}: cannot be read as a workbook (xlsx): {error}") from error
+
+
+def _rows(values: Any, formulas: Any, place: str) -> list[Row]:
+    """Return the rows of a sheet that have a cell, as text."""
+    if values.max_row > MAX_ROWS or values.max_column > MAX_COLUMNS:
+        raise DataError(
+            f"{place}: {values.max_row} rows and {values.max_column} columns; at most {MAX_ROWS} "
+            f"and {MAX_COLUMNS}"
+        )
+    filled = {
+        (row, merged.min_col): (merged.min_row, merged.min_col)
+        for merged in values.merged_cells.ranges
+        for row in range(merged.min_row + 1, merged.max_row + 1)
+    }
+    rows: list[Row] = []
+    for n, cells in enumerate(values.iter_rows(), start=1):
+        texts = []
+        for cell in cells:
+            at = filled.get((cell.row, cell.column), (cell.row, cell.column))
+            texts.append(_text(values.cell(*at), formulas.cell(*at), place))
+        while texts and not texts[-1]:
+            texts.pop()
+        if texts:
+            rows.append((n, texts))
+    width = max((len(texts) for _, texts in rows), default=0)
+    return [(n, texts + [""] * (width - len(texts))) for n, texts in rows]
+
+
+def _text(cell: Any, formula: Any, place: str) -> str:
+    """Return a cell's content as text: a number with all its digits, and with % if shown so."""
+    value = cell.value
+    if value is None:
+        if isinstance(formula.value, str) and formula.value.startswith("="):
+            raise DataError(
+                f"{place}, cell {cell.coordinate}: a formula without its stored value; open the file "
+                "in Excel or LibreOffice and save it"
+            )
+        return ""
+    if isinstance(value, bool):
+        return str(value).upper()
+    if isinstance(value, (int, float)):
+        if "%" in (cell.number_format or ""):
+            return f"{float(format(100 * value, '.15g'))!r}%"
+        return repr(value)
+    if isinstance(value, (datetime.datetime, datetime.date, datetime.time)):
+        # A title may be a date. As a value it is refused as no number, and this says why.
+        return f"{value} (Excel's date)"
+    return " ".join(str(value).split())
+
+
+@checked
+def write(
+    tables: Mapping[str, Sequence[Sequence[Any]]],
+    path: str | os.PathLike[str],
+    *,
+    notes: Mapping[str, str] | None = None,
+) -> None:
+    """Write one sheet per table: a header and rows of numbers, texts and None, whole or not at all.
+
+    A table has its header in row 1 and its values from A2 on, so that another workbook can refer to a
+    cell and finds it there after the next calibration, too. ``notes`` are remarks by the table's name,
+    on a sheet of their own.
+
+    Raises
+    ------
+    DataError
+        For two tables whose names Excel does not keep apart.
+    MissingDependencyError
+        Without openpyxl.
+    """
+    write_bytes(path, content(tables, notes=notes))
+
+
+def content(
+    tables: Mapping[str, Sequence[Sequence[Any]]], *, notes: Mapping[str, str] | None = None
+) -> bytes:
+    """Return the bytes of a workbook; see `write`."""
+    openpyxl = _library()
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    names: dict[str, str] = {}
+    every = dict(tables)
+    if notes:
+        every["notes"] = [("table", "note"), *notes.items()]
+    for title, rows in every.items():
+        name = title.translate(_NOT_IN_NAMES)[:MAX_NAME].strip() or "table"
+        if (other := names.setdefault(name.casefold(), title)) != title:
+            raise DataError(f'tables "{other}" and "{title}" have one name in Excel: "{name}"')
+        sheet = book.create_sheet(name)
+        for i, row in enumerate(rows, start=1):
+            for k, value in enumerate(row, start=1):
+                cell = sheet.cell(row=i, column=k)
+                cell.value = _plain(value)
+                if cell.data_type == "f":  # a name that begins with = is no formula
+                    cell.data_type = "s"
+                if i == 1:
+                    cell.font = openpyxl.styles.Font(bold=True)
+        sheet.freeze_panes = "A2"
+        for k, width in enumerate(_widths(rows), start=1):
+            sheet.column_dimensions[openpyxl.utils.get_column_letter(k)].width = width
+    stream = io.BytesIO()
+    book.save(stream)
+    return stream.getvalue()
+
+
+def _plain(value: Any) -> Any:
+    """Return a number or text as Excel has it; None for a number that is not finite."""
+    if isinstance(value, str):
+        return "".join(c if c.isprintable() else " " for c in value)
+    if value is None or isinstance(value, (bool, int)):
+        return value
+    number = float(value)
+    return number if abs(number) < float("inf") else None
+
+
+def _widths(rows: Iterable[Sequence[Any]]) -> list[int]:
+    """Return the width of each column in characters, for reading without dragging."""
+    widths: list[int] = []
+    for row in rows:
+        for k, value in enumerate(row):
+            length = len(value) if isinstance(value, str) else 8
+            if k == len(widths):
+                widths.append(8)
+            widths[k] = min(max(widths[k], length + 2), 60)
+    return widths
+
+
+def _library() -> Any:
+    try:
+        import openpyxl
+        import openpyxl.styles
+        import openpyxl.utils
+    except ImportError as error:
+        raise MissingDependencyError(
+            "workbooks (xlsx) need openpyxl: pip install 'rtcal[tables]'"
+        ) from error
+    return openpyxl

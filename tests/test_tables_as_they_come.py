@@ -1,0 +1,354 @@
+"""Tables as measuring systems and offices have them: workbooks, REW's and Dirac's text."""
+
+from __future__ import annotations
+
+import datetime
+import io
+import json
+import sys
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openpyxl
+import pytest
+
+import rtcal as rt
+from rtcal.command.main import main
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io import tables, workbook
+
+Cells = Sequence[Sequence[Any]]
+
+
+def book(sheets: Mapping[str, Cells], change: Callable[[Any], None] | None = None) -> bytes:
+    made = openpyxl.Workbook()
+    made.remove(made.active)
+    for name, rows in sheets.items():
+        sheet = made.create_sheet(name)
+        for row in rows:
+            sheet.append(list(row))
+    if change is not None:
+        change(made)
+    stream = io.BytesIO()
+    made.save(stream)
+    return stream.getvalue()
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    return int(end.value.code or 0)
+
+
+T = {("S1", "R1"): (1.5, 1.4), ("S1", "R2"): (1.6, 1.3)}
+"""T20 in s at 125 and 250 Hz, which each of the following tables holds."""
+
+ACROSS = [["Frequency (Hz)", "S1R1", "S1R2"], [125, 1.5, 1.6], [250, 1.4, 1.3]]
+SAME: dict[str, bytes] = {
+    "positions across, the sheet names the parameter": book({"T20": ACROSS}),
+    "with its unit": book(
+        {"T20 (ms)": [ACROSS[0], *([f, a * 1000, b * 1000] for f, a, b in ACROSS[1:])]}
+    ),
+    "a title names it": book({"Sheet1": [["T20 [s]"], ["Hall X"], *ACROSS]}),
+    "the corner names it": book({"Sheet1": [["T20 [s]", "S1R1", "S1R2"], *ACROSS[1:]]}),
+    "bands across, the corner names it": book(
+        {"Sheet1": [["T20", "125 Hz", "250 Hz"], ["S1R1", 1.5, 1.4], ["S1R2", 1.6, 1.3]]}
+    ),
+    "one sheet per position": book(
+        {
+            "S1R1": [["f", "T20"], [125, 1.5], [250, 1.4]],
+            "S1R2": [["f", "T20"], [125, 1.6], [250, 1.3]],
+        }
+    ),
+    "merged headers": book(
+        {
+            "x": [
+                ["", "S1R1", "", "S1R2", ""],
+                ["Frequency", "T20", "EDT", "T20", "EDT"],
+                [125, 1.5, 9, 1.6, 9],
+                [250, 1.4, 9, 1.3, 9],
+            ]
+        }
+    ),
+    "merged rows": book(
+        {
+            "T20": [
+                ["source", "receiver", "125", "250"],
+                ["S1", "R1", 1.5, 1.4],
+                [None, "R2", 1.6, 1.3],
+            ]
+        },
+        lambda b: b["T20"].merge_cells("A2:A3"),
+    ),
+    "means beside positions": book(
+        {
+            "T20": [
+                ["f", "S1R1", "S1R2", "Mean", "Std. dev."],
+                [125, 1.5, 1.6, 1.55, 0.05],
+                [250, 1.4, 1.3, 1.35, 0.05],
+            ]
+        }
+    ),
+    "text with decimal commas": book(
+        {"T20": [ACROSS[0], ["125", "1,5", "1,6"], ["250", "1,4", "1,3"]]}
+    ),
+    "other sheets": book({"Notes": [["measured by", "X"]], "T20": ACROSS, "Plan": [["a"]]}),
+    "a hidden sheet": book(
+        {"T20": ACROSS, "old": ACROSS}, lambda b: setattr(b["old"], "sheet_state", "hidden")
+    ),
+    "Dirac's text": (
+        "T20 [s]\t125\t250\n\t\t\nS1R1\t1,5\t1,4\nS1R2\t1,6\t1,3\n\nNumber of Measurements\t2\t2\n"
+        "Average\t1,55\t1,35\nStd. dev.\t0,07\t0,07\n"
+    ).encode("cp1252"),
+    "positions across in CSV": b"Frequency;S1R1;S1R2\n125;1,5;1,6\n250;1,4;1,3\n",
+    "REW, two measurements": "".join(
+        f"RT60 data saved by REW V5.40\nNote: x\nDated: Aug 23, 2026\nMeasurement: {name} "
+        "Aug 23\n\nFormat is freq (Hz), BW (octaves), EDT (s), r, T20 (s), r, Topt (s), r, reverse/"
+        f"forward filtered, D50 (%)\n\n125 1/1 9.0 -0.97 {a} -0.99 1.6 -0.99 Zero Phase 55.0\n"
+        f"250 1/1 9.0 -0.99 {b} -0.99 1.6 -0.99 Forward 55.0\n\nfull 1/1 1 -1 1 -1 1 -1 Forward 50\n"
+        for name, (a, b) in (("S1R1", T["S1", "R1"]), ("S1R2", T["S1", "R2"]))
+    ).encode(),
+}
+STATED = {"positions across in CSV": {"parameter": "t20"}}
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_the_same_values_in_every_shape(name: str) -> None:
+    m = tables.parse(SAME[name], **STATED.get(name, {})).measurement
+    assert m.pairs == tuple(T)
+    assert m.values["t20"] == pytest.approx(np.array([*T.values()]), rel=1e-15)
+    assert m.centre_frequencies.tolist() == [125, 250]
+
+
+def test_what_is_left_out_is_said() -> None:
+    said = {name: str(tables.parse(SAME[name])) for name in SAME if name not in STATED}
+    assert '"Mean": left out' in said["means beside positions"]
+    assert 'left out, without a header: "Notes", "Plan"' in said["other sheets"]
+    assert 'left out, hidden: "old"' in said["a hidden sheet"]
+    assert "means and deviations beside single positions are left out" in said["Dirac's text"]
+    assert "REW calls unreliable (r below 0.98): EDT at 125 Hz" in said["REW, two measurements"]
+    assert '"S1R2": T20 of S1 to R2' in said["a title names it"]
+
+
+def test_five_sweeps_at_one_place_are_one_position() -> None:
+    """They took u(T) from 0.088 to 0.050 s while each counted as a position."""
+    sweeps = [1.5, 1.52, 1.48, 1.51, 1.49]
+    names = ["S1R1", *(f"S1R1#{n}" for n in range(2, 6))]
+    once = tables.parse(book({"T20": [["f", "S1R1", "S1R2"], [500, 1.5, 1.6]]})).measurement
+    five = tables.parse(book({"T20": [["f", *names, "S1R2"], [500, *sweeps, 1.6]]}))
+    assert five.measurement.pairs == once.pairs
+    assert five.measurement.values["t20"] == pytest.approx(once.values["t20"], rel=1e-12)
+    assert "5 of S1 to R1" in str(five)
+    assert five.measurement.mean_uncertainty("t20") == pytest.approx(
+        once.mean_uncertainty("t20"), rel=1e-12
+    )
+
+
+def test_rew_writes_no_decay_as_zero_and_one_file_per_position(tmp_path: Path) -> None:
+    text = SAME["REW, two measurements"].decode()
+    cut = text.index("RT60 data", 5)
+    (tmp_path / "a.txt").write_text(text[:cut].replace(" 1.5 ", " 0.000 "))
+    (tmp_path / "b.txt").write_text(text[cut:])
+    m = tables.read([tmp_path / "a.txt", tmp_path / "b.txt"]).measurement
+    assert m.pairs == (("S1", "R1"), ("S1", "R2"))
+    assert np.isnan(m.values["t20"][0, 0])
+    assert m.values["t20"][1, 0] == 1.6
+    assert m.values["d50"][0, 0] == pytest.approx(0.55, rel=1e-12)
+
+
+@pytest.mark.parametrize("separator", ["\t", ";", ", "])
+def test_rew_with_every_separator(separator: str) -> None:
+    text = SAME["REW, two measurements"].decode().replace("Zero Phase", "Zero_Phase")
+    rows = [
+        separator.join(line.split()) if line[:3] in ("125", "250") else line
+        for line in text.replace("Zero_Phase", "Zero-Phase").splitlines()
+    ]
+    assert tables.parse("\n".join(rows).encode()).measurement.values["t20"][1].tolist() == [
+        1.6,
+        1.3,
+    ]
+
+
+def test_rew_with_octaves_and_thirds_must_be_told_which() -> None:
+    text = SAME["REW, two measurements"].decode()
+    thirds = text.replace("250 1/1", "250 1/3").encode()
+    with pytest.raises(DataError, match=r"line 6: bands of 1/1 and 1/3 octave; state where="):
+        tables.parse(thirds)
+    m = tables.parse(thirds, where={"BW (octaves)": "1/3"}).measurement
+    assert m.centre_frequencies.tolist() == [250]
+
+
+def formula(made: Any) -> None:
+    made["T20"]["B2"] = "=1+0.5"
+
+
+def dated(made: Any) -> None:
+    made["T20"]["B2"] = datetime.datetime(2026, 5, 1)
+
+
+def zipped(name: str) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr(name, "<a/>")
+    return stream.getvalue()
+
+
+BAD: list[tuple[bytes, str]] = [
+    (book({"T20": ACROSS}, formula), r'sheet "T20", cell B2: a formula without its stored value'),
+    (
+        book({"T20": ACROSS}, dated),
+        r'sheet "T20", line 2: "2026-05-01 .* \(Excel\'s date\)" is not',
+    ),
+    (
+        book({"Sheet1": ACROSS}),
+        r'line 2: the table does not say what "1.5" is; state it: parameter=',
+    ),
+    (book({"RT60": ACROSS}), r'sheet "RT60": "RT60" does not say which decay time it is'),
+    (book({"a": [["x"]]}), r'sheet "a", line 1: column "x" is no parameter'),
+    (
+        book({"T20": ACROSS, "T20 (s)": ACROSS}),
+        r'sheet "T20 \(s\)", line 2: T20 of S1, R1 .* twice',
+    ),
+    (book({"T20": [ACROSS[0], [125, "long", 1]]}), r'sheet "T20", line 2: "long" is not a finite'),
+    (book({"T20": []}), "no visible sheet has a cell"),
+    (b"\xd0\xcf\x11\xe0" + bytes(600), r"Excel's old format \(xls\); save it as xlsx"),
+    (b"\x89HDF\r\n\x1a\n" + bytes(600), "a SOFA .* file: `rtcal measure` reads"),
+    (b"PK\x03\x04broken", r"not a workbook \(xlsx\)"),
+    (zipped("content.xml"), r"a zip file, but no workbook \(xlsx\)"),
+    (zipped("xl/workbook.xml"), r"cannot be read as a workbook"),
+    (b"RT60 data saved by REW V5\nMeasurement: a\n", "line 1: REW's line \"Format is freq"),
+    (
+        b"RT60 data saved by REW V5\nFormat is freq (Hz), BW (octaves), T20 (s)\n",
+        "line 2: no row of",
+    ),
+    (
+        b"RT60 data saved by REW V5\nFormat is freq (Hz), BW (octaves), T20 (s)\n125 1/1\n",
+        "line 3: 2 cells; REW's format line names 3",
+    ),
+]
+
+
+@pytest.mark.parametrize(("content", "rule"), BAD)
+def test_bad_tables(content: bytes, rule: str) -> None:
+    with pytest.raises(DataError, match=rule):
+        tables.parse(content)
+
+
+def test_a_workbook_that_unpacks_to_too_much_is_not_unpacked(monkeypatch) -> None:
+    monkeypatch.setattr(workbook, "MAX_UNPACKED", 1000)
+    with pytest.raises(DataError, match="bytes when unpacked; at most 1000"):
+        tables.parse(book({"T20": ACROSS}))
+
+
+def test_sheets_are_chosen_by_name() -> None:
+    both = book({"before": ACROSS, "after": [ACROSS[0], [125, 1.1, 1.2]]})
+    m = tables.parse(both, parameter="t20", sheets=["after"]).measurement
+    assert m.values["t20"].tolist() == [[1.1], [1.2]]
+    with pytest.raises(DataError, match='sheets="then" is no sheet; they are "before", "after"'):
+        tables.parse(both, parameter="t20", sheets=["then"])
+    with pytest.raises(DataError, match='parameter="edt" is stated, and the table is called "T20"'):
+        tables.parse(SAME["positions across, the sheet names the parameter"], parameter="edt")
+
+
+def test_a_share_shown_in_percent_is_a_share() -> None:
+    def shown(made: Any) -> None:
+        made["D50"]["B2"].number_format = "0.0%"
+
+    content = book({"D50": [["f", "S1R1"], [500, 0.556]]}, shown)
+    assert tables.parse(content).measurement.values["d50"][0, 0] == pytest.approx(0.556, rel=1e-12)
+    with_unit = book({"D50 (%)": [["f", "S1R1"], [500, 55.6]]})
+    assert tables.parse(with_unit).measurement.values["d50"][0, 0] == pytest.approx(
+        0.556, rel=1e-12
+    )
+
+
+def test_a_measurement_written_as_a_workbook_is_the_same(tmp_path: Path) -> None:
+    m = rt.Measurement(
+        centre_frequencies=[125, 250],
+        pairs=[("S1", "R1"), ("S1", "R2")],
+        values={"t20": [[1.0 / 3, np.nan], [1.6, 1.3]], "c80": [[-1.0, 2.0], [0.0, np.nan]]},
+        uncertainty={"t20": [[0.1, np.nan], [0.2, 0.2]]},
+        common_uncertainty={"t20": [0.05, 0.06]},
+    )
+    tables.write(m, tmp_path / "m.xlsx")
+    again = tables.read(tmp_path / "m.xlsx").measurement
+    assert again.pairs == m.pairs
+    for name in ("values", "uncertainty", "common_uncertainty"):
+        there, back = getattr(m, name), getattr(again, name)
+        assert there.keys() == back.keys()
+        for parameter, values in there.items():  # openpyxl writes 16 digits
+            assert back[parameter] == pytest.approx(values, rel=1e-15, nan_ok=True)
+
+
+def room(folder: Path) -> Path:
+    path = folder / "room.toml"
+    rt.Room(
+        name="hall",
+        volume=200,
+        materials=["wall"],
+        areas=[220],
+        alpha=[[0.1, 0.1]],
+        sigma=[[0.03, 0.03]],
+        centre_frequencies=[125, 250],
+        air=rt.Air(),
+    ).save(path)
+    return path
+
+
+def test_a_workbook_straight_into_calibrate_and_its_tables_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "t.xlsx").write_bytes(SAME["means beside positions"])
+    where = str(room(tmp_path)), str(tmp_path / "t.xlsx")
+    assert run("calibrate", *where, "--out", str(tmp_path / "done"), "--json") == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["measured"]["reverberation_time"] == pytest.approx([1.55, 1.35])
+    assert "T20 of 2 pairs in 2 bands; `rtcal table" in printed.err
+    out = tmp_path / "tables.xlsx"
+    assert run("report", str(tmp_path / "done"), "--out", str(out), "-q") == 0
+    made = openpyxl.load_workbook(out)
+    assert made.sheetnames[:3] == ["summary", "bands", "materials"]
+    header = [cell.value for cell in made["bands"][1]]
+    at = header.index("reverberation_time_after")
+    assert [row[at] for row in made["bands"].iter_rows(min_row=2, values_only=True)] == (
+        pytest.approx([1.55, 1.35], rel=1e-6)
+    )
+    record = json.loads((tmp_path / "done" / "result.json").read_text())
+    alpha = record["materials"][0]["alpha_after"]
+    header = [cell.value for cell in made["materials"][1]]
+    at = header.index("alpha_after 125 Hz")
+    assert made["materials"].cell(2, at + 1).value == pytest.approx(alpha[0], rel=1e-15)
+    assert run("report", str(room(tmp_path)), "--out", str(out)) == 2
+    assert "room.toml: not JSON" in capsys.readouterr().err
+
+
+def test_what_a_workbook_leaves_open_is_told_with_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "t.xlsx").write_bytes(book({"RT60": ACROSS}))
+    assert run("calibrate", str(room(tmp_path)), str(tmp_path / "t.xlsx")) == 2
+    said = capsys.readouterr().err
+    assert "state --decay-time t20 or --decay-time t30. `rtcal table" in said
+    out = str(tmp_path / "t.csv")
+    assert run("table", str(tmp_path / "t.xlsx"), "--decay-time", "t30", "--out", out, "-q") == 0
+    assert rt.Measurement.from_file(out).values["t30"][0].tolist() == [1.5, 1.4]
+
+
+def test_without_openpyxl_the_extra_is_named(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'rtcal\[tables\]'"):
+        tables.parse(SAME["other sheets"])
+    with pytest.raises(MissingDependencyError, match=r"rtcal\[tables\]"):
+        workbook.content({"a": [["x"]]})
+
+
+def test_a_written_name_is_no_formula_and_names_are_kept_apart() -> None:
+    made = openpyxl.load_workbook(io.BytesIO(workbook.content({"a/b": [["name"], ["=1+1"]]})))
+    assert made.sheetnames == ["a b"]
+    assert made["a b"]["A2"].value == "=1+1"
+    assert made["a b"]["A2"].data_type == "s"
+    with pytest.raises(DataError, match='tables "a/b" and "A b" have one name in Excel'):
+        workbook.content({"a/b": [["x"]], "A b": [["x"]]})
