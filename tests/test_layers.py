@@ -42,6 +42,7 @@ ONE_DOOR = (
     "tqdm",
     "jinja2",
     "openpyxl",
+    "sofar",
 )
 
 
