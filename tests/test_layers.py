@@ -20,6 +20,7 @@ ORDER = (
     "acoustics",
     "exact",
     "posterior",
+    "prediction",
     "calibration",
     "simulators",
     "io",
