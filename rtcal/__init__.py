@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from rtcal import io as io
     from rtcal import loop as loop
     from rtcal import posterior as posterior
-    from rtcal import prediction as prediction
     from rtcal import report as report
     from rtcal import simulators as simulators
     from rtcal import studies as studies
     from rtcal.acoustics import priors as priors
     from rtcal.acoustics.air import Air as Air
+    from rtcal.acoustics.directivity import Directivity as Directivity
     from rtcal.acoustics.equations import ArauPuchades as ArauPuchades
     from rtcal.acoustics.equations import Eyring as Eyring
     from rtcal.acoustics.equations import Fitzroy as Fitzroy

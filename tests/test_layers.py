@@ -20,7 +20,6 @@ ORDER = (
     "acoustics",
     "exact",
     "posterior",
-    "prediction",
     "calibration",
     "simulators",
     "io",
@@ -43,7 +42,6 @@ ONE_DOOR = (
     "tqdm",
     "jinja2",
     "openpyxl",
-    "sofar",
 )
 
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics import priors as priors
     from rtcal.acoustics import quality as quality
     from rtcal.acoustics.air import Air as Air
+    from rtcal.acoustics.directivity import Directivity as Directivity
     from rtcal.acoustics.equations import ArauPuchades as ArauPuchades
     from rtcal.acoustics.equations import Eyring as Eyring
     from rtcal.acoustics.equations import Fitzroy as Fitzroy

@@ -6,8 +6,9 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, Literal
 
+from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.materials import number, text_name
 from rtcal.errors import DataError
 from rtcal.support import checks
@@ -17,7 +18,9 @@ from rtcal.support.decode import Entries
 Point = tuple[float, float, float]
 _GEOMETRY = ("mesh", "unit", "position_uncertainty", "surfaces")
 _POINTS = ("sources", "receivers")
-TABLES = ("geometry", *_POINTS)
+UNKNOWN: Literal["unknown"] = "unknown"
+"""A source's directivity that nobody knows: it may be a loudspeaker, aimed anywhere."""
+TABLES = ("geometry", *_POINTS, "directivity")
 """Names of its tables in a room's file."""
 POSITION = 0.1
 """Root mean square distance in m of sources and receivers from where they are stated. Each coordinate
@@ -42,6 +45,8 @@ class Scene:
         Length of the mesh's unit in m.
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, by the names of the measurement's pairs. Both are stated, or neither.
+    directivity : mapping of str to Directivity or "unknown"
+        By source. A source that is not stated is taken as omnidirectional.
     position_uncertainty : float
         Root mean square distance of the positions from those stated, in m.
     surfaces : mapping of str to sequence of str
@@ -63,6 +68,7 @@ class Scene:
     unit: float = 1.0
     sources: Mapping[str, Sequence[float]] = field(default_factory=dict)
     receivers: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    directivity: Mapping[str, Directivity | Literal["unknown"]] = field(default_factory=dict)
     position_uncertainty: float = POSITION
     surfaces: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
@@ -79,6 +85,7 @@ class Scene:
         for kind, other in (_POINTS, _POINTS[::-1]):
             if getattr(self, kind) and not getattr(self, other):
                 raise DataError(f"{other} is empty, and {kind} is not; state both or neither")
+        object.__setattr__(self, "directivity", directivities(self.directivity, self.sources))
         uncertainty = checked_uncertainty(self.position_uncertainty)
         object.__setattr__(self, "position_uncertainty", uncertainty)
         surfaces = {}
@@ -119,6 +126,10 @@ class Scene:
         tables = {
             "geometry": geometry,
             **{kind: {n: list(p) for n, p in getattr(self, kind).items()} for kind in _POINTS},
+            "directivity": {
+                name: of if isinstance(of, str) else of.to_dict()
+                for name, of in self.directivity.items()
+            },
         }
         return {name: table for name, table in tables.items() if table}
 
@@ -150,6 +161,13 @@ class Scene:
                     raise DataError(f"{tables.place}{kind} is empty; there is at least one")
                 points = tables.entries(kind, (), names)
                 stated[kind] = {name: points.array(name, (3,)).tolist() for name in names}
+        if "directivity" in tables:
+            stated["directivity"] = {
+                name: of
+                if isinstance(of, str)
+                else Directivity.from_dict(of, f"{tables.place}directivity.{name}")
+                for name, of in tables.mapping("directivity").items()
+            }
         return cls(**stated)
 
 
@@ -162,6 +180,22 @@ def checked_uncertainty(position_uncertainty: float) -> float:
             "nothing"
         )
     return uncertainty
+
+
+def directivities(
+    stated: Mapping[str, Any], sources: Mapping[str, Any]
+) -> dict[str, Directivity | Literal["unknown"]]:
+    """Return the sources' directivities; DataError for one of no source or of another kind."""
+    made: dict[str, Directivity | Literal["unknown"]] = {}
+    for name, of in checks.mapped("directivity", stated).items():
+        place = f'directivity["{text_name("directivity", name)}"]'
+        if name not in sources:
+            known = ", ".join(sources) or "none"
+            raise DataError(f"{place} is of a source that is not stated; the sources are: {known}")
+        if not isinstance(of, Directivity) and of != UNKNOWN:
+            raise DataError(f'{place} = {checks.shown(of)} is not a Directivity or "{UNKNOWN}"')
+        made[name] = of
+    return made
 
 
 def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point]:

@@ -64,5 +64,5 @@ def path_tracing(room: Room, **options: Any) -> PathTracing:
         room=room,
         sources=room.scene.sources,
         receivers=room.scene.receivers,
-        **options,
+        **{"directivity": room.scene.directivity, **options},
     )

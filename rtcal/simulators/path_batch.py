@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rtcal.support.types import Array
 
 ScatteringModel = Literal["random", "vector"]
 """How a wall with the scattering coefficient s reflects a path.
@@ -34,17 +36,26 @@ class Batch:
     starts: NDArray[np.int64]
     lengths: NDArray[np.float32]
     weights: NDArray[np.float32]
+    directions: Array  # (n_paths, 3), in which they left the source
     lost: int  # paths that left through a gap; they have no events
     free_paths: tuple[float, float, float]  # number, sum in m, sum of squares in m²
 
     def __post_init__(self) -> None:
-        for values in self.arrays:
+        for values in (*self.arrays, self.directions):
             values.setflags(write=False)
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """Events, starts, lengths and weights, as the kernels take them."""
         return self.events, self.starts, self.lengths, self.weights
+
+    def aimed(self, gain: Array, n_codes: int) -> Batch:
+        """Return the paths of a source with this gain of energy in each path's direction, (n_paths,).
+
+        Events of ``n_codes`` and above are receptions.
+        """
+        path = np.repeat(np.arange(len(gain)), np.diff(self.starts))[self.events >= n_codes]
+        return replace(self, weights=self.weights * gain[path].astype(np.float32))
 
     @property
     def nbytes(self) -> int:

@@ -100,7 +100,7 @@ def trace(
             np.ascontiguousarray(radii, dtype=float),
         )
         free = (float(counts[1]), float(counts[2]), float(counts[3]))
-        return Batch(events, starts, lengths, weights, int(counts[0]), free)
+        return Batch(events, starts, lengths, weights, directions, int(counts[0]), free)
 
     jobs = [(s, b) for s in range(len(sources)) for b in range(n_batches)]
     with thread_pool(workers) as pool:
@@ -122,6 +122,7 @@ def trace(
         n_paths=per_batch * n_batches,
         longest=float(longest),
         direct=direct,
+        direct_gain=np.ones(direct.shape),
         first=_first(batches, direct, 2 * len(materials), longest),
     )
 

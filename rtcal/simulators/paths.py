@@ -12,8 +12,8 @@ that hit material j n times has dE / d alpha_j = -n E / (1 - alpha_j), so they g
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
@@ -49,6 +49,8 @@ class Paths:
         Length in m to which every path is followed.
     direct : array (n_sources, n_receivers)
         Length of the direct sound in m, NaN where a wall hides the source.
+    direct_gain : array (n_sources, n_receivers)
+        Energy of the direct sound over an omnidirectional source's.
     first : array (n_sources, n_receivers)
         Length of the first sound in m: the direct sound, else the first path heard.
     """
@@ -61,12 +63,37 @@ class Paths:
     n_paths: int
     longest: float
     direct: Array
+    direct_gain: Array
     first: Array
 
     def __post_init__(self) -> None:
         # The paths do not depend on alpha, so every simulation reads the same arrays.
-        for values in (self.materials, self.scattering, self.direct, self.first):
+        for values in (
+            self.materials,
+            self.scattering,
+            self.direct,
+            self.direct_gain,
+            self.first,
+        ):
             values.setflags(write=False)
+
+    def aimed(self, gains: Mapping[int, Callable[[Array], Array]], to_receivers: Array) -> Paths:
+        """Return the same paths from sources that are not omnidirectional.
+
+        Parameters
+        ----------
+        gains : mapping of int to function
+            By a source's number: energies in directions (n, 3) over an omnidirectional source's, (n,).
+        to_receivers : array (n_sources, n_receivers, 3)
+            Direction of the direct sound.
+        """
+        batches, direct_gain = list(self.batches), self.direct_gain.copy()
+        for s, gain in gains.items():
+            batches[s] = tuple(
+                b.aimed(gain(b.directions), 2 * len(self.materials)) for b in self.batches[s]
+            )
+            direct_gain[s] = gain(to_receivers[s])
+        return replace(self, batches=tuple(batches), direct_gain=direct_gain)
 
     @property
     def nbytes(self) -> int:
@@ -348,7 +375,8 @@ class Paths:
     def _direct_sound(self, attenuation: Array) -> Array:
         """Return the direct sound's energy, (n_sources, n_receivers, n_bands); 0 where hidden."""
         length = self.direct[..., np.newaxis]
-        return np.nan_to_num(np.exp(-attenuation * length) / (4 * np.pi * length**2))
+        gain = self.direct_gain[..., np.newaxis]
+        return np.nan_to_num(gain * np.exp(-attenuation * length) / (4 * np.pi * length**2))
 
 
 def kernels() -> ModuleType:

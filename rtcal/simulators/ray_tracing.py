@@ -103,7 +103,7 @@ class RayTracing(Tracer):
         rng = np.random.default_rng(checks.whole("seed", seed, 0))
         groups = [
             group
-            for bands in self._bands_by_scattering()
+            for bands in self.bands_of_paths()
             for group in np.split(bands, range(_BANDS, len(bands), _BANDS))
         ]
         direct = rays.direct_lengths(self.geometry, *self._points())

@@ -127,10 +127,15 @@ class Tracer(RoomSimulator, ABC):
         radius = self.radius or RADIUS_SHARE * self.geometry.volume ** (1 / 3)
         return np.minimum(radius, self.geometry.wall_distance(self._points()[1]))
 
-    def _bands_by_scattering(self) -> list[NDArray[np.int64]]:
-        """Return the bands' numbers in groups that have the same scattering coefficients."""
-        columns, group = np.unique(self.scattering, axis=1, return_inverse=True)
-        return [np.asarray(np.flatnonzero(group.reshape(-1) == g)) for g in range(columns.shape[1])]
+    def bands_of_paths(self) -> list[NDArray[np.int64]]:
+        """Return the bands' numbers in groups whose paths carry the same energy but for absorption."""
+        return equal_columns(self.scattering)
+
+
+def equal_columns(rows: Array) -> list[NDArray[np.int64]]:
+    """Return the numbers of the columns in groups that are equal, (n_rows, n_columns)."""
+    columns, group = np.unique(rows, axis=1, return_inverse=True)
+    return [np.asarray(np.flatnonzero(group.reshape(-1) == g)) for g in range(columns.shape[1])]
 
 
 def check_seconds(seconds: float) -> float:

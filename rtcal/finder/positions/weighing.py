@@ -179,9 +179,7 @@ class Weighing:
 
     @property
     def _bands(self) -> list[NDArray[np.int64]]:
-        """The bands' numbers in groups that share their scattering coefficients, so their paths."""
-        columns, group = np.unique(self.tracer.scattering, axis=1, return_inverse=True)
-        return [np.asarray(np.flatnonzero(group.reshape(-1) == g)) for g in range(columns.shape[1])]
+        return self.tracer.bands_of_paths()
 
     def _by_face(self, band: int) -> paths.Paths:
         """Return the band's paths with each face as a material of its own."""
