@@ -22,7 +22,6 @@ EVENTS = (
     "write",
     "fsync",
     "replace",
-    "link",
     "unlink",
     "mkdir",
     "chmod",

@@ -184,10 +184,7 @@ def read_study(path: str) -> _Store:
     return _open(Path(path).parent, _IDENTITY)
 
 
-JOURNAL = (
-    b'[["a", ".rtcal-0/0.new", ".rtcal-0/0.old", true], ["b", ".rtcal-0/1.new", ".rtcal-0/1.old", '
-    b"false]]",
-)
+JOURNAL = (b'[[".rtcal-0/0.new", "a"], [".rtcal-0/1.new", "b"]]',)
 
 
 def read_journal(path: str) -> None:
@@ -197,7 +194,7 @@ def read_journal(path: str) -> None:
     left = folder / f"{transaction.PREFIX}0"
     left.mkdir(parents=True)
     Path(path).rename(left / "journal")
-    for name in ("a", "b", ".rtcal-0/0.old", ".rtcal-0/1.old"):
+    for name in ("a", "b", ".rtcal-0/0.new", ".rtcal-0/1.new"):
         (folder / name).write_text("kept")
     (left / "folders").write_text(f'["{left.name}"]')
     precious = folder.parent / "precious"

@@ -1,9 +1,10 @@
 """Several files written as one: all of them new, or all of them as they were.
 
-The new files and links to the old ones are staged in a hidden folder ``.rtcal-*`` beside the files.
-Then a journal is written and the new files are moved into place. Deleting the journal commits them.
-After an error the old files are restored from the journal; after a kill or a power cut, the next
-command does so. Writers lock their folders, so an unlocked ``.rtcal-*`` belongs to no running command.
+The new files are staged in a hidden folder ``.rtcal-*`` beside their targets. Then a journal is
+written, which commits them, and they are moved into place. After an error, a kill or a power cut, the
+next command that reads or writes in the folder goes on from there: with a journal it moves in what is
+left, and without one it deletes what was staged. Writers lock their folders, so an unlocked
+``.rtcal-*`` belongs to no running command.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import threading
 import time
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -37,15 +38,14 @@ _PAUSE = 0.02
 _FOLDERS, _JOURNAL = "folders", "journal"
 
 _thread_lock = threading.RLock()
-_locked: dict[Path, int] = {}  # folders that this process has locked, and how often
+_locked: set[Path] = set()  # folders that this process has locked
 
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
     """Hold Ctrl-C back until the files are in place and nothing is left beside them.
 
-    An exception may come between any two steps, also between those that undo and tidy up. Signals
-    reach the main thread only, so that other threads need no protection.
+    Signals reach the main thread only, so that other threads need no protection.
     """
     handler = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(handler):
@@ -68,114 +68,41 @@ def locked(*folders: Path) -> Iterator[None]:
     Raises DataError after `LONGEST_WAIT`, or if a folder cannot be opened.
     """
     with _thread_lock, ExitStack() as stack:
-        for folder in sorted({Path(os.path.realpath(folder)) for folder in folders}):
-            stack.enter_context(_folder_lock(folder))
+        for folder in sorted({Path(os.path.realpath(folder)) for folder in folders} - _locked):
+            busy = f"{folder}: another process is writing here"
+            stack.enter_context(_lock(folder, LONGEST_WAIT, busy))
+            stack.callback(_locked.discard, folder)
+            _locked.add(folder)
         yield
 
 
+def held(file: Path) -> AbstractContextManager[None]:
+    """Lock a file while a command works on it; DataError if another process has locked it."""
+    return _lock(file, 0, f"{file.parent} is in use: another process works on {file.name}")
+
+
 @contextmanager
-def _folder_lock(folder: Path) -> Iterator[None]:
-    handle = None
-    if fcntl is not None and not _locked.get(folder):
-        handle = _opened(folder)
+def _lock(path: Path, wait: float, busy: str) -> Iterator[None]:
     try:
-        if handle is not None:
-            _wait_for(handle, folder)
-        _locked[folder] = _locked.get(folder, 0) + 1
-        try:
-            yield
-        finally:
-            _locked[folder] -= 1
-    finally:
-        if handle is not None:
-            _let_go(handle)
-
-
-def _opened(path: Path) -> int:
-    try:
-        return os.open(path, os.O_RDONLY)
+        handle = os.open(path, os.O_RDONLY)
     except OSError as error:
         raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def _let_go(handle: int) -> None:
-    with suppress(OSError):  # nothing was written to it: there is nothing to lose
-        os.close(handle)
-
-
-def _wait_for(handle: int, folder: Path) -> None:
-    for _ in range(int(LONGEST_WAIT / _PAUSE)):
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
-        except BlockingIOError:
-            time.sleep(_PAUSE)
-        except OSError:
-            return  # a file system without locks
-    raise DataError(f"{folder}: another process is writing here")
-
-
-@contextmanager
-def held(file: Path) -> Iterator[None]:
-    """Lock a file while a command works on it; DataError if another process has locked it."""
-    handle = _opened(file)
     try:
-        try:
-            if fcntl is not None:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise DataError(
-                f"{file.parent} is in use: another process works on {file.name}"
-            ) from error
-        except OSError:
-            pass  # a file system without locks
+        for left in range(int(wait / _PAUSE), -1, -1):
+            try:
+                if fcntl is not None:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError as error:
+                if not left:
+                    raise DataError(busy) from error
+                time.sleep(_PAUSE)
+            except OSError:
+                break  # a file system without locks
         yield
     finally:
-        _let_go(handle)
-
-
-def recover(folders: Iterable[Path]) -> None:
-    """Undo an interrupted write in these folders, and delete its staged files.
-
-    Raises DataError if that fails.
-    """
-    for folder in {Path(os.path.realpath(folder)) for folder in folders}:
-        for left in _transactions(folder):
-            dirs = _directories(left)
-            with locked(*(d.parent for d in dirs if d.parent.is_dir())):
-                if not left.is_dir():
-                    continue  # its writer was alive, and has finished
-                try:
-                    _roll_back(dirs)
-                except (OSError, ValueError, TypeError) as error:
-                    reason = getattr(error, "strerror", None) or error
-                    raise DataError(
-                        f"{folder}: a write was interrupted, and what was there before cannot be put "
-                        f"back: {reason} ({left.name})"
-                    ) from error
-
-
-def _transactions(folder: Path) -> list[Path]:
-    try:
-        with os.scandir(folder) as entries:
-            return [
-                Path(e.path)
-                for e in entries
-                if e.name.startswith(PREFIX) and e.is_dir(follow_symlinks=False)
-            ]
-    except OSError:
-        return []
-
-
-def _directories(transaction: Path) -> list[Path]:
-    """Return a transaction's hidden folders, starting with that of the journal."""
-    try:
-        names = json.loads((transaction / _FOLDERS).read_bytes())
-        dirs = [Path(os.path.normpath(transaction.parent / name)) for name in names]
-    except (OSError, ValueError, TypeError):
-        return [transaction]  # killed before it was written: nothing was moved yet
-    alike = transaction in dirs and all(d.name == transaction.name and d.is_dir() for d in dirs)
-    return dirs if alike else [transaction]
+        with suppress(OSError):  # nothing was written to it: there is nothing to lose
+            os.close(handle)
 
 
 def target(path: Path) -> Path:
@@ -201,55 +128,98 @@ def write(targets: Mapping[Path, bytes]) -> None:
     """
     parents = list(dict.fromkeys(path.parent for path in targets))
     with locked(*parents), _undisturbed():
-        recover(parents)
+        for parent in parents:
+            _go_on(parent)
         name = f"{PREFIX}{uuid.uuid4().hex[:12]}"
-        dirs = [parent / name for parent in parents]
+        folders = [parent / name for parent in parents]
         try:
-            _move_in(targets, dict(zip(parents, dirs, strict=True)))
-        except BaseException as error:
-            try:
-                _roll_back(dirs)
-            except OSError as failed:
-                raise OSError(
-                    f"{getattr(error, 'strerror', None) or error}; the next command puts back what was "
-                    f"there, which failed now: {failed.strerror or failed}"
-                ) from error
+            _stage(targets, folders)
+            _finish(folders)
+        except BaseException:
+            if not (folders[0] / _JOURNAL).exists():  # else the next command goes on
+                with suppress(OSError):
+                    _remove(folders)
             raise
-        with suppress(OSError):  # the files are in place; the next command tidies up
-            for parent in parents:
-                _sync_folder(parent)
-            _remove(dirs)
 
 
-def _move_in(targets: Mapping[Path, bytes], dirs: Mapping[Path, Path]) -> None:
-    primary = next(iter(dirs.values()))
-    for directory in dirs.values():
-        os.mkdir(directory, 0o700)
-        names = [os.path.relpath(d, directory.parent) for d in dirs.values()]
-        _write_file(directory / _FOLDERS, json.dumps(names).encode())
+def recover(folders: Iterable[Path]) -> None:
+    """Go on with an interrupted write in these folders; DataError if that fails."""
+    for folder in {Path(os.path.realpath(folder)) for folder in folders}:
+        if _interrupted(folder):
+            with locked(folder):
+                _go_on(folder)
+
+
+def _go_on(folder: Path) -> None:
+    """Finish what was committed in a locked folder, and delete what was not."""
+    for left in _interrupted(folder):
+        try:
+            _finish(_folders(left))
+        except (OSError, ValueError, TypeError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise DataError(
+                f"{folder}: a write was interrupted, and cannot be finished: {reason} ({left.name})"
+            ) from error
+
+
+def _interrupted(folder: Path) -> list[Path]:
+    try:
+        with os.scandir(folder) as entries:
+            return [
+                Path(e.path)
+                for e in entries
+                if e.name.startswith(PREFIX) and e.is_dir(follow_symlinks=False)
+            ]
+    except OSError:
+        return []
+
+
+def _folders(left: Path) -> list[Path]:
+    """Return the hidden folders of an interrupted write, starting with that of the journal."""
+    try:
+        names = json.loads((left / _FOLDERS).read_bytes())
+        folders = [Path(os.path.normpath(left.parent / name)) for name in names]
+    except (OSError, ValueError, TypeError):
+        return [left]  # killed before it was written: nothing was committed yet
+    whole = left in folders and all(f.name == left.name and f.is_dir() for f in folders)
+    return folders if whole else [left]
+
+
+def _stage(targets: Mapping[Path, bytes], folders: list[Path]) -> None:
+    """Write the new files into hidden folders, and then the journal."""
     journal = []
-    for i, (target, content) in enumerate(targets.items()):
-        new, old = (dirs[target.parent] / f"{i}.{end}" for end in ("new", "old"))
-        _write_file(new, content, target)
-        if existed := target.exists():
-            _link(target, old)
-        paths = [os.path.relpath(p, primary.parent) for p in (target, new, old)]
-        journal.append([*paths, existed])
-    if len(targets) == 1:  # one rename is whole by itself
-        os.replace(new, target)
-        return
-    draft = primary / f"{_JOURNAL}.new"
+    for folder in folders:
+        os.mkdir(folder, 0o700)
+        names = [os.path.relpath(f, folder.parent) for f in folders]
+        _write_file(folder / _FOLDERS, json.dumps(names).encode())
+    for i, (place, content) in enumerate(targets.items()):
+        new = place.parent / folders[0].name / f"{i}.new"
+        _write_file(new, content, place)
+        journal.append([os.path.relpath(path, folders[0].parent) for path in (new, place)])
+    for folder in folders:
+        _sync_folder(folder)
+        _sync_folder(folder.parent)
+    draft = folders[0] / f"{_JOURNAL}.new"
     _write_file(draft, json.dumps(journal).encode())
-    for directory in dirs.values():
-        _sync_folder(directory)
-        _sync_folder(directory.parent)
-    os.replace(draft, primary / _JOURNAL)
-    _sync_folder(primary)
-    for i, target in enumerate(targets):
-        os.replace(dirs[target.parent] / f"{i}.new", target)
-    for parent in dirs:
-        _sync_folder(parent)
-    os.unlink(primary / _JOURNAL)
+    os.replace(draft, folders[0] / _JOURNAL)
+    _sync_folder(folders[0])
+
+
+def _finish(folders: list[Path]) -> None:
+    """Move the staged files into place if the journal exists, and remove the hidden folders."""
+    journal = folders[0] / _JOURNAL
+    if journal.exists():
+        for names in json.loads(journal.read_bytes()):
+            new, place = (Path(os.path.normpath(folders[0].parent / name)) for name in names)
+            if new.parent not in folders or place.parent != new.parent.parent:
+                raise ValueError("the journal names files elsewhere")  # rtcal did not write it
+            with suppress(FileNotFoundError):  # moved before the interruption
+                os.replace(new, place)
+        for folder in folders:
+            _sync_folder(folder.parent)
+        os.unlink(journal)
+    with suppress(OSError):  # the files are in place; the next command tidies up
+        _remove(folders)
 
 
 def _write_file(path: Path, content: bytes, like: Path | None = None) -> None:
@@ -267,13 +237,6 @@ def _write_file(path: Path, content: bytes, like: Path | None = None) -> None:
         os.close(handle)
 
 
-def _link(file: Path, link: Path) -> None:
-    try:
-        os.link(file, link)
-    except OSError:  # a file system without links
-        shutil.copy2(file, link)
-
-
 def _sync_folder(folder: Path) -> None:
     """Write a folder's entries through to the disk, if the system supports it."""
     if os.name != "posix":
@@ -285,26 +248,7 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def _roll_back(dirs: list[Path]) -> None:
-    """Restore the old files if the journal exists; remove the hidden folders."""
-    journal = dirs[0] / _JOURNAL
-    if journal.exists():
-        for *names, existed in json.loads(journal.read_bytes()):
-            target, new, old = (Path(os.path.normpath(dirs[0].parent / name)) for name in names)
-            if target.parent / dirs[0].name not in dirs or {new.parent, old.parent} - {*dirs}:
-                raise ValueError("the journal names files elsewhere")  # rtcal did not write it
-            if existed and old.exists():
-                os.replace(old, target)
-            elif not existed and not new.exists():
-                target.unlink(missing_ok=True)
-        for directory in dirs:
-            if directory.parent.is_dir():
-                _sync_folder(directory.parent)
-        os.unlink(journal)
-    _remove(dirs)
-
-
-def _remove(dirs: Iterable[Path]) -> None:
-    for directory in [*dirs][::-1]:  # that with the journal last: the others lead to it
-        if directory.is_dir():
-            shutil.rmtree(directory)
+def _remove(folders: Iterable[Path]) -> None:
+    for folder in [*folders][::-1]:  # that with the journal last: the others lead to it
+        if folder.is_dir():
+            shutil.rmtree(folder)
