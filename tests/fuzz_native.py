@@ -110,7 +110,7 @@ def loop_holds(loop: Loop) -> None:
         assert not (step.target <= 0).any()
     if loop.steps:
         assert len(loop.status) == loop.room.n_bands
-    assert Loop.from_dict(loop.to_dict()).to_dict() == loop.to_dict()
+    assert objects.decode(objects.encode(loop)).to_json() == loop.to_json()
 
 
 RESULT = (

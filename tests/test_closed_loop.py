@@ -205,12 +205,15 @@ def test_state_files_that_do_not_fit(cr2, tmp_path):
         with pytest.raises(DataError, match="another room"):
             closed_loop.Loop.load(str(path), room.replace(**other))
     good = json.loads(path.read_text())
-    for name, value in (("wanted", [1.0]), ("rule", "guess"), ("rtcal", 7), ("steps", [{}])):
+    for name, value in (("wanted", [1.0]), ("rule", "guess"), ("tolerance", 7), ("steps", [{}])):
         path.write_text(json.dumps(good | {name: value}))
-        with pytest.raises(DataError, match="no state of a loop"):
+        with pytest.raises(DataError, match="was changed"):
             closed_loop.Loop.load(str(path), room)
+    rt.calibrate(room, measured).save(path)
+    with pytest.raises(DataError, match="no state of a loop: it holds a CalibrationResult"):
+        closed_loop.Loop.load(str(path), room)
     path.write_text("{")
-    with pytest.raises(DataError, match="no state of a loop"):
+    with pytest.raises(DataError, match="not JSON"):
         closed_loop.Loop.load(str(path), room)
     with pytest.raises(DataError, match="No such file"):
         closed_loop.Loop.load(str(tmp_path / "none.json"), room)
@@ -421,64 +424,6 @@ def test_the_last_room_is_each_bands_best_step(cr2):
         loop = loop.record(alpha, rt.Measurement.from_values(room.centre_frequencies, t20=times))
     for k, b in enumerate(loop.best):
         assert np.array_equal(loop.next_alpha[:, k], loop.steps[b].alpha[:, k])
-
-
-MUTATIONS = [
-    ("wanted", [0], -1, "wanted[0] = -1 is not from"),
-    ("wanted", [0], "a", "wanted[0] = 'a' is not a number"),
-    ("wanted", [0], True, "wanted[0] = True is not a number"),
-    ("wanted", [], [1.5], "wanted has 1 values; it needs 6"),
-    ("wanted", [], "abc", "wanted = 'abc' is not a list of 6 numbers"),
-    ("decimals", [], 2.5, "decimals = 2.5 is not a whole number"),
-    ("tolerance", [], "1", "tolerance = '1' is not a number"),
-    ("tolerance", [], 0, "tolerance = 0 JND is not finite and above 0"),
-    ("steps", [], {}, "steps = {} is not a list"),
-    ("steps", [], [1], "steps[0] = 1 is not an object"),
-    ("steps", [0, "alpha", 0, 0], 2.0, "steps[0].alpha[0][0] = 2 is not from 0 to 1"),
-    ("steps", [0, "alpha", 0, 0], None, "steps[0].alpha[0][0] = None is not a number"),
-    ("steps", [0, "simulated", 0], 1e308, "steps[0].simulated[0] = 1e+308 is not from"),
-    ("steps", [0, "simulated", 0], -1, "steps[0].simulated[0] = -1 is not from"),
-    ("steps", [0, "noise", 0], -1, "steps[0].noise[0] = -1 is not from"),
-    ("steps", [0, "target", 0], None, "steps[0].target[0] = null, but the band has a measured T"),
-    ("steps", [0, "extra"], 1, 'steps[0] has the key "extra"'),
-    ("room", [], 5, "room = 5 is not a text"),
-    ("method", [], [], "method = [] is not a text"),
-    ("method", [], "guess", 'method "guess" is unknown'),
-    ("rule", [], {}, "rule = {} is not a text"),
-    ("equation", [], None, "equation = None is not a mapping"),
-    ("equation", ["name"], "Fitzroy", "equation.name = 'Fitzroy' is not one of"),
-    ("equation", ["speed_of_sound"], -5, "speed_of_sound = -5 m/s"),
-    ("extra", [], 1, 'the file has the key "extra"'),
-]
-
-
-@pytest.mark.parametrize(("key", "where", "value", "message"), MUTATIONS)
-def test_values_of_a_state_are_checked(cr2, tmp_path, key, where, value, message):
-    room, measured = cr2
-    loop = closed_loop.start(room, measured)
-    simulated = rt.Measurement.from_values(room.centre_frequencies, t20=1.4 * loop.wanted)
-    data = json.loads(loop.record(loop.next_alpha, simulated).to_json())
-    inner, path = data, [key, *where]
-    for step in path[:-1]:
-        inner = inner[step]
-    inner[path[-1]] = value
-    file = tmp_path / "loop.json"
-    file.write_text(json.dumps(data))
-    with pytest.raises(DataError) as caught:
-        closed_loop.Loop.load(str(file), room)
-    assert str(caught.value).startswith(f"{file} is no state of a loop: ")
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_state_with_nan_is_not_json(cr2, tmp_path):
-    room, measured = cr2
-    file = tmp_path / "loop.json"
-    for value in ("NaN", "Infinity"):
-        text = closed_loop.start(room, measured).to_json()
-        file.write_text(text.replace('"tolerance": 1.0', f'"tolerance": {value}'))
-        with pytest.raises(DataError, match=f"not JSON: {value} is no number"):
-            closed_loop.Loop.load(str(file), room)
 
 
 def test_a_loop_and_its_result_show_as_one_line_and_as_a_table(cr2):

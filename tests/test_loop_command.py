@@ -179,11 +179,11 @@ def test_what_is_no_state_is_said_plainly(cr2, tmp_path):
     state = tmp_path / "loop.json"
     good = state.read_text()
     for content, message in (
-        (good[:150], "is no state of a loop"),
+        (good[:150], "not JSON"),
         ("[1]", "not a JSON object"),
-        ("{}", 'its "rtcal" is not "loop 2"'),
-        (good.replace('"rule": "safeguarded"', '"rule": "huh"'), "is not one of secant"),
-        (good.replace('"wanted"', '"wnated"'), "lacks wanted"),
+        ("{}", "no saved result"),
+        (good.replace('"rule": "safeguarded"', '"rule": "huh"'), "was changed"),
+        (good.replace('"wanted"', '"wnated"'), "was changed"),
     ):
         state.write_text(content)
         done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files])
@@ -325,7 +325,6 @@ def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
     assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
     state, second = (tmp_path / "loop.json").read_bytes(), (tmp_path / "next.toml").read_bytes()
     line = next(x for x in second.decode().splitlines() if x.startswith("# Coefficients "))
-    assert line.split()[2].rstrip(".") in state.decode()
     # The room of the first step is there again, and was simulated with other random numbers.
     (tmp_path / "next.toml").write_bytes(first)
     table = simulate(tmp_path, 1.41)
@@ -341,15 +340,6 @@ def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
     assert "it is of the coefficients" in str(done.exception)
     (tmp_path / "s.csv").write_text(f"{line}\n{content}")
     assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
-
-
-def test_a_state_that_asked_for_other_coefficients_is_refused(cr2, tmp_path):
-    room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
-    state = json.loads((tmp_path / "loop.json").read_text())
-    (tmp_path / "loop.json").write_text(json.dumps(state | {"coefficients": "0" * 12}))
-    done = runner.invoke(cli, [*command, simulate(tmp_path), *files])
-    assert "it asked for other coefficients" in str(done.exception)
 
 
 def test_two_commands_at_once_do_not_lose_a_step(cr2, tmp_path, monkeypatch):

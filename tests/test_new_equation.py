@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import textwrap
+import types
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, linear_equation, register
 from rtcal.acoustics.equations import base as registry
+from rtcal.errors import DataError
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.means.states import state
 from rtcal.finder.model import STEEPEST, sensitivities
@@ -43,10 +45,12 @@ class Quadratic(LinearEquation):
 
 @pytest.fixture
 def quadratic() -> Iterator[type[Any]]:
-    names: dict[str, Any] = {"LinearEquation": LinearEquation, "ClassVar": ClassVar, "np": np}
-    exec(ONE_FILE, names)
-    yield register(names["Quadratic"])
-    del EQUATIONS["quadratic"]
+    module = types.ModuleType("quadratic_equation")
+    vars(module).update(LinearEquation=LinearEquation, ClassVar=ClassVar, np=np)
+    exec(ONE_FILE, vars(module))
+    sys.modules[module.__name__] = module
+    yield register(module.Quadratic)
+    del EQUATIONS["quadratic"], sys.modules[module.__name__]
 
 
 def test_each_equation_is_registered_by_its_own_file() -> None:
@@ -78,11 +82,16 @@ def test_a_new_equation_is_a_case_s_model(quadratic: type[Any]) -> None:
     assert room.calibration.equation == "Quadratic"
 
 
-def test_a_new_equation_is_kept_in_a_saved_loop(quadratic: type[Any], cr2, tmp_path: Path) -> None:
+def test_a_new_equation_is_kept_in_a_saved_loop(
+    quadratic: type[Any], cr2, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     room, measured = cr2
     loop = start(room, measured, equation=quadratic())
     loop.save(str(tmp_path / "loop.json"))
     assert Loop.load(str(tmp_path / "loop.json")).equation == quadratic()
+    monkeypatch.delitem(sys.modules, "quadratic_equation")
+    with pytest.raises(DataError, match="module of your own that is to be imported first"):
+        Loop.load(str(tmp_path / "loop.json"))
 
 
 def test_a_new_equation_is_a_command_s_choice(tmp_path: Path) -> None:

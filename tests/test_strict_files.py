@@ -13,7 +13,6 @@ import pytest
 import rtcal as rt
 from rtcal.errors import DataError
 from rtcal.finder import Case
-from rtcal.loop import Loop, start
 from rtcal.report import gap_report
 from rtcal.support.decode import json_object
 from tests.test_discrepancy import opened
@@ -34,14 +33,8 @@ def case_text() -> str:
     return opened().to_json()
 
 
-def loop_text() -> str:
-    room, measured = rt.datasets.bras_cr2()
-    return start(room, measured).to_json()
-
-
 READERS: dict[str, tuple[Callable[[], str], Callable[[str], Any], str]] = {
     "case": (case_text, Case.from_file, '"equation": "eyring"'),
-    "loop": (loop_text, Loop.load, '"method": "mle"'),
 }
 
 

@@ -1,19 +1,21 @@
 """The closed loop with a program that a user runs by hand, from one command to the next.
 
-Each step leaves two files: the state of the loop, and the room to simulate. Both state the digest of
-the coefficients to simulate, so that a table simulated with other coefficients is refused.
+Each step leaves two files: the state of the loop, and the room to simulate. The room states the digest
+of its coefficients, so that a table simulated with other coefficients is refused.
 """
 
 from __future__ import annotations
 
+import hashlib
 import re
 from pathlib import Path
+
+import numpy as np
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import MAX_BYTES
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.loop import files
 from rtcal.loop.state import Loop
 from rtcal.support.files import read_text, write_all
 from rtcal.support.types import Array
@@ -78,14 +80,14 @@ def write(loop: Loop, state: str, out: str) -> None:
     A state without its room would accept a table that belongs to the room of the step before.
     """
     room = loop.room.replace(alpha=loop.next_alpha, calibration=None)
-    digest = files.coefficients_digest(room.alpha)
+    digest = _digest(room.alpha)
     n, of = len(loop.steps), f"of the loop in {Path(state).name!r}"
     note = f"# To simulate: run {n + 1} {of}.\n"
     if n and loop.finished:
         note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
     note += f"# Coefficients {digest}.\n"
-    content = files.text({**loop.to_dict(), "coefficients": digest})
-    write_all({out: (note + room.to_text(Path(out).parent)).encode(), state: content.encode()})
+    content = note + room.to_text(Path(out).parent)
+    write_all({out: content.encode(), state: loop.to_json().encode()})
 
 
 def conclusion(loop: Loop, out: str) -> str:
@@ -101,15 +103,10 @@ def conclusion(loop: Loop, out: str) -> str:
 def _refuse_other_coefficients(alpha: Array, table: str, state: str, out: str) -> None:
     """Raise DataError if the table belongs to other coefficients, as far as the files show.
 
-    Three files may show it: the state holds the digest of what it asked for, the room at ``out`` holds
-    the coefficients themselves, and a table may repeat the room's line "# Coefficients ...".
+    Two files may show it: the room at ``out`` holds the coefficients themselves, and a table may repeat
+    the room's line "# Coefficients ...".
     """
-    asked = files.coefficients_digest(alpha)
-    if files.read(state).get("coefficients", asked) != asked:
-        raise DataError(
-            f"{state}: it asked for other coefficients than this version of rtcal does: take the last "
-            "table back (rtcal loop back) and in again, or begin anew"
-        )
+    asked = _digest(alpha)
     stated = _COEFFICIENTS.search(read_text(table, MAX_BYTES))
     if stated is not None and stated[1] != asked:
         raise DataError(f"{table}: it is of the coefficients {stated[1]}; {state} asks for {asked}")
@@ -117,8 +114,14 @@ def _refuse_other_coefficients(alpha: Array, table: str, state: str, out: str) -
         last_written = Room.from_file(out)
     except DataError:
         return  # another name than last time, or no room: it shows nothing
-    if files.coefficients_digest(last_written.alpha) != asked:
+    if _digest(last_written.alpha) != asked:
         raise DataError(
             f"{out}: it has other coefficients than {state} asks for, so {table} may be of those: "
             f"rtcal loop back writes what to simulate; or delete {out} if it was not simulated"
         )
+
+
+def _digest(alpha: Array) -> str:
+    """Return a short identifier of coefficients, (n_materials, n_bands), to nine decimals."""
+    rounded = np.round(alpha, 9) + 0.0  # no -0
+    return hashlib.sha256(repr(rounded.shape).encode() + rounded.tobytes()).hexdigest()[:12]

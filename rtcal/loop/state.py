@@ -7,10 +7,11 @@ changes the target of each band by a rule of `rtcal.loop.rules`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,7 @@ from rtcal.calibration.measured import data_history, refuse_repeated_data, times
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
-from rtcal.errors import DataError, ModelError
-from rtcal.loop import files
+from rtcal.errors import DataError
 from rtcal.loop.beside import Gaps, left, means
 from rtcal.loop.matched import Matched, ParameterGap, Weights, matched
 from rtcal.loop.rules import RULES, Rule
@@ -43,19 +43,21 @@ from rtcal.loop.targets import next_targets, target_limits, target_without_t20
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.files import write_text
 from rtcal.support.objects import NOT_SAVED
+from rtcal.support.results import Result, load
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
+
+MAX_DECIMALS = 12
 
 
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Loop:
+class Loop(Result):
     """A closed loop between two simulations.
 
     A loop does not change: `record` returns the loop after a simulation. `start` returns a new
-    loop. `save` and `load` keep it between two runs of a program.
+    loop. `save`, given a file's name, and `load` keep it between two runs of a program.
 
     Attributes
     ----------
@@ -90,6 +92,8 @@ class Loop:
     >>> loop.record(loop.next_alpha, simulated)
     <Loop "BRAS CR2, seminar room": 1 simulation, 0 of 6 bands converged>
     """
+
+    record_kind: ClassVar[str] = "loop"
 
     room: Room
     matched: Matched
@@ -349,60 +353,52 @@ class Loop:
         return target_limits(self.room, self.equation)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the loop as plain values, which `from_dict` reads."""
-        return {
+        """Return the loop as plain values."""
+        stated = {f.name: getattr(self, f.name) for f in fields(self) if f.metadata != NOT_SAVED}
+        return stated | {
             "room": self.room.to_text(),
-            "measured": self.measured,
-            **files.matched_record(self.matched),
-            "rule": self.rule,
-            "method": self.method,
+            "matched": vars(self.matched),
+            "wanted": self.wanted,
             "equation": {"name": self.equation.name, **asdict(self.equation)},
-            "decimals": self.decimals,
-            "tolerance": self.tolerance,
             "bent": [vars(band) for band in self.bent],
-            "beside": files.means_record(self.beside),
-            "steps": [files.step_record(step) for step in self.steps],
+            "steps": [vars(step) for step in self.steps],
         }
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], equation: LinearEquation | None = None) -> Loop:
-        """Return the loop of plain values, as `to_dict` gives them.
+    def load(cls, path: str | os.PathLike[str], room: Room | None = None) -> Loop:
+        """Read a loop from the file that `save` wrote.
 
-        An equation that is not Sabine's, Eyring's or Kuttruff's has to be passed as ``equation``.
-        Raises DataError or ModelError for an entry that breaks a rule.
+        Raises DataError if the file holds no loop, or if the loop belongs to another room.
         """
-        attributes, steps = files.attributes(data, equation)
-        return cls(**attributes, steps=tuple(Step(**step) for step in steps))
-
-    def to_json(self) -> str:
-        """Return the loop and its room as JSON text, which `load` reads."""
-        return files.text(self.to_dict())
-
-    @checked
-    def save(self, path: str) -> None:
-        """Write the loop and its room to a JSON file; a failure leaves no part of it."""
-        write_text(path, self.to_json())
-
-    @classmethod
-    def load(
-        cls, path: str, room: Room | None = None, equation: LinearEquation | None = None
-    ) -> Loop:
-        """Read a loop from its file; ``equation`` as in `from_dict`.
-
-        Raises DataError if the file is no loop, or if the loop belongs to another room.
-        """
-        data = files.read(path)
-        try:
-            loop = cls.from_dict(data, equation)
-        except (DataError, ModelError) as error:
-            raise DataError(f"{path} is no state of a loop: {error}") from error
+        loop = load(path)
+        if not isinstance(loop, Loop):
+            raise DataError(f"{path} is no state of a loop: it holds a {type(loop).__name__}")
         if room is None:
             return loop
-        if files.fingerprint(room) != files.fingerprint(loop.room):
+        if _fingerprint(room) != _fingerprint(loop.room):
             raise DataError(
                 f'{path} is the state of another room, or room "{room.name}" was changed since'
             )
         return replace(loop, room=room)
+
+
+def _fingerprint(room: Room) -> list[bytes]:
+    """Return a room's materials, areas, bands, air and prior as one comparable value."""
+    numbers = (
+        [room.volume, room.speed_of_sound],
+        room.areas,
+        room.centre_frequencies,
+        room.air_attenuation,
+        room.alpha,
+        room.sigma,
+    )
+    return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]
+
+
+def _check_decimals(decimals: object) -> None:
+    """Refuse a number of decimals that is not from 1 to 12; None is all of them."""
+    if decimals is not None and checks.whole("decimals", decimals, 1) > MAX_DECIMALS:
+        raise DataError(f"decimals = {decimals} is more than {MAX_DECIMALS}")
 
 
 @checked
@@ -426,7 +422,7 @@ def start(
         raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
     checks.instance("room", room, Room)
     preset(method)
-    files.checked_decimals(decimals)
+    _check_decimals(decimals)
     checks.positive("tolerance", tolerance, "JND")
     data = times_in_room(room, measured)
     refuse_repeated_data(room, data.fingerprint)

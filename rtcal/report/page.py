@@ -17,7 +17,6 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
 from rtcal.finder.wording import NATS
 from rtcal.loop import beside
-from rtcal.loop import files as loop_files
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
@@ -232,10 +231,8 @@ def page_of(
         For a folder that has no result, or a file that is none.
     """
     place = Path(path)
-    if loop_files.is_state(place):
-        return loop_page(Loop.load(os.fspath(place)), heading=heading, progress=progress)
     result = load(place)
-    if isinstance(result, LoopResult):
+    if isinstance(result, Loop | LoopResult):
         return loop_page(result, heading=heading, progress=progress)
     if isinstance(result, PositionsResult):
         return positions_page.page(result, heading or Heading(), progress or (lambda: None))

@@ -2,7 +2,8 @@
 
 A result is a graph of frozen dataclasses. `encode` writes each of them once, after those that it holds.
 `decode` makes them again by their own constructors, which check what they are given. No code is stored:
-a file names classes of rtcal and their fields, and nothing else is ever called.
+a file names classes and their fields, and nothing else is ever called. The classes are rtcal's, or
+derive from rtcal's in a module that the program has imported, such as an equation of the user's own.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ import binascii
 import dataclasses
 import functools
 import math
+import sys
 import types
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -111,7 +114,7 @@ class _Writer:
         name = f"{kind.__module__}.{kind.__qualname__}"
         if not _storable(kind):
             raise CannotBeSavedError(
-                f"{checks.shown(value)} cannot be saved: {name} is no dataclass of rtcal"
+                f"{checks.shown(value)} cannot be saved: {name} is no dataclass of rtcal's kinds"
             )
         stated = {n: self.plain(getattr(value, n)) for n in _fields(kind)}
         return {"class": name, "fields": stated}
@@ -175,11 +178,11 @@ class _Reader:
 
 
 def _storable(kind: type) -> bool:
-    """Return whether a class is a dataclass that stands in a module of rtcal under its own name."""
+    """Return whether a class is a dataclass of rtcal, or derived from one, under its module's name."""
     return (
         dataclasses.is_dataclass(kind)
-        and kind.__module__.startswith(_PACKAGE)
-        and "<" not in kind.__qualname__
+        and any(base.__module__.startswith(_PACKAGE) for base in kind.__mro__)
+        and vars(sys.modules.get(kind.__module__, object)).get(kind.__qualname__) is kind
     )
 
 
@@ -191,16 +194,14 @@ def _fields(kind: Any) -> list[str]:
 def _class(place: str, name: Any) -> type:
     """Return the class of a name; DataError unless rtcal stores objects of it."""
     module, _, own = str(name).rpartition(".")
-    kind = None
     if module.startswith(_PACKAGE) and module.replace(".", "").replace("_", "").isalnum():
-        try:
-            kind = vars(import_module(module)).get(own)
-        except ImportError:
-            kind = None
+        with suppress(ImportError):
+            import_module(module)
+    kind = vars(sys.modules.get(module, object)).get(own)
     if not isinstance(kind, type) or not _storable(kind) or kind.__module__ != module:
         raise DataError(
             f"{place}: {checks.shown(name)} is no class that rtcal saves; another version wrote it, or "
-            "no rtcal"
+            "it stands in a module of your own that is to be imported first"
         )
     return kind
 

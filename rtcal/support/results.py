@@ -42,17 +42,24 @@ class Result(ABC):
         alone, and the reason.
         """
         try:
-            return self._text(_sealed(self))
+            return self._sealed()
         except objects.CannotBeSavedError as error:
-            return self._text({"not_saved": str(error)})
+            return _text(self._numbers(), {"not_saved": str(error)})
 
-    def _text(self, inside: Mapping[str, Any]) -> str:
-        numbers = json_text({"rtcal": self.record_kind, **self.to_dict()}).removesuffix("\n}")
-        return f'{numbers},\n "{_OBJECT}": {json.dumps(inside, allow_nan=False)}\n}}\n'
+    def _numbers(self) -> str:
+        return json_text({"rtcal": self.record_kind, **self.to_dict()})
+
+    def _sealed(self) -> str:
+        """Return the text of the file with the object, its version and the checksum of all."""
+        encoded, numbers = objects.encode(self), self._numbers()
+        digest = _digest(json.loads(numbers), encoded)
+        return _text(numbers, {"version": __version__, "sha256": digest, **encoded})
 
     @checked
-    def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write ``result.json`` into a folder, which `rtcal.load` reads, and return its path.
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a file that `rtcal.load` reads, and return its path.
+
+        ``path`` is a folder, which gets a ``result.json``, or a file's name that ends in ``.json``.
 
         The file holds `to_json`: numbers for other programs, and the object itself with its room and
         its data. It is written whole or not at all.
@@ -63,11 +70,13 @@ class Result(ABC):
             If the folder cannot be made, the file cannot be written, or the result holds an object of
             the user's own class, which no file can hold.
         """
-        path = Path(folder) / NUMBERS
-        content = self._text(_sealed(self)).encode()
-        make_folder(folder)
-        write_all({path: content})
-        return path
+        place = Path(path)
+        if place.suffix != ".json" or place.is_dir():
+            place /= NUMBERS
+        content = self._sealed().encode()
+        make_folder(place.parent)
+        write_all({place: content})
+        return place
 
 
 @checked
@@ -129,8 +138,11 @@ def loaded(record: Mapping[str, Any]) -> Any:
         ("version", "sha256", "objects", "arrays", "value"),
     )
     content = {key: inside.values[key] for key in ("objects", "arrays", "value")}
-    if inside.text("sha256") != _digest(content):
-        raise DataError(f'its "{_OBJECT}" was changed: change the inputs, and calibrate again')
+    numbers = {key: value for key, value in record.items() if key != _OBJECT}
+    if inside.text("sha256") != _digest(numbers, content):
+        raise DataError(
+            "it was changed after it was written: change the inputs, and calculate again"
+        )
     try:
         result = objects.decode(content)
     except DataError as error:
@@ -144,13 +156,13 @@ def loaded(record: Mapping[str, Any]) -> Any:
     return result
 
 
-def _sealed(result: Result) -> dict[str, Any]:
-    """Return the object for its file, with version and checksum."""
-    encoded = objects.encode(result)
-    return {"version": __version__, "sha256": _digest(encoded), **encoded}
+def _text(numbers: str, inside: Mapping[str, Any]) -> str:
+    """Return a file's text: the numbers as JSON, with the object as their last entry."""
+    plain = numbers.removesuffix("\n}")
+    return f'{plain},\n "{_OBJECT}": {json.dumps(inside, allow_nan=False)}\n}}\n'
 
 
-def _digest(encoded: Mapping[str, Any]) -> str:
-    """Return the checksum of an encoded object."""
-    content = json.dumps(encoded, sort_keys=True, allow_nan=False)
+def _digest(numbers: Mapping[str, Any], encoded: Mapping[str, Any]) -> str:
+    """Return the checksum of a file's numbers and encoded object."""
+    content = json.dumps([numbers, encoded], sort_keys=True, allow_nan=False)
     return hashlib.sha256(content.encode()).hexdigest()

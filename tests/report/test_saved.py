@@ -39,7 +39,3 @@ def test_a_loops_file_holds_its_room_and_equation(loop, tmp_path) -> None:
     other = rt.loop.start(*rt.datasets.bras_cr2(), equation=rt.Kuttruff(path_variance=0.3))
     other.save(path)
     assert Loop.load(path).equation == rt.Kuttruff(path_variance=0.3)
-    path = tmp_path / "loop.json"
-    path.write_text(path.read_text().replace('"name": "Kuttruff"', '"name": "Nobody"'))
-    with pytest.raises(DataError, match="Nobody"):
-        Loop.load(str(path))
