@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rtcal import io as io
     from rtcal import loop as loop
     from rtcal import posterior as posterior
+    from rtcal import prediction as prediction
     from rtcal import report as report
     from rtcal import simulators as simulators
     from rtcal import studies as studies

@@ -20,6 +20,7 @@ ORDER = (
     "acoustics",
     "exact",
     "posterior",
+    "prediction",
     "calibration",
     "simulators",
     "io",
@@ -42,6 +43,7 @@ ONE_DOOR = (
     "tqdm",
     "jinja2",
     "openpyxl",
+    "sofar",
 )
 
 

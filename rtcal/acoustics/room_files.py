@@ -181,17 +181,17 @@ def parse(text: str) -> dict[str, Any]:
     covered = {surface.material for surface in surfaces}
     materials: list[Material] = []
     for place, entry in _tables(file, "material"):
-        material = _material(place, entry, frequencies, prior)
-        if material.name in {m.name for m in materials}:
-            raise DataError(f'material "{material.name}" is given twice')
-        materials.append(material)
-        if "area" in entry and material.name in covered:
-            raise DataError(f'area["{material.name}"] is given, and its surfaces too; give one')
+        stated = material(place, entry, frequencies, prior)
+        if stated.name in {m.name for m in materials}:
+            raise DataError(f'material "{stated.name}" is given twice')
+        materials.append(stated)
+        if "area" in entry and stated.name in covered:
+            raise DataError(f'area["{stated.name}"] is given, and its surfaces too; give one')
         if "area" in entry:
-            area = Entries(f'material "{material.name}": ', entry, (), entry).number("area")
-            surfaces.append(Surface(name=material.name, material=material.name, area=area))
-        elif material.name not in covered:
-            raise DataError(f'area["{material.name}"] is missing, and no [[surface]] has it')
+            area = Entries(f'material "{stated.name}": ', entry, (), entry).number("area")
+            surfaces.append(Surface(name=stated.name, material=stated.name, area=area))
+        elif stated.name not in covered:
+            raise DataError(f'area["{stated.name}"] is missing, and no [[surface]] has it')
     if not materials:
         raise DataError("no [[material]]; a room has at least one")
     rows = stacked(surfaces, materials, frequencies)
@@ -247,9 +247,10 @@ def _dimensions(room: Entries) -> Array:
     return room.array("dimensions", (3,))
 
 
-def _material(
+def material(
     place: str, data: Mapping[str, Any], frequencies: Array, prior: Entries | None
 ) -> Material:
+    """Return the material of a ``[[material]]``; ``prior`` derives a sigma that is not stated."""
     name = Entries(f"{place}: ", data, ("name",), ("alpha", *_MATERIAL)).text("name")
     entry = Entries(f'material "{name}": ', data, ("name", "alpha"), _MATERIAL)
     shape = (len(frequencies),)

@@ -16,10 +16,12 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.problem_data import ProblemData
-from rtcal.calibration.terms import MatchConstraint, SoftMatch
+from rtcal.calibration.terms import LinearObservations, MatchConstraint, SoftMatch
 from rtcal.calibration.uncertainty import density, estimate_sigma, innovation, optimality
+from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.sensitivities import Optimality
+from rtcal.prediction.estimate import State
 from rtcal.support.types import Array
 
 
@@ -87,6 +89,24 @@ class JointSolution:
         data = self.solution.model.data
         sizes = data.further(self.solution.unknowns)
         return dict(zip(data.layout.further, sizes.tolist(), strict=True))
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """The measured configurations, for `rtcal.prediction`.
+
+        Raises ModelError if the calibration has further unknowns or observations, which a prediction
+        does not know of.
+        """
+        terms = self.solution.model.objective.terms
+        if self.effects or any(isinstance(t, LinearObservations) for t in terms):
+            raise ModelError(
+                "a prediction knows of T alone: calibrate without effects and other observations, such "
+                "as the corrected room of `rtcal gap apply`"
+            )
+        return tuple(
+            State(room, times.reverberation_time, times.uncertainty)
+            for room, times in zip(self.configurations.rooms, self.measured_times, strict=True)
+        )
 
     def density(self) -> IndependentBands | CoupledBands:
         """Return the density of the unknowns, for `rtcal.posterior.posterior`.

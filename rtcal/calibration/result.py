@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -31,6 +32,9 @@ from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.distributions import exact_interval
 from rtcal.posterior.sensitivities import Optimality
+from rtcal.prediction.assumptions import Assumptions
+from rtcal.prediction.changes import Change
+from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.text import shortened
@@ -274,6 +278,29 @@ class CalibrationResult(Result):
     def optimality(self) -> Optimality:
         """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
         return self.joint.optimality()
+
+    def predict(
+        self,
+        changes: Change | Sequence[Change] | Room,
+        *,
+        name: str = "",
+        assumptions: Assumptions | None = None,
+    ) -> Prediction:
+        """Predict T after a change of this room, from all measured configurations.
+
+        It weighs the stated coefficients with their sigma, the measured T, volume and areas, and the
+        error of the equation: see `rtcal.prediction.predict`. Which method calibrated does not matter.
+
+        Raises ModelError as `JointSolution.states`, and as `rtcal.prediction.predict`.
+        """
+        return predict(
+            self.joint.states,
+            changes,
+            before=self.prior,
+            equation=self.equation,
+            assumptions=assumptions,
+            name=name,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing.

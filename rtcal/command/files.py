@@ -14,7 +14,7 @@ from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
 from rtcal.command.measured import ARGUMENTS
 from rtcal.errors import DataError
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
-from rtcal.support.files import spare
+from rtcal.support.files import spare, write_text
 
 if TYPE_CHECKING:
     from rtcal.io.analysis import Analysis
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 
-@click.command(short_help="Impulse responses (WAV) to T20, T30, EDT, C50, C80, D50, STI, Ts.")
+@click.command(short_help="Impulse responses (WAV, SOFA) to T20, T30, EDT, C50, C80, D50, STI, Ts.")
 @click.argument("responses", type=click.Path(), nargs=-1, required=True)
 @click.option(
     "--bands",
@@ -53,6 +53,11 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 @click.option(
     "--repeats", is_flag=True, help="Several files of one source and receiver are repeats: average."
 )
+@click.option(
+    "--positions",
+    type=click.Path(dir_okay=False),
+    help="File (TOML) to write: [sources] and [receivers] of one SOFA file, for the room's file.",
+)
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
 @json_option
 @quiet_option
@@ -63,11 +68,14 @@ def measure(
     channels: str | None,
     uncertainty: bool,
     repeats: bool,
+    positions: str | None,
     out: str | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Measure T20, T30, EDT, C50, C80, D50, STI and Ts of RESPONSES (WAV); say why values are missing.
+    """Measure T20, T30, EDT, C50, C80, D50, STI and Ts of RESPONSES (WAV, SOFA).
+
+    Says why values are missing.
 
     Example: rtcal measure *.wav --out t.csv
     """
@@ -75,7 +83,8 @@ def measure(
     from rtcal.io.analysis import with_uncertainty
     from rtcal.support.progress import bar
 
-    spare([] if out is None else [out], responses)
+    spare([path for path in (out, positions) if path is not None], responses)
+    scene = None if positions is None else _positions_text(responses)
     with (
         errors_name_options("channels", "repeats"),
         bar(len(responses), "response", bar_wanted(quiet)) as shown,
@@ -98,6 +107,8 @@ def measure(
         )
     if nothing and not quiet:
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
+    if positions is not None and scene is not None:
+        write_text(positions, scene)
     notes = {
         "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,
         "minimum_range_db": analysis.minimum_range,
@@ -105,6 +116,15 @@ def measure(
         "notes": analysis.notes,
     }
     _write_and_tell(analysis, notes, out, as_json, quiet)
+
+
+def _positions_text(responses: tuple[str, ...]) -> str:
+    """Return the positions of the one SOFA file; DataError for other files, which state none."""
+    from rtcal.io import sofa
+
+    if len(responses) != 1:
+        raise DataError("--positions is of one SOFA file: files name their positions alike")
+    return sofa.read(responses[0]).positions_text()
 
 
 @click.command(short_help="A measuring system's table (CSV, xlsx, REW) to a measurement.")

@@ -18,6 +18,7 @@ from rtcal.command.fit import fit
 from rtcal.command.gap import NOTHING_TO_ADD, gap
 from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
+from rtcal.command.predict import predict
 from rtcal.command.report import report
 from rtcal.command.study import study
 from rtcal.errors import MissingDependencyError, RtcalError, SolverError
@@ -71,6 +72,7 @@ for command in (
     example,
     calibrate,
     report,
+    predict,
     gap,
     loop,
     fit,

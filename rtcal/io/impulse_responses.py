@@ -1,4 +1,4 @@
-"""Impulse responses (WAV, or pyfar ``Signal``) to T20, T30, EDT, C50, C80, D50, STI and Ts by band.
+"""Impulse responses (WAV, SOFA, or pyfar ``Signal``) to decay times, C50, C80, D50, STI and Ts.
 
 Each band is filtered backwards in time (Jacobsen & Rindel 1987), so that the filter's ringing precedes
 the sound. A decay then keeps its slope for B T above 4; the forward filter needs 16. The noise is
@@ -21,7 +21,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.repeats import groups, in_words, names_of_repeats, places_of
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io import sofa
 from rtcal.io.analysis import Analysis, pairs_in_words, shortened_list, spread
 from rtcal.io.samples import LEAST_CLIPPED, check_finite, check_usable, prepared
 from rtcal.io.wav import check_header
@@ -68,11 +69,12 @@ def read(
     repeats: bool = False,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
-    """Read one or more WAV files (PCM or float, 18 s at 48 kHz at most) and analyse them.
+    """Read one or more WAV (PCM or float, 18 s at 48 kHz at most) or SOFA files and analyse them.
 
     A name like ``LS1_MP3`` or ``S1-R2`` in the file's name is its source and receiver; else the
     source is ``S1`` and the receiver the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``: repeats are
-    averaged, and count as one position.
+    averaged, and count as one position. A SOFA file states its positions: equal ones have one name, as
+    `rtcal.io.sofa.read` gives it.
 
     Parameters
     ----------
@@ -98,23 +100,34 @@ def read(
     signals: dict[tuple[str, str], Any] = {}
     places: dict[tuple[str, str], str] = {}
     for file in paths:
-        signal = _sound(os.fspath(file))
+        several = channels == "receivers" or sofa.claims(file)
+        for source, receiver, signal in _sounds(os.fspath(file)):
+            text_name(f"{file}: a position", source + receiver)
+            for name, channel in _channels(signal, receiver, channels, os.fspath(file)):
+                if (source, name) in signals and not repeats:
+                    raise DataError(
+                        f"{file}: source {source}, receiver {name} is given twice; if it is a repeat, "
+                        f"name it {source}-{name}#2, or state repeats=True"
+                    )
+                names = names_of_repeats(name)
+                name = next(n for n in names if (source, n) not in signals)
+                signals[source, name] = channel
+                places[source, name] = os.fspath(file) + (f", {source}, {name}" if several else "")
+    return _analysis(signals, places, bands, _ranges(minimum_range), progress)
+
+
+def _sounds(file: str) -> Iterator[tuple[str, str, Any]]:
+    """Yield source, receiver and pyfar Signal of each response in a WAV or SOFA file."""
+    if not sofa.claims(file):
         stem = Path(file).stem
         match = _NAMES.search(stem)
         source, receiver = match.groups() if match else ("S1", stem)
-        text_name(f"{file}: a position", source + receiver)
-        several_receivers = channels == "receivers"
-        for name, channel in _channels(signal, receiver, channels, os.fspath(file)):
-            if (source, name) in signals and not repeats:
-                raise DataError(
-                    f"{file}: source {source}, receiver {name} is given twice; if it is a repeat, name "
-                    f"it {source}-{name}#2, or state repeats=True"
-                )
-            names = names_of_repeats(name)
-            name = next(n for n in names if (source, n) not in signals)
-            signals[source, name] = channel
-            places[source, name] = os.fspath(file) + (f", {name}" if several_receivers else "")
-    return _analysis(signals, places, bands, _ranges(minimum_range), progress)
+        yield source, receiver, _sound(file)
+        return
+    pyfar, _ = _libraries()
+    responses = sofa.read(file)
+    for (source, receiver), samples in zip(responses.pairs, responses.samples, strict=True):
+        yield source, receiver, pyfar.Signal(samples, responses.sampling_rate)
 
 
 def _sound(file: str) -> Any:

@@ -61,8 +61,8 @@ class ReverberationEquation(ABC):
             "not tell S'alpha; calibrate it in the closed loop with calibrate_simulator"
         )
 
-    def _constant(self, room: Room) -> float:
-        """24 ln 10 / c in s/m."""
+    def room_constant(self, room: Room) -> float:
+        """Return 24 ln 10 / c in s/m."""
         checks.instance("room", room, Room)
         return float(24 * np.log(10) / (self.speed_of_sound or room.speed_of_sound))
 
@@ -70,7 +70,7 @@ class ReverberationEquation(ABC):
         """T in s where the surfaces absorb S a = ``absorbed`` m², (..., n_bands); the air is added."""
         total = absorbed + 4 * room.air_attenuation * room.volume
         with np.errstate(divide="ignore"):
-            return np.asarray(self._constant(room) * room.volume / total)
+            return np.asarray(self.room_constant(room) * room.volume / total)
 
 
 EQUATIONS: dict[str, type[ReverberationEquation]] = {}

@@ -126,7 +126,7 @@ class LinearEquation(MeanEquation):
         no mean absorption coefficient has the exponent that T asks for.
         """
         with np.errstate(over="ignore"):
-            total = self._constant(room) * room.volume / np.asarray(t, dtype=float)
+            total = self.room_constant(room) * room.volume / np.asarray(t, dtype=float)
         exponent = (total - 4 * room.air_attenuation * room.volume) / room.total_area
         return np.asarray(room.total_area * self.inverse(exponent))
 
@@ -135,7 +135,7 @@ class LinearEquation(MeanEquation):
         """Return db/dT in m²/s, (n_bands,): negative, since a longer T needs less absorption."""
         t = np.asarray(t, dtype=float)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            total_slope = -self._constant(room) * room.volume / t**2
+            total_slope = -self.room_constant(room) * room.volume / t**2
             return np.asarray(total_slope / self.slope(self.target(room, t) / room.total_area))
 
     @checked

@@ -1,0 +1,197 @@
+"""Room impulse responses and positions of SOFA files (AES69), by sofar (``rtcal[sofa]``).
+
+Read are the conventions of responses in a room: `ROOM_CONVENTIONS`, and the general ones whose
+``RoomType`` is no free field. All others are refused by name: head-related transfer functions,
+directivities and headphones are no measurements of a room.
+
+Equal positions have one name: S1, S2 and so on, R1, R2 and so on, in the order of the file.
+
+Reference: AES69-2022, "AES standard for file exchange - Spatial acoustic data file format".
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics.repeats import SAME_PLACE
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io.wav import MAX_CHANNEL_SAMPLES
+from rtcal.support.arguments import checked
+from rtcal.support.types import Array
+
+ROOM_CONVENTIONS = ("SingleRoomSRIR", "SingleRoomMIMOSRIR", "SingleRoomDRIR")
+GENERAL_CONVENTIONS = ("GeneralFIR", "GeneralFIR-E")
+MAX_BYTES = 2**28
+MAX_RESPONSES = 2000
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Responses:
+    """The responses of a SOFA file.
+
+    Parameters
+    ----------
+    pairs : sequence of (str, str)
+        Source and receiver of each measurement, (n_measurements,); a pair may occur several times.
+    samples : array (n_measurements, n_channels, n_samples)
+        One channel per receiver of the listener (microphone array), and per emitter.
+    sampling_rate : float
+        In Hz.
+    sources, receivers : mapping of str to (x, y, z)
+        Positions in m, in the coordinates of the file.
+    convention : str
+    """
+
+    pairs: tuple[tuple[str, str], ...]
+    samples: Array
+    sampling_rate: float
+    sources: dict[str, Point]
+    receivers: dict[str, Point]
+    convention: str
+
+    def positions_text(self) -> str:
+        """Return the positions as the tables of a room's file."""
+        rows = []
+        for table, points in (("sources", self.sources), ("receivers", self.receivers)):
+            rows += [
+                f"[{table}]",
+                *(f"{n} = {[float(x) for x in p]}" for n, p in points.items()),
+                "",
+            ]
+        return "\n".join(rows)
+
+
+def claims(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is HDF5, as SOFA files are."""
+    if not Path(path).is_file():
+        return False
+    with open(path, "rb") as stream:
+        return stream.read(len(_HDF5)) == _HDF5
+
+
+@checked
+def read(path: str | os.PathLike[str]) -> Responses:
+    """Return the responses and positions of a SOFA file.
+
+    Raises
+    ------
+    DataError
+        For a file that sofar cannot read, a convention that is no room response, several sampling
+        rates, and positions that are no numbers.
+    MissingDependencyError
+        Without sofar.
+    """
+    sofar = _library()
+    size = Path(path).stat().st_size if Path(path).exists() else 0
+    if not claims(path):
+        raise DataError(f"{path}, byte 0: not a SOFA (HDF5) file")
+    if size > MAX_BYTES:
+        raise DataError(f"{path}: {size} bytes; at most {MAX_BYTES}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of preliminary conventions, which are read as well
+        try:
+            sofa = sofar.read_sofa(os.fspath(path), verify=False, verbose=False)
+        except Exception as error:  # sofar and netCDF4 raise what they meet
+            raise DataError(f"{path}: cannot be read as SOFA: {error}") from error
+    return _responses(sofa, os.fspath(path))
+
+
+def _responses(sofa: Any, path: str) -> Responses:
+    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", ""))
+    room = str(getattr(sofa, "GLOBAL_RoomType", "")).lower()
+    if convention not in ROOM_CONVENTIONS + GENERAL_CONVENTIONS:
+        raise DataError(
+            f"{path}: convention {convention or 'not stated'} is no response in a room; read are "
+            f"{', '.join(ROOM_CONVENTIONS + GENERAL_CONVENTIONS)}"
+        )
+    if room == "free field" and convention in GENERAL_CONVENTIONS:
+        raise DataError(f"{path}: {convention} in the free field is no response in a room")
+    samples = _numbers(sofa, "Data_IR", path)
+    if samples.ndim == 4:  # (measurement, receiver, sample, emitter) of FIR-E
+        samples = np.moveaxis(samples, 3, 2).reshape(samples.shape[0], -1, samples.shape[2])
+    if samples.ndim != 3:
+        raise DataError(f"{path}: Data.IR has shape {samples.shape}; three axes are needed")
+    n, _, length = samples.shape
+    if length > MAX_CHANNEL_SAMPLES:
+        raise DataError(f"{path}: {length} samples; at most {MAX_CHANNEL_SAMPLES}")
+    if n > MAX_RESPONSES:
+        raise DataError(f"{path}: {n} measurements; at most {MAX_RESPONSES}")
+    rates = np.unique(_numbers(sofa, "Data_SamplingRate", path))
+    if rates.size != 1 or not rates[0] > 0:
+        raise DataError(
+            f"{path}: sampling rates {', '.join(map(str, rates))} Hz; one above 0 is needed"
+        )
+    sources = _positions(sofa, "SourcePosition", n, path)
+    listeners = _positions(sofa, "ListenerPosition", n, path)
+    of_source, source_points = _named("S", sources)
+    of_listener, listener_points = _named("R", listeners)
+    return Responses(
+        pairs=tuple(zip(of_source, of_listener, strict=True)),
+        samples=samples,
+        sampling_rate=float(rates[0]),
+        sources=source_points,
+        receivers=listener_points,
+        convention=convention,
+    )
+
+
+def _positions(sofa: Any, name: str, n: int, path: str) -> Array:
+    """Return positions in m as (n, 3), by their stated coordinates."""
+    points = np.atleast_2d(_numbers(sofa, name, path))
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) not in (1, n):
+        raise DataError(f"{path}: {name} has shape {points.shape}; (1, 3) or ({n}, 3) is needed")
+    kind = str(getattr(sofa, f"{name}_Type", "cartesian")).lower()
+    if kind == "spherical":  # azimuth and elevation in degrees, radius in m
+        azimuth, elevation, radius = (
+            np.radians(points[:, 0]),
+            np.radians(points[:, 1]),
+            points[:, 2],
+        )
+        flat = radius * np.cos(elevation)
+        points = np.stack(
+            [flat * np.cos(azimuth), flat * np.sin(azimuth), radius * np.sin(elevation)], axis=1
+        )
+    elif kind != "cartesian":
+        raise DataError(f'{path}: {name} has the type "{kind}"; cartesian or spherical is needed')
+    return np.broadcast_to(points, (n, 3))
+
+
+def _named(letter: str, points: Array) -> tuple[list[str], dict[str, Point]]:
+    """Return the name of each point, equal ones alike, and the point of each name."""
+    named: dict[str, Point] = {}
+    names = []
+    for point in points:
+        near = (k for k, p in named.items() if np.linalg.norm(point - np.array(p)) <= SAME_PLACE)
+        name = next(near, None) or f"{letter}{len(named) + 1}"
+        if name not in named:
+            x, y, z = (round(float(c), 6) + 0.0 for c in point)
+            named[name] = (x, y, z)
+        names.append(name)
+    return names, named
+
+
+def _numbers(sofa: Any, name: str, path: str) -> Array:
+    try:
+        values = np.asarray(getattr(sofa, name), dtype=float)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise DataError(f"{path}: {name.replace('_', '.')} is missing or no number") from error
+    if values.size == 0 or not np.isfinite(values).all():
+        raise DataError(f"{path}: {name.replace('_', '.')} has a value that is not finite")
+    return values
+
+
+def _library() -> Any:
+    try:
+        import sofar
+    except ImportError as error:
+        raise MissingDependencyError("SOFA files need sofar: pip install 'rtcal[sofa]'") from error
+    return sofar

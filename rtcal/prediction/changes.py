@@ -1,0 +1,334 @@
+"""Changes of a room: what is covered, added, removed or opened; other air, another volume."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.materials import Material
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import Scene
+from rtcal.errors import DataError
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+
+OPENING = "opening"
+"""Name of the material of what is opened: alpha = 1, exactly."""
+_ROUNDING = 1e-9
+"""Relative difference below which an area is the whole area."""
+
+
+class Change(ABC):
+    """A change of a room; it makes the room that it leads to."""
+
+    @abstractmethod
+    def apply(self, room: Room) -> Room:
+        """Return the changed room; DataError if the room does not allow the change."""
+
+
+@checked
+@dataclass(frozen=True)
+class Cover(Change):
+    """A surface is covered: what lies below it no longer absorbs. The total surface stays.
+
+    Parameters
+    ----------
+    surface : str
+        A material of the room.
+    by : Material or str
+        What covers it; a str is a material of the room.
+    area : float, optional
+        m²; the whole surface, which is then replaced, if not given.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.room import Room
+    >>> room = Room(name="box", volume=60, materials=["wall", "floor"], areas=[74, 20],
+    ...             alpha=[[0.1], [0.3]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
+    >>> Cover("wall", "floor", 10).apply(room).areas.tolist()
+    [64.0, 30.0]
+    """
+
+    surface: str
+    by: Material | str
+    area: float | None = None
+
+    def apply(self, room: Room) -> Room:
+        """Return the room with the surface covered."""
+        area = _taken(room, self.surface, self.area)
+        return _added(_with_less(room, self.surface, area), room, self.by, area)
+
+    def __str__(self) -> str:
+        return f'cover {_amount(self.area)} of "{self.surface}" by "{_name(self.by)}"'
+
+
+@checked
+@dataclass(frozen=True)
+class Add(Change):
+    """Something free-standing is added: the total surface grows, and nothing is covered.
+
+    Parameters
+    ----------
+    material : Material or str
+        A str is a material of the room.
+    area : float
+        m² of surface that the sound reaches: both sides of a baffle.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.room import Room
+    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1]],
+    ...             sigma=[[0.02]], centre_frequencies=[1000])
+    >>> Add(Material("baffle", [0.9], [0.1]), 12).apply(room).total_area
+    106.0
+    """
+
+    material: Material | str
+    area: float
+
+    def apply(self, room: Room) -> Room:
+        """Return the room with what is added."""
+        return _added(room, room, self.material, checks.positive("area", self.area, " m²"))
+
+    def __str__(self) -> str:
+        return f'add {_amount(self.area)} of "{_name(self.material)}"'
+
+
+@checked
+@dataclass(frozen=True)
+class Remove(Change):
+    """Something free-standing is removed: the total surface shrinks.
+
+    Parameters
+    ----------
+    material : str
+        A material of the room.
+    area : float, optional
+        m²; all of it if not given.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.room import Room
+    >>> room = Room(name="box", volume=60, materials=["wall", "seats"], areas=[94, 8],
+    ...             alpha=[[0.1], [0.5]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
+    >>> Remove("seats").apply(room).materials
+    ('wall',)
+    """
+
+    material: str
+    area: float | None = None
+
+    def apply(self, room: Room) -> Room:
+        """Return the room without it."""
+        left = _with_less(room, self.material, _taken(room, self.material, self.area))
+        if left is None:
+            raise DataError(f'remove "{self.material}": the room would have no surface')
+        return left
+
+    def __str__(self) -> str:
+        return f'remove {_amount(self.area)} of "{self.material}"'
+
+
+@checked
+@dataclass(frozen=True)
+class Open(Change):
+    """A part of a surface is opened: alpha = 1 there, exactly.
+
+    Parameters
+    ----------
+    surface : str
+        A material of the room.
+    area : float, optional
+        m²; all of it if not given.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.room import Room
+    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1]],
+    ...             sigma=[[0.02]], centre_frequencies=[1000])
+    >>> print(Open("wall", 4).apply(room).absorption_area)
+    [13.]
+    """
+
+    surface: str
+    area: float | None = None
+
+    def apply(self, room: Room) -> Room:
+        """Return the room with the opening."""
+        opening = Material(OPENING, [1.0] * room.n_bands, [0.0] * room.n_bands)
+        return Cover(self.surface, opening, self.area).apply(room)
+
+    def __str__(self) -> str:
+        return f'open {_amount(self.area)} of "{self.surface}"'
+
+
+@checked
+@dataclass(frozen=True)
+class Climate(Change):
+    """Another climate: temperature, humidity and pressure of the air.
+
+    Examples
+    --------
+    >>> str(Climate(Air(26, 60)))
+    'air of 26 °C and 60 %'
+    """
+
+    air: Air
+
+    def apply(self, room: Room) -> Room:
+        """Return the room in this air."""
+        return room.with_air(self.air)
+
+    def __str__(self) -> str:
+        return f"air of {self.air.temperature:g} °C and {self.air.humidity:g} %"
+
+
+@checked
+@dataclass(frozen=True)
+class NewVolume(Change):
+    """Another volume in m³. The surfaces stay: `Add` and `Remove` change them.
+
+    Examples
+    --------
+    >>> str(NewVolume(180))
+    'volume of 180 m³'
+    """
+
+    volume: float
+
+    def apply(self, room: Room) -> Room:
+        """Return the room with this volume."""
+        return room.replace(volume=self.volume)
+
+    def __str__(self) -> str:
+        return f"volume of {self.volume:g} m³"
+
+
+@checked
+def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
+    """Return the room after one or several changes, in their order.
+
+    The room has neither single surfaces nor a scene: these do not say what was covered where.
+
+    Raises
+    ------
+    DataError
+        If the room lacks a surface or as much of it, or a new material has other coefficients than
+        the room's of this name.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, _ = rt.datasets.bras_cr2()
+    >>> panel = rt.Material("panel", [0.2, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
+    >>> after = changed(room, [Cover("ceiling", panel, 20), Open("windows", 2)])
+    >>> after.materials[-2:], round(after.total_area - room.total_area, 6)
+    (('panel', 'opening'), 0.0)
+    """
+    listed = (changes,) if isinstance(changes, Change) else tuple(changes)
+    after = room.replace(surfaces=(), scene=Scene(), dimensions=None, calibration=None)
+    for change in listed:
+        if not isinstance(change, Change):
+            raise DataError(f"change = {checks.shown(change)} is not a rtcal Change")
+        after = change.apply(after)
+    return after
+
+
+def _name(material: Material | str) -> str:
+    return material if isinstance(material, str) else material.name
+
+
+def _amount(area: float | None) -> str:
+    return "all" if area is None else f"{area:g} m²"
+
+
+def _taken(room: Room, surface: str, area: float | None) -> float:
+    """Return the area in m² that is taken of a surface; DataError if it has less."""
+    has = float(room.areas[room.material_index(surface)])
+    if area is None:
+        return has
+    if checks.positive("area", area, " m²") > has * (1 + _ROUNDING):
+        raise DataError(f'area = {area:g} m² is more than the {has:g} m² of "{surface}"')
+    return has if area > has * (1 - _ROUNDING) else area
+
+
+def _with_less(room: Room, surface: str, area: float) -> Room | None:
+    """Return the room with less of a surface; None if nothing is left."""
+    row = room.material_index(surface)
+    areas = np.array(room.areas)
+    areas[row] -= area
+    if areas[row] > 0:
+        return room.replace(areas=areas)
+    kept = [i for i in range(room.n_materials) if i != row]
+    if not kept:
+        return None
+
+    names = [room.materials[i] for i in kept]
+    rows = {
+        name: None if getattr(room, name) is None else getattr(room, name)[kept]
+        for name in ("alpha", "sigma", "alpha_min", "scattering")
+    }
+    pairs = {p: v for p, v in room.material_correlation.items() if surface not in p}
+    return room.replace(materials=names, areas=areas[kept], material_correlation=pairs, **rows)
+
+
+def _added(left: Room | None, before: Room, material: Material | str, area: float) -> Room:
+    """Return what is left of a room with more of a material; ``before`` has the str's coefficients."""
+    new = _material(before, material)
+    if left is None:
+        rows = {"alpha": [new.alpha], "sigma": [new.sigma], "alpha_min": None, "scattering": None}
+        return before.replace(materials=[new.name], areas=[area], material_correlation={}, **rows)
+    if new.name in left.materials:
+        areas = np.array(left.areas)
+        areas[left.materials.index(new.name)] += area
+        return left.replace(areas=areas)
+    floor = None
+    if left.alpha_min is not None or np.any(np.asarray(new.alpha_min) > 0):
+        old = np.zeros_like(left.alpha) if left.alpha_min is None else left.alpha_min
+        floor = np.vstack([old, np.broadcast_to(new.alpha_min, left.n_bands)])
+    scattering = None
+    if left.scattering is not None and new.scattering is not None:
+        scattering = np.vstack([left.scattering, new.scattering])
+    return left.replace(
+        materials=[*left.materials, new.name],
+        areas=[*left.areas, area],
+        alpha=np.vstack([left.alpha, _row(left, new.name, "alpha", new.alpha)]),
+        sigma=np.vstack([left.sigma, _row(left, new.name, "sigma", new.sigma)]),
+        alpha_min=floor,
+        scattering=scattering,
+        sources={**left.sources, **({new.name: new.source} if new.source else {})},
+    )
+
+
+def _row(room: Room, material: str, name: str, values: Sequence[float]) -> Sequence[float]:
+    if np.shape(values) != (room.n_bands,):
+        raise DataError(
+            f'{name}["{material}"] has shape {np.shape(values)}; the room has {room.n_bands} bands'
+        )
+    return values
+
+
+def _material(room: Room, material: Material | str) -> Material:
+    """Return a material of the room by its name, or a new one after a check against the room's."""
+    if isinstance(material, str):
+        row = room.material_index(material)
+        return Material(
+            material,
+            room.alpha[row].tolist(),
+            room.sigma[row].tolist(),
+            0.0 if room.alpha_min is None else room.alpha_min[row].tolist(),
+            None if room.scattering is None else room.scattering[row].tolist(),
+            room.sources.get(material, ""),
+        )
+    if material.name in room.materials:
+        row = room.materials.index(material.name)
+        for name in ("alpha", "sigma"):
+            if not np.array_equal(getattr(room, name)[row], getattr(material, name)):
+                raise DataError(
+                    f'{name} of "{material.name}" is not that of the room\'s material of this name'
+                )
+    return material

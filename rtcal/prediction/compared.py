@@ -1,0 +1,76 @@
+"""Several variants of one room, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.prediction.assumptions import Assumptions
+from rtcal.prediction.estimate import State
+from rtcal.prediction.predicted import Prediction, predict
+from rtcal.prediction.variants import Variant
+from rtcal.support.arguments import checked
+from rtcal.support.results import Result
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Predictions(Result):
+    """Predictions of several variants of one room; `compare` makes it.
+
+    Attributes
+    ----------
+    predictions : tuple of Prediction
+        One per variant.
+    """
+
+    record_kind: ClassVar[str] = "predictions 1"
+
+    predictions: tuple[Prediction, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return each variant's `Prediction.to_dict`."""
+        return {"variants": [prediction.to_dict() for prediction in self.predictions]}
+
+    def __str__(self) -> str:
+        return "\n\n\n".join(map(str, self.predictions))
+
+    def __repr__(self) -> str:
+        return f"<Predictions: {', '.join(p.name for p in self.predictions)}>"
+
+
+@checked
+def compare(
+    states: Sequence[State],
+    variants: Sequence[Variant],
+    *,
+    before: Room | None = None,
+    equation: LinearEquation | None = None,
+    assumptions: Assumptions | None = None,
+) -> Predictions:
+    """Predict T of several variants; the arguments and errors are those of `predict`.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> from rtcal.prediction import Open, State, Variant
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> state = State(room, measured.mean("t30"))
+    >>> compare([state], [Variant("window open", (Open("windows", 2.0),))])
+    <Predictions: window open>
+    """
+    return Predictions(
+        predictions=tuple(
+            predict(
+                states,
+                variant.changes,
+                before=before,
+                equation=equation,
+                assumptions=assumptions,
+                name=variant.name,
+            )
+            for variant in variants
+        )
+    )

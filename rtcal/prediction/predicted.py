@@ -1,0 +1,376 @@
+"""T after a change: mean, 90 % interval, what the interval is made of, and how probable a range is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.special import ndtr, ndtri
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.posterior.density import TruncatedNormal
+from rtcal.posterior.sampler import sample
+from rtcal.prediction import words
+from rtcal.prediction.assumptions import Assumptions
+from rtcal.prediction.changes import Change, changed
+from rtcal.prediction.estimate import Estimate, Flags, Rooms, State, estimate
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
+from rtcal.support.text import shortened
+from rtcal.support.types import Array
+
+JND = float(np.log(1.05))
+"""One just noticeable difference of T, in ln T."""
+LEVEL = 0.9
+_NEAR = 2.0
+"""Distance of a coefficient from a bound, in standard deviations, below which T is sampled."""
+_SAMPLES = 4000
+_TOGETHER = 100_000
+"""Number of draws for the probability of all bands together: its error is at most 0.0016."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Prediction(Result):
+    """T of a changed room per band, with its interval; `predict` makes it.
+
+    Attributes
+    ----------
+    name : str
+    states : tuple of State
+        What was measured.
+    before, after : Room
+        With the prior's coefficients.
+    changes : tuple of Change
+        What leads from one to the other; empty if the changed room itself was given.
+    equation : LinearEquation
+    assumptions : Assumptions
+    """
+
+    record_kind: ClassVar[str] = "prediction 1"
+
+    name: str
+    states: tuple[State, ...]
+    before: Room
+    after: Room
+    changes: tuple[Change, ...]
+    equation: LinearEquation
+    assumptions: Assumptions
+
+    @cached_property
+    def rooms(self) -> Rooms:
+        """The measured states, the room before and the room after, on common unknowns."""
+        every = [*(state.room for state in self.states), self.before, self.after]
+        return Rooms(every, self.equation, self.assumptions)
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """The posterior of the unknowns."""
+        return estimate(self.rooms, self.states)
+
+    @cached_property
+    def _linear(self) -> tuple[Array, Array]:
+        """ln T after the change at the mode, (n_bands,), and its gradient (n_bands, size)."""
+        return self.rooms.log_time(len(self.rooms.rooms) - 1, self.estimate.mode)
+
+    @cached_property
+    def linear_mean(self) -> Array:
+        """ln T of the most probable unknowns, T in s, (n_bands,)."""
+        return self._linear[0]
+
+    @cached_property
+    def linear_sigma(self) -> Array:
+        """Standard deviation of ln T of the linear estimate, (n_bands,)."""
+        gradient = self._linear[1]
+        variance = np.einsum("ks,kst,kt->k", gradient, self.estimate.covariance, gradient)
+        return np.asarray(np.sqrt(np.maximum(variance, 0) + self.assumptions.own**2))
+
+    @cached_property
+    def sampled(self) -> Flags:
+        """Which bands are sampled, (n_bands,) of bool: a coefficient that matters is near a bound.
+
+        Elsewhere ln T is normal.
+        """
+        n = len(self.rooms.materials)
+        alpha = self.estimate.free[:, :n]
+        sigma = np.sqrt(np.diagonal(self.estimate.covariance, axis1=1, axis2=2)[:, :n])
+        near = np.minimum(alpha - self.rooms.lower.T, 1 - alpha) < _NEAR * sigma
+        matters = np.abs(self._linear[1][:, :n]) * sigma > 0.1 * self.linear_sigma[:, np.newaxis]
+        return np.asarray((near & matters & (sigma > 0)).any(axis=1))
+
+    @cached_property
+    def _draws(self) -> dict[int, Array]:
+        """Samples of ln T without the equation's own error, by the index of a sampled band."""
+        return {int(k): self._drawn(int(k)) for k in np.flatnonzero(self.sampled)}
+
+    def _drawn(self, band: int) -> Array:
+        n, mode = len(self.rooms.materials), self.estimate.mode[band]
+        covariance = self.estimate.covariance[band]
+        sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0))
+        moving = sigma > 1e-12
+        curvature = np.zeros_like(covariance)
+        inverse = np.linalg.inv(covariance[np.ix_(moving, moving)])
+        curvature[np.ix_(moving, moving)] = (inverse + inverse.T) / 2
+        lower, upper = np.full(mode.shape, -np.inf), np.full(mode.shape, np.inf)
+        lower[:n], upper[:n] = self.rooms.lower[:, band], 1.0
+        point = np.clip(mode, lower, upper)
+        density = TruncatedNormal(
+            point=point,
+            gradient=curvature @ (point - self.estimate.free[band]),
+            curvature=sp.csr_array(curvature),
+            scale=np.where(moving, sigma, 0.0),
+            lower=lower,
+            upper=upper,
+            matrix=np.zeros((0, len(mode))),
+            row_lower=np.zeros(0),
+            row_upper=np.zeros(0),
+        )
+        drawn = sample(density, _SAMPLES, seed=band).values
+        whole = np.repeat(drawn[:, np.newaxis], self.rooms.rooms[0].n_bands, axis=1)
+        return self.rooms.log_time(len(self.rooms.rooms) - 1, whole)[0][:, band]
+
+    @cached_property
+    def log_mean(self) -> Array:
+        """Mean of ln T, T in s, (n_bands,)."""
+        mean = self.linear_mean.copy()
+        for k, draws in self._draws.items():
+            mean[k] = draws.mean()
+        return mean
+
+    @property
+    def mean(self) -> Array:
+        """T in s, (n_bands,): the exponential of the mean of ln T."""
+        return np.exp(self.log_mean)
+
+    @cached_property
+    def interval(self) -> tuple[Array, Array]:
+        """Ends of the 90 % interval of T in s, each (n_bands,), for a measurement without error."""
+        return self.quantile((1 - LEVEL) / 2), self.quantile((1 + LEVEL) / 2)
+
+    def quantile(self, probability: float) -> Array:
+        """Return the quantile of T in s, (n_bands,); DataError unless it is between 0 and 1."""
+        if not 0 < checks.number("probability", probability) < 1:
+            raise DataError(f"probability = {probability:g} is not between 0 and 1")
+        out = self.linear_mean + ndtri(probability) * self.linear_sigma
+        for k, draws in self._draws.items():
+            # The own error's normal density is added as its quantiles, one to each sample.
+            own = ndtri((np.random.default_rng(k).permutation(len(draws)) + 0.5) / len(draws))
+            out[k] = np.quantile(draws + self.assumptions.own * own, probability)
+        return np.asarray(np.exp(out))
+
+    @property
+    def half_width(self) -> Array:
+        """Half of the 90 % interval in JND of 5 %, (n_bands,)."""
+        low, high = self.interval
+        return np.asarray(np.log(high / low) / 2 / JND)
+
+    @cached_property
+    def time_before(self) -> Array:
+        """T before the change in s, (n_bands,): measured, or the model's where it was not."""
+        model = np.exp(self.rooms.log_time(len(self.rooms.rooms) - 2, self.estimate.mode)[0])
+        for state in self.states:
+            if state.room is self.before:
+                measured = state.reverberation_time
+                return np.where(np.isfinite(measured), measured, model)
+        return model
+
+    @property
+    def change(self) -> Array:
+        """What the change does to T, in JND of 5 %, (n_bands,)."""
+        return np.asarray((self.log_mean - np.log(self.time_before)) / JND)
+
+    @cached_property
+    def parts(self) -> dict[str, Array]:
+        """Shares of the variance of ln T by what they come from, each (n_bands,), the largest first.
+
+        They are those of the linear estimate and add up to 1. A material whose area changes stands
+        alone; the other coefficients stand together.
+        """
+        rooms, found, gradient = self.rooms, self.estimate, self._linear[1]
+        n, own = len(rooms.materials), self.assumptions.own
+        by_measured = np.einsum("ks,ksc->kc", gradient, found.gain)
+        left = gradient - np.einsum("kc,kcs->ks", by_measured, found.gradient)
+        by_unknown = left * np.einsum("kst,kt->ks", rooms.prior[1], left)
+        parts = {
+            words.ALPHA.format(m): by_unknown[:, i]
+            for i, m in enumerate(rooms.materials)
+            if rooms.changing[i]
+        }
+        stays = by_unknown[:, :n][:, ~rooms.changing]
+        known = (found.gradient != 0).any(axis=2)
+        parts[words.STAYS] = stays.sum(axis=1)
+        parts[words.EQUATION] = by_unknown[:, -1] + own**2 * (
+            1 + (by_measured**2 * known).sum(axis=1)
+        )
+        parts[words.SIZES] = by_unknown[:, n:-1].sum(axis=1)
+        parts[words.MEASUREMENT] = (by_measured**2 * found.noise).sum(axis=1)
+        shares = {name: share / self.linear_sigma**2 for name, share in parts.items()}
+        return dict(sorted(shares.items(), key=lambda each: -float(each[1].mean())))
+
+    @cached_property
+    def uncalibrated(self) -> Prediction:
+        """The same prediction from the stated coefficients alone, without any measurement."""
+        return replace(self, states=())
+
+    def probability(self, low: Array, high: Array) -> Array:
+        """Return the probability that T is from ``low`` to ``high`` in s, (n_bands,).
+
+        NaN at an end leaves it open. DataError for another shape.
+        """
+        below, above = self._levels(low, high)
+        return np.asarray(above - below)
+
+    def probability_together(self, low: Array, high: Array) -> float:
+        """Return the probability that T is within the range in all bands at once.
+
+        Errors of neighbouring bands correlate: see `Assumptions.band_correlation`.
+        """
+        below, above = (ndtri(level) for level in self._levels(low, high))
+        return together(below, above, self.after.centre_frequencies, self.assumptions)
+
+    def _levels(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Probabilities of a T below each end, (n_bands,) each."""
+        shape = (self.after.n_bands,)
+        ends = []
+        for name, stated, unstated in (("low", low, 0.0), ("high", high, np.inf)):
+            values = np.broadcast_to(checks.array(name, stated), shape)
+            ends.append(np.where(np.isnan(values), unstated, values))
+        with np.errstate(divide="ignore"):
+            logs = np.log(ends)
+        levels = ndtr((logs - self.linear_mean) / self.linear_sigma)
+        for k, draws in self._draws.items():
+            own = max(self.assumptions.own, 1e-12)
+            levels[:, k] = ndtr((logs[:, k, np.newaxis] - draws) / own).mean(axis=1)
+        return levels[0], levels[1]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain numbers, lists and text."""
+        low, high = self.interval
+        return {
+            "room": self.before.name,
+            "name": self.name,
+            "changes": [str(change) for change in self.changes],
+            "measured_states": len(self.states),
+            "equation": self.equation.name,
+            "assumptions": asdict(self.assumptions),
+            "centre_frequencies": json_numbers(self.after.centre_frequencies),
+            "reverberation_time_before": json_numbers(self.time_before),
+            "reverberation_time": json_numbers(self.mean),
+            "interval_90": [json_numbers(low), json_numbers(high)],
+            "change_jnd": json_numbers(self.change),
+            "half_width_jnd": json_numbers(self.half_width),
+            "uncalibrated": {
+                "reverberation_time": json_numbers(self.uncalibrated.mean),
+                "half_width_jnd": json_numbers(self.uncalibrated.half_width),
+            },
+            "sampled": self.sampled.tolist(),
+            "parts": {name: json_numbers(share) for name, share in self.parts.items()},
+            "sentences": words.sentences(self.parts, self.half_width, self._half_width_without),
+        }
+
+    @property
+    def _half_width_without(self) -> Array | None:
+        """Half width of the interval without any measurement; None if nothing was measured."""
+        return self.uncalibrated.half_width if self.states else None
+
+    def __repr__(self) -> str:
+        return (
+            f'<Prediction "{shortened(self.name)}" of "{shortened(self.before.name)}": '
+            f"{bands.span(self.after.centre_frequencies)}, T {self.change.mean():+.1f} JND, "
+            f"± {np.median(self.half_width):.1f} JND>"
+        )
+
+    def __str__(self) -> str:
+        return words.text_of(self.to_dict())
+
+
+def together(below: Array, above: Array, frequencies: Array, assumptions: Assumptions) -> float:
+    """Return the probability that correlated standard normal errors are within limits in all bands.
+
+    Parameters
+    ----------
+    below, above : array (n_bands,)
+        Limits in standard deviations.
+    frequencies : array (n_bands,)
+        Hz.
+    assumptions : Assumptions
+    """
+    correlation = bands.correlation(frequencies, assumptions.band_correlation)
+    root = np.linalg.cholesky(correlation)
+    drawn = np.random.default_rng(0).standard_normal((_TOGETHER, len(root))) @ root.T
+    return float(((drawn >= below) & (drawn <= above)).all(axis=1).mean())
+
+
+@checked
+def predict(
+    states: Sequence[State],
+    changes: Change | Sequence[Change] | Room,
+    *,
+    before: Room | None = None,
+    equation: LinearEquation | None = None,
+    assumptions: Assumptions | None = None,
+    name: str = "",
+) -> Prediction:
+    """Predict T after a change from the measured states of a room, which are taken jointly.
+
+    Parameters
+    ----------
+    states : sequence of State
+        May be empty if ``before`` is given: the stated coefficients alone then predict.
+    changes : Change, sequence of Change, or Room
+        A Room is the changed room itself.
+    before : Room, optional
+        The room that is changed; that of the first state if not given.
+    equation : LinearEquation, optional
+        `rtcal.Eyring` if not given.
+    assumptions : Assumptions, optional
+    name : str
+        By default what is changed.
+
+    Raises
+    ------
+    DataError
+        If a change does not fit the room, the rooms do not fit each other, or no room is given.
+    ModelError
+        If the equation gives no T for the changed room.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> result = rt.calibrate(room, measured)
+    >>> panel = rt.Material("panel", [0.2, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
+    >>> after = result.predict(rt.prediction.Cover("ceiling", panel, 20))
+    >>> low, high = after.interval
+    >>> print(after.mean.round(1), bool((low < after.mean).all() and (after.mean < high).all()))
+    [1.3 1.  0.8 0.8 0.8 0.8] True
+    """
+    listed = tuple(states)
+    if before is None and not listed:
+        raise DataError("states is empty, and no room before the change is given")
+    before = listed[0].room if before is None else before
+    made: tuple[Change, ...] = ()
+    if isinstance(changes, Room):
+        after, default = changes, changes.name
+    else:
+        made = (changes,) if isinstance(changes, Change) else tuple(changes)
+        after, default = changed(before, made), "; ".join(map(str, made)) or "no change"
+    prediction = Prediction(
+        name=name or default,
+        states=listed,
+        before=before,
+        after=after,
+        changes=made,
+        equation=equation or Eyring(),
+        assumptions=assumptions or Assumptions(),
+    )
+    _ = prediction.linear_mean  # raises where the equation gives no T
+    return prediction

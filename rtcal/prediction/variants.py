@@ -1,0 +1,161 @@
+"""A file of variants: what may be changed in a room, in TOML.
+
+::
+
+    [[material]]                        # new materials, as in a room's file
+    name = "panel"
+    alpha = [0.2, 0.6, 0.9, 0.9, 0.9, 0.9]
+    sigma = 0.1
+
+    [[material]]
+    name = "carpet"
+    catalogue = "carpet_cotton"         # or by its name in the catalogue
+
+    [[variant]]
+    name = "panels on the ceiling"
+    [[variant.change]]
+    cover = "ceiling"                   # a material of the room
+    by = "panel"                        # a new material, or one of the room
+    area = 20                           # m²; left out: all of it
+
+    [[variant.change]]                  # further changes follow in order
+    add = "baffle"                      # free-standing: more surface
+    area = 6
+    # remove = "seats"                  # area: left out, all of it
+    # open = "windows"
+    # air = {temperature = 26, humidity = 60}
+    # volume = 180                      # m³
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rtcal.acoustics import room_files
+from rtcal.acoustics.materials import Material
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.prediction.changes import Add, Change, Climate, Cover, NewVolume, Open, Remove
+from rtcal.support.arguments import checked
+from rtcal.support.decode import Entries, toml_table
+
+Catalogue = Callable[[str, Any], Material]
+"""Returns the catalogue's material of a name for centre frequencies in Hz."""
+_KINDS = ("cover", "add", "remove", "open", "air", "volume")
+_MATERIAL = ("alpha", "sigma", "catalogue", "source")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A named list of changes.
+
+    Examples
+    --------
+    >>> from rtcal.prediction import Open
+    >>> Variant("window open", (Open("windows", 2.0),)).name
+    'window open'
+    """
+
+    name: str
+    changes: tuple[Change, ...]
+
+
+@checked
+def read_variants(
+    content: str, room: Room, catalogue: Catalogue | None = None
+) -> tuple[Variant, ...]:
+    """Return the variants of a TOML text.
+
+    Parameters
+    ----------
+    content : str
+    room : Room
+        Its bands are those of the new materials.
+    catalogue : callable, optional
+        Returns a material for a name and bands, such as `rtcal.datasets.catalogue.material`.
+
+    Raises
+    ------
+    DataError
+        For an unknown key, a value that breaks a rule, or a material that is nowhere stated.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, _ = rt.datasets.bras_cr2()
+    >>> variants = read_variants('''
+    ... [[variant]]
+    ... name = "window open"
+    ... [[variant.change]]
+    ... open = "windows"
+    ... area = 2
+    ... ''', room)
+    >>> print(variants[0].changes[0])
+    open 2 m² of "windows"
+    """
+    file = Entries("", toml_table(content), ("variant",), ("material",))
+    new: dict[str, Material] = {}
+    for place, table in tables(file, "material"):
+        material = new_material(place, table, room, catalogue)
+        if material.name in new:
+            raise DataError(f'material "{material.name}" is given twice')
+        new[material.name] = material
+    variants = []
+    for place, table in tables(file, "variant"):
+        entry = Entries(f"{place}: ", table, ("change",), ("name",))
+        made = tuple(
+            _change(f"{place}, {where}", each, new) for where, each in tables(entry, "change")
+        )
+        variants.append(Variant(entry.text("name", "; ".join(map(str, made))), made))
+    if not variants:
+        raise DataError("no [[variant]]; the file has at least one")
+    return tuple(variants)
+
+
+def tables(file: Entries, key: str) -> list[tuple[str, Mapping[str, Any]]]:
+    """Return each ``[[key]]`` with its place in messages."""
+    return [(f"[[{key}]] {i + 1}", table) for i, table in enumerate(file.listed(key, []))]
+
+
+def new_material(
+    place: str, table: Any, room: Room, catalogue: Catalogue | None, more: tuple[str, ...] = ()
+) -> Material:
+    """Return a material of a file; ``more`` are further keys of its table."""
+    entry = Entries(f"{place}: ", table, ("name",), (*_MATERIAL, *more))
+    name = entry.text("name")
+    if "catalogue" in entry:
+        if catalogue is None:
+            raise DataError(f'{place}: no catalogue to look "{entry.text("catalogue")}" up in')
+        found = catalogue(entry.text("catalogue"), room.centre_frequencies)
+        return Material(name, found.alpha, found.sigma, source=found.source)
+    own = {key: table[key] for key in ("name", "alpha", "sigma", "source") if key in table}
+    return room_files.material(place, own, room.centre_frequencies, None)
+
+
+def _change(place: str, table: Any, new: Mapping[str, Material]) -> Change:
+    entry = Entries(f"{place}: ", table, (), (*_KINDS, "by", "area"))
+    kinds = [kind for kind in _KINDS if kind in entry]
+    if len(kinds) != 1:
+        raise DataError(f"{place} has {len(kinds)} of {', '.join(_KINDS)}; a change is one of them")
+    kind = kinds[0]
+    takes = {"cover": ("by", "area"), "add": ("area",), "remove": ("area",), "open": ("area",)}
+    Entries(f"{place}: ", table, (kind,), takes.get(kind, ()))
+    if kind == "air":
+        air = room_files.air(f"{place}: air", table["air"])
+        if air is None:
+            raise DataError(f"{place}: air is empty")
+        return Climate(air)
+    if kind == "volume":
+        return NewVolume(entry.number("volume"))
+    surface = entry.text(kind)
+    area = entry.number("area") if "area" in entry else None
+    if kind == "cover":
+        by = entry.text("by")
+        return Cover(surface, new.get(by, by), area)
+    if kind == "remove":
+        return Remove(surface, area)
+    if kind == "open":
+        return Open(surface, area)
+    return Add(new.get(surface, surface), entry.number("area"))

@@ -1,0 +1,99 @@
+"""A prediction in words: the table, what its interval is made of, and what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.support import text
+from rtcal.support.types import Array
+
+ALPHA = 'alpha of "{}"'
+STAYS = "alpha of what stays"
+EQUATION = "the equation"
+SIZES = "volume and areas"
+MEASUREMENT = "the measured T"
+
+_ADVICE = {
+    STAYS: "measure T in a second state of the room: it tells what stays from what changes",
+    EQUATION: "measure T in a second state of the room: its error shows only between two states",
+    SIZES: "survey the volume and the areas",
+    MEASUREMENT: "measure T at more positions",
+}
+_MOST = 0.5
+"""Share of the variance from which one part is most of the interval."""
+
+
+def advice(part: str) -> str:
+    """Return what to measure next to narrow one part of an interval."""
+    return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
+
+
+def sentences(parts: Mapping[str, Array], half_width: Array, without: Array | None) -> list[str]:
+    """Return what the interval rests on, whether calibrating narrowed it, and what to measure next.
+
+    Parameters
+    ----------
+    parts : mapping of str to array (n_bands,)
+        Shares of the variance, the largest first.
+    half_width, without : array (n_bands,)
+        Of the interval in JND, with the measured states and without; None if nothing was measured.
+    """
+    largest, share = next((name, float(part.mean())) for name, part in parts.items())
+    new = sum(float(v.mean()) for name, v in parts.items() if name not in (*_ADVICE,))
+    said = []
+    if without is None:
+        said.append("Nothing was measured: the interval is that of the stated coefficients.")
+    else:
+        narrowed = f"from ± {np.median(without):.1f} to ± {np.median(half_width):.1f} JND"
+        if new > _MOST:
+            said.append(
+                f"Calibrating changed the interval {narrowed}. {100 * new:.0f} % of its variance is "
+                "alpha of what changes itself, which the calibration does not know."
+            )
+        else:
+            said.append(
+                f"Calibrating changed the interval {narrowed}: it corrects what stays, and alpha of "
+                f"what changes is {100 * new:.0f} % of its variance."
+            )
+    said.append(
+        f"Largest part: {largest} ({100 * share:.0f} % of the variance). To narrow it, "
+        f"{advice(largest)}."
+    )
+    return said
+
+
+def text_of(record: Mapping[str, Any]) -> str:
+    """Return the text that ``print(prediction)`` shows, from `Prediction.to_dict`."""
+    labels = [bands.label(f) for f in record["centre_frequencies"]]
+    low, high = record["interval_90"]
+    rows = [
+        ("T before / s", record["reverberation_time_before"], ".2f"),
+        ("T after / s", record["reverberation_time"], ".2f"),
+        ("90 %: from / s", low, ".2f"),
+        ("      to / s", high, ".2f"),
+        ("change / JND", record["change_jnd"], "+.1f"),
+        ("half width / JND", record["half_width_jnd"], ".1f"),
+    ]
+    shares = [
+        (name, [text.number(100 * share, ".0f") for share in part])
+        for name, part in record["parts"].items()
+    ]
+    return "\n".join(
+        [
+            *text.wrapped(f"{record['room']}: {record['name']}"),
+            "",
+            *text.table(
+                [(name, [text.number(v, form) for v in values]) for name, values, form in rows],
+                header=("", labels),
+            ),
+            "",
+            "what the interval is made of / % of the variance",
+            *text.table(shares, header=("", labels)),
+            "",
+            *(line for sentence in record["sentences"] for line in text.wrapped(sentence)),
+        ]
+    )

@@ -1,0 +1,119 @@
+"""SOFA files: responses and positions of rooms; what is no room is refused by name."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sofar
+
+from rtcal.command.main import main
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io import impulse_responses, sofa
+
+RATE = 8000
+
+
+def decay(seconds: float, seed: int = 1) -> np.ndarray:
+    time = np.arange(RATE) / RATE
+    return np.random.default_rng(seed).normal(size=RATE) * 10 ** (-3 * time / seconds)
+
+
+def file(
+    path: Path,
+    times: tuple[float, ...] = (0.5, 0.6),
+    convention: str = "SingleRoomSRIR",
+    **entries: object,
+) -> Path:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        made = sofar.Sofa(convention)
+    n = len(times)
+    made.Data_IR = np.array([[decay(t, i)] for i, t in enumerate(times)])
+    made.Data_SamplingRate = RATE
+    if convention == "SingleRoomSRIR":
+        made.ListenerPosition = [[2.0 + i, 3.0, 1.2] for i in range(n)]
+        made.SourcePosition = [[1.0, 1.0, 1.5]] * n
+        made.MeasurementDate = [0.0] * n
+        made.Data_Delay = [[0.0]] * n
+    for name, value in entries.items():
+        setattr(made, name, value)
+    for name in ("ReceiverDescriptions", "EmitterDescriptions"):  # netCDF4 1.7.5 writes no texts
+        if hasattr(made, name):
+            made.delete(name)
+    sofar.write_sofa(str(path), made)
+    return path
+
+
+def test_responses_and_positions(tmp_path: Path) -> None:
+    path = file(tmp_path / "hall.sofa")
+    read = sofa.read(path)
+    assert read.pairs == (("S1", "R1"), ("S1", "R2"))
+    assert read.receivers == {"R1": (2, 3, 1.2), "R2": (3, 3, 1.2)}
+    m = impulse_responses.read(path, bands=[500, 1000]).measurement
+    assert m.pairs == read.pairs
+    assert m.values["t20"] == pytest.approx(np.array([[0.5] * 2, [0.6] * 2]), rel=0.15)
+    assert (m.values["t20"][0] < m.values["t20"][1]).all()
+
+
+def test_spherical_positions(tmp_path: Path) -> None:
+    path = file(
+        tmp_path / "a.sofa",
+        SourcePosition=[[90.0, 0.0, 2.0], [90.0, 0.0, 2.0]],
+        SourcePosition_Type="spherical",
+        SourcePosition_Units="degree, degree, metre",
+    )
+    assert sofa.read(path).sources == {"S1": pytest.approx((0, 2, 0), abs=1e-9)}
+
+
+def test_equal_positions_are_repeats_and_must_be_stated(tmp_path: Path) -> None:
+    path = file(tmp_path / "a.sofa", ListenerPosition=[[2.0, 3.0, 1.2]] * 2)
+    with pytest.raises(DataError, match="source S1, receiver R1 is given twice; if it is a repeat"):
+        impulse_responses.read(path)
+    m = impulse_responses.read(path, bands=[1000], repeats=True).measurement
+    assert m.pairs == (("S1", "R1"),)
+
+
+@pytest.mark.parametrize("convention", ["FreeFieldHRIR", "SimpleFreeFieldHRIR", "GeneralTF"])
+def test_what_is_no_room_is_refused_by_name(tmp_path: Path, convention: str) -> None:
+    path = tmp_path / "a.sofa"
+    made = sofar.Sofa(convention)
+    sofar.write_sofa(str(path), made)
+    with pytest.raises(DataError, match=f"convention {convention} is no response in a room; read"):
+        impulse_responses.read(path)
+
+
+def test_bad_files(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.sofa"
+    broken.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200))
+    with pytest.raises(DataError, match=r"broken\.sofa: cannot be read as SOFA"):
+        sofa.read(broken)
+    with pytest.raises(DataError, match="byte 0: not a SOFA"):
+        sofa.read(tmp_path / "none.sofa")
+    free = tmp_path / "free.sofa"
+    sofar.write_sofa(str(free), sofar.Sofa("GeneralFIR"))
+    with pytest.raises(DataError, match="GeneralFIR in the free field is no response in a room"):
+        sofa.read(free)
+
+
+def test_without_sofar_the_extra_is_named(tmp_path: Path, monkeypatch) -> None:
+    path = file(tmp_path / "a.sofa")
+    monkeypatch.setitem(sys.modules, "sofar", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'rtcal\[sofa\]'"):
+        sofa.read(path)
+
+
+def test_measure_writes_the_positions_for_the_room(tmp_path: Path) -> None:
+    path, out, scene = file(tmp_path / "a.sofa"), tmp_path / "t.csv", tmp_path / "scene.toml"
+    with pytest.raises(SystemExit) as end:
+        main(["measure", str(path), "--out", str(out), "--positions", str(scene), "-q"])
+    assert not end.value.code
+    assert out.exists()
+    assert tomllib.loads(scene.read_text()) == {
+        "sources": {"S1": [1.0, 1.0, 1.5]},
+        "receivers": {"R1": [2.0, 3.0, 1.2], "R2": [3.0, 3.0, 1.2]},
+    }
