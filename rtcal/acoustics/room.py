@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rtcal.acoustics import bands, room_files
+from rtcal.acoustics import bands, room_errors, room_files
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.materials import (
@@ -96,6 +96,17 @@ class Room:
         Set in the room that a calibration returns.
     author : str
         Who made the model, for the pages of its results.
+    volume_sigma : float
+        Relative standard deviation of the volume, 0 to below 1; 0 takes it as exact.
+    area_sigma : float, or array or mapping (n_materials,)
+        Relative standard deviation of each material's area, of its own. A mapping may state some in
+        m²: ``{"curtain": "1.5 m²"}``; materials that it lacks are exact.
+    common_area_sigma : float
+        Relative standard deviation that all areas have in common: the drawing's scale.
+    common_alpha_sigma : float
+        Relative standard deviation that all coefficients have in common: tables off together.
+    climate_sigma : (temperature, humidity)
+        Standard deviations of the air's temperature in K and relative humidity in %.
 
     Raises
     ------
@@ -129,6 +140,11 @@ class Room:
     material_correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
     calibration: CalibrationRecord | None = None
     author: str = ""
+    volume_sigma: float = 0.0
+    area_sigma: Array = 0.0  # type: ignore[assignment]
+    common_area_sigma: float = 0.0
+    common_alpha_sigma: float = 0.0
+    climate_sigma: tuple[float, float] = (0.0, 0.0)
     above_one: InitVar[str] = "refuse"
     clipped: tuple[str, ...] = ()
 
@@ -192,6 +208,10 @@ class Room:
         checks.instance("scene", self.scene, Scene)
         check_surfaces(self.materials, self.areas, self.surfaces)
         check_correlation(self.materials, self.band_correlation, self.material_correlation)
+        for name in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
+            put(name, room_errors.relative(name, getattr(self, name)))
+        put("area_sigma", room_errors.by_material(self.area_sigma, self.materials, self.areas))
+        put("climate_sigma", room_errors.climate(self.climate_sigma, self.air))
 
     def _clip(self, put: Callable[[str, object], None]) -> None:
         """Cut coefficients above 1 to 1 and name them."""
@@ -297,6 +317,12 @@ class Room:
         if self.air is None:
             return read_only(np.zeros(self.n_bands))
         return read_only(self.air.attenuation(self.centre_frequencies))
+
+    @cached_property
+    def is_uncertain(self) -> bool:
+        """Whether the room states an uncertainty of its volume, areas or climate."""
+        stated = (self.volume_sigma, self.common_area_sigma, *self.climate_sigma)
+        return any(stated) or bool(self.area_sigma.any())
 
     @property
     def speed_of_sound(self) -> float:

@@ -8,6 +8,11 @@ One ``[[material]]`` per material::
     volume = 146.1                      # m³
     centre_frequencies = [500, 1000]    # Hz
     scattering_model = "random"         # optional: what scattering means; or "vector"
+    volume_sigma = 0.05                 # optional: relative standard deviation of the volume
+    area_sigma = 0.03                   # optional: the same of each material's area
+    common_area_sigma = 0.02            # optional: the same of all areas together
+    common_alpha_sigma = 0.1            # optional: the same of all coefficients together
+    climate_sigma = [2, 10]             # optional: of the air's temperature (K), humidity (%)
 
     [geometry]                          # optional, for simulators
     mesh = "room.obj"                   # Wavefront OBJ, relative to this file; without it the room
@@ -47,6 +52,7 @@ One ``[[material]]`` per material::
     alpha_min = 0.01                    # optional: lower bound of the calibrated alpha
     scattering = [0.1, 0.1]             # optional, for simulators
     source = "where alpha comes from"   # optional
+    area_sigma = "1.5 m²"               # optional: in place of the room's; relative, or in m²
 
     [[correlation]]                     # optional: of two materials' errors in the same band
     materials = ["plaster", "concrete"]
@@ -86,7 +92,8 @@ _AIR = tuple(f.name for f in fields(Air))
 _RECORD = ("method", "equation", "measured")
 _RECORD_OPTIONAL = ("solver", "version")
 _SURFACE = ("name", "material", "area")
-_MATERIAL = ("area", "sigma", "alpha_min", "scattering", "source")
+_MATERIAL = ("area", "sigma", "alpha_min", "scattering", "source", "area_sigma")
+_RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
 _PRIOR = ("relative", "minimum", "iso_12999_2", "in_situ_factor", "band_correlation")
 _FILE = (
     "name",
@@ -97,9 +104,11 @@ _FILE = (
     "calibration",
     "above_one",
     "clipped",
+    *_RELATIVE,
+    "climate_sigma",
 )
 """Optional keys that the file and the dict have in common."""
-_TABLES = (*TABLES, "prior", "material", "surface", "correlation")
+_TABLES = (*TABLES, "area_sigma", "prior", "material", "surface", "correlation")
 _NEEDED = ("volume", "materials", "areas", "alpha", "sigma", "centre_frequencies")
 _OPTIONAL = (
     *_FILE,
@@ -110,6 +119,7 @@ _OPTIONAL = (
     "scene",
     "band_correlation",
     "material_correlation",
+    "area_sigma",
 )
 _PRIOR_LIMITS = (0.0, np.finfo(float).max)
 
@@ -148,6 +158,10 @@ def attributes(data: Mapping[str, Any], place: str = "") -> dict[str, Any]:
     for name in ("alpha", "sigma", "alpha_min", "scattering"):
         if name in room or name in _NEEDED:
             arguments[name] = room.array(name, shape)
+    for name in _RELATIVE:
+        arguments[name] = room.number(name, 0.0)
+    arguments["area_sigma"] = data.get("area_sigma", 0.0)
+    arguments["climate_sigma"] = data.get("climate_sigma", (0.0, 0.0))
     if "dimensions" in room:
         arguments["dimensions"] = tuple(_dimensions(room).tolist())
     if "air" in room:
@@ -195,6 +209,7 @@ def parse(text: str) -> dict[str, Any]:
     if not materials:
         raise DataError("no [[material]]; a room has at least one")
     rows = stacked(surfaces, materials, frequencies)
+    own = {e["name"]: e["area_sigma"] for _, e in _tables(file, "material") if "area_sigma" in e}
     return {
         **{key: content[key] for key in ("volume", *_FILE) if key in content},
         "centre_frequencies": json_numbers(frequencies),
@@ -209,6 +224,9 @@ def parse(text: str) -> dict[str, Any]:
         "scene": {key: content[key] for key in TABLES if key in content},
         "band_correlation": 0.0 if prior is None else prior.number("band_correlation", 0.0),
         "material_correlation": [entry for _, entry in _tables(file, "correlation")],
+        "area_sigma": {
+            name: own.get(name, content.get("area_sigma", 0.0)) for name in rows["materials"]
+        },
     }
 
 
@@ -332,6 +350,11 @@ def plain(room: Any) -> dict[str, Any]:
         stated["author"] = room.author
     if room.clipped:
         stated["clipped"] = list(room.clipped)
+    stated |= {name: value for name in _RELATIVE if (value := getattr(room, name))}
+    if room.area_sigma.any():
+        stated["area_sigma"] = json_numbers(room.area_sigma)
+    if any(room.climate_sigma):
+        stated["climate_sigma"] = list(room.climate_sigma)
     return {
         "name": room.name,
         "volume": room.volume,
@@ -357,6 +380,9 @@ def text(data: Mapping[str, Any]) -> str:
         lines.append("clipped = [" + ", ".join(map(_quoted, data["clipped"])) + "]")
     if "scattering_model" in data:
         lines.append(f"scattering_model = {_quoted(data['scattering_model'])}")
+    lines += [f"{name} = {data[name]!r}" for name in _RELATIVE if name in data]
+    if "climate_sigma" in data:
+        lines.append(f"climate_sigma = {_listed(data['climate_sigma'])}")
     lines += _scene(data.get("scene", {}))
     if data["band_correlation"]:
         lines += ["", "[prior]", f"band_correlation = {data['band_correlation']!r}"]
@@ -375,6 +401,8 @@ def text(data: Mapping[str, Any]) -> str:
         for key in ("alpha", "sigma", "alpha_min", "scattering"):
             if key in data:
                 lines.append(f"{key} = {_listed(data[key][i])}")
+        if data.get("area_sigma", [0.0] * (i + 1))[i]:
+            lines.append(f"area_sigma = {data['area_sigma'][i]!r}")
         if material in data.get("sources", {}):
             lines.append(f"source = {_quoted(data['sources'][material])}")
     for entry in data.get("material_correlation", []):

@@ -83,6 +83,13 @@ class Configurations:
                     f'configuration "{name}": band_correlation = {room.band_correlation:g}, but '
                     f'"{self.names[0]}" says {self.rooms[0].band_correlation:g}'
                 )
+            for key in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
+                stated, other = getattr(room, key), getattr(self.rooms[0], key)
+                if stated != other:
+                    raise DataError(
+                        f'configuration "{name}": {key} = {stated:g}, but "{self.names[0]}" says '
+                        f"{other:g}; it is one room"
+                    )
             for (a, b), value in pairs.items():
                 stated = room.material_correlation.get(
                     (a, b), room.material_correlation.get((b, a), 0.0)
@@ -161,4 +168,9 @@ class Configurations:
             alpha_min=np.array(floors),
             band_correlation=first.band_correlation,
             material_correlation=self._pairs(),
+            volume_sigma=first.volume_sigma,
+            area_sigma=np.array([r.area_sigma[i] for r, i in zip(owners, rows, strict=True)]),
+            common_area_sigma=first.common_area_sigma,
+            common_alpha_sigma=first.common_alpha_sigma,
+            climate_sigma=first.climate_sigma,
         )

@@ -16,8 +16,14 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.problem_data import ProblemData
-from rtcal.calibration.terms import LinearObservations, MatchConstraint, SoftMatch
-from rtcal.calibration.uncertainty import density, estimate_sigma, innovation, optimality
+from rtcal.calibration.terms import LinearObservations, MatchConstraint, RoomMatch, SoftMatch
+from rtcal.calibration.uncertainty import (
+    density,
+    estimate_sigma,
+    gaussian_interval,
+    innovation,
+    optimality,
+)
 from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.sensitivities import Optimality
@@ -129,6 +135,18 @@ class JointSolution:
         return estimate_sigma(
             self.solution, self.configurations, self.equation, self.measured_times, self.assemble
         )
+
+    @cached_property
+    def gaussian_interval(self) -> tuple[Array, Array]:
+        """Ends of the coefficients' 90 % interval in an uncertain room, (n_materials, n_bands) each."""
+        layout = self.solution.model.data.layout
+        low, high = gaussian_interval(self.solution, self._estimate_sigma, 0.9)
+        return layout.expand(low), layout.expand(high)
+
+    @property
+    def matches_uncertain_room(self) -> bool:
+        """Whether T was matched within the uncertainty of volume, areas and climate."""
+        return any(isinstance(t, RoomMatch) for t in self.solution.model.objective.terms)
 
     @property
     def posterior_sigma(self) -> Array:

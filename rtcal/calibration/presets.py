@@ -17,6 +17,7 @@ from rtcal.calibration.terms import (
     ExactMatch,
     HuberDeviation,
     PriorDeviation,
+    RoomMatch,
     SoftMatch,
 )
 from rtcal.errors import DataError, ModelError
@@ -28,17 +29,26 @@ _SMOOTHING = 0.3
 """Weight of the smoothness: small enough to cost under 1 % where the truth is uncorrelated over
 bands (notebooks/studies/smoothing.ipynb)."""
 
+_EXACT = 1e-4
+"""u_T / T where T is matched exactly but the room is uncertain: a hundredth of what is measured."""
+
 _INDEPENDENT = PriorDeviation()
 
-METHODS: dict[str, Callable[[PriorDeviation], Calibration]] = {
-    "mle": lambda prior: Calibration(prior, [ExactMatch()]),
-    "lse": lambda prior: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
-    "soft": lambda prior: Calibration(prior + SoftMatch(_RELATIVE), []),
-    "smooth": lambda prior: Calibration(
-        prior + SoftMatch(_RELATIVE) + _SMOOTHING * BandSmoothness(), []
+Match = Callable[[float], SoftMatch]
+
+METHODS: dict[str, Callable[[PriorDeviation, Match], Calibration]] = {
+    "mle": lambda prior, match: (
+        Calibration(prior, [ExactMatch()])
+        if match is SoftMatch
+        else Calibration(prior + match(_EXACT), [])
     ),
-    "robust": lambda prior: Calibration(HuberDeviation() + SoftMatch(_RELATIVE), []),
-    "joint": lambda prior: Calibration(prior + SoftMatch(_RELATIVE), []),
+    "lse": lambda prior, match: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
+    "soft": lambda prior, match: Calibration(prior + match(_RELATIVE), []),
+    "smooth": lambda prior, match: Calibration(
+        prior + match(_RELATIVE) + _SMOOTHING * BandSmoothness(), []
+    ),
+    "robust": lambda prior, match: Calibration(HuberDeviation() + match(_RELATIVE), []),
+    "joint": lambda prior, match: Calibration(prior + match(_RELATIVE), []),
 }
 """The calibration methods by name.
 
@@ -48,33 +58,43 @@ METHODS: dict[str, Callable[[PriorDeviation], Calibration]] = {
 ``smooth``: soft, with a shift that changes slowly over frequency.
 ``robust``: soft, but a few coefficients may be far from their stated value.
 ``joint``: soft, for several configurations of one room.
+
+In a room that states an uncertainty of its volume, areas or climate, every method but ``lse`` matches T
+within it (`rtcal.terms.RoomMatch`). ``mle`` then counts the uncertainty of T where one is stated.
 """
 
 
 def preset(method: str, room: Room | None = None) -> Calibration:
-    """Return the calibration of a method, with the correlations that ``room`` states.
+    """Return the calibration of a method, with correlations and uncertainties that ``room`` states.
 
-    ``lse`` uses neither the correlations nor sigma. Raises ModelError for an unknown name, and for
+    ``lse`` uses none of them, nor sigma. Raises ModelError for an unknown name, and for
     ``robust`` with correlations, since it treats every coefficient separately.
     """
     if not isinstance(method, str) or method not in METHODS:
         raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')
     prior = _INDEPENDENT
-    if room is not None and (room.band_correlation or room.material_correlation):
-        if method == "robust":
-            raise ModelError(
-                'method "robust" treats every coefficient apart, but the room states correlations'
+    match: Match = SoftMatch
+    if room is not None:
+        common = room.common_alpha_sigma > 0
+        if room.band_correlation or room.material_correlation or common:
+            if method == "robust":
+                raise ModelError(
+                    'method "robust" treats every coefficient apart, but the room states correlations '
+                    "or a common_alpha_sigma"
+                )
+            prior = PriorDeviation(
+                band_correlation=room.band_correlation,
+                material_correlation=room.material_correlation,
+                common=common,
             )
-        prior = PriorDeviation(
-            band_correlation=room.band_correlation, material_correlation=room.material_correlation
-        )
-    return _stated(method, prior)
+        match = RoomMatch if room.is_uncertain else SoftMatch
+    return _stated(method, prior, match)
 
 
 @functools.lru_cache(maxsize=16)
-def _stated(method: str, prior: PriorDeviation) -> Calibration:
+def _stated(method: str, prior: PriorDeviation, match: Match) -> Calibration:
     """Return a method's calibration, whose terms are checked once."""
-    return METHODS[method](prior)
+    return METHODS[method](prior, match)
 
 
 @overload

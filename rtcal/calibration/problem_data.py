@@ -52,6 +52,10 @@ class ProblemData:
     centre : array (size,)
     observed : mapping of term to Whitened
         The numbers of each `rtcal.terms.LinearObservations`.
+    room_changes : array (n_changes, n_configurations * n_bands)
+        `rtcal.acoustics.room_errors.target_changes` of all configurations, in m².
+    common : float
+        Relative standard deviation that all coefficients have in common.
     """
 
     layout: Layout
@@ -70,6 +74,8 @@ class ProblemData:
     pinned: Flags
     centre: Array
     observed: Mapping[object, Whitened] = field(default_factory=dict)
+    room_changes: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    common: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -113,6 +119,38 @@ class ProblemData:
         inverse = np.divide(1.0, size, out=np.zeros_like(size), where=self.matched & (size > 0))
         inverse.setflags(write=False)
         return inverse.ravel()
+
+    @cached_property
+    def target_covariance(self) -> Array:
+        """Covariance of b - S'alpha in m⁴, (n_matches, n_matches); an unknown u_b counts as 0.
+
+        The sum of that of b, through T, and of that through volume, areas and climate.
+        """
+        noise = np.diag(np.nan_to_num(self.target_uncertainty).ravel() ** 2)
+        changes = self.room_changes
+        return noise + changes.T @ changes if changes.size else noise
+
+    @cached_property
+    def match_whitener(self) -> Array:
+        """W, lower triangular, with W'W the inverse of `target_covariance` over what is matched.
+
+        Rows and columns without a match are 0. (n_matches, n_matches) in 1/m².
+        """
+        used = np.flatnonzero(self.matched.ravel())
+        whitener = np.zeros_like(self.target_covariance)
+        block = np.ix_(used, used)
+        factor = np.linalg.cholesky(self.target_covariance[block])
+        whitener[block] = np.tril(np.linalg.inv(factor))
+        whitener.setflags(write=False)
+        return whitener
+
+    @cached_property
+    def common_shift(self) -> Array:
+        """Change of the unknowns by one standard deviation of all coefficients together, (size,)."""
+        shift = np.where(self.sigma > 0, self.common * self.mu, 0.0)
+        shift[self.layout.n_alpha :] = 0.0
+        shift.setflags(write=False)
+        return shift
 
     def __repr__(self) -> str:
         return f"<ProblemData: {self.layout!r}>"

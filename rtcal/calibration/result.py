@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics import room_errors
 from rtcal.acoustics.common_errors import of_absorption
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import (
@@ -254,7 +255,8 @@ class CalibrationResult(Result):
         """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
 
         It is `rtcal.posterior.posterior`'s: with the uncertainty of T, where one is stated, and it
-        holds the calibrated coefficient. None if that would need samples (correlations, order,
+        holds the calibrated coefficient. In a room that states an uncertainty of its volume, areas or
+        climate it is that of a normal density, cut at the bounds. None if that would need samples (correlations, order,
         several configurations), or if the method has no posterior (`lse`, `robust`).
         """
         if len(self.joint.configurations.rooms) > 1:
@@ -263,6 +265,9 @@ class CalibrationResult(Result):
             density = self.joint.density()
         except ModelError:  # the method has no posterior
             return None
+        if self.joint.matches_uncertain_room:
+            low, high = self.joint.gaussian_interval
+            return low[self._rows], high[self._rows]
         if not isinstance(density, IndependentBands):
             return None
         low, high = exact_interval(density, 0.9)
@@ -321,6 +326,7 @@ class CalibrationResult(Result):
             "matches_measured_time": self.joint.asks_for_measured_time,
             "volume": room.volume,
             "air": None if room.air is None else vars(room.air),
+            **({"room_uncertainty": words} if (words := room_errors.in_words(room)) else {}),
             "centre_frequencies": json_numbers(room.centre_frequencies),
             "measured": record.measurement(self.measured_data),
             "reverberation_time_before": json_numbers(self.reverberation_time_before),

@@ -14,7 +14,7 @@ import numpy as np
 
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.calibration.problem_data import ProblemData
-from rtcal.calibration.terms import ExactMatch, MatchWithin, PriorDeviation, SoftMatch
+from rtcal.calibration.terms import ExactMatch, MatchWithin, PriorDeviation, RoomMatch, SoftMatch
 from rtcal.support.types import Array
 
 _ROUNDING = 32 * np.finfo(float).eps
@@ -132,6 +132,7 @@ def separable(model: NumpyModel) -> Separable | None:
         or layout.further
         or not isinstance(prior, PriorDeviation)
         or prior.correlated()
+        or any(isinstance(term, RoomMatch) for term in terms)
         or len(terms) > 1 + len(soft)
         or len(rows) + len(soft) > 1
         or not all(isinstance(row, ExactMatch | MatchWithin) for row in rows)

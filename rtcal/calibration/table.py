@@ -200,6 +200,14 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
                 "",
             )
         )
+    if "room_uncertainty" in record:
+        notes.append(
+            (
+                f"The room is uncertain as stated (standard deviations): {record['room_uncertainty']}. "
+                "T after is that of the room as stated.",
+                "",
+            )
+        )
     notes += [(f"{sentence} (nearest end taken)", "  ") for sentence in record["unreachable"]]
     if measured["caution"]:
         notes.append((measured["caution"], "  "))

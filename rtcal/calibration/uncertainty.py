@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.stats import truncnorm
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.calibration.configurations import Configurations
@@ -19,6 +20,7 @@ from rtcal.calibration.terms import (
     ExactMatch,
     LinearObservations,
     PriorDeviation,
+    RoomMatch,
     SoftMatch,
     match_matrix,
 )
@@ -82,13 +84,18 @@ def optimality(
         for factor in (1 - _STEP, 1 + _STEP)
     )
     width = 2 * _STEP * data.time.ravel()
-    # Each row of the match depends on its own T alone, and no other term on any.
-    pull_by_time = np.zeros(data.time.size)
+    # But for a RoomMatch, each row of a match depends on its own T alone, and no other term on any.
+    pull_by_time = np.zeros((data.time.size, data.time.size))
     for term, weight in zip(model.objective.terms, data.weights, strict=True):
-        if isinstance(term, SoftMatch):
+        if isinstance(term, RoomMatch):
+            # A row's pull depends on every T, through b; that C depends on T is neglected.
+            by_time = np.nan_to_num((after.data.target - before.data.target).ravel() / width)
+            whitener = data.match_whitener
+            pull_by_time -= weight * (whitener.T @ whitener) * by_time
+        elif isinstance(term, SoftMatch):
             change = term.pull(u, after.data) - term.pull(u, before.data)
-            pull_by_time += weight * np.nan_to_num(change.ravel() / width)
-    gradient_by_time = match_matrix(data).T.toarray() * pull_by_time
+            pull_by_time += np.diag(weight * np.nan_to_num(change.ravel() / width))
+    gradient_by_time = match_matrix(data).T @ pull_by_time
     limits = [np.where(upper, m.row_upper, m.row_lower) for m in (before, after)]
     changing = active & np.isfinite(limits[0]) & np.isfinite(limits[1])
     limit_by_time = np.zeros((len(active), data.time.size))
@@ -119,10 +126,10 @@ def estimate_sigma(
     """Return the standard deviation of the linear estimate's error, (size,) over the unknowns.
 
     The prior's covariance is the room's, also if the method assumes another covariance. An unknown
-    uncertainty of T counts as 0. With linear observations it is the Gaussian posterior's, with the
-    objective's prior.
+    uncertainty of T counts as 0. With linear observations, or an uncertain room, it is the Gaussian
+    posterior's, with the objective's prior.
     """
-    if any(isinstance(t, LinearObservations) for t in solution.model.objective.terms):
+    if any(isinstance(t, LinearObservations | RoomMatch) for t in solution.model.objective.terms):
         return _gaussian_sigma(solution.model, solution.unknowns)
     slopes = [
         equation.target_sensitivity(room, measured.reverberation_time)
@@ -152,6 +159,23 @@ def _gaussian_sigma(model: NumpyModel, u: Array) -> Array:
     return sigma
 
 
+def gaussian_interval(solution: Solution, sigma: Array, mass: float) -> tuple[Array, Array]:
+    """Return the ends of the unknowns' intervals, (size,) each, of a normal density within the box.
+
+    ``sigma`` (size,) is the standard deviation without the box. An unknown that a bound holds back by
+    its multiplier m would have its mean m sigma² beyond it. Each interval holds the answer.
+    """
+    u, model = solution.unknowns, solution.model
+    held = solution.multipliers.upper - solution.multipliers.lower
+    free = sigma > 0
+    spread = np.where(free, sigma, 1.0)
+    mean = u + held * spread**2
+    low, high = (model.lower - mean) / spread, (model.upper - mean) / spread
+    ends = [truncnorm.ppf(share, low, high) for share in ((1 - mass) / 2, (1 + mass) / 2)]
+    lower, upper = (np.where(free, mean + spread * end, u) for end in ends)
+    return np.minimum(lower, u), np.maximum(upper, u)
+
+
 def _row_noise(model: NumpyModel) -> Array:
     """Standard uncertainty of what each row is equal to in m², (n_rows,); 0 where it is unknown."""
     noise = np.append(np.nan_to_num(model.data.target_uncertainty).ravel(), 0.0)
@@ -168,8 +192,8 @@ def _dense(matrix: Any) -> Array:
 def innovation(solution: Solution, configurations: Configurations) -> tuple[Array, Array]:
     """Return b - S'mu in m², (n_configurations * n_bands,), and its covariance S'KS + U.
 
-    K is the prior's covariance with the room's sigma and correlations, and U that of b (0 where
-    unknown). The sizes of effects have their own prior. b is NaN in a band without a match. An
+    K is the prior's covariance with the room's sigma and correlations, and U that of b through T (0
+    where unknown) and through the volume, areas and climate that the room calls uncertain. The sizes of effects have their own prior. b is NaN in a band without a match. An
     unreachable band counts with the b of its measured T, or with the nearest reachable b if no b has
     that T.
     """
@@ -195,6 +219,7 @@ def _independent(model: NumpyModel, prior: PriorDeviation) -> bool:
         and not layout.further
         and not prior.correlated()
         and all(isinstance(t, PriorDeviation | SoftMatch) for t in model.objective.terms)
+        and not any(isinstance(t, RoomMatch) for t in model.objective.terms)
         and all(isinstance(r, ExactMatch) for r in model.row_constraints)
         and len(model.objective.terms) + len(model.row_constraints) <= 2
     )
@@ -287,7 +312,7 @@ def _with_times(
 
 
 def _covariances(solution: Solution, configurations: Configurations) -> tuple[Array, Array, Array]:
-    """The room's sigma over the unknowns (size,), K S (size, n_rows), and S'KS + U."""
+    """The prior's sigma over the unknowns (size,), K S (size, n_rows), and S'KS + U."""
     data = solution.model.data
     layout, room = data.layout, configurations.union
     sigma = np.concatenate([room.sigma[layout.first].ravel(), data.further(data.sigma)])
@@ -299,5 +324,7 @@ def _covariances(solution: Solution, configurations: Configurations) -> tuple[Ar
         )
     match = match_matrix(data)
     cross = sigma[:, np.newaxis] * prior.correlate(sigma[:, np.newaxis] * match.T.toarray(), layout)
-    noise = np.nan_to_num(data.target_uncertainty).ravel() ** 2
-    return sigma, cross, np.asarray(match @ cross + np.diag(noise))
+    shift = np.where(sigma > 0, data.common_shift, 0.0)
+    cross = cross + np.outer(shift, match @ shift)
+    total = np.hypot(sigma, shift)
+    return total, cross, np.asarray(match @ cross + data.target_covariance)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import bands, room_errors
 from rtcal.acoustics.equations import EQUATIONS
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import (
@@ -290,8 +290,12 @@ def assumed(calibration: CalibrationResult) -> list[str]:
     """Return the assumptions of the calibration."""
     room, air = calibration.prior, calibration.prior.air
     sentences = [
-        f"Volume {room.volume:g} m³ and areas of {calibration.prior.areas.sum():g} m² in all, taken as "
-        "exact.",
+        f"Volume {room.volume:g} m³ and areas of {room.areas.sum():g} m² in all, "
+        + (
+            f"uncertain (standard deviations): {room_errors.in_words(room)}; T is matched within this."
+            if calibration.joint.matches_uncertain_room
+            else "taken as exact."
+        ),
         "Air: none stated, so the surfaces are made to absorb what the air does."
         if air is None
         else f"Air of {air.temperature:g} °C, {air.humidity:g} % relative humidity and "
@@ -334,6 +338,8 @@ def _correlated(calibration: CalibrationResult) -> str:
         parts.append(f"correlate by {room.band_correlation:g} over an octave")
     if room.material_correlation:
         parts.append("correlate between some materials")
+    if room.common_alpha_sigma:
+        parts.append(f"have {100 * room.common_alpha_sigma:g} % in common")
     return (" and ".join(parts) if parts else "are independent of each other") + "."
 
 

@@ -21,7 +21,7 @@ class Squares:
 
     Attributes
     ----------
-    rows : sparse array (n_squares, size)
+    rows : array or sparse array (n_squares, size)
         F.
     """
 
@@ -40,7 +40,7 @@ class Hessian:
     ----------
     plain : array (size,) or sparse array (size, size)
         A diagonal, or a matrix.
-    rows : sparse array (n_squares, size), optional
+    rows : array or sparse array (n_squares, size), optional
         F.
     """
 
@@ -59,7 +59,11 @@ class Hessian:
             else:
                 diagonal = diagonal + weight * part
         plain = diagonal if matrix is None else sp.csr_array(matrix + sp.diags_array(diagonal))
-        return cls(plain, sp.csr_array(sp.vstack(rows)) if rows else None)
+        if not rows:
+            return cls(plain)
+        if any(map(sp.issparse, rows)):
+            return cls(plain, sp.csr_array(sp.vstack(rows)))
+        return cls(plain, np.vstack(rows))
 
     def diagonal(self) -> Array:
         """Return the diagonal of H, (size,)."""
@@ -85,10 +89,10 @@ class Hessian:
                 return True
         if self.rows is None:
             return False
-        entries = self.rows.tocoo()
+        row, column = self.rows.nonzero()
         first = np.full(self.rows.shape[0], -1)
-        first[entries.row] = group[entries.col]
-        return bool((first[entries.row] != group[entries.col]).any())
+        first[row] = group[column]
+        return bool((first[row] != group[column]).any())
 
     def part(self, free: NDArray[np.bool_], scale: Array) -> Hessian:
         """Return H over the free unknowns, each in units of its ``scale`` (n_free,)."""

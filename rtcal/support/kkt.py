@@ -70,6 +70,12 @@ def _with_squares(hessian: Hessian, matrix: Any, force: Array, limit: Array) -> 
     """Take each square as a further unknown s: F x - s = 0, with s² / 2 in the objective."""
     rows, (n_squares, n) = hessian.rows, hessian.rows.shape
     norm = np.sqrt(1 + np.asarray((rows**2).sum(axis=1)).ravel())
+    if not (sp.issparse(rows) or sp.issparse(matrix) or sp.issparse(hessian.plain)):
+        every = np.zeros((len(matrix) + n_squares, n + n_squares))
+        every[: len(matrix), :n] = matrix
+        every[len(matrix) :, :n] = rows / norm[:, np.newaxis]
+        every[len(matrix) :, n:] = -np.diag(1 / norm)
+        return _of_squares(np.concatenate([hessian.plain, np.ones(n_squares)]), every, force, limit)
     inverse = sp.diags_array(1 / norm)
     above = sp.hstack([sp.csr_array(matrix), sp.csr_array((matrix.shape[0], n_squares))])
     every = sp.csr_array(sp.vstack([above, sp.hstack([inverse @ rows, -inverse])]))
@@ -79,11 +85,17 @@ def _with_squares(hessian: Hessian, matrix: Any, force: Array, limit: Array) -> 
         plain = sp.block_diag([hessian.plain, sp.eye_array(n_squares)], format="csr")
     else:
         plain = np.concatenate([hessian.plain, np.ones(n_squares)])
-    nothing = np.zeros((n_squares, *np.shape(force)[1:]))
+    return _of_squares(plain, every, force, limit)
+
+
+def _of_squares(plain: Any, every: Any, force: Array, limit: Array) -> tuple[Array, Array]:
+    """Solve with the squares among the unknowns, and leave them out of the answer."""
+    n, n_rows = len(force), len(limit)
+    nothing = np.zeros((plain.shape[0] - n, *np.shape(force)[1:]))
     step, multipliers = solve(
         plain, every, np.concatenate([force, nothing]), np.concatenate([limit, nothing])
     )
-    return step[:n], multipliers[: matrix.shape[0]]
+    return step[:n], multipliers[:n_rows]
 
 
 def _eliminated(diagonal: Array, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:
@@ -96,7 +108,9 @@ def _eliminated(diagonal: Array, matrix: Any, force: Array, limit: Array) -> tup
         multipliers = ((weighted @ force - limit).T / diagonals).T
         return ((force - matrix.T @ multipliers).T / diagonal).T, multipliers
     step, multipliers = (force.T / diagonal).T, np.zeros_like(limit)
-    n_groups, group = connected_components(sp.csr_array(schur), directed=False)
+    n_groups, group = 1, np.zeros(len(schur), dtype=int)
+    if np.count_nonzero(schur) < schur.size:
+        n_groups, group = connected_components(sp.csr_array(schur), directed=False)
     for number in range(n_groups):
         rows = np.flatnonzero(group == number)
         lines = matrix[rows]

@@ -34,6 +34,7 @@ from rtcal.calibration.terms.match import (
     AddedAbsorption,
     ExactMatch,
     MatchWithin,
+    RoomMatch,
     SoftMatch,
     match_matrix,
 )
@@ -59,6 +60,7 @@ __all__ = [
     "ObjectiveTerm",
     "Observed",
     "PriorDeviation",
+    "RoomMatch",
     "RowConstraint",
     "Rows",
     "Shared",

@@ -211,7 +211,7 @@ class SoftMatch(BaseTerm):
 
     def gradient(self, u: Array, data: ProblemData) -> Array:
         """Return S (S'alpha - b) / u_b²."""
-        return np.asarray(match_matrix(data).T @ np.nan_to_num(self.pull(u, data)).ravel())
+        return np.asarray(_match_rows(data).T @ np.nan_to_num(self.pull(u, data)).ravel())
 
     def pull(self, u: Array, data: ProblemData) -> Array:
         """Return (S'alpha - b) / u_b² in 1/m², (n_configurations, n_bands), NaN without T."""
@@ -220,10 +220,67 @@ class SoftMatch(BaseTerm):
     def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return S S' / u_b², which couples the materials of a band."""
         steep = np.nan_to_num(1 / self.uncertainty(data).ravel())
-        return Squares(sp.csr_array(sp.diags_array(steep) @ match_matrix(data)))
+        rows = _match_rows(data)
+        if sp.issparse(rows):
+            return Squares(sp.csr_array(sp.diags_array(steep) @ rows))
+        return Squares(steep[:, np.newaxis] * rows)
 
     def _residual(self, u: Array, data: ProblemData) -> Array:
         return (data.absorption_area(u) - data.target) / self.uncertainty(data)
+
+
+@dataclass(frozen=True)
+class RoomMatch(SoftMatch):
+    """½ r'C⁻¹r, r = b - S'alpha: match T as far as T, volume, areas and climate deserve.
+
+    C is the covariance of r over all bands: u_b² on its diagonal, and what the room states of its
+    volume, areas and climate (`rtcal.acoustics.room_errors.target_changes`). It is the QP with
+    A_ik = alpha_ik S_i, every S_i and the volume unknown and shared by all bands, after these are
+    minimised out. Eyring's and Kuttruff's b is linearised in them.
+
+    When to use it: when the room states a ``volume_sigma``, an ``area_sigma`` or a ``climate_sigma``;
+    `rtcal.calibrate` then uses it for every method but ``lse``. An error of the volume then changes
+    all bands alike, and goes less into the coefficients.
+
+    Parameters
+    ----------
+    relative : float, optional
+        As for `SoftMatch`.
+    """
+
+    def expression(self, context: Context, weight: int) -> Any:
+        """½ |w^½ W (S'alpha - b)|², W'W = C⁻¹ with W lower triangular."""
+        rows, columns, n_rows = context.match_pattern()
+        own = np.zeros((n_rows, context.size), dtype=bool)
+        own[rows, columns] = True
+        rows, columns = np.nonzero(np.logical_or.accumulate(own))
+
+        def compute(data: ProblemData) -> tuple[Array, Array]:
+            whitener = np.sqrt(data.weights[weight]) * data.match_whitener
+            target = np.where(data.matched, data.target, 0.0).ravel()
+            return (whitener @ _match_rows(data))[rows, columns], -(whitener @ target)
+
+        return half_squares(context.affine(rows, columns, n_rows, compute).expression)
+
+    def value(self, u: Array, data: ProblemData) -> float:
+        """Return ½ r'C⁻¹r."""
+        return 0.5 * float(np.sum((data.match_whitener @ self._difference(u, data)) ** 2))
+
+    def pull(self, u: Array, data: ProblemData) -> Array:
+        """Return C⁻¹(S'alpha - b) in 1/m², (n_configurations, n_bands), NaN without T."""
+        whitener = data.match_whitener
+        pull = whitener.T @ (whitener @ self._difference(u, data))
+        return np.where(data.matched, pull.reshape(data.matched.shape), np.nan)
+
+    def curvature(self, u: Array, data: ProblemData) -> Any:
+        """Return S C⁻¹ S', which couples all matched bands."""
+        rows = _match_rows(data)
+        together = data.match_whitener @ rows
+        return Squares(sp.csr_array(together) if sp.issparse(rows) else together)
+
+    def _difference(self, u: Array, data: ProblemData) -> Array:
+        """S'alpha - b in m², (n_matches,), 0 without T."""
+        return np.where(data.matched, data.absorption_area(u) - data.target, 0.0).ravel()
 
 
 @dataclass(frozen=True)

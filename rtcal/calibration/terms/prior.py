@@ -57,6 +57,9 @@ class PriorDeviation(BaseTerm):
         that a mapping lacks are uncorrelated.
     material_correlation : matrix (n_materials, n_materials) or mapping of pairs to float
         Between the same bands of two materials: ``{("door", "panel"): 0.7}``.
+    common : bool
+        Whether all coefficients may be off together, by the room's ``common_alpha_sigma`` t: then the
+        covariance is sigma R sigma + t² mu mu' over all materials and bands.
 
     Raises
     ------
@@ -68,10 +71,12 @@ class PriorDeviation(BaseTerm):
     sigma: float | None = None
     band_correlation: float | Sequence[Sequence[float]] | Mapping[str, Any] = 0.0
     material_correlation: Sequence[Sequence[float]] | Mapping[tuple[str, str], float] = ()
+    common: bool = False
 
     is_prior: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        checks.flag("PriorDeviation: common", self.common)
         _positive("PriorDeviation(sigma", self.sigma)
         # Kept as tuples: a term is hashable, so that weights can be given by term.
         given, pairs = self.band_correlation, self.material_correlation
@@ -87,8 +92,8 @@ class PriorDeviation(BaseTerm):
         object.__setattr__(self, "material_correlation", between)
 
     def correlated(self) -> bool:
-        """Whether any correlation was stated."""
-        return bool(self.band_correlation) or bool(self.material_correlation)
+        """Whether any correlation was stated, or a part that all coefficients have in common."""
+        return bool(self.band_correlation) or bool(self.material_correlation) or self.common
 
     def factors(self, layout: Layout) -> tuple[list[Array], Array]:
         """Return Cholesky factors of R = B (C x 1) B': B per row of alpha (n_bands, n_bands), C's.
@@ -132,9 +137,13 @@ class PriorDeviation(BaseTerm):
         # A coefficient held off its mean pulls at those that it is correlated with; one that is
         # known exactly (sigma = 0) says nothing of them, so there x stays free.
         keep = context.multiply(x, lambda i: 1.0 - _held(i))
-        loose = context.multiply(x, _held)
-        pull = context.parameter(n, lambda i: _held(i) * _deviation(i.centre, i)[:n])
-        return half_squares(self._whitener(layout) @ (keep + pull)) + half_squares(loose)
+        loose = half_squares(context.multiply(x, _held))
+        own = keep + context.parameter(n, lambda i: _held(i) * _deviation(i.centre, i)[:n])
+        if self.common:
+            together = context.variable(1)
+            own = own - context.parameter((n, 1), lambda i: _together(i)[:n, None]) @ together
+            loose = loose + half_squares(together)
+        return half_squares(self._whitener(layout) @ own) + loose
 
     def value(self, u: Array, data: ProblemData) -> float:
         """Return ½ x'R⁻¹x over the coefficients with sigma > 0."""
@@ -152,7 +161,11 @@ class PriorDeviation(BaseTerm):
         if not self.correlated():
             return inverse**2
         scale = sp.diags_array(inverse)
-        return sp.csr_array(scale @ self._padded(data) @ scale)
+        precision = self._padded(data)
+        if self.common:
+            shared = self._shared(data)[:, np.newaxis]
+            precision = precision - sp.csr_array(shared @ shared.T)
+        return sp.csr_array(scale @ precision @ scale)
 
     def convexity(self, data: ProblemData) -> Array:
         """Return the least eigenvalue of R⁻¹ for every coefficient."""
@@ -160,13 +173,26 @@ class PriorDeviation(BaseTerm):
         if self.correlated():
             bands, between = self.factors(data.layout)
             largest = np.linalg.norm(between, 2) ** 2
-            least = 1 / float(largest * max(np.linalg.norm(b, 2) ** 2 for b in bands))
+            spread = float(largest * max(np.linalg.norm(b, 2) ** 2 for b in bands))
+            least = 1 / (spread + (np.sum(_together(data) ** 2) if self.common else 0.0))
         m = np.full(data.layout.size, least)
         m[data.layout.n_alpha :] = 0.0
         return m
 
     def _apply(self, x: Array, data: ProblemData) -> Array:
-        return np.asarray(self._padded(data) @ x) if self.correlated() else x
+        if not self.correlated():
+            return x
+        precise = np.asarray(self._padded(data) @ x)
+        if self.common:
+            shared = self._shared(data)
+            precise -= shared * (shared @ x)
+        return precise
+
+    def _shared(self, data: ProblemData) -> Array:
+        """s of (R + q q')⁻¹ = R⁻¹ - s s', q what all coefficients have in common in sigmas."""
+        together = _together(data)
+        precise = np.asarray(self._padded(data) @ together)
+        return precise / np.sqrt(1 + together @ precise)
 
     def _padded(self, data: ProblemData) -> Any:
         """R⁻¹ over all unknowns, those with sigma = 0 integrated out."""
@@ -180,6 +206,11 @@ class PriorDeviation(BaseTerm):
         whitener = sp.csr_array(across @ within)
         whitener.eliminate_zeros()
         return whitener
+
+
+def _together(data: ProblemData) -> Array:
+    """The change of all coefficients together by one standard deviation, in sigmas, (size,)."""
+    return np.asarray(data.common_shift * data.inverse_sigma)
 
 
 def _held(data: ProblemData) -> Array:
