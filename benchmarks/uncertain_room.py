@@ -112,13 +112,13 @@ def judge(name: str, rooms: int, seed: int = 1) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    head = "| rooms | score / % | ± | 90 % intervals hold | Q false alarms at 5 % |\n|---|---|---|---|---|"
+    head = "| rooms | score / % | ± | 90 % intervals hold | Q false alarms at 5 % |"
     lines = [
         f"| {r['case']} | {100 * r['score']:.1f} | {100 * r['standard_error']:.1f} | "
         f"{r['coverage']:.3f} | {r['false_alarms']:.3f} |"
         for r in rows
     ]
-    return "\n".join([head, *lines])
+    return "\n".join([head, "|---|---|---|---|---|", *lines])
 
 
 def main() -> None:

@@ -25,8 +25,13 @@ OBJECTIVE = {
     "correlated": terms.PriorDeviation(
         band_correlation={"m0": 0.7, "m2": 0.4}, material_correlation={("m1", "m3"): 0.5}
     ),
+    "together": terms.PriorDeviation(common=True),
+    "together and correlated": terms.PriorDeviation(
+        band_correlation=0.6, material_correlation={("m1", "m3"): 0.5}, common=True
+    ),
     "huber": terms.HuberDeviation(threshold=0.8),
     "soft": terms.SoftMatch(0.05),
+    "uncertain room": terms.RoomMatch(0.05),
     "smooth": terms.BandSmoothness(),
     "effect": terms.AddedAbsorption("opening", GAIN, sigma=2.0, mean=0.5),
 }
@@ -45,7 +50,15 @@ def made(seed: int, term: object = None) -> tuple[Context, ProblemData, rt.Room]
     room = random_room(rng, 4, 4)
     sigma = room.sigma.copy()
     sigma[0, 1] = 0.0
-    room = room.replace(sigma=sigma)
+    room = room.replace(
+        sigma=sigma,
+        air=rt.Air(),
+        volume_sigma=0.05,
+        area_sigma=0.03,
+        common_area_sigma=0.02,
+        common_alpha_sigma=0.1,
+        climate_sigma=(2, 10),
+    )
     t = true_times(rng, room, EYRING)
     t[2] = np.nan
     objective = terms.as_objective(terms.PriorDeviation())

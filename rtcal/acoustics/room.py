@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rtcal.acoustics import bands, room_errors, room_files
+from rtcal.acoustics import bands, room_files, stated_errors
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.materials import (
@@ -209,9 +209,9 @@ class Room:
         check_surfaces(self.materials, self.areas, self.surfaces)
         check_correlation(self.materials, self.band_correlation, self.material_correlation)
         for name in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
-            put(name, room_errors.relative(name, getattr(self, name)))
-        put("area_sigma", room_errors.by_material(self.area_sigma, self.materials, self.areas))
-        put("climate_sigma", room_errors.climate(self.climate_sigma, self.air))
+            put(name, stated_errors.relative(name, getattr(self, name)))
+        put("area_sigma", stated_errors.by_material(self.area_sigma, self.materials, self.areas))
+        put("climate_sigma", stated_errors.climate(self.climate_sigma, self.air))
 
     def _clip(self, put: Callable[[str, object], None]) -> None:
         """Cut coefficients above 1 to 1 and name them."""
@@ -332,9 +332,12 @@ class Room:
     def with_air(self, air: Air | None) -> Room:
         """Return the room in another climate, to predict T there with the same coefficients.
 
-        Only the air's attenuation and the speed of sound change.
+        Only the air's attenuation and the speed of sound change; without air the climate's
+        uncertainty goes.
         """
-        return self.replace(air=air)
+        return self.replace(
+            air=air, climate_sigma=(0.0, 0.0) if air is None else self.climate_sigma
+        )
 
     @checked
     def place(self, name: str, material: int, band: int) -> str:

@@ -256,8 +256,9 @@ class CalibrationResult(Result):
 
         It is `rtcal.posterior.posterior`'s: with the uncertainty of T, where one is stated, and it
         holds the calibrated coefficient. In a room that states an uncertainty of its volume, areas or
-        climate it is that of a normal density, cut at the bounds. None if that would need samples (correlations, order,
-        several configurations), or if the method has no posterior (`lse`, `robust`).
+        climate it is that of a normal density, cut at the bounds. None if that would need samples
+        (correlations, order, several configurations), or if the method has no posterior (`lse`,
+        `robust`).
         """
         if len(self.joint.configurations.rooms) > 1:
             return None

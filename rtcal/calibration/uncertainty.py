@@ -192,10 +192,10 @@ def _dense(matrix: Any) -> Array:
 def innovation(solution: Solution, configurations: Configurations) -> tuple[Array, Array]:
     """Return b - S'mu in m², (n_configurations * n_bands,), and its covariance S'KS + U.
 
-    K is the prior's covariance with the room's sigma and correlations, and U that of b through T (0
-    where unknown) and through the volume, areas and climate that the room calls uncertain. The sizes of effects have their own prior. b is NaN in a band without a match. An
-    unreachable band counts with the b of its measured T, or with the nearest reachable b if no b has
-    that T.
+    K is the prior's covariance with the room's sigma and correlations. U is that of b through T (0
+    where unknown) and through the volume, areas and climate that the room calls uncertain. The sizes
+    of effects have their own prior. b is NaN in a band without a match. An unreachable band counts with
+    the b of its measured T, or with the nearest reachable b if no b has that T.
     """
     data = solution.model.data
     target = data.target.copy()

@@ -246,6 +246,15 @@ class RoomMatch(SoftMatch):
     ----------
     relative : float, optional
         As for `SoftMatch`.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> objective = rt.terms.PriorDeviation() + RoomMatch()
+    >>> problem = rt.Calibration(objective).build(room.replace(volume_sigma=0.05))
+    >>> problem.solve(measured).gap_after.round(1)
+    array([1.9, 0.3, 0.4, 0.4, 0.4, 0.3])
     """
 
     def expression(self, context: Context, weight: int) -> Any:

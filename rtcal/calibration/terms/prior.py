@@ -192,7 +192,7 @@ class PriorDeviation(BaseTerm):
         """s of (R + q q')⁻¹ = R⁻¹ - s s', q what all coefficients have in common in sigmas."""
         together = _together(data)
         precise = np.asarray(self._padded(data) @ together)
-        return precise / np.sqrt(1 + together @ precise)
+        return np.asarray(precise / np.sqrt(1 + together @ precise))
 
     def _padded(self, data: ProblemData) -> Any:
         """R⁻¹ over all unknowns, those with sigma = 0 integrated out."""
