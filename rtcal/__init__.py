@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from rtcal.calibration.presets import calibrate as calibrate
     from rtcal.calibration.problem import Calibration as Calibration
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
+    from rtcal.prediction.designed import design as design
     from rtcal.simulators.sdn import ScatteringDelayNetwork as ScatteringDelayNetwork
     from rtcal.support.results import load as load
 else:

@@ -35,6 +35,7 @@ from rtcal.posterior.distributions import exact_interval
 from rtcal.posterior.sensitivities import Optimality
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.changes import Change
+from rtcal.prediction.estimate import State
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
@@ -59,6 +60,11 @@ class CalibrationResult(Result):
     def prior(self) -> Room:
         """The room before the calibration."""
         return self.joint.configurations.rooms[self.configuration]
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """All measured configurations, for `rtcal.design`; ModelError as `JointSolution.states`."""
+        return self.joint.states
 
     @property
     def equation(self) -> LinearEquation:
@@ -300,7 +306,7 @@ class CalibrationResult(Result):
         Raises ModelError as `JointSolution.states`, and as `rtcal.prediction.predict`.
         """
         return predict(
-            self.joint.states,
+            self.states,
             changes,
             before=self.prior,
             equation=self.equation,

@@ -12,6 +12,7 @@ import click
 
 from rtcal.command.calibrate import calibrate
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
+from rtcal.command.design import design
 from rtcal.command.example import example
 from rtcal.command.files import export, measure, table
 from rtcal.command.fit import fit
@@ -73,6 +74,7 @@ for command in (
     calibrate,
     report,
     predict,
+    design,
     gap,
     loop,
     fit,

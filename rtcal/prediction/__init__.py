@@ -15,9 +15,17 @@ if TYPE_CHECKING:
     from rtcal.prediction.changes import changed as changed
     from rtcal.prediction.compared import Predictions as Predictions
     from rtcal.prediction.compared import compare as compare
+    from rtcal.prediction.designed import Design as Design
+    from rtcal.prediction.designed import Known as Known
+    from rtcal.prediction.designed import design as design
     from rtcal.prediction.estimate import State as State
     from rtcal.prediction.predicted import Prediction as Prediction
     from rtcal.prediction.predicted import predict as predict
+    from rtcal.prediction.targets import Target as Target
+    from rtcal.prediction.targets import ansi_s12_60 as ansi_s12_60
+    from rtcal.prediction.targets import din_18041 as din_18041
+    from rtcal.prediction.treatments import Treatment as Treatment
+    from rtcal.prediction.treatments import read_treatments as read_treatments
     from rtcal.prediction.variants import Variant as Variant
     from rtcal.prediction.variants import read_variants as read_variants
 else:

@@ -16,12 +16,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, ModelError, SolverError
+from rtcal.posterior.density import TruncatedNormal
+from rtcal.posterior.sampler import sample
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -32,6 +35,12 @@ Flags = NDArray[np.bool_]
 _STEPS = 60
 _SETTLED = 1e-9
 """Largest last step of alpha, ln V, ln S and g."""
+_NEAR = 2.0
+"""Distance of a coefficient from a bound, in standard deviations, below which the bound counts."""
+_MATTERS = 0.1
+"""Share of the whole standard deviation from which a coefficient counts."""
+_EXACT = 1e-12
+"""Standard deviation up to which an unknown is known."""
 _LEAST = 1e-9
 """Least standard deviation of a measured ln T: an exact one would divide by 0."""
 
@@ -316,3 +325,49 @@ def _within(rooms: Rooms, free: Array, gradient: Array, residual: Array, varianc
         )
         out[k, moving] = mean[k, moving] + fitted.x
     return out
+
+
+def near_bounds(rooms: Rooms, found: Estimate, weights: Array, whole: Array) -> Flags:
+    """Return in which bands the bounds change the distribution of a weighted sum, (n_bands,) of bool.
+
+    Parameters
+    ----------
+    rooms : Rooms
+    found : Estimate
+    weights : array (n_bands, n_materials)
+        d(sum) / d alpha.
+    whole : array (n_bands,)
+        The sum's standard deviation.
+    """
+    n = len(rooms.materials)
+    sigma = np.sqrt(np.maximum(np.diagonal(found.covariance, axis1=1, axis2=2)[:, :n], 0))
+    alpha = found.free[:, :n]
+    near = np.minimum(alpha - rooms.lower.T, 1 - alpha) < _NEAR * sigma
+    matters = np.abs(weights) * sigma > _MATTERS * whole[:, np.newaxis]
+    return np.asarray((near & matters & (sigma > 0)).any(axis=1))
+
+
+def samples(rooms: Rooms, found: Estimate, band: int, number: int) -> Array:
+    """Return samples of a band's unknowns within the bounds of alpha, (number, size)."""
+    n, covariance = len(rooms.materials), found.covariance[band]
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0))
+    moving = np.where(sigma > _EXACT, sigma, 0.0)
+    free = np.flatnonzero(moving)
+    inverse = np.linalg.inv(covariance[np.ix_(free, free)])
+    curvature = np.zeros_like(covariance)
+    curvature[np.ix_(free, free)] = (inverse + inverse.T) / 2
+    lower, upper = np.full(rooms.size, -np.inf), np.full(rooms.size, np.inf)
+    lower[:n], upper[:n] = rooms.lower[:, band], 1.0
+    point = np.clip(found.mode[band], lower, upper)
+    density = TruncatedNormal(
+        point=point,
+        gradient=curvature @ (point - found.free[band]),
+        curvature=sp.csr_array(curvature),
+        scale=moving,
+        lower=lower,
+        upper=upper,
+        matrix=np.zeros((0, rooms.size)),
+        row_lower=np.zeros(0),
+        row_upper=np.zeros(0),
+    )
+    return sample(density, number, seed=band).values

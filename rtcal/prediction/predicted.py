@@ -8,19 +8,24 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.posterior.density import TruncatedNormal
-from rtcal.posterior.sampler import sample
 from rtcal.prediction import words
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.changes import Change, changed
-from rtcal.prediction.estimate import Estimate, Flags, Rooms, State, estimate
+from rtcal.prediction.estimate import (
+    Estimate,
+    Flags,
+    Rooms,
+    State,
+    estimate,
+    near_bounds,
+    samples,
+)
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
@@ -31,9 +36,8 @@ from rtcal.support.types import Array
 JND = float(np.log(1.05))
 """One just noticeable difference of T, in ln T."""
 LEVEL = 0.9
-_NEAR = 2.0
-"""Distance of a coefficient from a bound, in standard deviations, below which T is sampled."""
-_SAMPLES = 4000
+SAMPLES = 4000
+"""Number of samples of a band whose bounds matter."""
 _TOGETHER = 100_000
 """Number of draws for the probability of all bands together: its error is at most 0.0016."""
 
@@ -100,42 +104,18 @@ class Prediction(Result):
         Elsewhere ln T is normal.
         """
         n = len(self.rooms.materials)
-        alpha = self.estimate.free[:, :n]
-        sigma = np.sqrt(np.diagonal(self.estimate.covariance, axis1=1, axis2=2)[:, :n])
-        near = np.minimum(alpha - self.rooms.lower.T, 1 - alpha) < _NEAR * sigma
-        matters = np.abs(self._linear[1][:, :n]) * sigma > 0.1 * self.linear_sigma[:, np.newaxis]
-        return np.asarray((near & matters & (sigma > 0)).any(axis=1))
+        return near_bounds(self.rooms, self.estimate, self._linear[1][:, :n], self.linear_sigma)
 
     @cached_property
     def _draws(self) -> dict[int, Array]:
         """Samples of ln T without the equation's own error, by the index of a sampled band."""
-        return {int(k): self._drawn(int(k)) for k in np.flatnonzero(self.sampled)}
-
-    def _drawn(self, band: int) -> Array:
-        n, mode = len(self.rooms.materials), self.estimate.mode[band]
-        covariance = self.estimate.covariance[band]
-        sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0))
-        moving = sigma > 1e-12
-        curvature = np.zeros_like(covariance)
-        inverse = np.linalg.inv(covariance[np.ix_(moving, moving)])
-        curvature[np.ix_(moving, moving)] = (inverse + inverse.T) / 2
-        lower, upper = np.full(mode.shape, -np.inf), np.full(mode.shape, np.inf)
-        lower[:n], upper[:n] = self.rooms.lower[:, band], 1.0
-        point = np.clip(mode, lower, upper)
-        density = TruncatedNormal(
-            point=point,
-            gradient=curvature @ (point - self.estimate.free[band]),
-            curvature=sp.csr_array(curvature),
-            scale=np.where(moving, sigma, 0.0),
-            lower=lower,
-            upper=upper,
-            matrix=np.zeros((0, len(mode))),
-            row_lower=np.zeros(0),
-            row_upper=np.zeros(0),
-        )
-        drawn = sample(density, _SAMPLES, seed=band).values
-        whole = np.repeat(drawn[:, np.newaxis], self.rooms.rooms[0].n_bands, axis=1)
-        return self.rooms.log_time(len(self.rooms.rooms) - 1, whole)[0][:, band]
+        last, n_bands = len(self.rooms.rooms) - 1, self.after.n_bands
+        drawn = {}
+        for k in np.flatnonzero(self.sampled).tolist():
+            unknowns = samples(self.rooms, self.estimate, k, SAMPLES)
+            every = np.repeat(unknowns[:, np.newaxis], n_bands, axis=1)
+            drawn[k] = self.rooms.log_time(last, every)[0][:, k]
+        return drawn
 
     @cached_property
     def log_mean(self) -> Array:

@@ -1,0 +1,278 @@
+"""A room's absorption as a linear function of the treatments' areas, and the cheapest areas.
+
+With the posterior of `rtcal.prediction.estimate`, the absorption area of the treated surfaces is
+A = w'a, w = S + U x, of the effective coefficients a = alpha exp(ln S error). The error of ln T that is
+none of theirs (the equation's, and that of ln V) is regressed on them: a part beta'(a - mean) moves
+with them, and is added to w as -q beta, with q = -1 / (d ln T / dA); the rest is independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.prediction.assumptions import Assumptions
+from rtcal.prediction.changes import changed
+from rtcal.prediction.envelope import Ranges
+from rtcal.prediction.estimate import Rooms, State, estimate, near_bounds, samples
+from rtcal.prediction.predicted import SAMPLES
+from rtcal.prediction.program import Numbers, program
+from rtcal.prediction.targets import Target
+from rtcal.prediction.treatments import Treatment
+from rtcal.support.types import Array
+
+_ROUNDS = 6
+_SETTLED = 1e-3
+"""Largest change of an area in the last round, in shares of the room's surface."""
+_SLACK = 0.002
+"""What the exact probability may lack of the promised one: the hull stands above g by so much."""
+_MOST_NODES = 400
+_WHOLE = 1e-6
+"""Distance of a number of panels from a whole one that counts as rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class DesignModel:
+    """What may be done in a room, and what is known of it."""
+
+    states: tuple[State, ...]
+    before: Room
+    treatments: tuple[Treatment, ...]
+    target: Target
+    equation: LinearEquation
+    assumptions: Assumptions
+
+    @cached_property
+    def rooms(self) -> Rooms:
+        """States, the room, and the room with a little of every treatment."""
+        room = changed(self.before, [])
+        for treatment in self.treatments:
+            area = treatment.largest
+            if treatment.covers is not None:
+                has = room.areas[room.material_index(treatment.covers)]
+                area = min(area, float(has) / 2)
+            room = changed(room, treatment.change(area / 2))
+        every = [*(state.room for state in self.states), self.before, room]
+        return Rooms(every, self.equation, self.assumptions)
+
+    @cached_property
+    def areas(self) -> Array:
+        """Areas of all materials before, (n_materials,)."""
+        return np.asarray(self.rooms.areas[-2])
+
+    @cached_property
+    def steps(self) -> Array:
+        """U: what 1 m² of each treatment does to the areas, (n_materials, n_treatments)."""
+        out = np.zeros((len(self.rooms.materials), len(self.treatments)))
+        for j, treatment in enumerate(self.treatments):
+            out[self.rooms.materials.index(treatment.material_name), j] += 1
+            if treatment.covers is not None:
+                out[self.rooms.materials.index(treatment.covers), j] -= 1
+        return out
+
+    @cached_property
+    def covering(self) -> tuple[Array, Array]:
+        """Which treatments cover which surface, (n_surfaces, n_treatments), and its area in m²."""
+        names = list(dict.fromkeys(t.covers for t in self.treatments if t.covers is not None))
+        rows = np.array([[float(t.covers == n) for t in self.treatments] for n in names])
+        areas = [float(self.before.areas[self.before.material_index(n)]) for n in names]
+        if not names:  # the program has one row at least
+            return np.zeros((1, len(self.treatments))), np.ones(1)
+        return rows, np.array(areas)
+
+    @cached_property
+    def _known(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Mean and root of the covariance of a; beta; mean and sd of the independent error."""
+        found = estimate(self.rooms, self.states)
+        n, n_bands = len(self.rooms.materials), len(found.mode)
+        factor = np.exp(found.mode[:, n + 1 : -1])
+        by_volume = self.rooms.log_time(len(self.states), found.mode)[1][:, n]
+        linear = np.zeros((n_bands, n + 1, self.rooms.size))
+        linear[:, range(n), range(n)] = factor
+        linear[:, range(n), range(n + 1, 2 * n + 1)] = found.mode[:, :n] * factor
+        linear[:, n, n], linear[:, n, -1] = by_volume, 1.0
+        covariance = linear @ found.covariance @ linear.swapaxes(1, 2)
+        mean = found.mode[:, :n] * factor
+        offset = found.mode[:, -1] + by_volume * found.mode[:, n]
+        weights = np.broadcast_to(self.rooms.areas.max(axis=0), (n_bands, n))
+        whole = np.sqrt(np.einsum("ki,kij,kj->k", weights, covariance[:, :n, :n], weights))
+        for k in np.flatnonzero(near_bounds(self.rooms, found, weights, whole)).tolist():
+            # The bounds cut the distribution: its moments are those of samples.
+            drawn = samples(self.rooms, found, k, SAMPLES)
+            a = drawn[:, :n] * np.exp(drawn[:, n + 1 : -1])
+            error = drawn[:, -1:] + by_volume[k] * drawn[:, n : n + 1]
+            mean[k], offset[k] = a.mean(axis=0), error.mean()
+            covariance[k] = np.cov(np.hstack([a, error]), rowvar=False)
+        of_a = covariance[:, :n, :n]
+        across = covariance[:, :n, n]
+        beta = np.einsum("kij,kj->ki", np.linalg.pinv(of_a, hermitian=True), across)
+        left = covariance[:, n, n] - np.einsum("ki,ki->k", beta, across)
+        tau = np.sqrt(np.maximum(left, 0) + self.assumptions.own**2)
+        value, vector = np.linalg.eigh(of_a)
+        root = np.sqrt(np.maximum(value, 0))[:, :, np.newaxis] * vector.swapaxes(1, 2)
+        return mean, root, beta, offset, tau
+
+    def room_with(self, x: Array) -> Room:
+        """Return the room with areas of the treatments in m²."""
+        put = [t.change(float(a)) for t, a in zip(self.treatments, x, strict=True) if a > 0]
+        return changed(self.before, put)
+
+    def ranges(self, x: Array, target: Target | None = None) -> Ranges:
+        """Return the target's ranges in the room with these areas: its whole surface counts."""
+        _, _, _, offset, tau = self._known
+        whole = self.before.total_area + float(self.steps.sum(axis=0) @ x)
+        room = changed(self.before, [])
+        room = room.replace(areas=room.areas * (whole / room.total_area))
+        return Ranges(room, self.equation, target or self.target, offset, tau)
+
+    def area(self, x: Array, at: Array | None = None) -> tuple[Array, Array]:
+        """Return mean and standard deviation of A in m², (n_bands,) each, for areas x in m².
+
+        ``at`` is the mean at which ln T is linear, that of x if not given.
+        """
+        mean, root, beta, _, _ = self._known
+        w = self.areas + self.steps @ x
+        m = mean @ w
+        q = self._slope(m if at is None else at, x)
+        sigma = np.linalg.norm(np.einsum("kij,kj->ki", root, w - q[:, np.newaxis] * beta), axis=1)
+        return m, sigma
+
+    def _slope(self, mean: Array, x: Array) -> Array:
+        """Return q = -1 / (d ln T / dA) in m², (n_bands,)."""
+        room = self.ranges(x).room
+        step = 1e-5 * room.total_area
+        mean = np.clip(mean, 2 * step, 0.999 * room.total_area)
+        times = [self.equation.time(room, mean + s) for s in (-step, step)]
+        return np.asarray(2 * step / np.log(times[0] / times[1]))
+
+    def probability(self, x: Array) -> Array:
+        """Return the probability that T is in its range, (n_bands,)."""
+        return self.ranges(x).probability(*self.area(x))
+
+    def cheapest(self, probability: float, target: Target | None = None) -> Array | None:
+        """Return the cheapest areas in m², whole panels where asked for; None if there are none.
+
+        The slope of ln T and a free-standing treatment's surface depend on the answer: rounds follow
+        until it no longer moves.
+        """
+        x = np.zeros(len(self.treatments))
+        mean, _ = self.ranges(x, target).best()
+        bounded = np.asarray((target or self.target).bounded)
+        mean = np.where(bounded, mean, self.area(x)[0])
+        for _ in range(_ROUNDS):
+            numbers = self.numbers(probability, x, mean, target)
+            after = None if numbers is None else self._solve(numbers)
+            if after is None:
+                return None
+            moved = float(np.max(np.abs(after - x))) / self.before.total_area
+            x, mean = after, self.area(after)[0]
+            if moved < _SETTLED:
+                break
+        if numbers is not None and any(t.unit is not None for t in self.treatments):
+            return self._whole_panels(probability, x, target)
+        return x
+
+    def numbers(
+        self, probability: float, x: Array, at: Array, target: Target | None = None
+    ) -> Numbers | None:
+        """Return the program's numbers; None if the equation's error alone forbids the probability."""
+        ranges = self.ranges(x, target)
+        whole = ranges.room.total_area
+        key = (probability, whole, ranges.target.low.tobytes(), ranges.target.high.tobytes())
+        if key not in self._chords:
+            self._chords[key] = ranges.chords(probability)
+        chords = self._chords[key]
+        if chords is None:
+            return None
+        mean, root, beta, _, _ = self._known
+        q = self._slope(at, x)[:, np.newaxis]
+        limits, largest = self.covering
+        return Numbers(
+            cost=np.array([t.cost for t in self.treatments], dtype=float),
+            lower=np.zeros(len(self.treatments)),
+            upper=self._upper,
+            limits=limits,
+            largest=largest,
+            start=np.einsum("kij,kj->ki", root, self.areas - q * beta),
+            steps=root @ self.steps,
+            mean=mean @ self.areas,
+            gains=mean @ self.steps,
+            intercept=chords[0],
+            slope=chords[1],
+            scale=whole,
+        )
+
+    @cached_property
+    def _chords(self) -> dict[Any, tuple[Array, Array] | None]:
+        """Chords by probability, surface and target."""
+        return {}
+
+    @property
+    def _upper(self) -> Array:
+        return np.array(
+            [
+                t.largest if t.unit is None else t.unit * np.floor(t.largest / t.unit + _WHOLE)
+                for t in self.treatments
+            ]
+        )
+
+    def _solve(self, numbers: Numbers) -> Array | None:
+        n_bands, n_rows, n_treatments = numbers.steps.shape
+        return program(n_treatments, len(numbers.limits), n_bands, n_rows).solve(numbers)
+
+    def _whole_panels(self, probability: float, x: Array, target: Target | None) -> Array | None:
+        """Return the cheapest areas with whole panels, by branch and bound; None if there are none."""
+        units = np.array([np.nan if t.unit is None else t.unit for t in self.treatments])
+        cost = np.array([t.cost for t in self.treatments])
+        first = self.numbers(probability, x, self.area(x)[0], target)
+        best: Array | None = None
+        waiting: list[tuple[Array, Array]] = []
+        if first is not None:
+            waiting = [(first.lower, first.upper)]
+        for _ in range(_MOST_NODES):
+            if first is None or not waiting:
+                break
+            lower, upper = waiting.pop()
+            found = self._solve(replace(first, lower=lower, upper=upper))
+            if found is None or (best is not None and cost @ found >= cost @ best - 1e-9):
+                continue
+            panels = found / units
+            off = np.abs(panels - np.round(panels))
+            off = np.where(np.isnan(off), 0.0, off)
+            if off.max() < _WHOLE:
+                best = np.where(np.isnan(units), found, np.round(panels) * units)
+                continue
+            j = int(np.argmax(off))
+            down, up = upper.copy(), lower.copy()
+            down[j], up[j] = np.floor(panels[j]) * units[j], np.ceil(panels[j]) * units[j]
+            # The upper branch is tried first: rounding up mostly keeps the constraints.
+            waiting.append((lower, down))
+            if up[j] <= upper[j] + _WHOLE:
+                waiting.append((up, upper))
+        return best
+
+
+def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treatment, ...]:
+    """Return the treatments; DataError if there are none, or two of a name."""
+    listed = tuple(treatments)
+    if not listed:
+        raise DataError("treatments is empty; there is at least one")
+    names = [t.name for t in listed]
+    if repeated := sorted({n for n in names if names.count(n) > 1}):
+        raise DataError(f'treatments has "{repeated[0]}" twice')
+    for treatment in listed:
+        if treatment.covers is not None:
+            room.material_index(treatment.covers)
+    return listed
+
+
+def costs(treatments: Sequence[Treatment], x: Array) -> Array:
+    """Return the cost of each treatment, (n_treatments,)."""
+    return np.array([t.cost * a for t, a in zip(treatments, x, strict=True)])

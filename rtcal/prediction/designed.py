@@ -1,0 +1,368 @@
+"""The cheapest treatments that meet a range of T with a stated probability."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError, InfeasibleError
+from rtcal.prediction import words
+from rtcal.prediction.assumptions import Assumptions
+from rtcal.prediction.design_model import DesignModel, check_treatments
+from rtcal.prediction.estimate import State
+from rtcal.prediction.predicted import JND, Prediction, predict
+from rtcal.prediction.targets import Target
+from rtcal.prediction.treatments import LEAST, Treatment
+from rtcal.support import checks, text
+from rtcal.support.arguments import checked
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
+from rtcal.support.text import shortened
+from rtcal.support.types import Array
+
+FRONTIER = (0.8, 0.85, 0.9, 0.95)
+"""Probabilities of `Design.frontier`."""
+_BEST = 0.99
+_TRIES = 7
+_WIDEST = 20.0
+"""Most JND by which a range is widened in search of a feasible one."""
+
+
+class Measured(Protocol):
+    """A result whose states and room a design takes, such as a `CalibrationResult`."""
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """The measured states."""
+        ...
+
+    @property
+    def prior(self) -> Room:
+        """The room before the calibration."""
+        ...
+
+    @property
+    def equation(self) -> LinearEquation:
+        """The equation that turned T into absorption."""
+        ...
+
+
+@dataclass(frozen=True)
+class Known:
+    """Measured states of a room without a calibration, for `design`."""
+
+    states: tuple[State, ...]
+    prior: Room
+    equation: LinearEquation = field(default_factory=Eyring)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Design(Result):
+    """The cheapest areas of the treatments, and what they give; `design` makes it.
+
+    Attributes
+    ----------
+    model : DesignModel
+        What may be done, the target, and what is known.
+    promised : float
+        The probability asked for, per band.
+    areas : array (n_treatments,)
+        m².
+    """
+
+    record_kind: ClassVar[str] = "design 1"
+
+    model: DesignModel
+    promised: float
+    areas: Array
+
+    @property
+    def cost(self) -> float:
+        """The cost of all treatments."""
+        return float(
+            sum(t.cost * a for t, a in zip(self.model.treatments, self.areas, strict=True))
+        )
+
+    @cached_property
+    def prediction(self) -> Prediction:
+        """T of the treated room."""
+        model = self.model
+        put = zip(model.treatments, self.areas.tolist(), strict=True)
+        return predict(
+            model.states,
+            [treatment.change(area) for treatment, area in put if area > 0],
+            before=model.before,
+            equation=model.equation,
+            assumptions=model.assumptions,
+            name="design",
+        )
+
+    @property
+    def room(self) -> Room:
+        """The treated room, with the prior's coefficients."""
+        return self.prediction.after
+
+    @cached_property
+    def probability(self) -> Array:
+        """Probability that T is in its range, (n_bands,), from the whole posterior."""
+        return self.prediction.probability(self.model.target.low, self.model.target.high)
+
+    @cached_property
+    def probability_together(self) -> float:
+        """Probability that T is in its range in all bands at once."""
+        return self.prediction.probability_together(self.model.target.low, self.model.target.high)
+
+    @cached_property
+    def frontier(self) -> dict[float, float]:
+        """The cost at several probabilities; infinite where none is enough."""
+        found = {}
+        for p in FRONTIER:
+            x = self.areas if p == self.promised else self.model.cheapest(p)
+            cost = np.array([t.cost for t in self.model.treatments])
+            found[p] = float("inf") if x is None else float(cost @ x)
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain numbers, lists and text."""
+        target = self.model.target
+        return {
+            "room": self.model.before.name,
+            "promised": self.promised,
+            "cost": self.cost,
+            "treatments": [
+                {
+                    "name": t.name,
+                    "material": t.material_name,
+                    "covers": t.covers or "",
+                    "area": area,
+                    "largest": t.largest,
+                    "unit": t.unit,
+                    "panels": None if t.unit is None else round(area / t.unit),
+                    "cost": t.cost * area,
+                }
+                for t, area in zip(self.model.treatments, self.areas.tolist(), strict=True)
+            ],
+            "target": {
+                "low": json_numbers(target.low),
+                "high": json_numbers(target.high),
+                "source": target.source,
+            },
+            "probability": json_numbers(self.probability),
+            "probability_together": self.probability_together,
+            "frontier": {f"{p:g}": None if np.isinf(c) else c for p, c in self.frontier.items()},
+            "prediction": self.prediction.to_dict(),
+        }
+
+    def __repr__(self) -> str:
+        return (
+            f'<Design of "{shortened(self.model.before.name)}": {self.areas.sum():.4g} m², cost '
+            f"{self.cost:.4g}, probability {np.nanmin(self.probability):.2f} or more>"
+        )
+
+    def __str__(self) -> str:
+        return text_of(self.to_dict())
+
+
+def text_of(record: dict[str, Any]) -> str:
+    """Return the text that ``print(design)`` shows, from `Design.to_dict`."""
+    labels = [bands.label(f) for f in record["prediction"]["centre_frequencies"]]
+    put = [
+        (
+            t["name"],
+            [
+                f"{t['area']:.1f}",
+                "-" if t["panels"] is None else f"{t['panels']:d}",
+                f"{t['cost']:.0f}",
+            ],
+        )
+        for t in record["treatments"]
+    ]
+    low, high = record["prediction"]["interval_90"]
+    rows = [
+        ("target from / s", record["target"]["low"], ".2f"),
+        ("       to / s", record["target"]["high"], ".2f"),
+        ("T before / s", record["prediction"]["reverberation_time_before"], ".2f"),
+        ("T after / s", record["prediction"]["reverberation_time"], ".2f"),
+        ("90 %: from / s", low, ".2f"),
+        ("      to / s", high, ".2f"),
+        ("probability", record["probability"], ".2f"),
+    ]
+    numbers = [
+        (name, [text.number(np.nan if v is None else v, form) for v in values])
+        for name, values, form in rows
+    ]
+    frontier = ", ".join(
+        f"{p}: {'not to be had' if cost is None else f'{cost:.0f}'}"
+        for p, cost in record["frontier"].items()
+    )
+    return "\n".join(
+        [
+            *text.wrapped(f"{record['room']}: {record['target']['source']}"),
+            "",
+            *text.table(put, header=("", ["m²", "panels", "cost"])),
+            "",
+            *text.table(numbers, header=("", labels)),
+            "",
+            *text.wrapped(f"Cost {record['cost']:.0f}. Cost by probability: {frontier}."),
+            *text.wrapped(
+                f"Probability that all bands are in range at once: "
+                f"{record['probability_together']:.2f}."
+            ),
+            *(line for each in record["prediction"]["sentences"] for line in text.wrapped(each)),
+        ]
+    )
+
+
+@checked
+def design(
+    result: Measured,
+    treatments: Sequence[Treatment],
+    target: Target,
+    probability: float = LEAST,
+    *,
+    assumptions: Assumptions | None = None,
+) -> Design:
+    """Return the cheapest treatments with which T is in its range, in each band with a probability.
+
+    A second-order cone program: the allowed standard deviation of the absorption is a concave function
+    of its mean, and its chords are linear (Clarabel, by cvxpy).
+
+    Parameters
+    ----------
+    result : CalibrationResult
+        Its measured states are taken jointly.
+    treatments : sequence of Treatment
+    target : Target
+        A stated range, or `din_18041` or `ansi_s12_60`.
+    probability : float
+        Of each band, 0.8 to 0.99.
+    assumptions : Assumptions, optional
+
+    Raises
+    ------
+    DataError
+        For a probability below 0.8 or above 0.99, or treatments that do not fit the room.
+    InfeasibleError
+        If no areas will do; the message says what can be had.
+    SolverError
+        If the program is not solved.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> result = rt.calibrate(room, measured)
+    >>> panel = rt.Material("panel", [0.3, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
+    >>> on_ceiling = rt.prediction.Treatment("panels", panel, 40, cost=90, covers="ceiling")
+    >>> none = float("nan")
+    >>> target = rt.prediction.Target([none] * 6, [none, 1.2, 1.0, 1.0, 1.0, none])
+    >>> found = rt.design(result, [on_ceiling], target)
+    >>> print(found.areas.round(), bool((found.probability[1:5] > 0.79).all()))
+    """
+    if not LEAST <= checks.number("probability", probability) <= _BEST:
+        raise DataError(
+            f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below, the allowed sd "
+            "is no concave function of the mean"
+        )
+    room = result.prior
+    if target.low.shape != (room.n_bands,):
+        raise DataError(f"target has {len(target.low)} bands; the room has {room.n_bands}")
+    model = DesignModel(
+        tuple(result.states),
+        room,
+        check_treatments(treatments, room),
+        target,
+        result.equation,
+        assumptions or Assumptions(),
+    )
+    areas = model.cheapest(probability)
+    if areas is None:
+        raise InfeasibleError(" ".join(can_be_had(model, probability)))
+    return Design(model=model, promised=probability, areas=areas)
+
+
+def can_be_had(model: DesignModel, probability: float) -> list[str]:
+    """Return what can be had where the design is infeasible, in sentences.
+
+    What the equation's error alone allows, the best probability that all bands can have, the least
+    widening of the range, and what would narrow the interval.
+    """
+    frequencies, bounded = model.before.centre_frequencies, np.asarray(model.target.bounded)
+    x = np.zeros(len(model.treatments))
+    alone = model.ranges(x).best()[1]
+    said = [f"No areas of these treatments are in range with probability {probability:g}."]
+    labels = [bands.label(f) for f in frequencies]
+    if (short := bounded & (alone < probability)).any():
+        listed = ", ".join(f"{labels[k]} {alone[k]:.2f}" for k in np.flatnonzero(short))
+        said.append(f"The equation's error alone allows: {listed}.")
+    each = []
+    for k in np.flatnonzero(bounded):
+        here = np.arange(len(labels)) == k
+        alone_in = Target(
+            np.where(here, model.target.low, np.nan), np.where(here, model.target.high, np.nan)
+        )
+        each.append((labels[k], _best(replace(model, target=alone_in))[0]))
+    listed = ", ".join(f"{label} {p:.2f}" for label, p in each)
+    said.append(f"Best probability of each band alone: {listed}.")
+    best, at = _best(model)
+    if at is not None:
+        said.append(
+            f"Best that all bands have: about {best:.2f}, at a cost of {_cost(model, at):.0f}."
+        )
+    widening = _widening(model, probability)
+    if widening is None:
+        said.append(f"A range wider by {_WIDEST:g} JND at both ends is not met either.")
+    else:
+        said.append(f"A range wider by {widening:.1f} JND at both ends is met.")
+    put = zip(model.treatments, x if at is None else at, strict=True)
+    changes = [t.change(float(a)) for t, a in put if a > 0]
+    parts = predict(
+        model.states,
+        changes,
+        before=model.before,
+        equation=model.equation,
+        assumptions=model.assumptions,
+    ).parts
+    said.append(f"To narrow the interval, {words.advice(next(iter(parts)))}.")
+    return said
+
+
+def _cost(model: DesignModel, x: Array) -> float:
+    return float(sum(t.cost * a for t, a in zip(model.treatments, x, strict=True)))
+
+
+def _best(model: DesignModel) -> tuple[float, Array | None]:
+    """Return the largest probability for which areas are found, to 0.01, and the areas.
+
+    Below 0.8 the program is an approximation, so the probability is that of the areas found.
+    """
+    plain = replace(model, treatments=tuple(replace(t, unit=None) for t in model.treatments))
+    low, high = 0.0, 1.0
+    best: Array | None = None
+    for _ in range(_TRIES):
+        middle = (low + high) / 2
+        x = plain.cheapest(middle)
+        low, high, best = (low, middle, best) if x is None else (middle, high, x)
+    if best is None:
+        return 0.0, None
+    found = plain.probability(best)[np.asarray(model.target.bounded)]
+    return float(found.min()), best
+
+
+def _widening(model: DesignModel, probability: float) -> float | None:
+    """Return by how many JND both ends must move for a design to exist, to 0.2; None above 20."""
+    low, high = 0.0, _WIDEST
+    if model.cheapest(probability, model.target.widened(float(np.exp(JND * high)))) is None:
+        return None
+    for _ in range(_TRIES):
+        middle = (low + high) / 2
+        x = model.cheapest(probability, model.target.widened(float(np.exp(JND * middle))))
+        low, high = (middle, high) if x is None else (low, middle)
+    return high

@@ -1,0 +1,154 @@
+"""The cheapest areas as a second-order cone program, compiled once for its shape.
+
+    minimise c'x  subject to  lower <= x <= upper,  G x <= h,  and in every band
+    |root (w0 + W x)| <= s,  s <= i_j + k_j m  for every chord j,  m = m0 + mx'x.
+
+Everything but x is a parameter, and the problem is DPP: cvxpy compiles it once, and later solves
+fill in numbers.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rtcal.errors import ModelError, SolverError
+from rtcal.prediction.envelope import CHORDS
+from rtcal.support.types import Array
+
+_MISSED = 1e-6
+"""Largest violation of a constraint, in shares of the room's surface."""
+_GONE = 1e-7
+"""Areas below this, in shares of the surface, are 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """The numbers of one program, areas in m².
+
+    Attributes
+    ----------
+    cost, lower, upper : array (n_treatments,)
+    limits : array (n_surfaces, n_treatments)
+        G, which treatments cover which surface.
+    largest : array (n_surfaces,)
+        h.
+    start : array (n_bands, n_rows)
+        root w0.
+    steps : array (n_bands, n_rows, n_treatments)
+        root W.
+    mean : array (n_bands,)
+        m0.
+    gains : array (n_bands, n_treatments)
+        mx.
+    intercept, slope : array (n_bands, CHORDS)
+    scale : float
+        The room's surface in m².
+    """
+
+    cost: Array
+    lower: Array
+    upper: Array
+    limits: Array
+    largest: Array
+    start: Array
+    steps: Array
+    mean: Array
+    gains: Array
+    intercept: Array
+    slope: Array
+    scale: float
+
+
+class Program:
+    """The compiled program of one shape: treatments, surfaces, bands and rows."""
+
+    def __init__(self, n_treatments: int, n_surfaces: int, n_bands: int, n_rows: int) -> None:
+        import cvxpy as cp
+
+        self.lock = threading.Lock()
+        self._x = cp.Variable(n_treatments)
+        mean, sigma = cp.Variable(n_bands), cp.Variable(n_bands)
+        self._given: dict[str, Any] = {
+            "cost": cp.Parameter(n_treatments),
+            "lower": cp.Parameter(n_treatments),
+            "upper": cp.Parameter(n_treatments),
+            "limits": cp.Parameter((n_surfaces, n_treatments)),
+            "largest": cp.Parameter(n_surfaces),
+            "start": [cp.Parameter(n_rows) for _ in range(n_bands)],
+            "steps": [cp.Parameter((n_rows, n_treatments)) for _ in range(n_bands)],
+            "mean": cp.Parameter(n_bands),
+            "gains": cp.Parameter((n_bands, n_treatments)),
+            "intercept": cp.Parameter((n_bands, CHORDS)),
+            "slope": cp.Parameter((n_bands, CHORDS)),
+        }
+        g, x = self._given, self._x
+        constraints = [
+            x >= g["lower"],
+            x <= g["upper"],
+            g["limits"] @ x <= g["largest"],
+            mean == g["mean"] + g["gains"] @ x,
+        ]
+        for j in range(CHORDS):
+            constraints.append(sigma <= g["intercept"][:, j] + cp.multiply(g["slope"][:, j], mean))
+        for k in range(n_bands):
+            constraints.append(cp.SOC(sigma[k], g["start"][k] + g["steps"][k] @ x))
+        self._problem = cp.Problem(cp.Minimize(g["cost"] @ x), constraints)
+        if not self._problem.is_dcp(dpp=True):
+            raise ModelError(
+                "the design's program is not DPP: cvxpy would compile it for every solve"
+            )
+
+    def solve(self, numbers: Numbers) -> Array | None:
+        """Return the cheapest areas in m², (n_treatments,); None if there are none.
+
+        Raises SolverError if the solver fails, or its answer misses a constraint.
+        """
+        import cvxpy as cp
+
+        scale = numbers.scale
+        with self.lock:
+            for name, parameter in self._given.items():
+                value = getattr(numbers, name)
+                if name in ("limits", "gains", "slope", "steps"):
+                    pass
+                elif name == "cost":
+                    value = value / max(float(np.max(value)), 1e-300)
+                else:
+                    value = value / scale
+                if isinstance(parameter, list):
+                    for each, of_band in zip(parameter, value, strict=True):
+                        each.value = of_band
+                else:
+                    parameter.value = value
+            try:
+                self._problem.solve(solver=cp.CLARABEL)
+            except cp.error.SolverError as error:
+                raise SolverError(f"the design's program was not solved: {error}") from error
+            status, x = self._problem.status, self._x.value
+        if status in ("infeasible", "infeasible_inaccurate"):
+            return None
+        if x is None or status not in ("optimal", "optimal_inaccurate"):
+            raise SolverError(f"the design's program was not solved: {status}")
+        x = np.where(x < _GONE, 0.0, x) * scale
+        x = np.clip(x, numbers.lower, numbers.upper)
+        if (missed := worst(numbers, x) / scale) > _MISSED:
+            raise SolverError(f"clarabel says {status}, but a constraint is missed by {missed:.1e}")
+        return np.asarray(x)
+
+
+def worst(numbers: Numbers, x: Array) -> float:
+    """Return by how much areas miss the worst constraint in m², recomputed from the numbers."""
+    mean = numbers.mean + numbers.gains @ x
+    sigma = np.linalg.norm(numbers.start + numbers.steps @ x, axis=1)
+    allowed = (numbers.intercept + numbers.slope * mean[:, np.newaxis]).min(axis=1)
+    covered = numbers.limits @ x - numbers.largest
+    return float(max(np.max(sigma - allowed), np.max(covered, initial=0.0)))
+
+
+program = functools.lru_cache(16)(Program)
+"""The compiled program of a shape; the one not used for longest is forgotten."""

@@ -1,0 +1,193 @@
+"""Ranges of T that a room is to meet: stated, or of a standard.
+
+The standards were not at hand: their numbers are as secondary sources give them, which each target
+names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.errors import DataError
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.decode import Entries
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True)
+class _Use:
+    """A use of DIN 18041: T = slope lg V + offset in s, for volumes in m³."""
+
+    name: str
+    slope: float
+    offset: float
+    volumes: tuple[float, float]
+
+
+DIN_18041 = {
+    "A1": _Use("music", 0.45, 0.07, (30, 1000)),
+    "A2": _Use("speech and lectures", 0.37, -0.14, (50, 5000)),
+    "A3": _Use("teaching and communication", 0.32, -0.17, (30, 5000)),
+    "A4": _Use("teaching and communication, inclusive", 0.26, -0.14, (30, 500)),
+    "A5": _Use("sports", 0.75, -1.00, (200, 10_000)),
+}
+"""Uses of group A of DIN 18041:2016-03, occupied rooms (A5: unoccupied)."""
+DIN_18041_TOLERANCE = {
+    125.0: (0.65, 1.45),
+    250.0: (0.8, 1.2),
+    500.0: (0.8, 1.2),
+    1000.0: (0.8, 1.2),
+    2000.0: (0.8, 1.2),
+    4000.0: (0.65, 1.2),
+}
+"""Range of T over the value at middle frequencies; A5 states only 250 to 2000 Hz."""
+_DIN_SOURCE = (
+    "DIN 18041:2016-03, group {}, {}: T = {:.2f} s at middle frequencies (after secondary sources)"
+)
+ANSI_S12_60 = ((283.0, 0.6), (566.0, 0.7))
+"""Largest volume in m³ (10,000 and 20,000 ft³) and largest T in s, furnished and unoccupied."""
+_ANSI_BANDS = (500.0, 1000.0, 2000.0)
+_ANSI_SOURCE = "ANSI/ASA S12.60: at most {:g} s at 500, 1000 and 2000 Hz (after secondary sources)"
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A range of T per band.
+
+    Parameters
+    ----------
+    low, high : array (n_bands,)
+        In s; NaN where an end is open.
+    source : str
+        Where the range comes from.
+
+    Raises
+    ------
+    DataError
+        If an end is not above 0, ``low`` is not below ``high``, or no band has a range.
+
+    Examples
+    --------
+    >>> Target([0.5, 0.5], [0.8, float("nan")]).high
+    array([0.8, nan])
+    """
+
+    low: Array
+    high: Array
+    source: str = "stated"
+
+    def __post_init__(self) -> None:
+        low, high = checks.array("low", self.low), checks.array("high", self.high)
+        if low.shape != high.shape or low.ndim != 1:
+            raise DataError(f"low has shape {low.shape} and high {high.shape}; both are (n_bands,)")
+        for name, ends in (("low", low), ("high", high)):
+            if (bad := np.isinf(ends) | (ends <= 0)).any():
+                raise DataError(f"{name} = {ends[np.argmax(bad)]:g} s is not finite and above 0")
+        if (bad := low >= high).any():
+            k = int(np.argmax(bad))
+            raise DataError(f"low = {low[k]:g} s is not below high = {high[k]:g} s")
+        if not (np.isfinite(low) | np.isfinite(high)).any():
+            raise DataError("no band has a range: every low and high is missing")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+
+    @property
+    def bounded(self) -> Any:
+        """Which bands have a range, (n_bands,) of bool."""
+        return np.isfinite(self.low) | np.isfinite(self.high)
+
+    def widened(self, factor: float) -> Target:
+        """Return the range with both ends moved outwards by a factor of T."""
+        return Target(self.low / factor, self.high * factor, self.source)
+
+
+@checked
+def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | Array) -> Target:
+    """Return the range of T of DIN 18041:2016, group A, for octaves from 125 to 4000 Hz.
+
+    T at middle frequencies is a lg V + b; the range is 0.8 to 1.2 of it from 250 to 2000 Hz, and wider
+    at 125 and 4000 Hz. Other bands have no range.
+
+    Parameters
+    ----------
+    group : {"A1", "A2", "A3", "A4", "A5"}
+        Music, lectures, teaching, inclusive teaching, sports.
+    volume : float
+        m³
+    centre_frequencies : sequence (n_bands,)
+        Hz
+
+    Raises
+    ------
+    DataError
+        For another group, or a volume for which the standard states nothing.
+
+    Examples
+    --------
+    >>> target = din_18041("A3", 180, [125, 500, 4000])
+    >>> print(target.low.round(2), target.high.round(2))
+    [0.36 0.44 0.36] [0.8  0.66 0.66]
+    """
+    if group not in DIN_18041:
+        raise DataError(f'group = "{group}" is not one of {", ".join(DIN_18041)}')
+    use = DIN_18041[group]
+    least, most = use.volumes
+    if not least <= checks.number("volume", volume) <= most:
+        raise DataError(
+            f"volume = {volume:g} m³ is not from {least:g} to {most:g} m³, for which DIN 18041 states "
+            f"{group}"
+        )
+    t = use.slope * np.log10(volume) + use.offset
+    nothing = (np.nan, np.nan)
+    ends = np.array(
+        [
+            DIN_18041_TOLERANCE.get(f, nothing) if group != "A5" or 250 <= f <= 2000 else nothing
+            for f in bands.as_bands(centre_frequencies).tolist()
+        ]
+    )
+    source = _DIN_SOURCE.format(group, use.name, t)
+    return Target(t * ends[:, 0], t * ends[:, 1], source)
+
+
+@checked
+def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> Target:
+    """Return the largest T of a classroom after ANSI/ASA S12.60: 0.6 s, above 283 m³ 0.7 s.
+
+    Raises DataError above 566 m³, for which it states no T.
+
+    Examples
+    --------
+    >>> ansi_s12_60(300, [250, 500]).high
+    array([nan, 0.7])
+    """
+    for largest, t in ANSI_S12_60:
+        if checks.positive("volume", volume, " m³") <= largest:
+            f = bands.as_bands(centre_frequencies)
+            high = np.where(np.isin(f, _ANSI_BANDS), t, np.nan)
+            return Target(np.full(len(f), np.nan), high, _ANSI_SOURCE.format(t))
+    raise DataError(f"volume = {volume:g} m³ is above 566 m³, up to which ANSI S12.60 states T")
+
+
+def target_of(entry: Entries, volume: float, frequencies: Array) -> Target:
+    """Return the target of a file's table: ``low`` and ``high``, or ``standard`` and ``group``."""
+    if "standard" in entry:
+        standard = entry.choice("standard", ("DIN 18041", "ANSI S12.60"))
+        if standard == "DIN 18041":
+            return din_18041(entry.text("group"), volume, frequencies)
+        return ansi_s12_60(volume, frequencies)
+
+    def ends(key: str) -> Array:
+        if key not in entry:
+            return np.full(len(frequencies), np.nan)
+        if isinstance(entry.values[key], list):
+            return entry.array(key, (len(frequencies),))
+        return np.full(len(frequencies), entry.number(key))
+
+    return Target(ends("low"), ends("high"))

@@ -1,0 +1,157 @@
+"""What may be put into a room, at which cost; its file, and its areas on the room's materials.
+
+::
+
+    probability = 0.8                   # optional, 0.8 or more
+
+    [target]
+    standard = "DIN 18041"              # or "ANSI S12.60", which has no group
+    group = "A3"                        # or in place of both: low and high in s, each one number or
+                                        # one per band
+
+    [[material]]                        # as in a file of variants
+    name = "panel"
+    alpha = [0.2, 0.6, 0.9, 0.9, 0.9, 0.9]
+    sigma = 0.1
+
+    [[treatment]]
+    name = "panels on the ceiling"
+    material = "panel"                  # a new material, or one of the room
+    covers = "ceiling"                  # left out: free-standing
+    largest = 40                        # m²
+    cost = 90                           # per m²
+    unit = 1.44                         # m²; optional: only whole panels
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.acoustics.materials import Material
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.prediction.changes import Add, Change, Cover
+from rtcal.prediction.targets import Target, target_of
+from rtcal.prediction.variants import Catalogue, new_material, tables
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.decode import Entries, toml_table
+
+LEAST = 0.8
+"""Least probability that a design takes: below it the allowed sd is no concave function of the mean."""
+
+
+@checked
+@dataclass(frozen=True)
+class Treatment:
+    """A material that may be put into the room.
+
+    Parameters
+    ----------
+    name : str
+    material : Material or str
+        A str is a material of the room.
+    largest : float
+        Largest area in m².
+    cost : float
+        Per m², in any currency; 0 or more.
+    covers : str, optional
+        The room's material that it covers; free-standing if not given.
+    unit : float, optional
+        Area of one panel in m²; any area if not given.
+
+    Raises
+    ------
+    DataError
+        If a number breaks a rule, or a unit is larger than the largest area.
+
+    Examples
+    --------
+    >>> panel = Material("panel", [0.9], [0.1])
+    >>> Treatment("on the ceiling", panel, largest=40, cost=90, covers="ceiling", unit=1.44).unit
+    1.44
+    """
+
+    name: str
+    material: Material | str
+    largest: float
+    cost: float
+    covers: str | None = None
+    unit: float | None = None
+
+    def __post_init__(self) -> None:
+        checks.positive("largest", self.largest, " m²")
+        if not 0 <= checks.number("cost", self.cost) < np.inf:
+            raise DataError(f"cost = {self.cost:g} is not finite and 0 or more")
+        if self.unit is not None and checks.positive("unit", self.unit, " m²") > self.largest:
+            raise DataError(
+                f'treatment "{self.name}": unit = {self.unit:g} m² is more than largest = '
+                f"{self.largest:g} m²"
+            )
+
+    def change(self, area: float) -> Change:
+        """Return the change that puts so many m² of it into the room."""
+        if self.covers is None:
+            return Add(self.material, area)
+        return Cover(self.covers, self.material, area)
+
+    @property
+    def material_name(self) -> str:
+        """The name of its material."""
+        return self.material if isinstance(self.material, str) else self.material.name
+
+
+@checked
+def read_treatments(
+    content: str, room: Room, catalogue: Catalogue | None = None
+) -> tuple[tuple[Treatment, ...], Target, float]:
+    """Return the treatments, the target and the probability of a TOML text.
+
+    Parameters are those of `rtcal.prediction.read_variants`, and so are the errors.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, _ = rt.datasets.bras_cr2()
+    >>> treatments, target, probability = read_treatments('''
+    ... [target]
+    ... standard = "ANSI S12.60"
+    ... [[treatment]]
+    ... name = "more floor"
+    ... material = "floor"
+    ... covers = "plaster"
+    ... largest = 10
+    ... cost = 20
+    ... ''', room)
+    >>> treatments[0].covers, target.high[2], probability
+    ('plaster', np.float64(0.6), 0.8)
+    """
+    file = Entries("", toml_table(content), ("treatment", "target"), ("material", "probability"))
+    target = target_of(
+        file.entries("target", (), ("standard", "group", "low", "high")),
+        room.volume,
+        room.centre_frequencies,
+    )
+    new = {}
+    for place, table in tables(file, "material"):
+        material = new_material(place, table, room, catalogue)
+        new[material.name] = material
+    treatments = []
+    for place, table in tables(file, "treatment"):
+        entry = Entries(
+            f"{place}: ", table, ("name", "material", "largest", "cost"), ("covers", "unit")
+        )
+        named = entry.text("material")
+        treatments.append(
+            Treatment(
+                name=entry.text("name"),
+                material=new.get(named, named),
+                largest=entry.number("largest"),
+                cost=entry.number("cost"),
+                covers=entry.text("covers") if "covers" in entry else None,
+                unit=entry.number("unit") if "unit" in entry else None,
+            )
+        )
+    return tuple(treatments), target, file.number("probability", LEAST)

@@ -1,0 +1,276 @@
+"""Designing to a target: laws of the envelope, the program against brute force, what is refused."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError, InfeasibleError
+from rtcal.prediction import (
+    Assumptions,
+    Known,
+    State,
+    Target,
+    Treatment,
+    ansi_s12_60,
+    changed,
+    design,
+    din_18041,
+)
+from rtcal.prediction.design_model import DesignModel
+from rtcal.prediction.envelope import Ranges
+from rtcal.prediction.program import program
+
+BANDS = [250.0, 500.0, 1000.0]
+PANEL = rt.Material("panel", [0.5, 0.7, 0.8], [0.1] * 3)
+BASS = rt.Material("bass", [0.6, 0.4, 0.2], [0.1] * 3)
+
+
+def a_room() -> rt.Room:
+    return rt.Room(
+        name="classroom",
+        volume=180,
+        materials=["wall", "floor", "ceiling"],
+        areas=[100, 60, 60],
+        alpha=[[0.06, 0.05, 0.05], [0.05, 0.06, 0.08], [0.1, 0.08, 0.08]],
+        sigma=np.full((3, 3), 0.02),
+        centre_frequencies=BANDS,
+        air=rt.Air(20, 50),
+    )
+
+
+def known(room: rt.Room | None = None) -> Known:
+    room = room or a_room()
+    t = 0.95 * rt.Eyring().reverberation_time(room)
+    return Known((State(room, t, 0.03 * t),), room)
+
+
+TREATMENTS = (
+    Treatment("ceiling", PANEL, 55, cost=90, covers="ceiling"),
+    Treatment("traps", BASS, 40, cost=60, covers="wall"),
+)
+TARGET = Target([0.4] * 3, [0.8] * 3)
+
+
+def test_the_cheapest_is_not_beaten_by_a_grid_and_keeps_its_promise() -> None:
+    found = design(known(), TREATMENTS, TARGET, 0.85)
+    exact = found.model.probability(found.areas)
+    assert (exact >= 0.85 - 0.002).all()
+    assert (found.probability >= 0.85 - 0.01).all()  # of samples
+    cheapest = np.inf
+    for x in itertools.product(np.arange(0, 55.1, 1.0), np.arange(0, 40.1, 1.0)):
+        cost = 90 * x[0] + 60 * x[1]
+        if cost < cheapest and (found.model.probability(np.array(x)) >= 0.85).all():
+            cheapest = cost
+    assert found.cost <= 1.01 * cheapest
+    assert found.cost >= 0.94 * cheapest  # the grid is 1 m²
+
+
+def test_the_model_has_the_whole_posteriors_sd() -> None:
+    found = design(known(), TREATMENTS, TARGET, 0.85)
+    mean, sigma = found.model.area(found.areas)
+    q = found.model._slope(mean, found.areas)
+    tau = found.model.ranges(found.areas).tau
+    plain = ~found.prediction.sampled
+    assert np.hypot(sigma / q, tau)[plain] == pytest.approx(
+        found.prediction.linear_sigma[plain], rel=0.03
+    )
+
+
+def test_probability_agrees_with_counting() -> None:
+    room = a_room()
+    ranges = Ranges(room, rt.Eyring(), TARGET, np.array([0.1, 0, -0.1]), np.array([0.1, 0.05, 0.2]))
+    mean, sigma = np.array([50.0, 45.0, 40.0]), np.array([5.0, 8.0, 2.0])
+    rng = np.random.default_rng(1)
+    area = mean + sigma * rng.standard_normal((400_000, 3))
+    log_time = np.log(rt.Eyring().time(room, area)) + ranges.offset
+    log_time += ranges.tau * rng.standard_normal(log_time.shape)
+    counted = ((log_time > np.log(0.4)) & (log_time < np.log(0.8))).mean(axis=0)
+    assert ranges.probability(mean, sigma) == pytest.approx(counted, abs=0.004)
+
+
+@pytest.mark.parametrize("p", [0.8, 0.9, 0.95])
+@pytest.mark.parametrize("high", [0.8, np.nan])
+def test_below_the_chords_the_probability_is_kept(p: float, high: float) -> None:
+    target = Target([0.4] * 3, [high] * 3)
+    ranges = Ranges(a_room(), rt.Eyring(), target, np.zeros(3), np.array([0.06, 0.08, 0.1]))
+    chords = ranges.chords(p)
+    assert chords is not None
+    rng = np.random.default_rng(2)
+    best = 0.0
+    for mean in np.linspace(1, 215, 500):
+        allowed = (chords[0] + chords[1] * mean).min(axis=1)
+        inside = allowed > 0
+        found = ranges.probability(np.full(3, mean), np.maximum(allowed, 0) * rng.uniform(0.5, 1))
+        on = ranges.probability(np.full(3, mean), np.maximum(allowed, 0))
+        assert (found[inside] >= p - 0.002).all()
+        if inside.any():
+            best = max(best, float(on[inside].min()))
+            assert (on[inside] <= 1).all()
+    assert best < 1.0
+
+
+def test_the_program_is_compiled_once_for_its_shape() -> None:
+    design(known(), TREATMENTS, TARGET)
+    before = program.cache_info().misses
+    dearer = tuple(replace(t, cost=2 * t.cost + 1) for t in TREATMENTS)
+    again = design(known(), dearer, Target([0.4] * 3, [0.85] * 3), 0.9)
+    assert program.cache_info().misses == before
+    assert again.cost > 0
+
+
+def test_whole_panels_are_whole_and_cost_least() -> None:
+    whole = (replace(TREATMENTS[0], unit=2.5), replace(TREATMENTS[1], unit=4.0))
+    found = design(known(), whole, TARGET, 0.85)
+    counts = found.areas / [2.5, 4.0]
+    assert counts == pytest.approx(np.round(counts))
+    free = design(known(), TREATMENTS, TARGET, 0.85)
+    assert found.cost >= free.cost - 1e-6
+    assert (found.model.probability(found.areas) >= 0.85 - 0.002).all()
+    cheapest = min(
+        90 * x[0] + 60 * x[1]
+        for x in itertools.product(np.arange(23) * 2.5, np.arange(11) * 4.0)
+        if (found.model.probability(np.array(x)) >= 0.85 + 1e-4).all()
+    )
+    assert found.cost <= cheapest + 1e-6
+
+
+def test_free_standing_treatments_add_surface() -> None:
+    baffles = Treatment("baffles", PANEL, 80, cost=50)
+    found = design(known(), [baffles], TARGET, 0.8)
+    assert found.room.total_area == pytest.approx(220 + found.areas[0])
+    assert (found.probability >= 0.79).all()
+
+
+def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
+    with pytest.raises(InfeasibleError, match="wider by") as error:
+        design(known(), TREATMENTS, Target([0.50] * 3, [0.56] * 3))
+    said = str(error.value)
+    assert "equation's error alone allows" in said
+    assert "Best probability of each band alone" in said
+    assert "To narrow the interval" in said
+    small = tuple(replace(t, largest=3.0) for t in TREATMENTS)
+    with pytest.raises(InfeasibleError, match="Best that all bands have: about 0"):
+        design(known(), small, TARGET)
+
+
+def test_two_treatments_share_the_surface_they_cover() -> None:
+    both = (
+        Treatment("cheap", PANEL, 50, cost=10, covers="ceiling"),
+        Treatment("good", BASS, 50, cost=20, covers="ceiling"),
+    )
+    found = design(known(), both, Target([0.3] * 3, [0.95] * 3))
+    assert found.areas.sum() <= 60 * (1 + 1e-6)
+    changed(a_room(), [t.change(a) for t, a in zip(both, found.areas, strict=True) if a > 0])
+
+
+def test_a_measured_second_state_makes_the_design_cheaper() -> None:
+    room = a_room()
+    one = known(room)
+    some = changed(room, TREATMENTS[0].change(20.0))
+    t = 0.95 * rt.Eyring().reverberation_time(some)
+    two = Known((*one.states, State(some, t, 0.03 * t)), room)
+    target = Target([0.4] * 3, [0.78] * 3)
+    dear, cheap = (design(k, TREATMENTS, target, 0.85) for k in (one, two))
+    assert cheap.cost < 0.98 * dear.cost
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: design(known(), TREATMENTS, TARGET, 0.7), "0.7 is not from 0.8"),
+        (lambda: design(known(), [], TARGET), "at least one"),
+        (lambda: design(known(), [TREATMENTS[0]] * 2, TARGET), "twice"),
+        (lambda: design(known(), TREATMENTS, Target([0.4], [0.8])), "1 bands"),
+        (lambda: Treatment("x", PANEL, 4, cost=1, unit=5), "more than largest"),
+        (lambda: Treatment("x", PANEL, 4, cost=-1), "cost = -1"),
+        (lambda: Target([0.8], [0.4]), "not below"),
+        (lambda: Target([np.nan], [np.nan]), "no band has a range"),
+        (lambda: din_18041("A3", 6000, BANDS), "from 30 to 5000"),
+        (lambda: din_18041("B1", 100, BANDS), "not one of A1"),
+        (lambda: ansi_s12_60(600, BANDS), "above 566"),
+        (
+            lambda: design(known(), [Treatment("x", PANEL, 4, cost=1, covers="roof")], TARGET),
+            '"roof" is no material',
+        ),
+    ],
+)
+def test_what_breaks_a_rule_is_refused(make, said: str) -> None:
+    with pytest.raises(DataError, match=said):
+        make()
+
+
+def test_standards_give_their_numbers() -> None:
+    """Classroom of 180 m³: 0.32 lg 180 - 0.17 = 0.552 s, by hand."""
+    target = din_18041("A3", 180, [125, 250, 1000, 4000, 8000])
+    assert target.low[:4] == pytest.approx(0.5517 * np.array([0.65, 0.8, 0.8, 0.65]), abs=1e-3)
+    assert target.high[:4] == pytest.approx(0.5517 * np.array([1.45, 1.2, 1.2, 1.2]), abs=1e-3)
+    assert np.isnan(target.low[4])
+    assert np.isnan(din_18041("A5", 2000, [125, 500]).low).tolist() == [True, False]
+
+
+TREATMENT_FILE = """
+[target]
+high = [0.9, 0.9, 0.9, 0.9, 0.9, 0.9]
+
+[[material]]
+name = "panel"
+alpha = [0.5, 0.6, 0.9, 0.9, 0.9, 0.9]
+sigma = 0.1
+
+[[treatment]]
+name = "panels"
+material = "panel"
+covers = "ceiling"
+largest = 45
+cost = 90
+unit = 1.44
+"""
+
+
+def test_the_command_designs_and_its_result_is_read_back(tmp_path: Path) -> None:
+    for name, content in rt.datasets.examples.example("room").files.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "treatments.toml").write_text(TREATMENT_FILE, encoding="utf-8")
+    command = [sys.executable, "-m", "rtcal", "design", "room.toml", "t.csv"]
+    options = ["--treatments", "treatments.toml", "--out", "found", "--json"]
+    run = subprocess.run(
+        [*command, *options], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    record = json.loads(run.stdout)
+    assert min(record["probability"]) >= 0.79
+    again = rt.load(tmp_path / "found")
+    assert again.cost == record["cost"]
+    refused = subprocess.run(
+        [*command, *options, "--probability", "0.5"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert refused.returncode == 2
+    assert "0.5 is not from 0.8" in refused.stderr
+
+
+def test_the_answer_does_not_depend_on_the_order_of_treatments() -> None:
+    first = design(known(), TREATMENTS, TARGET, 0.85)
+    turned = design(known(), TREATMENTS[::-1], TARGET, 0.85)
+    assert turned.areas[::-1] == pytest.approx(first.areas, abs=0.3)
+    assert turned.cost == pytest.approx(first.cost, rel=2e-3)
+
+
+def test_without_any_error_the_range_is_met_at_its_edge() -> None:
+    """With nothing unknown the cheapest areas put T at the upper end of the range."""
+    room = a_room().replace(sigma=np.zeros((3, 3)))
+    sure = Assumptions(volume=0, areas=0, common=0, own=0.001, changed=0)
+    panel = rt.Material("panel", [0.5, 0.7, 0.8], [0.0] * 3)
+    only = Treatment("ceiling", panel, 58, cost=90, covers="ceiling")
+    model = DesignModel((), room, (only,), TARGET, rt.Eyring(), sure)
+    x = model.cheapest(0.8)
+    assert x is not None
+    times = rt.Eyring().reverberation_time(model.room_with(x))
+    assert times.max() == pytest.approx(0.8, rel=0.005)
