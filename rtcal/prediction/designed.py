@@ -265,6 +265,7 @@ def design(
     >>> target = rt.prediction.Target([none] * 6, [none, 1.2, 1.0, 1.0, 1.0, none])
     >>> found = rt.design(result, [on_ceiling], target)
     >>> print(found.areas.round(), bool((found.probability[1:5] > 0.79).all()))
+    [20.] True
     """
     if not LEAST <= checks.number("probability", probability) <= _BEST:
         raise DataError(
