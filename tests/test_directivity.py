@@ -103,6 +103,28 @@ def test_both_kernels_trace_the_same_aimed_paths(monkeypatch):
     assert tracer(**aimed).energy(HALL.room.alpha, 0.1, seed=1) == pytest.approx(compiled, rel=1e-5)
 
 
+def test_where_the_directivity_is_unknown_early_parameters_do_not_count():
+    unknown = tracer(directivity={"S1": "unknown"})
+    assert unknown.trusted(["t20", "edt", "c80", "ts", "level"]) == ("t20", "level")
+    assert tracer().trusted(["edt", "c80"]) == ("edt", "c80")
+    with pytest.raises(DataError, match="depends on the directivity of a source, which is unknown"):
+        unknown.trusted(["edt", "sti"])
+
+
+def test_a_fit_leaves_them_out_and_says_so():
+    measured = tracer(n_paths=1600).simulate(HALL.room.alpha, seed=5)
+    said = {}
+    for directivity in ({}, {"S1": "unknown"}):
+        result = rt.calibrate_simulator(
+            tracer(n_paths=320, directivity=directivity), HALL.room, measured,
+            match=["t20", "edt"], fit_scattering=False,
+        )  # fmt: skip
+        said[bool(directivity)] = str(result)
+    assert "Taken as omnidirectional: S1." in said[False]
+    assert "The directivity of S1 is unknown. So early parameters are left out" in said[True]
+    assert "EDT" in said[False]
+
+
 def box(**scene):
     return rt.Room(
         name="box", volume=60, dimensions=(4, 5, 3), materials=["plaster"], areas=[94],

@@ -126,10 +126,7 @@ class Scene:
         tables = {
             "geometry": geometry,
             **{kind: {n: list(p) for n, p in getattr(self, kind).items()} for kind in _POINTS},
-            "directivity": {
-                name: of if isinstance(of, str) else of.to_dict()
-                for name, of in self.directivity.items()
-            },
+            "directivity": plain_directivities(self.directivity),
         }
         return {name: table for name, table in tables.items() if table}
 
@@ -196,6 +193,11 @@ def directivities(
             raise DataError(f'{place} = {checks.shown(of)} is not a Directivity or "{UNKNOWN}"')
         made[name] = of
     return made
+
+
+def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the sources' directivities as plain values, as `Scene.from_dict` reads them."""
+    return {name: of if isinstance(of, str) else of.to_dict() for name, of in stated.items()}
 
 
 def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point]:

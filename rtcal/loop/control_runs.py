@@ -20,7 +20,7 @@ import numpy as np
 from rtcal.acoustics import bands, decay
 from rtcal.acoustics.observables import REVERBERATION
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import POSITION, checked_uncertainty
+from rtcal.acoustics.scene import POSITION, checked_uncertainty, plain_directivities
 from rtcal.errors import DataError, RtcalError, TooShortError
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -426,6 +426,7 @@ def _key(
         list(geometry.materials),
         {name: list(map(float, p)) for name, p in {**base.sources, **base.receivers}.items()},
         np.asarray(base.scattering).tolist(),
+        plain_directivities(base.directivity),
         list(match),
         [seed, uncertainty, RUNS, __version__],
     ]

@@ -100,7 +100,11 @@ def calibrate_positions(
     trace_ahead(simulator, room.alpha, seed)
     wanted = _with_t30(match, measured)
     replaced = wanted != tuple(match)
+    if isinstance(simulator, PathTracing):
+        wanted = simulator.trusted(wanted)
     match, notes = _given(simulator, room.alpha, wanted, seed)
+    if isinstance(simulator, PathTracing):
+        notes = (*notes, *simulator.source_notes)
     if replaced:
         notes = ("T30 is matched in place of T20, which was not measured.", *notes)
     first, not_heard = _first(simulator, room.alpha, match, measured, seed)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.directivity import Directivity
-from rtcal.acoustics.observables import MATCH, longest
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, longest
 from rtcal.acoustics.scene import directivities
 from rtcal.errors import DataError
 from rtcal.simulators import observations, path_trace, paths
@@ -124,6 +124,40 @@ class PathTracing(Tracer):
             if isinstance(of, Directivity):
                 stated[name] = of.for_bands(self.room.n_bands, f'directivity["{name}"]')
         object.__setattr__(self, "directivity", stated)
+
+    @property
+    def unknown_sources(self) -> tuple[str, ...]:
+        """The sources whose directivity is stated to be unknown."""
+        return tuple(name for name, of in self.directivity.items() if isinstance(of, str))
+
+    def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
+        """Return those parameters that say as much where a source's directivity is unknown.
+
+        Early sound depends on where a loudspeaker aims. T20, T30 and the level depend on it little.
+        DataError where none is left.
+        """
+        names = observations.checked_parameters(match)
+        if not self.unknown_sources:
+            return names
+        kept = tuple(name for name in names if OBSERVABLES[name].part != "early")
+        if not kept:
+            raise DataError(
+                f"match = {', '.join(names)} depends on the directivity of a source, which is unknown"
+            )
+        return kept
+
+    @property
+    def source_notes(self) -> tuple[str, ...]:
+        """What is assumed of the sources' directivities."""
+        notes = []
+        if unknown := ", ".join(self.unknown_sources):
+            notes.append(
+                f"The directivity of {unknown} is unknown. So early parameters are left out: they depend "
+                "on where a loudspeaker aims."
+            )
+        if taken := ", ".join(name for name in self.sources if name not in self.directivity):
+            notes.append(f"Taken as omnidirectional: {taken}.")
+        return tuple(notes)
 
     @property
     def name(self) -> str:

@@ -24,7 +24,6 @@ from rtcal.io import geometry_files
 from rtcal.loop.measured_pairs import Pair, history, refuse_unknown
 from rtcal.simulators.base import at_places
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.observations import checked_parameters
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -44,7 +43,8 @@ class Case:
         A row per pair. Its pairs have the simulator's names of sources and receivers. Pairs at one
         place are repeats: the case has their mean, as one pair.
     match : sequence of str
-        Parameters that are compared. The level is G of a calibrated source where ``g`` was measured.
+        Parameters that are compared, without early ones where a source's directivity is unknown. The
+        level is G of a calibrated source where ``g`` was measured.
         A measured ``level`` has any reference that all receivers of a source share.
     simulated : Measurement, optional
         What another program gave for the model as stated, in the room's bands, for every value that
@@ -82,7 +82,7 @@ class Case:
         checks.instance("simulator", self.simulator, PathTracing)
         checks.instance("measured", self.measured, Measurement)
         checked_uncertainty(self.position_uncertainty)
-        object.__setattr__(self, "match", checked_parameters(self.match))
+        object.__setattr__(self, "match", self.simulator.trusted(self.match))
         object.__setattr__(self, "exclude", checks.pairs("exclude", self.exclude))
         for name in ("measured", "simulated"):
             values = getattr(self, name)

@@ -17,6 +17,7 @@ import numpy as np
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import MATCH
+from rtcal.acoustics.scene import plain_directivities
 from rtcal.errors import DataError, TooShortError
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.aperture import SECOND_ROOMS, Aperture
@@ -421,6 +422,7 @@ def key_of(case: Case, seed: int) -> str:
         [part.faces.tolist() for part in case.divided.parts],
         {name: list(map(float, p)) for name, p in {**tracer.sources, **tracer.receivers}.items()},
         np.asarray(tracer.scattering).tolist(),
+        plain_directivities(tracer.directivity),
         list(parameters(case)),
         [TRACINGS, BASE, STEP, seed, SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, __version__],
     ]

@@ -71,6 +71,9 @@ CLAIMED = 0.9
 """Probability from which an effect, a family or a surface is claimed."""
 APART = 2.3
 """Nats below which two surfaces are not told apart: odds of ten to one."""
+_AIMED = (
+    "A source's directivity is unknown: where it aims looks like absorption on the other surfaces."
+)
 _ANYWHERE = (
     "A second room gives its energy back to all positions alike. In both judged rooms in which "
     "one was detected, its aperture was on another surface than the most probable one."
@@ -213,7 +216,7 @@ def _finding(
     summary = summary_of(case, hypotheses, posterior)
     groups = _groups(case, hypotheses, summary, likelihood)
     verdict, effect, family = _claimed(summary, detected)
-    reasons = _reasons(hypotheses, summary, verdict)
+    reasons = _reasons(case, hypotheses, summary, verdict)
     first = next(iter(summary.surfaces))
     sure = summary.surfaces[first] * summary.on_surfaces >= CLAIMED
     located = verdict in ("named", "family", "ambiguous") and sure and not reasons
@@ -245,10 +248,9 @@ def _finding(
 
 def _assumed(case: Case) -> tuple[str, ...]:
     """Return notes of what the search takes together, and what it does not try."""
-    if case.surfaces is not None:
-        return (UNTRIED,)
-    together = of_room.merged(case.geometry, case.faces)
-    return (together, UNTRIED) if together else (UNTRIED,)
+    together = "" if case.surfaces is not None else of_room.merged(case.geometry, case.faces)
+    notes = (*case.simulator.source_notes, together, UNTRIED)
+    return tuple(note for note in notes if note)
 
 
 def _claimed(summary: Summary, detected: Detection) -> tuple[str, str | None, str | None]:
@@ -266,10 +268,12 @@ def _claimed(summary: Summary, detected: Detection) -> tuple[str, str | None, st
     return ("ambiguous" if family is None else "family"), None, family
 
 
-def _reasons(hypotheses: Hypotheses, summary: Summary, verdict: str) -> tuple[str, ...]:
+def _reasons(case: Case, hypotheses: Hypotheses, summary: Summary, verdict: str) -> tuple[str, ...]:
     """Return why the most probable surface is not claimed."""
     if verdict not in ("named", "family", "ambiguous"):
         return ()
+    if case.simulator.unknown_sources:
+        return (_AIMED,)
     best = next((c for c in summary.candidates if c.surface is not None), None)
     if best is None or best is not summary.candidates[0]:
         return ()
