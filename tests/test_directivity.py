@@ -103,9 +103,9 @@ def test_both_kernels_trace_the_same_aimed_paths(monkeypatch):
     assert tracer(**aimed).energy(HALL.room.alpha, 0.1, seed=1) == pytest.approx(compiled, rel=1e-5)
 
 
-def test_where_the_directivity_is_unknown_early_parameters_do_not_count():
+def test_where_the_directivity_is_unknown_reverberation_times_alone_count():
     unknown = tracer(directivity={"S1": "unknown"})
-    assert unknown.trusted(["t20", "edt", "c80", "ts", "level"]) == ("t20", "level")
+    assert unknown.trusted(["t20", "edt", "c80", "ts", "level"]) == ("t20",)
     assert tracer().trusted(["edt", "c80"]) == ("edt", "c80")
     with pytest.raises(DataError, match="depends on the directivity of a source, which is unknown"):
         unknown.trusted(["edt", "sti"])
@@ -121,7 +121,7 @@ def test_a_fit_leaves_them_out_and_says_so():
         )  # fmt: skip
         said[bool(directivity)] = str(result)
     assert "Taken as omnidirectional: S1." in said[False]
-    assert "The directivity of S1 is unknown. So early parameters are left out" in said[True]
+    assert "The directivity of S1 is unknown. So reverberation times alone are used" in said[True]
     assert "EDT" in said[False]
 
 

@@ -133,13 +133,13 @@ class PathTracing(Tracer):
     def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
         """Return those parameters that say as much where a source's directivity is unknown.
 
-        Early sound depends on where a loudspeaker aims. T20, T30 and the level depend on it little.
-        DataError where none is left.
+        Early sound depends on where a loudspeaker aims, and so does the level near it. T20 and T30
+        depend on it little. DataError where none is left.
         """
         names = observations.checked_parameters(match)
         if not self.unknown_sources:
             return names
-        kept = tuple(name for name in names if OBSERVABLES[name].part != "early")
+        kept = tuple(name for name in names if OBSERVABLES[name].part == "late")
         if not kept:
             raise DataError(
                 f"match = {', '.join(names)} depends on the directivity of a source, which is unknown"
@@ -152,8 +152,8 @@ class PathTracing(Tracer):
         notes = []
         if unknown := ", ".join(self.unknown_sources):
             notes.append(
-                f"The directivity of {unknown} is unknown. So early parameters are left out: they depend "
-                "on where a loudspeaker aims."
+                f"The directivity of {unknown} is unknown. So reverberation times alone are used: the "
+                "level and early parameters depend on where a loudspeaker aims."
             )
         if taken := ", ".join(name for name in self.sources if name not in self.directivity):
             notes.append(f"Taken as omnidirectional: {taken}.")

@@ -43,8 +43,8 @@ class Case:
         A row per pair. Its pairs have the simulator's names of sources and receivers. Pairs at one
         place are repeats: the case has their mean, as one pair.
     match : sequence of str
-        Parameters that are compared, without early ones where a source's directivity is unknown. The
-        level is G of a calibrated source where ``g`` was measured.
+        Parameters that are compared. Where a source's directivity is unknown, reverberation times
+        alone. The level is G of a calibrated source where ``g`` was measured.
         A measured ``level`` has any reference that all receivers of a source share.
     simulated : Measurement, optional
         What another program gave for the model as stated, in the room's bands, for every value that

@@ -90,6 +90,7 @@ class Corrected:
             mesh=MESH,
             sources=simulator.sources,
             receivers=simulator.receivers,
+            directivity=simulator.directivity,
             position_uncertainty=self.case.position_uncertainty,
         )
         contents = {

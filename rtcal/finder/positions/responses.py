@@ -326,7 +326,13 @@ def _moved(case: Case, match: Sequence[str], base: Array, seed: int) -> dict[str
     for kind in ("receivers", "sources"):
         points: Mapping[str, object] = getattr(tracer, kind)
         fewer = min(tracer.n_paths, _SOURCE_PATHS) if kind == "sources" else tracer.n_paths
-        changed = _retraced(tracer, **{kind: displaced(points)}, n_paths=fewer)
+        aimed = {
+            f"{name} {i}": of for name, of in tracer.directivity.items() for i in range(len(steps))
+        }
+        changes = {kind: displaced(points), "n_paths": fewer}
+        changed = _retraced(
+            tracer, **changes, **({"directivity": aimed} if kind == "sources" else {})
+        )
         try:
             heard = observe(changed, case.room.alpha, match, seed=seed)
         except TooShortError:  # more paths would be as short

@@ -1,0 +1,55 @@
+"""A loudspeaker that aims somewhere is not taken for absorption, where the room's file says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder.positions import Case, Finding, find
+from tests.test_where import heard, stated, tracing
+
+LOBE = np.linspace(1, 8, 3)
+"""dB per band."""
+
+
+@pytest.fixture(scope="module")
+def findings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Finding]:
+    """Return what is found of a room with nothing hidden, measured with aimed loudspeakers."""
+    kept: Path = tmp_path_factory.mktemp("kept")
+    base = tracing(stated(), n_paths=1600)
+    aimed = {name: rt.Directivity(index=LOBE, aim=(0.3, 1, -0.2)) for name in base.sources}
+    truth = tracing(stated(), scattering=0.5, n_paths=19200)
+    measured = heard(replace(truth, directivity=aimed), base.room.alpha)
+    sources = {"omnidirectional": {}, "unknown": dict.fromkeys(aimed, "unknown"), "stated": aimed}
+    return {
+        name: find(Case(simulator=replace(base, directivity=of), measured=measured), cache=kept)
+        for name, of in sources.items()
+    }
+
+
+def test_taken_as_omnidirectional_it_is_an_alarm_and_the_assumption_is_said(
+    findings: dict[str, Finding],
+) -> None:
+    found = findings["omnidirectional"]
+    assert found.probabilities["none"] < 0.1
+    assert "Taken as omnidirectional: S1, S2." in found.notes
+
+
+def test_stated_nothing_is_claimed(findings: dict[str, Finding]) -> None:
+    found = findings["stated"]
+    assert found.verdict == "none"
+    assert not any("omnidirectional" in note for note in found.notes)
+
+
+def test_unknown_nothing_is_claimed_and_times_alone_are_asked(
+    findings: dict[str, Finding],
+) -> None:
+    found = findings["unknown"]
+    assert found.parameters == ("t20",)
+    assert found.verdict == "none"
+    assert found.surface is None
+    assert any("The directivity of S1, S2 is unknown" in note for note in found.notes)
