@@ -26,6 +26,7 @@ from statistics import median
 
 import clarabel
 import numpy as np
+import qpsolvers
 
 import rtcal as rt
 from rtcal.calibration.certificate import certify
@@ -123,6 +124,9 @@ def resolve(n: int, repeats: int) -> dict[str, float]:
 def starts(n: int, repeats: int) -> Iterator[tuple[str, bool, dict[str, tuple[int, float]]]]:
     """Median iterations and seconds of each solver, without and with bounds active, by its start."""
     for solver in STARTED:
+        if solver.startswith("qpsolvers:") and solver[10:] not in qpsolvers.available_solvers:
+            print(f"{solver} is not installed")
+            continue
         for active in (False, True):
             found: dict[str, list[tuple[int, float]]] = defaultdict(list)
             for given, t in rooms(n, repeats):

@@ -518,13 +518,40 @@ def test_a_compromise_divides_what_t20_and_edt_disagree_on_by_the_weights(cr2):
         for when, stated in ((result.before, part.before), (result.after, part.after)):
             gap = gap_jnd(when.mean(parameter), data.mean(parameter), parameter)
             np.testing.assert_allclose(stated, gap)
-        np.testing.assert_allclose(part.lost, np.abs(part.after - result.gap))
+        farther = np.abs(part.after) - np.abs(result.gap)
+        np.testing.assert_allclose(part.lost, np.maximum(farther, 0), atol=1e-12)
         alone = part.share == 1
         assert np.count_nonzero(alone) == 1
         np.testing.assert_allclose(part.lost[alone], 0, atol=1e-9)
         assert np.all(part.lost[~alone] > 0.3)
     for words in ("T wanted / s", "T20 gap / JND after", "EDT lost / JND"):
         assert words in str(result)
+
+
+def test_what_nothing_gave_up_is_not_called_lost(cr2):
+    """T20 fits at once and EDT is 2 JND off: the mean is within the tolerance, and nothing moves."""
+    room, data = cr2[0], with_edt(cr2[1])
+
+    def run(alpha, seed):
+        t20 = rt.Eyring().time(room, room.areas @ alpha)
+        return rt.Measurement.from_values(room.centre_frequencies, t20=t20, edt=1.09 * t20)
+
+    simulator = External(room=room, run=run, name="two")
+    result = calibrate_simulator(simulator, room, data, weights={"t20": 1, "edt": 1})
+    assert result.simulations == 1
+    t20, edt = result.compromise["t20"], result.compromise["edt"]
+    assert np.abs(t20.after).max() < 1e-6
+    assert t20.lost == pytest.approx(0)
+    assert edt.lost == pytest.approx(np.abs(edt.after) - np.abs(result.gap))
+
+
+def test_weights_count_by_their_ratio_whatever_their_size(cr2):
+    room, data = cr2[0], with_edt(cr2[1])
+    for size in (1e-300, 1e308):
+        weights = {"t20": size, "edt": size}
+        result = calibrate_simulator(two_slopes(room, 1.2), room, data, weights=weights)
+        assert result.compromise["t20"].share == pytest.approx(0.5)
+        assert result.compromise["edt"].share == pytest.approx(0.5)
 
 
 def test_weights_of_t20_alone_are_the_loop_as_it_was(cr2):

@@ -146,9 +146,9 @@ def calibrate(
     **options
         ``solver``: ``"clarabel"`` (the default), ``"osqp"``, another solver of cvxpy's, or
         ``"qpsolvers:NAME"``. ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take
-        the nearest T within reach and list the band in the result. ``warm_start``: ``"none"`` (the
-        default), or ``"closed_form"`` to start OSQP from the paper's closed form. ``settings``: a
-        mapping of the solver's own settings.
+        the nearest T within reach and list the band in the result. ``warm_start``: ``"auto"``
+        (the default), ``"closed_form"`` or ``"none"``; see `rtcal.calibration.options.SolveOptions`.
+        ``settings``: a mapping of the solver's own settings.
 
     Returns
     -------

@@ -109,7 +109,8 @@ class Matched:
                 gap_jnd(mean(parameter), self.measured[parameter], parameter)
                 for mean in (before, after)
             )
-            found[parameter] = ParameterGap(share, first, last, np.abs(last - left))
+            lost = np.maximum(np.abs(last) - np.abs(left), 0.0)
+            found[parameter] = ParameterGap(share, first, last, lost)
         return found
 
 
@@ -119,7 +120,7 @@ class ParameterGap:
 
     ``share`` is its weight over the sum of the weights. ``before`` and ``after`` are its gaps in JND
     with the equation's coefficients and with those returned. ``lost`` is by how many JND its gap
-    differs from the one that the loop left: what it gave up for the others. Matched alone, it is 0.
+    exceeds that of the weighted mean: what it gave up for the others. Matched alone, it is 0.
     """
 
     share: Array
@@ -148,6 +149,11 @@ def matched(
         )
     frequencies = room.centre_frequencies
     by_parameter = {p: _weight(p, stated.get(p, 0.0), frequencies) for p in PARAMETERS}
+    largest = np.max(list(by_parameter.values()), axis=0)
+    by_parameter = {
+        p: np.divide(w, largest, out=np.zeros_like(w), where=largest > 0)
+        for p, w in by_parameter.items()
+    }  # so that their sum is finite, and none is too small to count
     total = np.sum(list(by_parameter.values()), axis=0)
     if (total == 0).any():
         band = label(frequencies[int(np.argmin(total))])
