@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -61,3 +62,17 @@ class Batch:
     def nbytes(self) -> int:
         """Memory in bytes."""
         return sum(x.nbytes for x in self.arrays)
+
+
+def joined(
+    batches: Sequence[Batch],
+) -> tuple[NDArray[np.uint16], NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]:
+    """Return the arrays of several batches as those of one."""
+    before = np.cumsum([0, *(len(batch.events) for batch in batches)])
+    starts = [batch.starts[:-1] + begin for batch, begin in zip(batches, before, strict=False)]
+    return (
+        np.concatenate([batch.events for batch in batches]),
+        np.concatenate([*starts, before[-1:]]),
+        np.concatenate([batch.lengths for batch in batches]),
+        np.concatenate([batch.weights for batch in batches]),
+    )

@@ -1,8 +1,8 @@
 """The path tracer's inner loops, compiled. `rtcal.simulators.path_numpy` does the same in NumPy.
 
-Both modules have `trace`, `histogram`, `histogram_gradient` and `histogram_changed` with the same
-arguments, and trace the same paths up to rounding. Only `rtcal.simulators.paths` imports them, inside a
-function.
+Both modules have `trace`, `histogram`, `histogram_gradient`, `histogram_changed` and `most_hits` with
+the same arguments, and trace the same paths up to rounding. Only `rtcal.simulators.paths` imports them,
+inside a function.
 """
 
 from __future__ import annotations
@@ -35,33 +35,70 @@ def uniform(state: Any) -> float:
 
 
 @compiled(reorder=False)
-def nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[int, float]:
-    """Return the first triangle that the ray hits and its distance; (-1, inf) if it hits none."""
+def by_plane(planes: Array) -> tuple[Any, Any]:
+    """Return the triangles' numbers, those of a plane together, and where each plane begins."""
+    n = len(planes)
+    order, begins = np.empty(n, np.int64), np.empty(n + 1, np.int64)
+    taken = np.zeros(n, np.bool_)
+    n_planes = n_taken = 0
+    for i in range(n):
+        if taken[i]:
+            continue
+        begins[n_planes] = n_taken
+        n_planes += 1
+        for other in range(i, n):
+            if not taken[other] and np.abs(planes[other] - planes[i]).max() < 1e-12:
+                taken[other] = True
+                order[n_taken] = other
+                n_taken += 1
+    begins[n_planes] = n
+    return order, begins[: n_planes + 1].copy()
+
+
+@compiled(reorder=False)
+def nearest(
+    px: float,
+    py: float,
+    pz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    planes: Array,
+    sides: Array,
+    order: Any,
+    begins: Any,
+) -> tuple[int, float]:
+    """Return the first triangle that a ray from p along v hits, and its distance; else (-1, inf).
+
+    ``order`` and ``begins`` are those of `by_plane`: a plane's triangles share its distance.
+    """
     distance, triangle = np.inf, -1
-    for i in range(planes.shape[0]):
-        approach = -(planes[i, 0] * v[0] + planes[i, 1] * v[1] + planes[i, 2] * v[2])
+    for plane in range(len(begins) - 1):
+        first = order[begins[plane]]
+        approach = -(planes[first, 0] * vx + planes[first, 1] * vy + planes[first, 2] * vz)
         if approach <= 0.0:  # from behind, or parallel to the wall
             continue
-        height = planes[i, 0] * p[0] + planes[i, 1] * p[1] + planes[i, 2] * p[2] - planes[i, 3]
-        t = height / approach
+        height = planes[first, 0] * px + planes[first, 1] * py + planes[first, 2] * pz
+        t = (height - planes[first, 3]) / approach
         if t >= distance or t < -1e-9:
             continue
-        x, y, z = p[0] + t * v[0], p[1] + t * v[1], p[2] + t * v[2]
-        a = sides[i, 0, 0] * x + sides[i, 0, 1] * y + sides[i, 0, 2] * z - sides[i, 0, 3]
-        if a < -1e-9 or a > 1.0 + 1e-9:
-            continue
-        b = sides[i, 1, 0] * x + sides[i, 1, 1] * y + sides[i, 1, 2] * z - sides[i, 1, 3]
-        if b < -1e-9 or a + b > 1.0 + 1e-9:
-            continue
-        distance, triangle = t, i
+        x, y, z = px + t * vx, py + t * vy, pz + t * vz
+        for number in range(begins[plane], begins[plane + 1]):
+            i = order[number]
+            a = sides[i, 0, 0] * x + sides[i, 0, 1] * y + sides[i, 0, 2] * z - sides[i, 0, 3]
+            if a < -1e-9 or a > 1.0 + 1e-9:
+                continue
+            b = sides[i, 1, 0] * x + sides[i, 1, 1] * y + sides[i, 1, 2] * z - sides[i, 1, 3]
+            if b < -1e-9 or a + b > 1.0 + 1e-9:
+                continue
+            distance, triangle = t, i
+            break
     return triangle, distance
 
 
 @compiled(reorder=False)
 def grown(array: Any, needed: int) -> Any:
-    """Return the array with space for ``needed`` elements; it grows at least to twice its size."""
-    if needed <= array.size:
-        return array
+    """Return a copy with space for ``needed`` elements, at least twice as large."""
     larger = np.empty(max(2 * array.size, needed), array.dtype)
     larger[: array.size] = array
     return larger
@@ -94,36 +131,37 @@ def trace(
     weights = np.empty(4 * n_paths + 64, np.float32)
     counts = np.zeros(4)
     n_events = n_heard = 0
-    p, v, state = np.empty(3), np.empty(3), np.empty(1, np.uint64)
+    state = np.empty(1, np.uint64)
+    order, begins = by_plane(planes)
     for path in range(n_paths):
         first_event, first_heard = n_events, n_heard
-        p[:] = origin
-        v[:] = directions[path]
+        px, py, pz = origin[0], origin[1], origin[2]
+        vx, vy, vz = directions[path, 0], directions[path, 1], directions[path, 2]
         state[0] = seeds[path]
         travelled, reflections, diffuse = 0.0, 0, False
         while travelled < longest:
-            triangle, t = nearest(p, v, planes, sides)
+            triangle, t = nearest(px, py, pz, vx, vy, vz, planes, sides, order, begins)
             if triangle < 0:
                 counts[0] += 1
                 n_events, n_heard = first_event, first_heard
                 break
-            events = grown(events, n_events + n_receivers + 1)
-            lengths = grown(lengths, n_heard + n_receivers)
-            weights = grown(weights, n_heard + n_receivers)
+            if n_events + n_receivers + 1 > events.size:
+                events = grown(events, n_events + n_receivers + 1)
+            if n_heard + n_receivers > lengths.size:
+                lengths = grown(lengths, n_heard + n_receivers)
+                weights = grown(weights, n_heard + n_receivers)
             if reflections > 0:
                 counts[1] += 1
                 counts[2] += t
                 counts[3] += t * t
                 for r in range(n_receivers):
-                    x, y, z = receivers[r, 0] - p[0], receivers[r, 1] - p[1], receivers[r, 2] - p[2]
-                    along = x * v[0] + y * v[1] + z * v[2]
-                    length = travelled + along
+                    x, y, z = receivers[r, 0] - px, receivers[r, 1] - py, receivers[r, 2] - pz
+                    along = x * vx + y * vy + z * vz
                     square = radii[r] * radii[r]
-                    if (
-                        0.0 < along < t
-                        and length < longest
-                        and x * x + y * y + z * z - along * along < square
-                    ):
+                    if x * x + y * y + z * z - along * along >= square:
+                        continue
+                    length = travelled + along
+                    if 0.0 < along < t and length < longest:
                         weight = 1.0 / (math.pi * square)
                         if not diffuse:
                             weight *= 0.5 * (1.0 + math.sqrt(max(1 - square / length**2, 0.0)))
@@ -142,10 +180,9 @@ def trace(
             choice, u, w = uniform(state), uniform(state), uniform(state)
             s = scattering[face]
             nx, ny, nz = planes[triangle, 0], planes[triangle, 1], planes[triangle, 2]
-            across = v[0] * nx + v[1] * ny + v[2] * nz
-            for i in range(3):
-                p[i] += t * v[i]
-                v[i] -= 2.0 * across * planes[triangle, i]
+            across = vx * nx + vy * ny + vz * nz
+            px, py, pz = px + t * vx, py + t * vy, pz + t * vz
+            vx, vy, vz = vx - 2 * across * nx, vy - 2 * across * ny, vz - 2 * across * nz
             if (vector and s > 0.0) or (not vector and choice < s):
                 diffuse = True
                 if not vector:
@@ -158,12 +195,11 @@ def trace(
                 lz = nz + up
                 share = (s if vector else 1.0) / math.sqrt(lx * lx + ly * ly + lz * lz + 1e-30)
                 specular = 1.0 - s if vector else 0.0
-                v[0] = share * lx + specular * v[0]
-                v[1] = share * ly + specular * v[1]
-                v[2] = share * lz + specular * v[2]
-            norm = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-            for i in range(3):
-                v[i] /= norm
+                vx = share * lx + specular * vx
+                vy = share * ly + specular * vy
+                vz = share * lz + specular * vz
+            norm = math.sqrt(vx * vx + vy * vy + vz * vz)
+            vx, vy, vz = vx / norm, vy / norm, vz / norm
         starts[path + 1] = n_events
     return (
         events[:n_events].copy(),
@@ -258,6 +294,24 @@ def histogram_gradient(
 
 
 @compiled(reorder=False)
+def most_hits(events: Any, starts: Any, held: Any) -> int:
+    """Return the most hits of a path on the faces of one group; ``held`` as in `histogram_changed`."""
+    n_codes, n_groups = held.shape
+    hits = np.zeros(n_groups, dtype=np.int64)
+    most = 0
+    for path in range(len(starts) - 1):
+        hits[:] = 0
+        for e in range(starts[path], starts[path + 1]):
+            code = np.int64(events[e])
+            if code < n_codes:
+                for j in range(n_groups):
+                    hits[j] += held[code, j]
+        for j in range(n_groups):
+            most = max(most, int(hits[j]))
+    return most
+
+
+@compiled(reorder=False)
 def histogram_changed(
     events: Any,
     starts: Any,
@@ -267,24 +321,36 @@ def histogram_changed(
     attenuation: Array,
     first: Array,
     bin_length: float,
-    parts: Any,
-    members: Any,
-    factors: Array,
+    held: Any,
+    powers: Array,
     out: Array,
 ) -> None:
     """Add to ``out`` the energy with each group of faces changed, in one sweep of the paths.
 
-    ``parts`` (n_codes,) is the number of the part that the face of each code belongs to. ``members``
-    (n_groups, n_parts) says which parts a group has. ``factors`` (n_parts, n_hits, n_changes n_bands)
-    multiply the energy after as many hits on a part. ``out`` (n_receivers, n_bins, n_groups,
-    n_changes n_bands).
+    ``held`` (n_codes, n_groups) is 1 where the face of a code belongs to a group, else 0. ``powers``
+    (n_groups, n_hits, n_changes, n_bands) multiply the energy after as many hits on a group. ``out``
+    (n_groups, n_receivers, n_bins, n_changes, n_bands).
     """
     n_codes, n_bands = log_reflection.shape
-    n_bins, n_groups, width = out.shape[1:]
-    n_parts, most = factors.shape[0], factors.shape[1] - 1
-    level, energy = np.empty(n_bands), np.empty(width)
-    hits = np.zeros(n_parts, dtype=np.int64)
-    changed = np.empty(width)
+    n_groups, n_receivers, n_bins, n_changes, _ = out.shape
+    n_hits = powers.shape[1]
+    # Sorted by receiver and bin: what is summed after one another stands together in memory.
+    heard = 0
+    keys = np.empty(len(lengths), dtype=np.int64)
+    begins = np.zeros(n_receivers * n_bins + 1, dtype=np.int64)
+    for code in events:
+        receiver = np.int64(code) - n_codes
+        if receiver >= 0:
+            place = math.floor((np.float64(lengths[heard]) - first[receiver]) / bin_length)
+            keys[heard] = receiver * n_bins + place if 0 <= place < n_bins else -1
+            if keys[heard] >= 0:
+                begins[keys[heard] + 1] += 1
+            heard += 1
+    begins = np.cumsum(begins)
+    slots = begins.copy()
+    level, hits = np.empty(n_bands), np.zeros(n_groups, dtype=np.int64)
+    counted = np.empty((begins[-1], n_groups), dtype=np.uint16)
+    energy = np.empty((begins[-1], n_bands))
     heard = 0
     for path in range(len(starts) - 1):
         level[:] = 0.0
@@ -294,21 +360,30 @@ def histogram_changed(
             if code < n_codes:
                 for k in range(n_bands):
                     level[k] += log_reflection[code, k]
-                hits[parts[code]] = min(hits[parts[code]] + 1, most)
-                continue
-            receiver, length = code - n_codes, np.float64(lengths[heard])
-            place = math.floor((length - first[receiver]) / bin_length)
-            if 0 <= place < n_bins:
-                for k in range(n_bands):
-                    energy[k] = weights[heard] * math.exp(level[k] - attenuation[k] * length)
-                for m in range(n_bands, width):
-                    energy[m] = energy[m - n_bands]
                 for j in range(n_groups):
-                    changed[:] = energy
-                    for u in range(n_parts):
-                        if members[j, u] and hits[u] > 0:
-                            for m in range(width):
-                                changed[m] *= factors[u, hits[u], m]
-                    for m in range(width):
-                        out[receiver, place, j, m] += changed[m]
+                    hits[j] += held[code, j]
+                continue
+            if keys[heard] >= 0:
+                slot, length = slots[keys[heard]], np.float64(lengths[heard])
+                slots[keys[heard]] += 1
+                for k in range(n_bands):
+                    energy[slot, k] = weights[heard] * math.exp(level[k] - attenuation[k] * length)
+                for j in range(n_groups):
+                    counted[slot, j] = hits[j]
             heard += 1
+    # Energies of as many hits are summed before they are multiplied.
+    sums = np.zeros((n_hits, n_bands))
+    for key in range(n_receivers * n_bins):
+        receiver, place = key // n_bins, key % n_bins
+        for j in range(n_groups):
+            least, most = n_hits, -1
+            for slot in range(begins[key], begins[key + 1]):
+                number = int(counted[slot, j])
+                least, most = min(least, number), max(most, number)
+                for k in range(n_bands):
+                    sums[number, k] += energy[slot, k]
+            for number in range(least, most + 1):
+                for c in range(n_changes):
+                    for k in range(n_bands):
+                        out[j, receiver, place, c, k] += sums[number, k] * powers[j, number, c, k]
+                sums[number] = 0.0

@@ -179,6 +179,14 @@ def histogram_gradient(
         gradient[:, :, j] += _sums(flat, counted * energy, in_bins, shape)
 
 
+def most_hits(
+    events: NDArray[np.uint16], starts: NDArray[np.int64], held: NDArray[np.int64]
+) -> int:
+    """Return the most hits of a path on one group, as `rtcal.simulators.path_numba.most_hits` does."""
+    every = _hits(events, held)
+    return int((every[starts[1:]] - every[starts[:-1]]).max(initial=0))
+
+
 def histogram_changed(
     events: NDArray[np.uint16],
     starts: NDArray[np.int64],
@@ -188,25 +196,36 @@ def histogram_changed(
     attenuation: Array,
     first: Array,
     bin_length: float,
-    parts: NDArray[np.int64],
-    members: NDArray[np.bool_],
-    factors: Array,
+    held: NDArray[np.int64],
+    powers: Array,
     out: Array,
 ) -> None:
     """Add energies as `rtcal.simulators.path_numba.histogram_changed` does."""
-    shape = out.shape[:2]
+    n_groups, n_receivers, n_bins = out.shape[:3]
+    n_hits = powers.shape[1]
     heard, begin, energy, flat, in_bins = _heard(
-        events, starts, lengths, weights, log_reflection, attenuation, first, bin_length, shape
+        events,
+        starts,
+        lengths,
+        weights,
+        log_reflection,
+        attenuation,
+        first,
+        bin_length,
+        (n_receivers, n_bins),
     )
-    part = np.where(events < len(log_reflection), parts[np.minimum(events, len(parts) - 1)], -1)
-    by_part = []
-    for u, factor in enumerate(factors):
-        hits = np.concatenate([[0], np.cumsum(part == u)])
-        by_part.append(factor[np.minimum(hits[heard] - hits[begin], len(factor) - 1)])
-    every = np.tile(energy, out.shape[3] // energy.shape[1])
-    for j, chosen in enumerate(members):
-        product = np.prod([by_part[u] for u in np.flatnonzero(chosen)], axis=0)
-        out[:, :, j] += _sums(flat, product * every, in_bins, shape)
+    every = _hits(events, held)
+    for j in range(n_groups):
+        at = flat * n_hits + every[heard, j] - every[begin, j]
+        sums = _sums(at, energy, in_bins, (n_receivers * n_bins, n_hits))
+        out[j] += np.einsum("xhk,hck->xck", sums, powers[j]).reshape(out.shape[1:])
+
+
+def _hits(events: NDArray[np.uint16], held: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the hits on each group before every event, over all paths, (n_events + 1, n_groups)."""
+    wall = events < len(held)
+    each = np.where(wall[:, np.newaxis], held[np.where(wall, events, 0)], 0)
+    return np.vstack([np.zeros((1, held.shape[1]), dtype=np.int64), np.cumsum(each, axis=0)])
 
 
 def _sums(

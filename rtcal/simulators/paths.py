@@ -21,12 +21,16 @@ from numpy.typing import NDArray
 
 from rtcal.errors import DataError
 from rtcal.simulators import path_numpy
-from rtcal.simulators.path_batch import Batch, ScatteringModel
+from rtcal.simulators.path_batch import Batch, ScatteringModel, joined
 from rtcal.support import jit
 from rtcal.support.types import Array
 
 _LARGEST_POWER = 600.0
 """Largest ln of a factor of the energy: its product with an energy that is 0 is 0, not NaN."""
+
+
+_TOGETHER = 100_000
+"""Receptions that are sorted at once: their energies fill some 10 MB."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -306,7 +310,9 @@ class Paths:
     ) -> Array:
         """Return the energy with each group of faces changed, in one sweep of the paths.
 
-        Its time is that of some three weighings, for any number of groups and changes.
+        A path whose group's faces all change alike is worth its energy times a factor to the power of
+        its hits on them. So the sweep sums energies by hits, for any number of changes. A group whose
+        faces change differently is weighed anew for each change.
 
         Parameters
         ----------
@@ -324,36 +330,64 @@ class Paths:
         array (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins)
             Mean over the batches.
         """
-        log_reflection, attenuation = self._weights(alpha, air_attenuation)
         n_sources, n_receivers = self.first.shape
         n_changes, n_parts, n_bands = changed.shape
         material = np.zeros(n_parts, dtype=np.int64)
         material[parts] = self.materials
-        ratio = np.moveaxis((1 - changed) / (1 - alpha[material]), 0, 1).reshape(n_parts, 1, -1)
-        most = max(int(np.diff(b.starts).max(initial=0)) for of in self.batches for b in of)
+        stated = np.asarray(alpha, dtype=float)[material]
+        ratio = (1 - changed) / (1 - stated)
+        alike = np.array([not np.ptp(ratio[:, held], axis=1).any() for held in members], dtype=bool)
+        n_bins = self._n_bins(bin_length)
+        out = np.empty((len(members), n_changes, n_sources, n_receivers, n_bands, n_bins))
+        if alike.any():
+            factor = np.array([ratio[:, np.argmax(held)] for held in members[alike]])
+            held = np.tile(members[alike][:, parts], 2).T.astype(np.int64)
+            out[alike] = self._by_hits(alpha, air_attenuation, bin_length, held, factor)
+        of_parts = replace(self, materials=parts, n_materials=n_parts)
+        for j in np.flatnonzero(~alike):
+            for c, other in enumerate(np.where(members[j][:, np.newaxis], changed, stated)):
+                out[j, c] = of_parts.energy(other, air_attenuation, bin_length).mean(axis=0)
+        return out
+
+    def _by_hits(
+        self,
+        alpha: Array,
+        air_attenuation: Array,
+        bin_length: float,
+        held: NDArray[np.int64],
+        factor: Array,
+    ) -> Array:
+        """Return the energies with a factor for each hit on a group; see `energy_changed`.
+
+        ``held`` (2 n_faces, n_groups) as in the kernels, ``factor`` (n_groups, n_changes, n_bands).
+        """
+        log_reflection, attenuation = self._weights(alpha, air_attenuation)
+        n_sources, n_receivers = self.first.shape
+        n_groups, n_changes, n_bands = factor.shape
+        n_bins = self._n_bins(bin_length)
+        out = np.empty((n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins))
+        every = [batch for source in self.batches for batch in source]
+        most = max(kernels().most_hits(batch.events, batch.starts, held) for batch in every)
         with np.errstate(divide="ignore", invalid="ignore"):
-            powers = np.arange(most + 1)[:, np.newaxis] * np.log(ratio)
-        powers[:, 0] = 0.0
-        factors = np.exp(np.minimum(powers, _LARGEST_POWER))
-        shape = (n_receivers, self._n_bins(bin_length), len(members), n_changes * n_bands)
-        out = np.empty((len(members), n_changes, n_sources, n_receivers, n_bands, shape[1]))
+            logs = np.arange(most + 1)[:, np.newaxis, np.newaxis] * np.log(factor)[:, np.newaxis]
+        logs[:, 0] = 0.0
+        powers = np.exp(np.minimum(logs, _LARGEST_POWER))
         for s, source in enumerate(self.batches):
-            heard = np.zeros(shape)
-            for batch in source:
+            heard = np.zeros((n_groups, n_receivers, n_bins, n_changes, n_bands))
+            receptions = sum(len(batch.lengths) for batch in source)
+            together = max(len(source) * _TOGETHER // max(receptions, 1), 1)
+            for start in range(0, len(source), together):
                 kernels().histogram_changed(
-                    *batch.arrays,
+                    *joined(source[start : start + together]),
                     log_reflection,
                     attenuation,
                     self.first[s],
                     float(bin_length),
-                    np.tile(parts, 2),
-                    members,
-                    factors,
+                    held,
+                    powers,
                     heard,
                 )
-            heard /= self._kept(s)
-            split = heard.reshape(*shape[:3], n_changes, n_bands)
-            out[:, :, s] = np.transpose(split, (2, 3, 0, 4, 1))
+            out[:, :, s] = np.moveaxis(heard, (1, 2, 3, 4), (2, 4, 1, 3)) / self._kept(s)
         out[..., 0] += self._direct_sound(attenuation)
         return out
 
