@@ -155,7 +155,7 @@ def on_pairs(index: int, statement: str, paths: int) -> dict[str, Any]:
 def at_positions(index: int, prior: str, paths: int) -> dict[str, Any]:
     """A position room, calibrated to every position."""
     case = positions.load(0, index, prior)
-    result = rt.calibrate_simulator(
+    result = rt.calibrate_positions(
         case.simulator(n_paths=paths), case.room, case.measured, match=MATCH
     )
     return {

@@ -40,9 +40,9 @@ from benchmarks.positions_table import (
 )
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.loop.control_runs import ControlRuns, control_runs, trace_ahead
+from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
 from rtcal.loop.listener import Listener
-from rtcal.loop.measured_pairs import measured_pairs
+from rtcal.loop.measured_pairs import pairs_to_match
 from rtcal.loop.positions import MORE_PATHS, precise, prior_covariance
 from rtcal.simulators import PathTracing, path_trace, paths
 from rtcal.simulators.observations import Observations
@@ -119,7 +119,7 @@ def calibrate(
         warnings.simplefilter("ignore")
         if method == "t20":
             return rt.calibrate_simulator(simulator, room, measured)
-        return rt.calibrate_simulator(
+        return rt.calibrate_positions(
             simulator, room, measured, match=MATCH, controls=controls, cache=cache
         )
 
@@ -252,7 +252,7 @@ def make_controls(folder: Path, population: int, index: int) -> None:
         trace_ahead(simulator, case.room.alpha, 0)
         clock, processor = time.perf_counter(), time.process_time()
         with Traces() as traces:
-            control_runs(simulator, case.room, MATCH, cache=folder / "controls")
+            simulated_controls(simulator, case.room, MATCH, cache=folder / "controls")
         rows.append(
             {
                 "index": index,
@@ -351,7 +351,7 @@ def least_error(population: int, index: int, prior: str) -> float:
     case = load(population, index, prior)
     tracer = knowing(case.simulator(n_paths=MORE_PATHS * PATHS), population, index)
     heard = tracer.observe(case.room.alpha, MATCH)
-    data = measured_pairs(case.room, case.measured, MATCH, heard)
+    data = pairs_to_match(case.room, case.measured, MATCH, heard)
     matrix = Listener(tracer, data, heard, case.room.alpha, 0).linearised()
     before = prior_covariance(case.room)
     across = before @ matrix.T

@@ -139,7 +139,7 @@ def main() -> None:
         alphas["T20 alone"] = rt.calibrate_simulator(precise(tracer), room, data).alpha
         print(f"T20 alone, fitted on {fitted}: {time.process_time() - clock:.0f} s of processor")
         clock = time.process_time()
-        every = rt.calibrate_simulator(tracer, room, data, match=MATCH)
+        every = rt.calibrate_positions(tracer, room, data, match=MATCH)
         alphas["every position"] = every.alpha
         print(
             f"every position, fitted on {fitted}: {time.process_time() - clock:.0f} s of processor"

@@ -32,10 +32,10 @@ import rtcal as rt
 from rtcal.calibration.certificate import certify
 from rtcal.calibration.compiled_qp import Matrices
 from rtcal.calibration.convex_program import RawSolution
-from rtcal.calibration.error_bound import error_bound
+from rtcal.calibration.error_bound import largest_error
 from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.calibration.options import STARTED
-from rtcal.calibration.polish import polish
+from rtcal.calibration.polish import polish_answer
 from rtcal.calibration.presets import preset
 from rtcal.calibration.solvers import SETTINGS
 
@@ -81,7 +81,7 @@ def alone(qp: Matrices) -> None:
 def polished(model: NumpyModel, raw: RawSolution) -> None:
     """Polish with a model whose matrices are not made yet, as in a re-solve."""
     nothing = np.zeros(len(raw.unknowns), dtype=bool)
-    polish(replace(model), raw.unknowns, raw.multipliers, nothing, nothing)
+    polish_answer(replace(model), raw.unknowns, raw.multipliers, nothing, nothing)
 
 
 def timed(call: Callable[[], object], calls: int = 5) -> float:
@@ -111,7 +111,7 @@ def resolve(n: int, repeats: int) -> dict[str, float]:
             "Clarabel": partial(alone, qp),
             "polish": partial(polished, model, raw),
             "certificate": partial(certify, model, *answer),
-            "error bound": partial(error_bound, model, answer[0], answer[1].rows),
+            "error bound": partial(largest_error, model, answer[0], answer[1].rows),
         }
         for name, call in calls.items():
             seconds[name].append(timed(call))

@@ -45,7 +45,7 @@ def task(name: str) -> Callable[[], object]:
         return lambda: [rt.calibrate(room, measured) for _ in range(20)]
     if name == "posterior":
         result = rt.calibrate(room, measured, method="soft")
-        return lambda: [rt.posterior.posterior(result) for _ in range(20)]
+        return lambda: [rt.posterior.distribution(result) for _ in range(20)]
     return lambda: rt.studies.calibration_scores(room.areas, 0.05, 500, 500)
 
 

@@ -45,7 +45,7 @@ from rtcal.finder.positions.model import Model, model
 from rtcal.finder.positions.posterior import Hypotheses
 from rtcal.finder.positions.responses import parameters, responses
 from rtcal.finder.positions.search import every_hypothesis
-from rtcal.loop.control_runs import control_runs
+from rtcal.loop.control_runs import simulated_controls
 from tests.geometric_world import rooms
 from tests.geometric_world.generate import HERE
 from tests.geometric_world.load import (
@@ -101,7 +101,7 @@ class Judging:
 
 def prepared(case: rt.finder.positions.Case, cache: Path) -> tuple[Model, Hypotheses]:
     """Return the numbers and the hypotheses of a search, as `finder.positions.find` makes them."""
-    controls: Any = control_runs(
+    controls: Any = simulated_controls(
         case.simulator,
         case.room,
         parameters(case),

@@ -38,7 +38,7 @@ from rtcal.finder.positions.model import Model
 from rtcal.finder.positions.model import model as model_of
 from rtcal.finder.positions.responses import parameters, precisely, responses
 from rtcal.finder.positions.weighing import Weighing
-from rtcal.loop.control_runs import control_runs
+from rtcal.loop.control_runs import simulated_controls
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.types import Array
 
@@ -267,7 +267,7 @@ def told(folder: Path, only: str | None, workers: int | None) -> None:
     """
     own = case_of(OWN, "closed", workers)
     names, controls = parameters(own), folder / "controls"
-    runs: Any = control_runs(
+    runs: Any = simulated_controls(
         own.simulator,
         own.room,
         names,

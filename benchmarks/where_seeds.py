@@ -21,7 +21,7 @@ from benchmarks.where import case_of
 from rtcal.finder.positions import track_record
 from rtcal.finder.positions.responses import parameters
 from rtcal.finder.positions.search import find_by_positions
-from rtcal.loop.control_runs import control_runs
+from rtcal.loop.control_runs import simulated_controls
 from tests.geometric_world.load import IN_SITU, load
 
 
@@ -32,7 +32,7 @@ def scores(
     case = case_of(load(population, index, IN_SITU), "level")
     case = replace(case, simulator=replace(case.simulator, n_paths=paths))
     for of_runs in seeds:
-        controls = control_runs(
+        controls = simulated_controls(
             case.simulator, case.room, parameters(case), seed=of_runs, cache=folder
         )
         for of_paths in seeds:

@@ -38,7 +38,7 @@ from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.errors import ModelError, RtcalError
 from rtcal.finder import AppliedEffect, Case, Change, Configuration, find, plan, verify
 from rtcal.loop.state import start
-from rtcal.posterior.distributions import posterior
+from rtcal.posterior.distributions import distribution
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
@@ -174,7 +174,7 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         "LoopResult": rt.calibrate_simulator(simulator, room, measured),
         "CalibrationProblem": CalibrationProblem(calibration, room, rt.Eyring()),
         "JointProblem": JointProblem(calibration, configurations, rt.Eyring()),
-        "Posterior": posterior(result),
+        "Posterior": distribution(result),
         "Calibrated": result,
         "Optimal": result,
         "ImageSource": ImageSource(room=room, sources=point, receivers=receivers, duration=0.2),

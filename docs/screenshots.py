@@ -55,7 +55,9 @@ def main(folder: Path) -> None:
         check=True,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
     )
-    document.write(folder / "report.html", page.page(rt.calibrate(*rt.datasets.bras_cr2())))
+    document.write(
+        folder / "report.html", page.calibration_page(rt.calibrate(*rt.datasets.bras_cr2()))
+    )
     places = {name: folder / "site" / path for name, path in PAGES.items()}
     places["page"] = folder / "report.html"
     with tempfile.TemporaryDirectory() as profile:

@@ -11,6 +11,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
+__all__ = [
+    "DataError",
+    "InfeasibleError",
+    "MissingAirWarning",
+    "MissingDependencyError",
+    "ModelError",
+    "OtherBandsWarning",
+    "RtcalError",
+    "RtcalWarning",
+    "SimulatorError",
+    "SolverError",
+    "TermError",
+    "TooShortError",
+]
+__dir__ = __all__.copy
+
 
 class RtcalError(Exception):
     """Base of every error that rtcal raises on purpose.

@@ -19,7 +19,7 @@ from rtcal.finder import Case
 from rtcal.finder.case import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import words
-from rtcal.studies.moments import Moments
+from rtcal.studies.moments import ScoreMoments
 from rtcal.studies.runner import _open, _Store
 from rtcal.support import kept_arrays, objects, results, transaction
 from rtcal.support.decode import json_object
@@ -151,26 +151,26 @@ def _piece(folder: Path) -> Path:
 
 def _good_piece() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
-        _Store(Path(folder), "0" * 16).write(0, Moments.from_bytes(_SUMS))
+        _Store(Path(folder), "0" * 16).write(0, ScoreMoments.from_bytes(_SUMS))
         return _piece(Path(folder)).read_bytes()
 
 
 PIECE = (_good_piece(),)
 
 
-def read_piece(path: str) -> Moments:
+def read_piece(path: str) -> ScoreMoments:
     """Read a file as the first piece of a study; also its bytes as unpacked sums."""
     content = Path(path).read_bytes()
     Path(path).rename(_piece(Path(path).parent))
     with suppress(ValueError):
-        assert Moments.from_bytes(content).to_bytes() == content
+        assert ScoreMoments.from_bytes(content).to_bytes() == content
     sums = _Store(Path(path).parent, "0" * 16).read(0)
     if sums is None:
         raise DataError(f"{path}: computed again")
     return sums
 
 
-def piece_holds(sums: Moments) -> None:
+def piece_holds(sums: ScoreMoments) -> None:
     """Nothing but the good piece is read."""
     assert sums.to_bytes() == _SUMS
 

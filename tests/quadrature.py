@@ -194,9 +194,9 @@ def errors(band: Band, rng: np.random.Generator) -> tuple[float, float, float, f
     The coefficient is drawn at random; the correlation is that of the two that share most.
     sd and width have relative errors, the correlation an absolute one.
     """
-    from rtcal.posterior.marginals import marginals
+    from rtcal.posterior.marginals import marginal_distributions
 
-    found = marginals(
+    found = marginal_distributions(
         band.mu,
         band.sigma,
         band.lower,

@@ -133,7 +133,7 @@ CALLS: list[Callable[[Any], Any]] = [
         name="r", volume=1, surfaces=wrong, materials=wrong, centre_frequencies=[500]
     ),
     lambda wrong: rt.report.figures.gap(wrong),
-    lambda wrong: rt.report.page.page(wrong),
+    lambda wrong: rt.report.page.calibration_page(wrong),
     lambda wrong: quality.explained(wrong),
     lambda wrong: quality.gap_jnd(wrong, [1.0]),
     lambda wrong: decay.decay_time([1.0, 0.5], 0.1, wrong),

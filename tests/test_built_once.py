@@ -132,7 +132,7 @@ def test_where_the_quick_answer_does_not_do_the_full_solve_follows(
     if fault == "no values":
         monkeypatch.setattr(solvers, "run", without_values_once)
     else:
-        monkeypatch.setattr(convex_program, "polish", failing_once)
+        monkeypatch.setattr(convex_program, "polish_answer", failing_once)
     result = rt.calibrate(room, t)
     assert len(calls) == 2
     assert result.polished

@@ -602,11 +602,3 @@ def test_weights_that_break_a_rule(cr2, weights, message):
     t20 = rt.Measurement.from_values(room.centre_frequencies, t20=measured.decay_time().mean)
     with pytest.raises(DataError, match=message):
         calibrate_simulator(two_slopes(room, 1.2), room, t20, weights=weights)
-
-
-def test_weights_do_not_go_with_every_position(cr2):
-    room, measured = cr2
-    with pytest.raises(DataError, match="weights does not go with match"):
-        calibrate_simulator(
-            two_slopes(room, 1.2), room, measured, match=("t20", "edt"), weights={"t20": 1}
-        )

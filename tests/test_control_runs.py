@@ -8,7 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.errors import DataError
-from rtcal.loop.control_runs import ControlRuns, control_runs
+from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.loop.positions import error_scale
 from rtcal.loop.scattering import COMMON_LEFT, basis, errors_by_scattering
 from rtcal.simulators import PathTracing, Polyhedron, path_trace
@@ -148,7 +148,7 @@ def test_no_control_run_is_traced_twice(monkeypatch):
         return trace(*points, **options)
 
     monkeypatch.setattr(path_trace, "trace", counted)
-    made = control_runs(tracer, room, ("t20", "edt"))
+    made = simulated_controls(tracer, room, ("t20", "edt"))
     assert len(traced) == 1 + 16  # the simulator itself, and each run
     assert 12 <= len(made.errors) <= 16
     assert len(made.levels) == len(made.models) == len(made.errors)

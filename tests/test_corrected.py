@@ -20,7 +20,7 @@ from rtcal.errors import DataError
 from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
 from rtcal.finder.means.states import distances, state
 from rtcal.finder.model import predict
-from rtcal.posterior import posterior
+from rtcal.posterior import distribution
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -111,7 +111,7 @@ def test_alpha_and_sizes_have_intervals(hidden: tuple[Case, np.ndarray]) -> None
     inside = np.mean((low <= truth) & (truth <= high))
     assert inside > 0.8
     # The sampled posterior of the same QP, within the bounds, is about as wide.
-    drawn = posterior(found.joint, 1500)
+    drawn = distribution(found.joint, 1500)
     rows = [found.joint.materials.index(m) for m in case.room.materials]
     ratio = found.sigma / drawn.sigma[rows]
     assert 0.9 < ratio.mean() < 1.1  # 1,500 samples know a sigma to 2 %; bounds cut some

@@ -7,12 +7,12 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.acoustics.curvature import bent_decays, curvature
+from rtcal.acoustics.curvature import bent_decays, curvature_percent
 from rtcal.report import page
 
 
 def test_curvature_is_that_of_iso_3382_2() -> None:
-    assert curvature(np.array([2.0]), np.array([2.1])) == pytest.approx([5.0])
+    assert curvature_percent(np.array([2.0]), np.array([2.1])) == pytest.approx([5.0])
 
 
 def test_the_double_slope_of_the_issue_is_bent() -> None:
@@ -66,6 +66,6 @@ def test_a_bent_decay_is_a_reservation_of_the_calibration() -> None:
     (mark,) = [m for m in result.trust_marks if m.kind == "bent"]
     assert (mark.frequency, mark.letter) == (1000, "c")
     assert "curvature T30/T20 - 1 = +38 %" in mark.text
-    assert "curvature T30/T20 - 1 = +38 %" in page.page(result)
+    assert "curvature T30/T20 - 1 = +38 %" in page.calibration_page(result)
     result = rt.calibrate(room, rt.Measurement.from_values([500, 1000], **straight))
     assert not [m for m in result.trust_marks if m.kind == "bent"]

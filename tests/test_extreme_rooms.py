@@ -69,7 +69,7 @@ def test_dual_is_the_exact_batch_solver_s_answer(kind: str, seed: int) -> None:
     np.testing.assert_array_equal(at_upper, np.maximum(-above, 0.0))
     certificate = certify(model, u, multipliers)
     assert np.max(certificate.primal_residual) < 1e-12
-    below, above = separable.separable(model).enclosure()
+    below, above = separable.separable_form(model).enclosure()
     assert (wanted >= below.T - 1e-12).all()
     assert (wanted <= above.T + 1e-12).all()
     assert (above - below).max() < 1e-6
@@ -91,7 +91,7 @@ def test_dual_answers_where_the_default_solver_fails(monkeypatch: pytest.MonkeyP
     usual = rt.calibrate(room, measured)
     monkeypatch.setattr(solvers, "run", fails)
     for polish in (convex_program.polish, lambda *_: None):
-        monkeypatch.setattr(convex_program, "polish", polish)
+        monkeypatch.setattr(convex_program, "polish_answer", polish)
         result = rt.calibrate(room, measured)
         np.testing.assert_allclose(result.alpha, usual.alpha, rtol=0, atol=1e-13)
         np.testing.assert_allclose(result.multipliers, usual.multipliers, rtol=1e-9)

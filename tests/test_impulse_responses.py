@@ -11,7 +11,7 @@ from scipy.io import wavfile
 
 from rtcal.errors import DataError
 from rtcal.io import impulse_responses as ir
-from rtcal.io.samples import clipped_samples
+from rtcal.io.wav import clipped_samples
 from tests.fuzz import wav
 
 pyfar = pytest.importorskip("pyfar")

@@ -11,7 +11,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.feasibility import reach, restrict_to_reach
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
-from rtcal.calibration.polish import active_rows, polish
+from rtcal.calibration.polish import active_rows, polish_answer
 from rtcal.errors import SolverError
 from rtcal.support import kkt
 from rtcal.support.hessian import Hessian
@@ -29,7 +29,7 @@ def solved(constraint: object, factor: float) -> tuple[NumpyModel, np.ndarray, n
 
 def polished(model: NumpyModel, start: np.ndarray, rows: np.ndarray) -> tuple:
     none = np.zeros(len(start))
-    answer = polish(model, start, Multipliers(rows, none, none), none > 0, none > 0)
+    answer = polish_answer(model, start, Multipliers(rows, none, none), none > 0, none > 0)
     assert answer is not None
     return answer.alpha, answer.multipliers.rows
 
@@ -102,7 +102,7 @@ def test_wrongly_claimed_bounds_are_let_go_and_missed_bounds_are_met(
     for claimed in (solution.active, -solution.active, 0 * solution.active):
         lower, upper = (np.where(claimed == s, 1e6, none) for s in (-1, 1))
         start = Multipliers(solution.multipliers.rows, lower, upper)
-        answer = polish(model, optimum, start, nothing, nothing)
+        answer = polish_answer(model, optimum, start, nothing, nothing)
         assert answer is not None
         np.testing.assert_allclose(answer.alpha, optimum, rtol=0, atol=1e-13)
         np.testing.assert_array_equal(answer.active, solution.active)

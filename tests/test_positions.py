@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from dataclasses import replace
 
@@ -57,7 +58,7 @@ def case():
 def result(case, tmp_path_factory):
     room, _, measured = case
     cache = tmp_path_factory.mktemp("cache")
-    return rt.calibrate_simulator(tracing(room), room, measured, match=MATCH, cache=cache)
+    return rt.calibrate_positions(tracing(room), room, measured, match=MATCH, cache=cache)
 
 
 def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_be_used(result):
@@ -96,7 +97,7 @@ def test_positions_that_were_not_measured_are_predicted(case, result):
     half = [p for p in measured.pairs if p[1] in ("R1", "R2")]
     without = [p for p in measured.pairs if p not in half]
     fitted, fixed = (
-        rt.calibrate_simulator(
+        rt.calibrate_positions(
             tracing(room),
             room,
             measured,
@@ -145,7 +146,7 @@ def test_scattering_that_cannot_be_fitted_is_kept_and_said(case, result):
         ({"scattering_model": "vector"}, 'only "random" paths tell'),
     ):
         simulator = tracing(room, **options)
-        kept = rt.calibrate_simulator(
+        kept = rt.calibrate_positions(
             simulator, room, measured, match=MATCH, controls=result.controls
         )
         assert kept.scattering is None
@@ -173,7 +174,7 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
     assert f"scattering {fit.mean:.2f}" in result.simulator
     assert np.average(fit.coefficients[:, 0], weights=room.areas) == pytest.approx(fit.mean)
     low, high = (
-        rt.calibrate_simulator(
+        rt.calibrate_positions(
             tracing(room),
             room,
             heard(room, room.alpha, scattering=scattering, n_paths=4000),
@@ -189,7 +190,7 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
         levels=result.controls.levels[:4],
         models=result.controls.models[:4],
     )
-    told = rt.calibrate_simulator(tracing(room), room, measured, match=MATCH, controls=few)
+    told = rt.calibrate_positions(tracing(room), room, measured, match=MATCH, controls=few)
     assert told.scattering is None  # four runs do not tell what the other model adds
     assert "too few control runs" in str(told)
 
@@ -218,17 +219,15 @@ def test_log_odds_change_the_coefficients_but_0_and_1():
     assert other.scattering_model == "vector"
 
 
-def test_t20_alone_stays_the_default(case):
+def test_each_mode_has_a_signature_of_its_own(case):
     room, _, measured = case
-    default = rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured)
-    stated = rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured, match=("t20",))
-    np.testing.assert_array_equal(default.alpha, stated.alpha)
     with pytest.raises(DataError, match="exclude has S to R1, which the measurement lacks"):
         rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured, exclude=[("S", "R1")])
-    with pytest.raises(DataError, match="rule does not go with match"):
-        rt.calibrate_simulator(
-            tracing(room, n_paths=1600), room, measured, rule="secant", match=MATCH
-        )
+    names = [
+        set(inspect.signature(f).parameters)
+        for f in (rt.calibrate_simulator, rt.calibrate_positions)
+    ]
+    assert names[0] & names[1] == {"simulator", "room", "measured", "exclude", "seed"}
 
 
 def test_a_second_calibration_traces_no_control_run(case, result, tmp_path):
@@ -239,7 +238,7 @@ def test_a_second_calibration_traces_no_control_run(case, result, tmp_path):
         runs.append((done, total))
 
     def calibrate():
-        return rt.calibrate_simulator(
+        return rt.calibrate_positions(
             tracing(room, n_paths=320),
             room,
             measured,
@@ -258,7 +257,7 @@ def test_a_second_calibration_traces_no_control_run(case, result, tmp_path):
     third = calibrate()
     assert len(runs) == 32
     np.testing.assert_allclose(first.alpha, third.alpha, atol=1e-3)
-    given = rt.calibrate_simulator(
+    given = rt.calibrate_positions(
         tracing(room), room, measured, match=("t20", *MATCH[2:]), controls=result.controls
     )
     assert given.parameters == ("t20", "c80", "ts", "level")
@@ -297,7 +296,7 @@ def test_two_pairs_whose_names_were_exchanged_are_both_named(case, result):
     """They made the simulator's error 4.5 times as large, which then explained them."""
     room, _, measured = case
     exchanged = {p: v[[1, 0, *range(2, len(v))]] for p, v in measured.values.items()}
-    found = rt.calibrate_simulator(
+    found = rt.calibrate_positions(
         tracing(room),
         room,
         replace(measured, values=exchanged),
@@ -314,10 +313,10 @@ def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, r
     wrong[2] += 6.0
     broken = replaced(measured, "c80", wrong)
     options = {"match": MATCH, "controls": result.controls}
-    found = rt.calibrate_simulator(tracing(room), room, broken, **options)
+    found = rt.calibrate_positions(tracing(room), room, broken, **options)
     assert found.contradictions == (measured.pairs[2],)
     assert "contradicts all other pairs" in str(found)
-    without = rt.calibrate_simulator(
+    without = rt.calibrate_positions(
         tracing(room), room, broken, exclude=[measured.pairs[2]], **options
     )
     assert without.contradictions == ()
@@ -338,7 +337,7 @@ def test_relative_levels_do_not_depend_on_a_sources_power(case, result):
             pairs=measured.pairs,
             values={**values, "level": level + shift},
         )
-        found.append(rt.calibrate_simulator(tracing(room), room, relative, **options))
+        found.append(rt.calibrate_positions(tracing(room), room, relative, **options))
     assert "Level: relative" in str(found[0])
     # The last step moves alpha by less than 0.05 sigma, here by up to 0.007.
     np.testing.assert_allclose(found[0].alpha, found[1].alpha, atol=5e-3)
@@ -350,7 +349,7 @@ def test_terms_and_constraints_stand_beside_the_positions(case, result):
     calibration = rt.Calibration(
         rt.terms.PriorDeviation(), [rt.terms.Bounds(0.05, 1), rt.terms.ExactMatch()]
     )
-    found = rt.calibrate_simulator(
+    found = rt.calibrate_positions(
         tracing(room),
         room.replace(alpha=np.maximum(room.alpha, 0.06)),
         measured,
@@ -379,7 +378,7 @@ def test_any_simulator_is_calibrated_without_an_interval():
 
     simulator = rt.simulators.External(room=room, run=program, name="mine 1.0")
     measured = program(np.clip(room.alpha + 0.3 * room.sigma, 0, 1), 0)
-    result = rt.calibrate_simulator(simulator, room, measured, match=("t20", "edt", "c80", "level"))
+    result = rt.calibrate_positions(simulator, room, measured, match=("t20", "edt", "c80", "level"))
     assert result.parameters == ("t20", "edt")
     assert result.interval is None
     text = " ".join(str(result).split())

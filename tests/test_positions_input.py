@@ -20,7 +20,7 @@ from rtcal.io import obj
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
 from rtcal.loop.scattering import Scattering
-from rtcal.report import page, positions_figures, positions_folder
+from rtcal.report import page, positions_figures, result_folder
 from rtcal.simulators import (
     DifferentiableSimulator,
     ImageSource,
@@ -56,7 +56,7 @@ def few_runs(monkeypatch):
 def test_too_few_paths_are_not_taken_for_too_much_absorption(measured):
     few = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=16, scattering=0.5)
     with pytest.raises(DataError, match="paths per source are too few"):
-        rt.calibrate_simulator(few, ROOM, measured, match=("t20", "edt"))
+        rt.calibrate_positions(few, ROOM, measured, match=("t20", "edt"))
     black = np.full(ROOM.alpha.shape, 0.999)
     with pytest.raises(DataError, match="too little is reflected"):
         few.observe(black, ("t20",))
@@ -71,7 +71,7 @@ def kept(measured, rows, pairs=None, **values):
 
 
 def calibrate(tracer, measured, match=("t20", "c80"), **options):
-    return rt.calibrate_simulator(tracer, ROOM, measured, match=match, **options)
+    return rt.calibrate_positions(tracer, ROOM, measured, match=match, **options)
 
 
 def test_a_mean_over_pairs_is_refused(tracer):
@@ -193,10 +193,10 @@ def test_a_place_outside_the_room_is_refused():
 def test_the_same_data_are_not_counted_twice(tracer, measured):
     first = calibrate(tracer, measured)
     with pytest.raises(DataError, match="already calibrated on these data"):
-        rt.calibrate_simulator(tracer, first.room, measured, match=("t20", "c80"))
+        rt.calibrate_positions(tracer, first.room, measured, match=("t20", "c80"))
     mean = rt.calibrate(ROOM, measured).room
     with pytest.raises(DataError, match="already calibrated on these data"):
-        rt.calibrate_simulator(tracer, mean, measured, match=("t20", "c80"))
+        rt.calibrate_positions(tracer, mean, measured, match=("t20", "c80"))
 
 
 def test_paths_that_leave_through_gaps_are_said(measured, monkeypatch):
@@ -237,7 +237,7 @@ def test_a_simulator_without_any_of_the_parameters_is_refused():
     room, measured = rt.datasets.bras_cr2()
     equation = rt.simulators.EquationSimulator(room=room, equation=rt.Sabine())
     with pytest.raises(SimulatorError, match="gives none of C80, Ts"):
-        rt.calibrate_simulator(equation, room, measured, match=("c80", "ts"))
+        rt.calibrate_positions(equation, room, measured, match=("c80", "ts"))
 
 
 BOX = rt.Room(
@@ -290,7 +290,7 @@ def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
         pairs=seen.pairs,
         values={("g" if p == "level" else p): seen.natural(p) for p in MATCH},
     )
-    result = rt.calibrate_simulator(simulator, BOX, measured, match=MATCH)
+    result = rt.calibrate_positions(simulator, BOX, measured, match=MATCH)
     # Its control runs are path tracings, so its own decays are not taken at their word.
     assert result.interval is not None
     assert result.certificate.worst < 1e-9
@@ -340,7 +340,7 @@ def test_the_command_writes_room_and_record_whole(folder):
     record = json.loads((folder / "made" / "result.json").read_text())
     assert room.calibration.method == "positions"
     np.testing.assert_allclose(room.alpha[0], record["materials"][0]["alpha_after"], rtol=1e-9)
-    assert {p.name for p in (folder / "made").iterdir()} == set(positions_folder.FILES)
+    assert {p.name for p in (folder / "made").iterdir()} == set(result_folder.POSITION_FILES)
     assert len(list((folder / ".rtcal_cache").glob("*.array"))) == 1
     kept_as_stated = fit(folder, "--match", "t20", "--keep-scattering", "--json")
     assert json.loads(kept_as_stated.stdout)["scattering"] is None

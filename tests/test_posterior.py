@@ -9,8 +9,8 @@ from scipy import stats
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
-from rtcal.posterior import posterior, sensitivity
-from rtcal.posterior.marginals import marginals
+from rtcal.posterior import distribution, sensitivity
+from rtcal.posterior.marginals import marginal_distributions
 from tests.conftest import random_room, true_times
 from tests.quadrature import errors, random_band
 
@@ -37,7 +37,7 @@ def test_marginals_of_two_against_quadrature(target: float, uncertainty: float) 
     mu, sigma, areas = np.array([0.05, 0.3]), np.array([0.05, 0.06]), np.array([20.0, 30.0])
     box = np.zeros(2), np.ones(2)
     d = (areas @ mu - target) / (areas**2 @ sigma**2 + uncertainty**2)
-    found = marginals(mu, sigma, *box, areas, target, uncertainty, d)
+    found = marginal_distributions(mu, sigma, *box, areas, target, uncertainty, d)
     a = np.linspace(0, 1, 4001)
     prior = [stats.norm(m, s).logpdf(a) for m, s in zip(mu, sigma, strict=True)]
     if uncertainty:
@@ -92,7 +92,7 @@ def test_a_posterior_much_narrower_than_its_prior(small: float) -> None:
     areas = [300.0, 20.0, 10.0, 5.0, 40.0, 8.0]
     room = single_band(areas, 0.3, [0.05] + [small] * 5)
     result = rt.calibrate(room, EYRING.time(room, room.absorption_area * 1.0001))
-    found = posterior(result)
+    found = distribution(result)
     variance, s = room.sigma[:, 0] ** 2, room.areas
     covariance = np.diag(variance) - np.outer(variance * s, variance * s) / (s**2 @ variance)
     # diag - outer cancels for the first: its variance is what the others have.
@@ -109,7 +109,7 @@ def test_a_posterior_much_narrower_than_its_prior(small: float) -> None:
 
 def test_two_coefficients_with_one_sum_have_correlation_minus_one() -> None:
     room = single_band([2.0, 200.0], 0.5, [0.01, 0.2])
-    found = posterior(rt.calibrate(room, EYRING.time(room, room.absorption_area)))
+    found = distribution(rt.calibrate(room, EYRING.time(room, room.absorption_area)))
     np.testing.assert_allclose(found.correlation[0], [[1, -1], [-1, 1]], atol=1e-9)
     np.testing.assert_allclose(found.sigma[:, 0], [0.01, 0.0001], rtol=1e-4)
 
@@ -119,7 +119,7 @@ def test_a_coefficient_that_the_match_determines_has_a_point_interval(sigma: lis
     room = single_band([30.0, 20.0, 10.0], 0.3, sigma)
     target = room.absorption_area + (1.5 if any(sigma) else 0.0)
     result = rt.calibrate(room, EYRING.time(room, target))
-    found = posterior(result)
+    found = distribution(result)
     for end in (*found.interval(0.9), *result.interval, found.mean):
         np.testing.assert_allclose(end, result.alpha, rtol=1e-12)
     np.testing.assert_array_equal(found.sigma, 0)
@@ -135,7 +135,7 @@ def test_an_unreachable_target_leaves_one_answer(target: float) -> None:
     time = rt.Sabine().time(room, np.array([target]))
     result = rt.calibrate(room, time, equation=rt.Sabine(), unreachable="nearest")
     np.testing.assert_array_equal(result.alpha, 0.1 if target == 1 else 1.0)
-    found = posterior(result)
+    found = distribution(result)
     np.testing.assert_array_equal(found.interval(0.9)[0], result.alpha)
     np.testing.assert_array_equal(found.interval(0.9)[1], result.alpha)
     np.testing.assert_array_equal(found.sigma, 0)
@@ -149,7 +149,7 @@ def test_a_target_within_rounding_of_an_end_is_that_end(end: int) -> None:
     sign = 1 - 2 * end
     for relative, width in ((6e-15, 0.0), (1e-9, 1e-10)):
         target = float(areas @ box[end]) * (1 + sign * relative)
-        found = marginals(mu, sigma, *box, areas, target, 0.0, 0.0)
+        found = marginal_distributions(mu, sigma, *box, areas, target, 0.0, 0.0)
         np.testing.assert_allclose(found.mean, box[end], rtol=3 * relative)
         spread = np.ptp(found.points, axis=1)
         assert (spread > width / 10).all() if width else (spread == 0).all()
@@ -166,7 +166,7 @@ def test_intervals_of_many_materials_are_those_of_the_posterior() -> None:
     t = true_times(rng, room, EYRING)
     t[1] = np.nan
     result = rt.calibrate(room, t)
-    low, high = posterior(result).interval(0.9)
+    low, high = distribution(result).interval(0.9)
     np.testing.assert_array_equal(result.interval[0], low)
     np.testing.assert_array_equal(result.interval[1], high)
     np.testing.assert_array_equal(low[3], room.alpha[3])
@@ -180,7 +180,7 @@ def test_posterior_is_gaussian_far_from_the_box() -> None:
     t = true_times(rng, room, EYRING)
     t[1] = np.nan
     result = rt.calibrate(room, t, method="soft")
-    found = posterior(result)
+    found = distribution(result)
     np.testing.assert_allclose(found.mean, result.alpha, atol=1e-6)
     np.testing.assert_allclose(found.sigma, result.posterior_sigma, rtol=1e-4)
     np.testing.assert_allclose(found.sigma[:, 1], room.sigma[:, 1], rtol=1e-4)
@@ -201,7 +201,7 @@ def test_at_a_small_alpha_the_gaussian_interval_is_wrong() -> None:
     room = room_with(0.05, 0.05)
     result = rt.calibrate(room, EYRING.time(room, np.array([5.0])))
     assert not result.active.any()
-    low, high = posterior(result).interval(0.9)
+    low, high = distribution(result).interval(0.9)
     assert (low > 0).all()
     assert (result.alpha - 1.645 * result.posterior_sigma < 0).any()
     assert (high - low < 2 * 1.645 * result.posterior_sigma).all()
@@ -214,9 +214,9 @@ def test_samples_agree_with_the_fft() -> None:
     room = room.replace(alpha=np.clip(room.alpha - 0.2, 0.02, 1))
     t = true_times(rng, room, EYRING)
     soft = PRIOR + terms.SoftMatch(0.05)
-    exact = posterior(rt.Calibration(soft, []).build(room).solve(t))
+    exact = distribution(rt.Calibration(soft, []).build(room).solve(t))
     loose = [terms.GroupAbsorption(["m0"], most=10_000.0)]
-    drawn = posterior(rt.Calibration(soft, loose).build(room).solve(t), n_samples=6400)
+    drawn = distribution(rt.Calibration(soft, loose).build(room).solve(t), n_samples=6400)
     assert exact.samples is None
     assert drawn.samples is not None
     assert drawn.samples.shape == (6400, 5, 2)
@@ -226,7 +226,7 @@ def test_samples_agree_with_the_fft() -> None:
     np.testing.assert_allclose(drawn.quantile(0.05), exact.quantile(0.05), atol=0.01)
     np.testing.assert_allclose(drawn.correlation, exact.correlation, atol=0.1)
     np.testing.assert_allclose(drawn.identifiability, exact.identifiability, atol=0.15)
-    again = posterior(rt.Calibration(soft, loose).build(room).solve(t), n_samples=6400)
+    again = distribution(rt.Calibration(soft, loose).build(room).solve(t), n_samples=6400)
     np.testing.assert_array_equal(again.samples, drawn.samples)
 
 
@@ -240,7 +240,7 @@ def test_samples_keep_to_every_constraint() -> None:
         [terms.ExactMatch(), terms.AtMost("m0", "m1"), terms.Fixed("m2", band=125)],
     )
     result = calibration.build(room).solve(t)
-    found = posterior(result, n_samples=1280)
+    found = distribution(result, n_samples=1280)
     assert found.samples is not None
     area = np.einsum("i,sik->sk", room.areas, found.samples) + found.effects["opening"][:, None]
     np.testing.assert_allclose(area, np.tile(result.target, (1280, 1)), rtol=1e-9)
@@ -258,8 +258,8 @@ def test_several_configurations_are_sampled() -> None:
     truth = np.array([0.35, 0.25, 0.4, 0.3])
     times = [EYRING.time(r, np.atleast_1d(r.areas @ truth)) for r in (a, b)]
     both = rt.calibrate(Configurations([a, b]), times, method="joint")
-    one = posterior(rt.calibrate(a, times[0], method="soft"))
-    found = posterior(both, n_samples=3200)
+    one = distribution(rt.calibrate(a, times[0], method="soft"))
+    found = distribution(both, n_samples=3200)
     np.testing.assert_allclose(found.sigma, both.posterior_sigma, rtol=0.15)
     assert found.identifiability.sum() > one.identifiability.sum()
 
@@ -346,8 +346,8 @@ def test_what_is_no_density_has_no_posterior() -> None:
     t = EYRING.time(room, np.array([30.0]))
     for method in ("lse", "robust"):
         with pytest.raises(rt.errors.ModelError, match="no posterior"):
-            posterior(rt.calibrate(room, t, method=method))
-    found = posterior(rt.calibrate(room, t))
+            distribution(rt.calibrate(room, t, method=method))
+    found = distribution(rt.calibrate(room, t))
     with pytest.raises(rt.errors.DataError, match="level = 1 "):
         found.interval(1.0)
     for probability in (0, 1):

@@ -276,7 +276,7 @@ def test_raw_and_polished_answers_are_both_kept(cr2) -> None:
 def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) -> None:
     import rtcal.calibration.convex_program as core
 
-    monkeypatch.setattr(core, "polish", lambda *_: None)
+    monkeypatch.setattr(core, "polish_answer", lambda *_: None)
     with pytest.raises(rt.errors.SolverError, match="does not pass: primal residual"):
         few = {"max_iter": 3, "polishing": False}
         rt.calibrate(*cr2, solver="osqp", warm_start="none", settings=few)

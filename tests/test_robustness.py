@@ -14,13 +14,13 @@ from rtcal.acoustics.decay import clarity, decay_time
 from rtcal.calibration.configurations import Configurations
 from rtcal.command import main as cli
 from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
-from rtcal.posterior import posterior, sensitivity
+from rtcal.posterior import distribution, sensitivity
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.external import External
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.program import command
-from rtcal.simulators.shoebox import shoebox
+from rtcal.simulators.shoebox import shoebox_of
 from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
 
 AIR = rt.Air()
@@ -433,11 +433,11 @@ WRONG_KINDS = [
     (lambda: Configurations([5]), r"rooms\[0\] = 5 is not a rtcal.Room"),
     (lambda: Configurations(5), "rooms = 5 is not a list of rtcal.Room"),
     (lambda: rt.calibrate(two_rooms(), 5), "measured = 5 is not a list of measurements"),
-    (lambda: posterior(5), "result = 5 is not the result of a calibration"),
-    (lambda: posterior(solved(), "a"), "n_samples = 'a' is not a whole number of at least 2"),
-    (lambda: posterior(solved(), 1), "n_samples = 1 is not a whole number of at least 2"),
-    (lambda: posterior(solved()).interval("a"), "level = 'a' is not a number"),
-    (lambda: posterior(solved()).quantile(None), "probability = None is not a number"),
+    (lambda: distribution(5), "result = 5 is not the result of a calibration"),
+    (lambda: distribution(solved(), "a"), "n_samples = 'a' is not a whole number of at least 2"),
+    (lambda: distribution(solved(), 1), "n_samples = 1 is not a whole number of at least 2"),
+    (lambda: distribution(solved()).interval("a"), "level = 'a' is not a number"),
+    (lambda: distribution(solved()).quantile(None), "probability = None is not a number"),
     (lambda: rt.Air("a"), "air.temperature = 'a' is not a number"),
     (lambda: room(materials=5), "materials = 5 is not a list"),
     (lambda: room(surfaces=5), "surfaces = 5 is not a list"),
@@ -477,7 +477,7 @@ WRONG_KINDS = [
     (lambda: tracer(radius="a"), "radius = 'a' is not a number"),
     (lambda: tracer().energy(room().alpha, "a"), "seconds = 'a' is not a number"),
     (lambda: tracer().simulate(room().alpha, seed="a"), "seed = 'a' is not a whole number"),
-    (lambda: shoebox(5, {}, {}), "room = 5 is not a rtcal.Room"),
+    (lambda: shoebox_of(5, {}, {}), "room = 5 is not a rtcal.Room"),
     (lambda: Polyhedron.shoebox("a", "w"), "dimensions is not an array of real numbers"),
     (lambda: Polyhedron.shoebox((1, 2, 3), 5), "materials = 5 is not a mapping"),
     (lambda: Polyhedron.from_polygons(5), "polygons = 5 is not a list"),

@@ -9,8 +9,8 @@ from scipy.special import log_ndtr
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.posterior import posterior
-from rtcal.posterior.density import CoupledBands, TruncatedNormal
+from rtcal.posterior import distribution
+from rtcal.posterior.density import CoupledBands, JointTruncatedNormal
 from rtcal.posterior.sampler import sample, truncated_normal
 from tests.conftest import random_room, true_times
 
@@ -74,8 +74,10 @@ def test_samples_have_the_moments_of_the_exact_posterior(seed: int) -> None:
     objective, constraints = terms.PriorDeviation(), [terms.ExactMatch()]
     if seed % 2:
         objective, constraints = objective + terms.SoftMatch(0.02), []
-    exact = posterior(rt.Calibration(objective, constraints).build(room).solve(t))
-    drawn = posterior(rt.Calibration(objective, [*constraints, *LOOSE]).build(room).solve(t), 3200)
+    exact = distribution(rt.Calibration(objective, constraints).build(room).solve(t))
+    drawn = distribution(
+        rt.Calibration(objective, [*constraints, *LOOSE]).build(room).solve(t), 3200
+    )
     assert drawn.effective_samples is not None
     assert drawn.effective_samples.min() > 400
     error = exact.sigma / np.sqrt(drawn.effective_samples)
@@ -99,7 +101,7 @@ def test_no_coupled_room_is_refused(seed: int) -> None:
         match = terms.SoftMatch(10 ** rng.uniform(-4, -1))
         calibration = rt.Calibration(prior + match + terms.BandSmoothness(), [])
     result = calibration.build(room).solve(t, unreachable="nearest")
-    found = posterior(result, n_samples=1280)
+    found = distribution(result, n_samples=1280)
     assert found.samples is not None
     assert np.isfinite(found.samples).all()
     assert found.samples.min() >= 0
@@ -112,7 +114,7 @@ def test_no_coupled_room_is_refused(seed: int) -> None:
         np.testing.assert_allclose(area, np.tile(result.target, (1280, 1)), rtol=1e-9)
 
 
-def small_density(seed: int = 0) -> TruncatedNormal:
+def small_density(seed: int = 0) -> JointTruncatedNormal:
     """Three coefficients with correlated bands, pressed against their bounds by T."""
     rng = np.random.default_rng(seed)
     room = random_room(rng, 3, 2, air=rt.Air(20, 50))
@@ -154,7 +156,7 @@ def test_a_band_at_the_end_of_its_reach_is_held_and_the_other_sampled() -> None:
     t[0] = EYRING.time(room, 0.05 * room.areas.sum() * np.ones(2))[0]
     calibration = rt.Calibration(terms.PriorDeviation(band_correlation=0.7), [terms.ExactMatch()])
     result = calibration.build(room).solve(t, unreachable="nearest")
-    found = posterior(result, n_samples=1280)
+    found = distribution(result, n_samples=1280)
     assert found.samples is not None
     np.testing.assert_allclose(found.samples[:, :, 0], 0.1, atol=1e-9)
     np.testing.assert_array_equal(found.sigma[:, 0], 0)
@@ -169,7 +171,7 @@ def test_a_band_at_the_end_of_its_reach_is_held_and_the_other_sampled() -> None:
 def test_too_many_unknowns_are_refused() -> None:
     size = 2001
     zeros, ones = np.zeros(size), np.ones(size)
-    density = TruncatedNormal(
+    density = JointTruncatedNormal(
         point=zeros,
         gradient=zeros,
         curvature=ones,

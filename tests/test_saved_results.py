@@ -116,7 +116,7 @@ def test_positions_are_read_back(tmp_path: Path) -> None:
     shape = (4, len(MATCH), len(simulator.pairs), room.n_bands)
     errors = 0.1 * np.random.default_rng(1).normal(size=shape)
     runs = ControlRuns(parameters=MATCH, pairs=simulator.pairs, errors=errors)
-    result = rt.calibrate_simulator(
+    result = rt.calibrate_positions(
         simulator, room, measured, match=MATCH, controls=runs, fit_scattering=False
     )
     again = back(result, tmp_path)

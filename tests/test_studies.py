@@ -19,7 +19,7 @@ from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.command.main import cli
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.studies import estimators, paper, sampling
-from rtcal.studies.moments import SERIES, Moments
+from rtcal.studies.moments import SERIES, ScoreMoments
 from rtcal.support import jit
 
 SHOEBOX = np.array(studies.rooms.SHOEBOX)
@@ -386,16 +386,18 @@ def test_memory_does_not_grow_with_the_rooms() -> None:
 def test_moments_are_of_independent_realisations() -> None:
     rng = np.random.default_rng(16)
     emse = rng.uniform(0.1, 0.2, (50, len(SERIES)))
-    whole = Moments.of(emse, np.zeros((50, 3)))
-    parts = Moments.of(emse[:20], np.zeros((20, 3))) + Moments.of(emse[20:], np.zeros((30, 3)))
+    whole = ScoreMoments.of(emse, np.zeros((50, 3)))
+    parts = ScoreMoments.of(emse[:20], np.zeros((20, 3))) + ScoreMoments.of(
+        emse[20:], np.zeros((30, 3))
+    )
     np.testing.assert_allclose(whole.products, parts.products)
     gradient = np.zeros(len(SERIES))
     gradient[2] = 1.0
     want = emse[:, 2].std(ddof=1) / np.sqrt(50)
     assert whole.standard_error(gradient) == pytest.approx(want)
-    assert np.isnan(Moments.of(emse[:1], np.zeros((1, 3))).standard_error(gradient))
+    assert np.isnan(ScoreMoments.of(emse[:1], np.zeros((1, 3))).standard_error(gradient))
     many = rng.uniform(0.1, 0.2, (20_000, len(SERIES)))
-    summed = Moments.of(many, np.zeros((20_000, 3)))
+    summed = ScoreMoments.of(many, np.zeros((20_000, 3)))
     want = np.quantile(np.sqrt(many[:, 2]), 0.25)
     assert summed.quantile(2, 0.25) == pytest.approx(want, abs=1.25e-4)
 

@@ -105,7 +105,7 @@ def computed() -> Any:
     # It shall not import what is replaced below.
     from rtcal.finder.positions import verification  # noqa: F401
     from rtcal.loop import positions as loop_positions
-    from rtcal.report import gap_report, page, positions_folder
+    from rtcal.report import gap_report, page, result_folder
 
     def once(function: Any) -> Any:
         results: list[Any] = []
@@ -127,7 +127,9 @@ def computed() -> Any:
             patch.setattr(module, name, once(getattr(module, name)))
         patch.setattr(gap_report, "figures", lambda *_: {})
         patch.setattr(page, "source", lambda *_: "data:,")
-        patch.setattr(positions_folder, "write", lambda _, folder, *__: [folder / "room.toml"])
+        patch.setattr(
+            result_folder, "write_positions", lambda _, folder, *__: [folder / "room.toml"]
+        )
         yield
 
 

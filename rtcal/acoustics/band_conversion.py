@@ -33,6 +33,20 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
+__all__ = [
+    "absorption",
+    "complete_octaves",
+    "measurement",
+    "measurement_in_room_bands",
+    "obtainable",
+    "parameter",
+    "parameter_uncertainty",
+    "room",
+    "rule",
+    "unused",
+]
+__dir__ = __all__.copy
+
 
 def complete_octaves(frequencies: Iterable[float]) -> Array:
     """Return the octave centres in Hz of which ``frequencies`` has all three thirds, (n_octaves,).

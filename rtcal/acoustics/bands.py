@@ -11,6 +11,21 @@ from rtcal.errors import DataError
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
+__all__ = [
+    "OCTAVES",
+    "THIRD_OCTAVES",
+    "as_bands",
+    "bandwidth_factor",
+    "correlation",
+    "index",
+    "label",
+    "nominal",
+    "octaves",
+    "span",
+    "third_octaves",
+]
+__dir__ = __all__.copy
+
 OCTAVES: tuple[float, ...] = (31.5, 63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000)
 """Nominal octave centre frequencies in Hz."""
 

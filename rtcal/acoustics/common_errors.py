@@ -1,4 +1,4 @@
-"""What coefficients from one source may be off by together: a factor and a tilt over frequency.
+"""Errors that coefficients from one source have in common: a factor and a tilt over frequency.
 
 The stated sigma of a coefficient is that of an error of its own. Errors that all coefficients of a room
 have in common, or all bands of a material, come on top of it: the table is of another product, or the
@@ -27,7 +27,7 @@ POWER = 2.0
 means measured coefficients."""
 
 
-def common_errors(
+def common_error_columns(
     alpha: Array, sigma: Array, frequencies: Array, power: float = POWER
 ) -> tuple[Array, Array]:
     """Return the changes of alpha by one standard deviation each, two of (2, n_materials, n_bands).
@@ -37,7 +37,8 @@ def common_errors(
 
     Examples
     --------
-    >>> both, own = common_errors(np.full((1, 1), 0.2), np.full((1, 1), 0.06), np.array([2000.0]))
+    >>> alpha, sigma = np.full((1, 1), 0.2), np.full((1, 1), 0.06)
+    >>> both, own = common_error_columns(alpha, sigma, np.array([2000.0]))
     >>> both[:, 0, 0].round(3), own[:, 0, 0].round(3)
     (array([0.03, 0.02]), array([0.05 , 0.014]))
     """
@@ -51,6 +52,6 @@ def common_errors(
 
 def of_absorption(areas: Array, alpha: Array, sigma: Array, frequencies: Array) -> Array:
     """Return the changes of S'alpha in m² by one standard deviation each, (n_errors, n_bands)."""
-    both, own = common_errors(alpha, sigma, frequencies)
+    both, own = common_error_columns(alpha, sigma, frequencies)
     each = areas[:, np.newaxis] * own
     return np.concatenate([np.einsum("m,tmb->tb", areas, both), *each])

@@ -23,14 +23,14 @@ class BentDecay:
     text: str
 
 
-def curvature(t20: Array, t30: Array) -> Array:
+def curvature_percent(t20: Array, t30: Array) -> Array:
     """Return C = 100 (T30 / T20 - 1) in percent, same shape (ISO 3382-2:2008, Annex B).
 
     A straight decay has 0 to 5 %; above 10 % it is far from straight.
 
     Examples
     --------
-    >>> print(curvature(np.array([0.73]), np.array([1.01])).round(1))
+    >>> print(curvature_percent(np.array([0.73]), np.array([1.01])).round(1))
     [38.4]
     """
     return np.asarray(100 * (np.asarray(t30, dtype=float) / np.asarray(t20, dtype=float) - 1))
@@ -61,7 +61,7 @@ def bent_decays(measured: Measurement) -> tuple[BentDecay, ...]:
         width = bands.bandwidth_factor(measured.centre_frequencies) * measured.centre_frequencies
         for k in np.flatnonzero(n_positions).tolist():
             t, ratio = t20[both[:, k], k].mean(), other[both[:, k], k].mean()
-            percent = float(curvature(t, ratio))
+            percent = float(curvature_percent(t, ratio))
             scatter = 100 * bend.scatter / np.sqrt(width[k] * t * n_positions[k])
             if abs(percent) > bend.limit + _ALLOWED * scatter:
                 texts.setdefault(float(measured.centre_frequencies[k]), []).append(

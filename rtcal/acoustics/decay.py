@@ -26,6 +26,9 @@ from rtcal.errors import DataError, TooShortError, of_bands
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
+__all__ = ["decay_time", "gradients", "measurement", "parameters", "slope_time", "too_short"]
+__dir__ = __all__.copy
+
 
 @checked
 def decay_time(energy: Array, bin_width: float, parameter: str = TARGET.key) -> Array:

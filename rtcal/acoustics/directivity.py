@@ -1,4 +1,4 @@
-"""How a sound source spreads its energy over the directions, band by band."""
+"""Directivity: the energy that a sound source radiates in each direction, band by band."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class Surface:
 
 
 class Geometry(Protocol):
-    """What a room takes of a geometry: its volume in m³ and its surfaces."""
+    """The part of a geometry that a room takes: its volume in m³ and its surfaces."""
 
     @property
     def volume(self) -> float:

@@ -22,6 +22,9 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array, read_only
 
+__all__ = ["TIERS", "TruncatedNormal", "in_situ", "sigma_iso_12999_2", "sigma_relative"]
+__dir__ = __all__.copy
+
 TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}
 """Standard deviation by degree of uncertainty (Bellows & Katz 2025, Sect. 4.3.1)."""
 

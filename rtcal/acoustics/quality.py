@@ -18,6 +18,20 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
+__all__ = [
+    "Plausibility",
+    "TrustMark",
+    "agreement",
+    "bent_marks",
+    "explained",
+    "gap_jnd",
+    "mid_frequency_time",
+    "plausibility",
+    "schroeder_frequency",
+    "trust_marks",
+]
+__dir__ = __all__.copy
+
 
 @checked
 def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array:

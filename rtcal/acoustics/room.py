@@ -40,6 +40,7 @@ from rtcal.support.types import Array, read_only
 LARGEST = 1e9
 """Of areas in m² and volumes in m³. Nothing that is built comes near it."""
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
+__dir__ = __all__.copy
 
 
 @checked

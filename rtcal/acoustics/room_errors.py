@@ -1,4 +1,4 @@
-"""What a room's volume, areas and climate may be off by, as absorption area that T asks for.
+"""Errors of a room's volume, areas and climate, as absorption area that T asks for.
 
 With the stated volume V and areas S the equation asks a measured T for b. The true room is a little
 different, so that S'alpha of the true coefficients differs from b. To first order the difference is a

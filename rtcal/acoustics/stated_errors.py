@@ -1,4 +1,4 @@
-"""How a room states the uncertainty of its areas and its climate: checked, in one unit."""
+"""The stated uncertainty of a room's areas and its climate, checked and in one unit."""
 
 from __future__ import annotations
 

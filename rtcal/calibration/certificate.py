@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rtcal.calibration.error_bound import error_bound
+from rtcal.calibration.error_bound import largest_error
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.support.types import Array
 
@@ -51,7 +51,7 @@ class Certificate:
         An enclosure, by the exact dual where the problem is separable, by strong convexity elsewhere
         (`rtcal.calibration.error_bound`). It is computed when it is first read.
         """
-        bound = error_bound(self.model, self.unknowns, self.row_multipliers)
+        bound = largest_error(self.model, self.unknowns, self.row_multipliers)
         return self.model.data.layout.expand(bound)[list(self.materials)]
 
     @cached_property

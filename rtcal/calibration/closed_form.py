@@ -15,6 +15,9 @@ from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.types import Array
 
+__all__ = ["least_squares", "maximum_likelihood", "multiplier", "scaling"]
+__dir__ = __all__.copy
+
 
 def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
     """Return the coefficients nearest to ``mu`` with S'alpha = b (Bellows & Katz 2025, Eqs. 9, 10).

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.calibration import contradiction, feasibility, separable, solvers
+from rtcal.calibration import feasibility, separable, solvers
 from rtcal.calibration.certificate import Certificate, certify
-from rtcal.calibration.compiled_qp import CompiledQP, WhitenedQP
+from rtcal.calibration.compiled_qp import CompiledQP, WhitenedQP, from_closed_form
 from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.calibration.options import SolveOptions
-from rtcal.calibration.polish import polish, undetermined
+from rtcal.calibration.polish import polish_answer, undetermined
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.term_check import require_agreement
 from rtcal.calibration.terms import (
@@ -37,7 +37,6 @@ from rtcal.calibration.terms import (
     RowConstraint,
 )
 from rtcal.calibration.terms.base import BaseTerm
-from rtcal.calibration.warm_start import from_closed_form
 from rtcal.errors import InfeasibleError, ModelError, SolverError
 from rtcal.support.types import Array
 
@@ -256,7 +255,7 @@ class ConvexProgram:
                 self._require_agreement(reachable)
             if tried is options or (solution.polished and not far):
                 return replace(solution, unreachable=beyond) if beyond else solution
-        contradiction.explain(model)
+        feasibility.explain(model)
         self._require_agreement(reachable)
         if options == SolveOptions(unreachable=options.unreachable):
             dual = _dual_answer(model, failure)
@@ -417,7 +416,7 @@ def _dual_answer(model: NumpyModel, failure: str) -> RawSolution | None:
 
 def _polished(model: NumpyModel, raw: RawSolution, at_lower: Flags, at_upper: Flags) -> Solution:
     """Return the polished answer if it is better than the raw one, else the raw one."""
-    answer = polish(model, raw.unknowns, raw.multipliers, at_lower, at_upper)
+    answer = polish_answer(model, raw.unknowns, raw.multipliers, at_lower, at_upper)
     if answer is not None:
         certificate = certify(model, answer.alpha, answer.multipliers)
         polished = Solution(

@@ -30,7 +30,7 @@ from rtcal.calibration.layout import Integers
 from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.calibration.polish import active_rows
 from rtcal.calibration.problem_data import Flags
-from rtcal.calibration.separable import separable
+from rtcal.calibration.separable import separable_form
 from rtcal.support.types import Array
 
 _EPS = np.finfo(float).eps
@@ -50,7 +50,7 @@ _PROVED = 0.5
 """Largest |A P - I| accepted. It at most doubles the bound of a residual."""
 
 
-def error_bound(model: NumpyModel, u: Array, rows: Array) -> Array:
+def largest_error(model: NumpyModel, u: Array, rows: Array) -> Array:
     """Return how far each coefficient is from the optimum at most, (n_alpha,).
 
     Parameters
@@ -61,7 +61,7 @@ def error_bound(model: NumpyModel, u: Array, rows: Array) -> Array:
     rows : array (n_rows,)
         Multipliers of the rows. Poor ones make the bound loose, not wrong.
     """
-    problem = separable(model)
+    problem = separable_form(model)
     n_alpha = model.data.layout.n_alpha
     if problem is not None:
         below, above = (ends.T.ravel() for ends in problem.enclosure())

@@ -115,7 +115,7 @@ class JointSolution:
         )
 
     def density(self) -> IndependentBands | CoupledBands:
-        """Return the density of the unknowns, for `rtcal.posterior.posterior`.
+        """Return the density of the unknowns, for `rtcal.posterior.distribution`.
 
         Raises ModelError if the method has none (`lse`, `robust`).
         """

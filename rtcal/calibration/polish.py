@@ -41,7 +41,7 @@ class Polished:
     active: NDArray[np.int8]
 
 
-def polish(
+def polish_answer(
     model: NumpyModel,
     alpha: Array,
     multipliers: Multipliers,

@@ -14,6 +14,7 @@ from rtcal.calibration.observed import Whitened
 from rtcal.support.types import Array, read_only_view
 
 __all__ = ["Flags", "Integers", "ProblemData"]
+__dir__ = __all__.copy
 
 Flags = NDArray[np.bool_]
 

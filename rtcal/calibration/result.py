@@ -260,7 +260,7 @@ class CalibrationResult(Result):
     def interval(self) -> tuple[Array, Array] | None:
         """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
 
-        It is `rtcal.posterior.posterior`'s: with the uncertainty of T, where one is stated, and it
+        It is `rtcal.posterior.distribution`'s: with the uncertainty of T, where one is stated, and it
         holds the calibrated coefficient. In a room that states an uncertainty of its volume, areas or
         climate it is that of a normal density, cut at the bounds. None if that would need samples
         (correlations, order, several configurations), or if the method has no posterior (`lse`,
@@ -281,7 +281,7 @@ class CalibrationResult(Result):
         return low[self._rows], high[self._rows]
 
     def density(self) -> IndependentBands | CoupledBands:
-        """Return the density of the coefficients, for `rtcal.posterior.posterior`.
+        """Return the density of the coefficients, for `rtcal.posterior.distribution`.
 
         Raises ModelError if the method has none (`lse`, `robust`).
         """

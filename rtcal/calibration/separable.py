@@ -119,7 +119,7 @@ class Separable:
         return np.where(np.isfinite(target), np.clip(solution, low, high), 0.0)
 
 
-def separable(model: NumpyModel) -> Separable | None:
+def separable_form(model: NumpyModel) -> Separable | None:
     """Return the problem as a separable one, or None if it is not."""
     data, layout = model.data, model.data.layout
     terms = model.objective.terms
@@ -169,7 +169,7 @@ def _bands_first(data: ProblemData, least: Array, most: Array, variance: Array) 
 
 def solve(model: NumpyModel) -> tuple[Array, Multipliers] | None:
     """Return the optimal unknowns and multipliers; None if the problem is not separable."""
-    problem = separable(model)
+    problem = separable_form(model)
     if problem is None:
         return None
     multiplier = problem.solve()

@@ -291,7 +291,7 @@ def _plausibility(record: Mapping[str, Any]) -> str:
 
 
 def _calibrated_gap(record: Mapping[str, Any]) -> str:
-    """What the calibrated T says where the measurement contradicts the materials."""
+    """Return a note on the calibrated T where the measurement contradicts the materials."""
     gap = np.abs(_numbers(record["gap_after_jnd"]))
     worst = float(np.max(gap, where=np.isfinite(gap), initial=0.0))
     if worst < 0.05:

@@ -25,7 +25,7 @@ from rtcal.calibration.terms import (
     match_matrix,
 )
 from rtcal.errors import ModelError
-from rtcal.posterior.density import CoupledBands, IndependentBands, TruncatedNormal
+from rtcal.posterior.density import CoupledBands, IndependentBands, JointTruncatedNormal
 from rtcal.posterior.sensitivities import Optimality, linear_estimate_sigma
 from rtcal.support.types import Array
 
@@ -257,7 +257,7 @@ def _independent_bands(solution: Solution) -> IndependentBands:
     )
 
 
-def _truncated_normal(model: NumpyModel, u: Array) -> TruncatedNormal:
+def _truncated_normal(model: NumpyModel, u: Array) -> JointTruncatedNormal:
     """Return the density as a normal one within bounds and rows.
 
     Where an exact match has an uncertain b, the sum S'u is normal about b in place of equal to it,
@@ -280,7 +280,7 @@ def _truncated_normal(model: NumpyModel, u: Array) -> TruncatedNormal:
         curvature = sp.csr_array(dense)
         row_lower = np.where(uncertain, -np.inf, row_lower)
         row_upper = np.where(uncertain, np.inf, row_upper)
-    return TruncatedNormal(
+    return JointTruncatedNormal(
         point=u,
         gradient=gradient,
         curvature=curvature,

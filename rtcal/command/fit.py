@@ -107,7 +107,7 @@ def fit(
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
-    from rtcal.report import positions_folder
+    from rtcal.report import result_folder
     from rtcal.support.files import spare
     from rtcal.support.progress import bar
 
@@ -115,7 +115,7 @@ def fit(
     stated = Room.from_file(room)
     if folder is not None:
         mesh = [] if stated.scene.mesh is None else [stated.scene.mesh]
-        spare([folder / name for name in positions_folder.FILES], [room, measured, *mesh])
+        spare([folder / name for name in result_folder.POSITION_FILES], [room, measured, *mesh])
     heard = read_measured(measured, quiet=quiet)
     with errors_name_options("scattering", "n_paths"), without_air_warning():
         tracer = geometry_files.path_tracing(
@@ -136,7 +136,7 @@ def fit(
             ).traced()
     text = str(result)
     if folder is not None:
-        paths_written = positions_folder.write(
+        paths_written = result_folder.write_positions(
             result, folder, tracer.geometry, tracer.sources, tracer.receivers
         )
         text += "\n" + written(paths_written)

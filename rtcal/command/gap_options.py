@@ -23,7 +23,7 @@ seed_option = click.option(
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """What a command of ``rtcal gap`` reads: a case, or a room and what was measured in it."""
+    """The input of a command of ``rtcal gap``: a case, or a room and what was measured in it."""
 
     case: str
     measured: str | None = None
@@ -121,7 +121,7 @@ def input_options(command: Any) -> Any:
 
 @dataclass(frozen=True)
 class Search:
-    """What the search takes beside the case, as `rtcal.finder.find` does."""
+    """Settings of the search beside the case, as `rtcal.finder.find` does."""
 
     engines: tuple[str, ...]
     seed: int

@@ -28,7 +28,7 @@ PROPOSED = 3
 
 @dataclass(frozen=True)
 class Patch:
-    """How what was found is added: see `rtcal.finder.positions.Finding.apply`."""
+    """The size and the place of what is added: see `rtcal.finder.positions.Finding.apply`."""
 
     form: str
     at: tuple[float, ...] | None

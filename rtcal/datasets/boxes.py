@@ -10,6 +10,9 @@ from rtcal.errors import DataError
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 
+__all__ = ["polyhedron"]
+__dir__ = __all__.copy
+
 Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 """(x from, to), (y from, to), (z from, to) in m."""
 

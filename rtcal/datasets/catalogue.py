@@ -25,6 +25,9 @@ from rtcal.io.material_list import MaterialList
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
+__all__ = ["material", "material_list", "names", "similar"]
+__dir__ = __all__.copy
+
 _TABLE = "pyroomacoustics"
 _LEAST_LIKENESS = 0.75
 """Share of the letters that two words have in common: 0.93 for "curtains" and "curtain"."""

@@ -20,6 +20,9 @@ from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
 
+__all__ = ["NAMES", "Example", "example"]
+__dir__ = __all__.copy
+
 
 @dataclass(frozen=True)
 class Example:

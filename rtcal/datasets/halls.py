@@ -23,6 +23,9 @@ from rtcal.acoustics.room import Material, Room
 from rtcal.datasets import boxes
 from rtcal.simulators.geometry import Polyhedron
 
+__all__ = ["BANDS", "Hall", "corridor", "hard_hall", "lecture_hall", "theatre"]
+__dir__ = __all__.copy
+
 Point = tuple[float, float, float]
 BANDS = octaves(125, 8000)
 _LOW, _MIDDLE, _HIGH = 0.01, 0.05, 0.1  # sigma

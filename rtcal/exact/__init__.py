@@ -3,3 +3,4 @@
 from rtcal.exact.batch import ABOVE, BAD_INPUT, BELOW, OK, Answer, solve
 
 __all__ = ["ABOVE", "BAD_INPUT", "BELOW", "OK", "Answer", "solve"]
+__dir__ = __all__.copy

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.common_errors import POWER, common_errors
+from rtcal.acoustics.common_errors import POWER, common_error_columns
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Change
 from rtcal.support.types import Array
@@ -51,7 +51,7 @@ def directions(case: Case, power: float = POWER) -> Directions:
         for material, change in c.changes.items():
             row = room.material_index(material)
             alpha[row], sigma[row], changed[row] = change.alpha, change.sigma, True
-        both, each = common_errors(alpha, sigma, room.centre_frequencies, power)
+        both, each = common_error_columns(alpha, sigma, room.centre_frequencies, power)
         common.append(both)
         own.append(np.where(changed, 0.0, each))
     return Directions(np.array(common), np.array(own))

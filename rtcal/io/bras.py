@@ -37,6 +37,9 @@ from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 
+__all__ = ["DECIMALS", "MAX_BANDS", "parse", "read", "write"]
+__dir__ = __all__.copy
+
 DECIMALS = 3
 MAX_BANDS = 100
 

@@ -31,6 +31,9 @@ from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 
+__all__ = ["parse", "read", "write"]
+__dir__ = __all__.copy
+
 BANDS = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
 DECIMALS = 1
 """Decimals of a percentage that is written; fractions (ABS1) get two more."""

@@ -12,6 +12,9 @@ from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
 
+__all__ = ["path_tracing", "read"]
+__dir__ = __all__.copy
+
 
 @checked
 def read(room: Room) -> Polyhedron:

@@ -38,11 +38,13 @@ from rtcal.acoustics.repeats import groups, in_words, names_of_repeats, places_o
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import sofa
 from rtcal.io.analysis import Analysis, pairs_in_words, shortened_list, spread
-from rtcal.io.samples import LEAST_CLIPPED, check_finite, check_usable, prepared
-from rtcal.io.wav import check_header
+from rtcal.io.wav import LEAST_CLIPPED, check_finite, check_header, check_usable, prepared
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
+
+__all__ = ["analyse", "of_energy", "read"]
+__dir__ = __all__.copy
 
 MINIMUM_RANGE: dict[str, float] = {
     key: o.minimum_range for key, o in OBSERVABLES.items() if o.minimum_range is not None

@@ -26,6 +26,9 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 
+__all__ = ["MAX_FACES", "parse", "read", "text", "write"]
+__dir__ = __all__.copy
+
 MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
 

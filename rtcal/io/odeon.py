@@ -31,6 +31,9 @@ from rtcal.io.text import MAX_TEXT, Text, decode, lines, number, shown
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 
+__all__ = ["parse", "read", "write"]
+__dir__ = __all__.copy
+
 BANDS = (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 DECIMALS = 5
 LARGEST_NUMBER = 2**31 - 1

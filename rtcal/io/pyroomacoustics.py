@@ -35,6 +35,9 @@ from rtcal.io.text import MAX_TEXT, decode, line_of, number, shown
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 
+__all__ = ["parse", "read", "write"]
+__dir__ = __all__.copy
+
 MAX_DEPTH = 32
 
 _TOKEN = re.compile(r'[ \t\r\n]*("(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s{}\[\]:,"]+)', re.S)

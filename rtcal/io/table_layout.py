@@ -32,7 +32,7 @@ Row = tuple[int, list[str]]
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """A table, divided into columns and rows.
 
     Parameters
@@ -119,7 +119,7 @@ def sheet_of_text(
 
 def layout_of(
     sheet: Sheet, *, decay_time: str | None, extra_columns: Collection[str] = ()
-) -> list[Layout]:
+) -> list[TableLayout]:
     """Return the tables of a sheet: one, or several below each other if each names its parameter.
 
     Parameters
@@ -256,7 +256,7 @@ class _Headers:
             return False
         return len(columns) > 1 and all(columns) and _has_corner([c for c in columns if c])
 
-    def layout(self, rows: list[Row], notes: list[str]) -> Layout:
+    def layout(self, rows: list[Row], notes: list[str]) -> TableLayout:
         at = self.header(rows)
         if at:
             notes.append(f"the header is line {rows[at][0]}; what stands before it is left out")
@@ -278,7 +278,7 @@ class _Headers:
             columns = self.columns(header, body, line)
         rows_of_width = [(at, self.of_width(cells, len(columns), at)) for at, cells in body]
         titles = [next(filter(None, c)) for _, c in rows[:at] if sum(map(bool, c)) == 1]
-        return Layout(tuple(columns), line, tuple(rows_of_width), tuple(notes), tuple(titles))
+        return TableLayout(tuple(columns), line, tuple(rows_of_width), tuple(notes), tuple(titles))
 
     def of_width(self, cells: list[str], width: int, line: int) -> list[str]:
         while len(cells) > width and not cells[-1]:

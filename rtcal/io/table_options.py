@@ -1,4 +1,4 @@
-"""What a user states of a table must leave its mark: an option without use is an error."""
+"""Options of a table must leave their mark: one without use is an error."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 from rtcal.errors import DataError
 from rtcal.io.table_columns import leaves_decay_time_open
-from rtcal.io.table_layout import Layout
+from rtcal.io.table_layout import TableLayout
 from rtcal.io.text import shown
 
 _MOST_COLUMNS = 20
@@ -14,7 +14,7 @@ _MOST_COLUMNS = 20
 
 
 def check_options(
-    layout: Layout,
+    layout: TableLayout,
     path: str,
     *,
     parameter: str | None,

@@ -20,7 +20,7 @@ from rtcal.io.table_columns import (
     position_of,
     scale_of,
 )
-from rtcal.io.table_layout import Layout, Row
+from rtcal.io.table_layout import Row, TableLayout
 from rtcal.io.text import number, shown
 
 MAX_CELL = 60
@@ -86,7 +86,7 @@ class Reader:
     def __init__(
         self,
         path: str,
-        layout: Layout,
+        layout: TableLayout,
         *,
         decay_time: str | None,
         parameter: Column | None,

@@ -38,13 +38,16 @@ from rtcal.io.table_columns import (
     column_of,
     position_of,
 )
-from rtcal.io.table_layout import Layout, Sheet, has_header, layout_of, sheet_of_text
+from rtcal.io.table_layout import Sheet, TableLayout, has_header, layout_of, sheet_of_text
 from rtcal.io.table_options import check_options
 from rtcal.io.table_values import Key, Reader, Values
 from rtcal.io.text import decode, shown
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
+
+__all__ = ["FORMATS", "Table", "measurement", "parse", "read", "write"]
+__dir__ = __all__.copy
 
 MAX_PAIRS = 5000
 MAX_BYTES = 2**22
@@ -202,7 +205,7 @@ def _read(
     where, ignore = where or {}, [ignore] if isinstance(ignore, str) else ignore
     sheets = [sheets] if isinstance(sheets, str) else sheets
     columns = {*where, *ignore}
-    found: list[tuple[Sheet, Layout]] = []
+    found: list[tuple[Sheet, TableLayout]] = []
     notes: list[str] = []
     for path, content in contents.items():
         of_file = _sheets(content, path, where, decay_time, columns)
@@ -265,7 +268,7 @@ def _chosen(
 
 
 def _check_options(
-    found: Sequence[tuple[Sheet, Layout]],
+    found: Sequence[tuple[Sheet, TableLayout]],
     *,
     parameter: str | None,
     decay_time: str | None,
@@ -304,7 +307,7 @@ def _named(text: str, decay_time: str) -> Column | None:
 
 
 def _parameter(
-    sheet: Sheet, layout: Layout, stated: str | None, decay_time: str | None
+    sheet: Sheet, layout: TableLayout, stated: str | None, decay_time: str | None
 ) -> Column | None:
     """Return the parameter of a table's values that name none: as stated, of its sheet or title."""
     values = [c for c in layout.columns if c.kind in ("data", "value")]

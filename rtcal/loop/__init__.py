@@ -7,6 +7,7 @@ from rtcal.support import lazy
 if TYPE_CHECKING:
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
     from rtcal.loop.control_runs import ControlRuns as ControlRuns
+    from rtcal.loop.positions import calibrate_positions as calibrate_positions
     from rtcal.loop.positions_result import PositionsResult as PositionsResult
     from rtcal.loop.result import LoopResult as LoopResult
     from rtcal.loop.rules import Rule as Rule

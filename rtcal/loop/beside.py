@@ -1,4 +1,4 @@
-"""What was measured beside what is fitted: how far it was off before and after, and whether it left."""
+"""Parameters that were measured but not fitted: their gaps before and after, and which grew."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def means(measurement: Measurement) -> dict[str, Array]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Beside:
-    """What the positions heard that is not matched: measured, before and after.
+    """The parameters at each position that are not matched: measured, before and after.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Beside:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """What was measured and not matched."""
+        """The parameters that were measured and not matched."""
         return self.measured.parameters
 
     @property

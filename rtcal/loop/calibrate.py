@@ -6,10 +6,8 @@ program that is run by hand, use `start`, `Loop.next_alpha` and `Loop.record`, o
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, overload
 
 import numpy as np
 
@@ -19,81 +17,25 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import POSITION
 from rtcal.calibration.measured import times_in_room
-from rtcal.calibration.problem import Calibration
 from rtcal.errors import DataError, RtcalError, SimulatorError
-from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.matched import Weights
 from rtcal.loop.measured_pairs import Pair, left_out, refuse_unknown
-from rtcal.loop.positions import calibrate_positions
-from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
 from rtcal.loop.rules import Rule
 from rtcal.loop.state import Loop, start
-from rtcal.simulators.base import Simulator, at_places, lost_paths, run
-from rtcal.simulators.observations import checked_parameters
+from rtcal.simulators.base import Simulator, at_places, check_fits, lost_paths, run
 from rtcal.support import checks
-from rtcal.support.arguments import checked
-from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 
-_ALONE = (TARGET.key,)
 
-
-@overload
 def calibrate_simulator(
     simulator: Simulator,
     room: Room,
     measured: Measurement,
     rule: Rule | None = None,
     *,
-    match: tuple[Literal["t20"]] = ("t20",),
-    weights: Weights | None = None,
     exclude: Sequence[tuple[str, str]] = (),
-    method: str = "mle",
-    equation: LinearEquation | None = None,
-    decimals: int | None = None,
-    tolerance: float = 1.0,
-    max_simulations: int = 12,
-    seed: int = 0,
-    after_step: Callable[[Loop], None] | None = None,
-) -> LoopResult: ...
-
-
-@overload
-def calibrate_simulator(
-    simulator: Simulator,
-    room: Room,
-    measured: Measurement,
-    *,
-    match: Sequence[str],
-    exclude: Sequence[tuple[str, str]] = (),
-    calibration: Calibration | None = None,
-    controls: ControlRuns | None = None,
-    cache: str | os.PathLike[str] | None = None,
-    position_uncertainty: float = POSITION,
-    fit_scattering: bool = True,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> LoopResult | PositionsResult: ...
-
-
-@checked
-def calibrate_simulator(
-    simulator: Simulator,
-    room: Room,
-    measured: Measurement,
-    rule: Rule | None = None,
-    *,
-    match: Sequence[str] = _ALONE,
-    exclude: Sequence[tuple[str, str]] = (),
-    calibration: Calibration | None = None,
-    controls: ControlRuns | None = None,
-    cache: str | os.PathLike[str] | None = None,
-    position_uncertainty: float = POSITION,
-    fit_scattering: bool = True,
-    progress: Progress | None = None,
     weights: Weights | None = None,
     method: str = "mle",
     equation: LinearEquation | None = None,
@@ -102,44 +44,22 @@ def calibrate_simulator(
     max_simulations: int = 12,
     seed: int = 0,
     after_step: Callable[[Loop], None] | None = None,
-) -> LoopResult | PositionsResult:
-    """Calibrate a room's coefficients so that a simulator has what was measured.
+) -> LoopResult:
+    """Calibrate a room's coefficients so that a simulator has the measured mean T20.
 
-    By default that is the mean T20. With ``match`` it is what every position heard; then a part of
-    the arguments does not apply, and others do.
+    `calibrate_positions` matches what every position heard.
 
     Parameters
     ----------
     simulator : Simulator
-        For every position, a `PathTracing` is followed with four times its paths.
     room : Room
         Its alpha and sigma are the prior. In large rooms with hard walls, sigma should be
         proportional to alpha: equal sigmas drive large hard walls to alpha = 0.
     measured : Measurement
-    match : sequence of str
-        What is matched. ``("t20",)`` is the mean T20 over the pairs. Anything else is matched at
-        every pair: some of "t20", "edt", "c80", "ts", "level", "t30" and "c50". The level is the
-        measured G, or "level", whose reference all positions of a source share.
-    exclude : sequence of (source, receiver)
-        Measured pairs that are left out, of what is simulated, too.
-    calibration : Calibration, optional
-        Every position: prior, further terms and constraints. By default the room's prior alone.
-    controls : ControlRuns, optional
-        Every position: the simulator's error, as ``result.controls`` has it. By default it is
-        simulated for a simulator with a geometry (`rtcal.loop.control_runs`). For others it is
-        not known, and no interval is stated.
-    cache : path, optional
-        Every position: folder in which the control runs are kept.
-    position_uncertainty : float
-        Every position: root mean square distance of sources and receivers from where they are
-        stated, in m; at most 1.
-    fit_scattering : bool
-        Every position: whether the scattering coefficients of a `PathTracing` are fitted, too. Its
-        model is "random". If not, those stated are kept, and are uncertain.
-    progress : callable, optional
-        Every position: called with the number of finished control runs and their total.
     rule : {"secant", "safeguarded", "regression"}, optional
         See `rtcal.loop.rules`. By default "safeguarded" for a smooth simulator, else "regression".
+    exclude : sequence of (source, receiver)
+        Measured pairs that are left out, of what is simulated, too.
     weights : mapping of "t20" and "edt" to a number or one per band, optional
         A compromise of the mean T20 and the mean EDT: each band's target is moved until their weighted
         geometric mean is the measured one. ``result.compromise`` states what each lost. By default
@@ -162,9 +82,8 @@ def calibrate_simulator(
 
     Returns
     -------
-    LoopResult or PositionsResult
-        The first for the mean T20; its ``status`` says for each band whether it converged and was
-        confirmed. The second for every position.
+    LoopResult
+        Its ``status`` says for each band whether it converged and was confirmed.
 
     Raises
     ------
@@ -172,9 +91,7 @@ def calibrate_simulator(
         From the simulator. The error's ``loop`` is the `Loop` with all steps so far. A band that
         has a T20 for some coefficients only does not raise, but ends as unreachable.
     DataError
-        If simulator and room differ in materials or bands, or an argument breaks its rule or does
-        not go with ``match``. For every position also if the measurement has no pair in common with
-        the simulator, or none of the parameters.
+        If simulator and room differ in materials or bands, or an argument breaks its rule.
 
     References
     ----------
@@ -190,46 +107,9 @@ def calibrate_simulator(
     >>> rt.calibrate_simulator(program, room, measured)
     <LoopResult of "reverb 3000": 2 simulations, 6 of 6 bands converged>
     """
-    _check_simulator(simulator, room)
-    match = checked_parameters(match)
+    check_fits(simulator, room)
     exclude = checks.pairs("exclude", exclude)
     checks.whole("seed", seed, 0)
-    if match != _ALONE:
-        _refuse(
-            match,
-            rule=rule is not None,
-            weights=weights is not None,
-            method=method != "mle",
-            equation=equation is not None,
-            decimals=decimals is not None,
-            tolerance=tolerance != 1.0,
-            max_simulations=max_simulations != 12,
-            after_step=after_step is not None,
-        )
-        checks.flag("fit_scattering", fit_scattering)
-        return calibrate_positions(
-            simulator,
-            room,
-            measured,
-            match,
-            exclude=exclude,
-            calibration=calibration,
-            controls=controls,
-            cache=cache,
-            position_uncertainty=position_uncertainty,
-            fit_scattering=fit_scattering,
-            seed=seed,
-            progress=progress,
-        )
-    _refuse(
-        match,
-        calibration=calibration is not None,
-        controls=controls is not None,
-        cache=cache is not None,
-        position_uncertainty=position_uncertainty != POSITION,
-        fit_scattering=not fit_scattering,
-        progress=progress is not None,
-    )
     measured, repeated = at_places(simulator, measured)
     if exclude:
         refuse_unknown(exclude, measured)
@@ -266,13 +146,6 @@ def _with_t30(room: Room, measured: Measurement) -> tuple[str, ...]:
     return (note,) if in_place else ()
 
 
-def _refuse(match: Sequence[str], **stated: bool) -> None:
-    """Raise DataError for an argument that was stated but does not go with ``match``."""
-    for name, is_stated in stated.items():
-        if is_stated:
-            raise DataError(f"{name} does not go with match = {match!r}")
-
-
 def _run(
     simulator: Simulator,
     loop: Loop,
@@ -307,20 +180,6 @@ def _without(measurement: Measurement, exclude: Sequence[Pair]) -> Measurement:
     if not kept:
         raise DataError("exclude has every pair: none is left")
     return measurement if len(kept) == len(measurement.pairs) else measurement.select(kept)
-
-
-def _check_simulator(simulator: Simulator, room: Room) -> None:
-    """Raise DataError unless the simulator is one, with the room's materials and bands."""
-    checks.instance("room", room, Room)
-    if isinstance(simulator, type) or not isinstance(simulator, Simulator):
-        raise DataError(
-            f"simulator = {simulator!r} is no Simulator: it lacks simulate() or an attribute of "
-            "rtcal.simulators.Simulator"
-        )
-    if tuple(simulator.materials) != tuple(room.materials) or not np.array_equal(
-        simulator.centre_frequencies, room.centre_frequencies
-    ):
-        raise DataError(f'{simulator.name} has other materials or bands than room "{room.name}"')
 
 
 @dataclass

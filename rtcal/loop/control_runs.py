@@ -214,7 +214,7 @@ def _product(errors: Array) -> Array:
 
 
 @checked
-def control_runs(
+def simulated_controls(
     simulator: Simulator,
     room: Room,
     match: Sequence[str],

@@ -1,4 +1,4 @@
-"""What a simulator hears of the parameters and pairs that were measured."""
+"""A simulator's values of the parameters and pairs that were measured."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ rooms they were traced three times with 2.0 alone."""
 
 @dataclass
 class Listener:
-    """What a simulator hears at ``alpha``, in the order of what was measured; its calls are counted.
+    """A simulator's values at ``alpha``, in the order of the measured ones; its calls are counted.
 
     Attributes
     ----------

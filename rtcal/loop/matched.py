@@ -1,4 +1,4 @@
-"""What the loop on mean values matches in each band: T20, or a compromise of T20 and EDT.
+"""The target of the loop on mean values in each band: T20, or a compromise of T20 and EDT.
 
 One target per band can match one number. The compromise is the weighted geometric mean of the decay
 times, T_c = product of T_p to the power of p's share. Where the times follow the target alike, matching
@@ -55,7 +55,7 @@ class Matched:
 
     @property
     def label(self) -> str:
-        """What is matched, in words."""
+        """The matched parameters, in words."""
         names = " and ".join(parameter_label(p) for p in self.shares)
         return names if len(self.shares) == 1 else f"the weighted mean of {names}"
 
@@ -116,7 +116,7 @@ class Matched:
 
 @dataclass(frozen=True, eq=False)
 class ParameterGap:
-    """How a parameter fared in a compromise, each (n_bands,).
+    """The gaps of a parameter in a compromise, each (n_bands,).
 
     ``share`` is its weight over the sum of the weights. ``before`` and ``after`` are its gaps in JND
     with the equation's coefficients and with those returned. ``lost`` is by how many JND its gap
@@ -129,7 +129,7 @@ class ParameterGap:
     lost: Array
 
 
-def matched(
+def matched_times(
     room: Room, measured: Measurement, t20: Array, weights: Weights | None = None
 ) -> Matched:
     """Return what is matched for these weights; ``t20`` is the measured T in the room's bands.

@@ -1,4 +1,4 @@
-"""What was measured at each position, ready to be matched, and how uncertain it is.
+"""The measured values of each position, ready to be matched, and their uncertainty.
 
 What a measurement states is taken. Where it states no uncertainty, two parts are assumed. In a band
 of bandwidth B a response is noise-like: the energy within dt scatters by 1 / sqrt(B dt), differently at
@@ -71,7 +71,7 @@ class MeasuredPairs:
         return np.isfinite(self.observations.values)
 
 
-def measured_pairs(
+def pairs_to_match(
     room: Room,
     measured: Measurement,
     match: Sequence[str],

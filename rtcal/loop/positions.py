@@ -21,7 +21,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import REVERBERATION, TARGET
+from rtcal.acoustics.observables import MATCH, REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
@@ -33,19 +33,20 @@ from rtcal.loop.beside import Beside
 from rtcal.loop.beside import means as measured_beside
 from rtcal.loop.control_runs import (
     ControlRuns,
-    control_runs,
+    simulated_controls,
     trace_ahead,
 )
 from rtcal.loop.listener import Listener
-from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, measured_pairs
-from rtcal.loop.positions_result import PositionsResult, Step
+from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, pairs_to_match
+from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
 from rtcal.loop.scattering import Scattering, fitted, scattered
-from rtcal.loop.simulator_error import GROUPS, simulator_error
+from rtcal.loop.simulator_error import GROUPS, error_of_simulator
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support.checks import instance
+from rtcal.support import checks
+from rtcal.support.arguments import checked
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
@@ -71,11 +72,12 @@ _LARGEST_SCALE = 1000.0
 POSITIONS = LinearObservations("positions")
 
 
+@checked
 def calibrate_positions(
     simulator: Simulator,
     room: Room,
     measured: Measurement,
-    match: Sequence[str],
+    match: Sequence[str] = MATCH,
     *,
     exclude: Sequence[Pair] = (),
     calibration: Calibration | None = None,
@@ -87,13 +89,74 @@ def calibrate_positions(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> PositionsResult:
-    """Calibrate to every position; see `rtcal.calibrate_simulator`.
+    """Calibrate a room's coefficients so that a simulator has what every position heard.
 
-    ``more_paths`` is the factor of the number of paths of a `PathTracing` that are weighed.
+    Parameters
+    ----------
+    simulator : Simulator
+        A `PathTracing` is followed with more paths.
+    room : Room
+        Its alpha and sigma are the prior.
+    measured : Measurement
+        Of pairs that the simulator has, too.
+    match : sequence of str
+        Keys of `rtcal.acoustics.observables`, each matched at every pair. "g" is the measured G, and
+        "level" one whose reference all positions of a source share.
+    exclude : sequence of (source, receiver)
+        Measured pairs that are left out.
+    calibration : Calibration, optional
+        Prior, further terms and constraints. By default the room's prior alone.
+    controls : ControlRuns, optional
+        The simulator's error, as ``result.controls`` has it. By default it is simulated for a
+        simulator with a geometry (`rtcal.loop.control_runs`). For others it is not known, and no
+        interval is stated.
+    cache : path, optional
+        Folder in which the control runs are kept.
+    position_uncertainty : float
+        Root mean square distance of sources and receivers from where they are stated, in m; at
+        most 1.
+    fit_scattering : bool
+        Whether the scattering coefficients of a `PathTracing` are fitted, too. Its model is
+        "random". If not, those stated are kept, and are uncertain.
+    more_paths : int
+        Factor of the number of paths of a `PathTracing`.
+    seed : int
+        Seed of all simulations.
+    progress : callable, optional
+        Called with the number of finished control runs and their total.
+
+    Raises
+    ------
+    SimulatorError, TooShortError
+        From the simulator.
+    DataError
+        If simulator and room differ in materials or bands, or an argument breaks its rule. Also if
+        the measurement has no pair in common with the simulator, or none of the parameters.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> hall = rt.datasets.halls.corridor()
+    >>> tracer = rt.simulators.PathTracing(
+    ...     room=hall.room, geometry=hall.geometry, sources=hall.sources,
+    ...     receivers=hall.receivers, n_paths=800)
+    >>> measured = tracer.simulate(0.8 * hall.room.alpha, seed=1)
+    >>> controls = rt.loop.ControlRuns(
+    ...     parameters=("t20",), pairs=tracer.pairs,
+    ...     errors=0.1 * np.ones((4, 1, len(tracer.pairs), hall.room.n_bands)))
+    >>> result = rt.calibrate_positions(
+    ...     tracer, hall.room, measured, ("t20",), controls=controls)
+    >>> len(result.before.pairs)
+    4
     """
+    base.check_fits(simulator, room)
+    match = observations.checked_parameters(match)
+    exclude = checks.pairs("exclude", exclude)
+    checks.whole("seed", seed, 0)
+    checks.flag("fit_scattering", fit_scattering)
     checked_uncertainty(position_uncertainty)
     if calibration is not None:
-        instance("calibration", calibration, Calibration)
+        checks.instance("calibration", calibration, Calibration)
     measured, repeated = base.at_places(simulator, measured)
     tracer = simulator
     simulator = precise(simulator, more_paths)
@@ -108,13 +171,13 @@ def calibrate_positions(
     if replaced:
         notes = ("T30 is matched in place of T20, which was not measured.", *notes)
     first, not_heard = _first(simulator, room.alpha, match, measured, seed)
-    data = measured_pairs(room, measured, match, first, exclude)
+    data = pairs_to_match(room, measured, match, first, exclude)
     notes = (*notes, *not_heard, *repeated)
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
     if isinstance(simulator, PathTracing):  # too few paths are told before the control runs
         simulator.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
     if controls is None:
-        controls = control_runs(
+        controls = simulated_controls(
             simulator,
             room,
             match,
@@ -127,7 +190,7 @@ def calibrate_positions(
     listener = Listener(simulator, data, first, room.alpha, seed)
     before = listener.values()
     prior = prior_covariance(room)
-    listener, error, materials = simulator_error(listener, controls, prior, fit_scattering)
+    listener, error, materials = error_of_simulator(listener, controls, prior, fit_scattering)
     if fit_scattering and materials is None and isinstance(tracer, PathTracing):
         notes = (*notes, _kept(tracer))
     if materials is not None:
@@ -174,7 +237,7 @@ class _Path:
     """The Gauss-Newton steps, where they ended, and the covariance of the errors."""
 
     alpha: Array
-    steps: tuple[Step, ...]
+    steps: tuple[GaussNewtonStep, ...]
     settled: bool
     scale: float
     covariance: Array
@@ -195,7 +258,7 @@ def _gauss_newton(
     inverse_sigma = np.divide(1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0)
     of_measurement = listener.data.covariance
     error = error[np.ix_(listener.used, listener.used)]
-    alpha, steps, settled = room.alpha, list[Step](), False
+    alpha, steps, settled = room.alpha, list[GaussNewtonStep](), False
     scale, covariance, factor = 1.0, of_measurement, np.eye(0)
     while len(steps) < STEPS and not settled:
         matrix = listener.linearised()
@@ -219,7 +282,7 @@ def _gauss_newton(
         else:
             alpha, share = start, 0.0
             listener.alpha, listener.heard = start, start_heard
-        steps.append(Step(start, matrix, share, answer))
+        steps.append(GaussNewtonStep(start, matrix, share, answer))
         # A step that is refused says as much as the smallest that was tried.
         moved = np.abs(answer.alpha - start) * (share or 2.0**-_HALVINGS)
         settled = bool(np.max(moved * inverse_sigma) < _SETTLED)

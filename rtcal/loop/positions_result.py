@@ -1,7 +1,8 @@
-"""The result of a calibration to every position."""
+"""The result of a calibration to every position, and its printed tables."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -18,13 +19,13 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.beside import Beside, left, sentences
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, with_reference
-from rtcal.loop.positions_tables import Table, gap_table, material_table, rms
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, observe
 from rtcal.support import html, text
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
+from rtcal.support.text import number
 from rtcal.support.types import Array
 
 KIND = "positions 1"
@@ -38,7 +39,7 @@ CONTRADICTION = 0.001
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class GaussNewtonStep:
     """A Gauss-Newton step.
 
     ``alpha`` (n_materials, n_bands) is where the simulator was linearised, ``matrix`` (n_used,
@@ -123,7 +124,7 @@ class PositionsResult(Result):
     innovation: Array
     covariance: Array
     prior_covariance: Array
-    steps: tuple[Step, ...]
+    steps: tuple[GaussNewtonStep, ...]
     settled: bool
     notes: tuple[str, ...]
     is_traced: bool = False
@@ -204,7 +205,7 @@ class PositionsResult(Result):
 
     @property
     def shift(self) -> Array:
-        """How far alpha moved, in prior sigmas, (n_materials, n_bands); 0 where sigma is 0."""
+        """Change of alpha, in prior sigmas, (n_materials, n_bands); 0 where sigma is 0."""
         sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf)
         return np.asarray((self.alpha - self.prior.alpha) / sigma)
 
@@ -221,7 +222,7 @@ class PositionsResult(Result):
 
     @cached_property
     def pulls(self) -> Array:
-        """How far each pair moves each coefficient, in prior sigmas, (n_pairs, n_materials, n_bands).
+        """Change of each coefficient by each pair, in prior sigmas, (n_pairs, n_materials, n_bands).
 
         Of the linear estimate without bounds: the sum over the pairs is its whole shift.
         """
@@ -425,3 +426,66 @@ class PositionsResult(Result):
 
     def _natural(self, heard: Observations) -> list[Array]:
         return [heard.natural(p) for p in self.parameters]
+
+
+Table = tuple[list[str], list[list[str]]]
+"""Header and rows."""
+
+
+def gap_table(
+    parameters: Sequence[str],
+    pairs: Sequence[Pair],
+    before: Array,
+    after: Array,
+    title: str = "rms gap / JND",
+) -> Table:
+    """Return rms gaps by pair, before and after, and over all pairs.
+
+    Gaps are (n_parameters, n_pairs, n_bands) in JND.
+    """
+
+    def row(name: str, some: list[int]) -> list[str]:
+        ends = (rms(before[:, some]), rms(after[:, some]))
+        cells = (" to ".join(number(x, ".1f") for x in pair) for pair in zip(*ends, strict=True))
+        return [name, *cells]
+
+    rows = [row(" to ".join(pair), [i]) for i, pair in enumerate(pairs)]
+    header = [title, *(parameter_label(p) for p in parameters)]
+    return header, [*rows, row("all", list(range(len(pairs))))]
+
+
+def material_table(
+    room: Room,
+    learned: Sequence[tuple[str, float, float]],
+    shift: Array,
+    pulls: Array,
+    pairs: Sequence[Pair],
+    scattering: Scattering | None,
+) -> Table:
+    """Return what was learned of each material, in the order of ``learned``.
+
+    ``shift`` (n_materials, n_bands) and ``pulls`` (n_pairs, n_materials, n_bands) are in prior sigmas.
+    """
+    header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
+    if scattering is not None:
+        header.append("scattering")
+    strength = np.abs(pulls).mean(axis=2)
+    moved = np.sqrt((shift**2).mean(axis=1))
+    rows = []
+    for name, before, after in learned:
+        i = room.material_index(name)
+        pair = "-"
+        if strength[:, i].any():
+            pair = " to ".join(pairs[int(np.argmax(strength[:, i]))])
+        row = [name, f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
+        if scattering is not None:
+            s, sigma = (a[i].mean() for a in (scattering.coefficients, scattering.sigma))
+            row.append(f"{s:.2f} ± {sigma:.2f}")
+        rows.append(row)
+    return header, rows
+
+
+def rms(values: Array) -> list[float]:
+    """Return the root mean square over pairs and bands by parameter, NaN without a value."""
+    known: Sequence[Array] = [v[np.isfinite(v)] for v in values]
+    return [float(np.sqrt((v**2).mean())) if v.size else float("nan") for v in known]

@@ -21,7 +21,7 @@ Rule = Literal["secant", "safeguarded", "regression"]
 # mostly noise of two close points. Over 60 random shoeboxes with Fitzroy's, Arau-Puchades' and
 # Millington's equations as simulators, 98 % of the slopes are 0.82 to 9.6. Limits twice as wide, and no
 # limits, give the same mean number of simulations: 2.75 (safeguarded) and 3.22 (regression). Limits of
-# 0.6 to 1.5 give 2.58 and 3.15, but 0.6 is above the slopes of those halls (benchmarks/loop_slopes.py).
+# 0.6 to 1.5 give 2.58 and 3.15, but 0.6 is above the slopes of those halls.
 _SLOPES = (0.3, 3.0)
 # Standard deviations in the regression. 0.3 around a slope of 1 has both slopes above within two; with
 # 0.15 and 0.6 the same study needs 3.23 and 3.22 simulations. 3 % is the noise of T20 with about 1000

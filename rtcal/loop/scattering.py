@@ -106,7 +106,7 @@ class Scattering:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MaterialScattering:
-    """How every value depends on the scattering of each material, around where it was traced.
+    """Sensitivity of every value to the scattering of each material, around the traced one.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class MaterialScattering:
 
     @property
     def back(self) -> Array:
-        """What is added to the values as traced, to have those of the scattering stated, (n,)."""
+        """Change of the values from the traced scattering to the stated one, (n,)."""
         return np.asarray(-self.slope @ self.traced)
 
     def likely(self, pull: Array) -> Array:

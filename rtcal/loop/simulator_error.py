@@ -25,7 +25,7 @@ GROUPS = 4
 """Groups of paths whose differences tell the noise of a control run."""
 
 
-def simulator_error(
+def error_of_simulator(
     listener: Listener,
     controls: ControlRuns | None,
     prior: Array,

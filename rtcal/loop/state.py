@@ -29,7 +29,7 @@ from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
 from rtcal.loop.beside import Gaps, left, means
-from rtcal.loop.matched import Matched, ParameterGap, Weights, matched
+from rtcal.loop.matched import Matched, ParameterGap, Weights, matched_times
 from rtcal.loop.rules import RULES, Rule
 from rtcal.loop.status import (
     CLOSE_TARGETS,
@@ -426,7 +426,7 @@ def start(
     checks.positive("tolerance", tolerance, "JND")
     data = times_in_room(room, measured)
     refuse_repeated_data(room, data.fingerprint)
-    what = matched(room, measured, data.reverberation_time, weights)
+    what = matched_times(room, measured, data.reverberation_time, weights)
     heard = means(measurement_in_room_bands(measured, room.centre_frequencies))
     return Loop(
         room=room,

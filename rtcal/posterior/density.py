@@ -45,7 +45,7 @@ class IndependentBands:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TruncatedNormal:
+class JointTruncatedNormal:
     """A normal density within bounds, linear equalities and linear inequalities.
 
     The density of u is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)).
@@ -98,5 +98,5 @@ class CoupledBands:
     rows: tuple[int, ...]
     n_bands: int
     further: tuple[str, ...]
-    posterior: TruncatedNormal
-    prior: TruncatedNormal
+    posterior: JointTruncatedNormal
+    prior: JointTruncatedNormal

@@ -1,4 +1,4 @@
-"""The posterior distribution of the coefficients: `posterior` and what it returns.
+"""The posterior distribution of the coefficients: `distribution` and what it returns.
 
 Marginals are exact, by FFT, if the priors are independent and each band has one matched sum. In all
 other cases they come from samples.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtcal.errors import DataError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.integration import POINTS, Marginals
-from rtcal.posterior.marginals import marginals, passed_on, unmatched
+from rtcal.posterior.marginals import marginal_distributions, passed_on, unmatched
 from rtcal.posterior.sampler import sample
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -108,7 +108,7 @@ class Calibrated(Protocol):
 
 
 @checked
-def posterior(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Posterior:
+def distribution(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Posterior:
     """Return the posterior distribution of a calibration's coefficients.
 
     The prior is normal with the room's sigma, truncated to the bounds. The error of b is normal with
@@ -138,7 +138,7 @@ def posterior(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Poste
     --------
     >>> import rtcal as rt
     >>> result = rt.calibrate(*rt.datasets.bras_cr2(), method="soft")
-    >>> low, high = rt.posterior.posterior(result).interval(0.9)
+    >>> low, high = rt.posterior.distribution(result).interval(0.9)
     >>> bool(((low < result.alpha) & (result.alpha < high)).all())
     True
     """
@@ -213,7 +213,7 @@ def _band(bands: IndependentBands, free: Rows, k: int, *, covariances: bool) -> 
     if not np.isfinite(bands.target[k]):
         return unmatched(*_prior(bands, free, k))
     held = np.where(bands.sigma[:, k] > 0, 0.0, bands.alpha[:, k])
-    of_sum = passed_on if bands.exact and bands.noise[k] > 0 else marginals
+    of_sum = passed_on if bands.exact and bands.noise[k] > 0 else marginal_distributions
     return of_sum(
         *_prior(bands, free, k),
         bands.areas[free],

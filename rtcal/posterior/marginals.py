@@ -15,7 +15,7 @@ allow. The grid of
    others costs no accuracy.
 3. Each density has points of its own, and g_i is interpolated at them.
 
-`rtcal.posterior.tilting` has step 1 and `rtcal.posterior.convolution` steps 2 and 3.
+`rtcal.posterior.convolution` has step 1 and `rtcal.posterior.convolution` steps 2 and 3.
 
 `passed_on` is the same after an exact match to a b that is uncertain: the mean of these conditional
 distributions over b.
@@ -25,9 +25,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal.posterior.convolution import by_convolution
+from rtcal.posterior.convolution import Variables, balanced, by_convolution, tilted
 from rtcal.posterior.integration import POINTS, Marginals, integrated
-from rtcal.posterior.tilting import Variables, balanced, tilted
 from rtcal.support.types import Array
 
 _SIDES = np.array([-1.0, 1.0])
@@ -46,7 +45,7 @@ _PAIRS, _TURN = 6765, 4181
 """Pairs of a probability and a b: a lattice of two Fibonacci numbers, even in both and in the plane."""
 
 
-def marginals(
+def marginal_distributions(
     mu: Array,
     sigma: Array,
     lower: Array,
@@ -113,8 +112,9 @@ def passed_on(
     """Return the marginals after an exact match to b = target ± uncertainty, b within its reach.
 
     The sum is normal about the target, whatever the priors say of it. Given the sum, the coefficients
-    are distributed as `marginals` has them with an uncertainty of 0. Without bounds this is the exact
-    estimate's error. Parameters are those of `marginals`, with an uncertainty above 0.
+    are distributed as `marginal_distributions` has them with an uncertainty of 0. Without bounds this
+    is the exact estimate's error. Parameters are those of `marginal_distributions`, with an uncertainty
+    above 0.
     """
     from scipy.interpolate import PchipInterpolator
     from scipy.special import ndtr, ndtri
@@ -125,7 +125,7 @@ def passed_on(
     def at(sums: Array) -> tuple[list[Marginals], Array]:
         """Return the marginals given each sum, and their quantiles, (n_sums, n, n_levels)."""
         found = [
-            marginals(
+            marginal_distributions(
                 mu, sigma, lower, upper, areas, float(b), 0.0, multiplier, covariances=covariances
             )
             for b in sums

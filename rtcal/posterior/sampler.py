@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rtcal.errors import ModelError, SolverError
-from rtcal.posterior.density import TruncatedNormal
+from rtcal.posterior.density import JointTruncatedNormal
 from rtcal.support.types import Array
 
 Integers = NDArray[np.intp]
@@ -64,7 +64,7 @@ class _Region:
     offset: Array
 
 
-def sample(density: TruncatedNormal, n_samples: int, seed: int) -> Samples:
+def sample(density: JointTruncatedNormal, n_samples: int, seed: int) -> Samples:
     """Return samples of a truncated normal density.
 
     Parameters
@@ -105,7 +105,7 @@ def _effective(values: Array) -> Array:
     return effective
 
 
-def _region(density: TruncatedNormal, free: Integers) -> tuple[_Region, Array]:
+def _region(density: JointTruncatedNormal, free: Integers) -> tuple[_Region, Array]:
     """Return the region of the free unknowns, and the coordinates of a point inside it.
 
     Coordinates are relative to the density's point, in units of its scale.
@@ -141,7 +141,7 @@ def _region(density: TruncatedNormal, free: Integers) -> tuple[_Region, Array]:
 
 
 def _coordinates(
-    density: TruncatedNormal, free: Integers, equalities: Array, wanted: Array
+    density: JointTruncatedNormal, free: Integers, equalities: Array, wanted: Array
 ) -> tuple[Array, Array]:
     """Return c and B such that c + B w, w standard normal, has the density on the equalities.
 

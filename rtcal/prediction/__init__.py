@@ -1,4 +1,4 @@
-"""What a change of the room does to T, how sure that is, and which change meets a target."""
+"""Prediction of T after a change of the room, and design of the change that meets a target."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""What is assumed of the errors of a prediction."""
+"""Assumptions on the errors of a prediction."""
 
 from __future__ import annotations
 

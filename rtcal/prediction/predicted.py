@@ -164,7 +164,7 @@ class Prediction(Result):
 
     @property
     def change(self) -> Array:
-        """What the change does to T, in JND of 5 %, (n_bands,)."""
+        """Effect of the change on T, in JND of 5 %, (n_bands,)."""
         return np.asarray((self.log_mean - np.log(self.time_before)) / JND)
 
     @cached_property

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics.materials import LONGEST_NAME, short_name
 from rtcal.errors import DataError, MissingDependencyError
@@ -20,7 +21,11 @@ from rtcal.report import figures
 from rtcal.support.arguments import checked
 from rtcal.support.files import write_text
 from rtcal.support.text import shortened
+from rtcal.support.types import Array
 from rtcal.support.version import __version__
+
+__all__ = ["Heading"]
+__dir__ = __all__.copy
 
 MAX_BYTES = 2 * 10**6
 """Largest size of a page in bytes."""
@@ -29,7 +34,7 @@ _BANDS_ABREAST = 7
 
 @dataclass(frozen=True)
 class Heading:
-    """What stands at the head of a page, and on each sheet when it is printed.
+    """The head of a page, which each sheet repeats when it is printed.
 
     Attributes
     ----------
@@ -139,3 +144,39 @@ def _in_style(text: str) -> str:
     '"Hall \\22 A\\22  \\3c \\2f style\\3e "'
     """
     return '"' + "".join(c if c.isalnum() or c in " .,-" else f"\\{ord(c):x} " for c in text) + '"'
+
+
+def material_rows(
+    names: Iterable[str],
+    areas: Array,
+    before: Array,
+    after: Array,
+    interval: tuple[Array, Array] | None = None,
+    at_bound: NDArray[np.bool_] | None = None,
+) -> list[dict[str, Any]]:
+    """Return one row per material: name, area, and a cell per band.
+
+    Parameters
+    ----------
+    names : iterable of str (n_materials,)
+    areas : array (n_materials,)
+        m².
+    before, after : array (n_materials, n_bands)
+        Coefficients as stated and as calibrated.
+    interval : (array, array), optional
+        Ends of the calibrated coefficients' 90 % intervals, each (n_materials, n_bands).
+    at_bound : array of bool (n_materials, n_bands), optional
+        Which coefficients stand at a bound; they get a star.
+    """
+    rows = []
+    for i, name in enumerate(names):
+        cells: list[dict[str, Any]] = [
+            {"before": b, "after": a, "star": ""} for b, a in zip(before[i], after[i], strict=True)
+        ]
+        for k, cell in enumerate(cells):
+            if interval is not None:
+                cell |= {"low": interval[0][i, k], "high": interval[1][i, k]}
+            if at_bound is not None and at_bound[i, k]:
+                cell["star"] = "*"
+        rows.append({"name": name, "area": areas[i], "cells": cells})
+    return rows

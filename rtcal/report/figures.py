@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
     from rtcal.calibration.result import CalibrationResult
 
+__all__ = ["gap", "rendered", "reverberation_time", "save"]
+__dir__ = __all__.copy
+
 BLACK, ORANGE, BLUE, GREEN = "#000000", "#D55E00", "#0072B2", "#009E73"
 _LONGEST_NAME = 40
 _MANY_BANDS = 10

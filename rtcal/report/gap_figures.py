@@ -17,6 +17,9 @@ from rtcal.support.arguments import checked
 from rtcal.support.text import number
 from rtcal.support.types import Array
 
+__all__ = ["bends", "decay", "evidence", "residuals", "reverberation_time", "shifts"]
+__dir__ = __all__.copy
+
 MOST_PANELS = 12
 """Largest number of materials that `shifts` draws."""
 _FEW = 6

@@ -16,13 +16,15 @@ from rtcal.finder.means.several_finding import SeveralFinding
 from rtcal.finder.means.verification import Verification, verify
 from rtcal.finder.wording import listed
 from rtcal.report import gap_figures, gap_words, several_report
-from rtcal.report.document import Heading
+from rtcal.report.document import Heading, material_rows
 from rtcal.report.figures import rendered
 from rtcal.report.page import FINDING_FIGURES, finding_page
-from rtcal.report.rows import material_rows
 from rtcal.support.arguments import checked
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.results import NUMBERS, Result
+
+__all__ = ["figures", "summary", "write"]
+__dir__ = __all__.copy
 
 WRITTEN = (NUMBERS, "report.html", *(f"{name}.png" for name in FINDING_FIGURES))
 """The files of a report; ``decay`` only if the effect bends the decay."""
@@ -86,7 +88,7 @@ def write(
     """Write result.json, the figures (PNG) and report.html; return their paths.
 
     ``reproduction``, if there is one, is printed on the page. ``heading`` is as for
-    `rtcal.report.page.page`.
+    `rtcal.report.page.calibration_page`.
 
     Raises DataError if the folder cannot be made, MissingDependencyError without matplotlib or jinja2.
     """

@@ -14,6 +14,9 @@ from rtcal.support.arguments import checked
 if TYPE_CHECKING:
     from rtcal.loop.state import Loop
 
+__all__ = ["path"]
+__dir__ = __all__.copy
+
 _MARKERS = "o^vDPX<>"
 _STYLES = ("-", "--", "-.", ":")
 

@@ -11,7 +11,7 @@ from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.report.rows import material_rows
+from rtcal.report.document import material_rows
 from rtcal.report.words import hertz
 
 if TYPE_CHECKING:

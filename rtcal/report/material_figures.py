@@ -14,6 +14,9 @@ from rtcal.support.types import Array
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
 
+__all__ = ["coefficients", "intervals", "plane", "shares"]
+__dir__ = __all__.copy
+
 MOST_PANELS = 12
 """Largest number of materials that `coefficients` draws; the table of a page lists more."""
 _FEW = 6

@@ -28,11 +28,13 @@ from rtcal.report import (
     positions_page,
     words,
 )
-from rtcal.report.document import Heading, blocks, render, source
-from rtcal.report.rows import material_rows
+from rtcal.report.document import Heading, blocks, material_rows, render, source
 from rtcal.support.arguments import checked
 from rtcal.support.results import load
 from rtcal.support.types import Array
+
+__all__ = ["calibration_page", "finding_page", "loop_page", "page_of"]
+__dir__ = __all__.copy
 
 MOST_MATERIALS = 100
 """Largest number of materials in the page's table, which lists those that absorb most."""
@@ -48,7 +50,7 @@ FINDING_FIGURES = (
 
 
 @checked
-def page(
+def calibration_page(
     result: CalibrationResult,
     *,
     heading: Heading | None = None,
@@ -94,7 +96,7 @@ def finding_page(
     pictures : mapping of str to (figure, caption)
         Figures of the finding by name, as `rtcal.report.gap_report.figures` returns them.
     heading : Heading, optional
-        As for `page`.
+        As for `calibration_page`.
 
     Raises
     ------
@@ -175,7 +177,7 @@ def loop_page(
 ) -> str:
     """Return a closed loop as one HTML page; DataError if it has no simulation.
 
-    Only a `LoopResult` has other parameters before and after. ``heading`` is as for `page`.
+    Only a `LoopResult` has other parameters before and after. ``heading`` is as for `calibration_page`.
     """
     ends = loop_words.ends(result) if isinstance(result, LoopResult) else None
     loop = result.loop if isinstance(result, LoopResult) else result
@@ -237,7 +239,7 @@ def page_of(
     if isinstance(result, PositionsResult):
         return positions_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, CalibrationResult):
-        return page(result, heading=heading, progress=progress)
+        return calibration_page(result, heading=heading, progress=progress)
     raise DataError(
         f"{place}: a {type(result).__name__} has no page here; `rtcal gap report` writes that of a "
         "finding"

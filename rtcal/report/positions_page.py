@@ -10,8 +10,7 @@ import numpy as np
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.report import positions_figures
-from rtcal.report.document import Heading, blocks, render, source
-from rtcal.report.rows import material_rows
+from rtcal.report.document import Heading, blocks, material_rows, render, source
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.types import Array
 
@@ -24,7 +23,7 @@ _MISFIT = 2.0
 
 
 def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) -> str:
-    """Return the page as HTML; raises as `rtcal.report.page.page`."""
+    """Return the page as HTML; raises as `rtcal.report.page.calibration_page`."""
     order = _most_learned_first(result)
     return render(
         "positions.html",

@@ -1,4 +1,4 @@
-"""The folder of a calibration: the calibrated room, all numbers, the figure of T(f)."""
+"""The folder of a calibration: the calibrated room, all numbers, its figures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtcal.errors import MissingDependencyError
-from rtcal.report import figures
+from rtcal.report import figures, positions_figures
 from rtcal.support import checks
 from rtcal.support.files import make_folder, spare, write_all
 from rtcal.support.results import NUMBERS
@@ -17,9 +17,12 @@ from rtcal.support.results import NUMBERS
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
     from rtcal.loop.positions_result import PositionsResult
+    from rtcal.simulators.geometry import Polyhedron
 
 ROOM, FIGURE = "room.toml", "reverberation_time.png"
 FILES = (ROOM, NUMBERS, FIGURE)
+PLAN, SHIFTS = "plan.png", "shifts.png"
+POSITION_FILES = (ROOM, NUMBERS, PLAN, SHIFTS)
 
 
 def refuse_inputs(folder: Path, inputs: Sequence[str | os.PathLike[str]]) -> None:
@@ -38,6 +41,29 @@ def write(result: CalibrationResult, folder: Path) -> list[Path]:
         If the folder cannot be made, or a file cannot be written.
     """
     return write_with_figures(result, folder, {FIGURE: lambda: figures.reverberation_time(result)})
+
+
+def write_positions(
+    result: PositionsResult,
+    folder: Path,
+    geometry: Polyhedron,
+    sources: Mapping[str, Sequence[float]],
+    receivers: Mapping[str, Sequence[float]],
+) -> list[Path]:
+    """Write room, numbers and figures, all or none, and return their paths.
+
+    Without matplotlib there are no figures, and a warning says so.
+
+    Raises
+    ------
+    DataError
+        If the folder cannot be made, or a file cannot be written.
+    """
+    draw = {
+        PLAN: lambda: positions_figures.plan(result, geometry, sources, receivers),
+        SHIFTS: lambda: positions_figures.shifts(result),
+    }
+    return write_with_figures(result, folder, draw)
 
 
 def write_with_figures(

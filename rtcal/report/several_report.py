@@ -13,8 +13,8 @@ from rtcal.finder.means.several import TWO
 from rtcal.finder.means.several_finding import SeveralFinding
 from rtcal.finder.wording import as_sentence, listed
 from rtcal.report import gap_figures, gap_words
+from rtcal.report.document import material_rows
 from rtcal.report.figures import BLACK, ORANGE, new_figure, shown
-from rtcal.report.rows import material_rows
 from rtcal.support.arguments import checked
 
 CLAIMED = 0.9

@@ -12,6 +12,9 @@ from rtcal.report.figures import new_figure
 from rtcal.studies.study import Table
 from rtcal.support.arguments import checked
 
+__all__ = ["priors", "spread"]
+__dir__ = __all__.copy
+
 _STYLES = ("-", "--", "-.", ":", (0, (9, 3)), (0, (7, 2, 1, 2, 1, 2)))
 _MARKERS = "os^Dv*"
 NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}

@@ -204,3 +204,17 @@ def check_measurement(simulator: Simulator, measurement: object) -> Measurement:
         )
         raise of_bands(error, np.flatnonzero(missing.any(axis=0)))
     return measurement
+
+
+def check_fits(simulator: Simulator, room: Room) -> None:
+    """Raise DataError unless the simulator is one, with the room's materials and bands."""
+    checks.instance("room", room, Room)
+    if isinstance(simulator, type) or not isinstance(simulator, Simulator):
+        raise DataError(
+            f"simulator = {simulator!r} is no Simulator: it lacks simulate() or an attribute of "
+            "rtcal.simulators.Simulator"
+        )
+    if tuple(simulator.materials) != tuple(room.materials) or not np.array_equal(
+        simulator.centre_frequencies, room.centre_frequencies
+    ):
+        raise DataError(f'{simulator.name} has other materials or bands than room "{room.name}"')

@@ -1,4 +1,4 @@
-"""What each position hears: room-acoustic parameters by pair and band, and their derivatives by alpha.
+"""Observations: room-acoustic parameters by pair and band, and their derivatives by alpha.
 
 An `Observations` holds numbers that are nearly linear in alpha: ln T20, ln T30, ln EDT and ln Ts, and
 C50, C80 and the level in dB. `observe` and `jacobian` give them for any simulator. A simulator that

@@ -1,4 +1,4 @@
-"""How traced paths are stored, and what a scattering coefficient means to them."""
+"""Storage of traced paths, and the meaning of a scattering coefficient for them."""
 
 from __future__ import annotations
 

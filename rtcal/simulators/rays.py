@@ -1,4 +1,4 @@
-"""What rays need of a polyhedron: its triangles' planes, directions, and who sees whom."""
+"""A polyhedron for rays: its triangles' planes, directions, and which positions see each other."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ class ShoeboxSimulator(RoomSimulator, ABC):
     smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "box", shoebox(self.room, self.sources, self.receivers))
+        object.__setattr__(self, "box", shoebox_of(self.room, self.sources, self.receivers))
 
     @property
     @abstractmethod
@@ -144,7 +144,7 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         """Return the simulated measurement for alpha (n_materials, n_bands)."""
 
 
-def shoebox(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Point]) -> Shoebox:
+def shoebox_of(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Point]) -> Shoebox:
     """Return the room as a shoebox.
 
     A room of several materials has one surface per wall, named as in `SHOEBOX_WALLS`. A room of a

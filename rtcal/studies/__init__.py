@@ -27,3 +27,4 @@ __all__ = [
     "run",
     "write_table",
 ]
+__dir__ = __all__.copy

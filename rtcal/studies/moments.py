@@ -23,7 +23,7 @@ EDGES = np.linspace(0.0, 0.5, 4001)  # of sqrt(EMSE); the last bin holds all lar
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
+class ScoreMoments:
     """Sums over realisations.
 
     ``count`` is the number of realisations, ``active`` the number of trials with an active bound,
@@ -40,7 +40,7 @@ class Moments:
     most: Array
 
     @classmethod
-    def of(cls, emse: Array, active: Array) -> Moments:
+    def of(cls, emse: Array, active: Array) -> ScoreMoments:
         """Sum up the series of some realisations, (r, 11), and their active trials, (r, 3)."""
         root = np.sqrt(emse[:, : len(SAMPLED)])
         bins = np.minimum(np.searchsorted(EDGES, root, side="right") - 1, EDGES.size - 2)
@@ -55,8 +55,8 @@ class Moments:
             most=root.max(0),
         )
 
-    def __add__(self, other: Moments) -> Moments:
-        return Moments(
+    def __add__(self, other: ScoreMoments) -> ScoreMoments:
+        return ScoreMoments(
             self.count + other.count,
             self.sums + other.sums,
             self.products + other.products,
@@ -72,7 +72,7 @@ class Moments:
         return np.concatenate(values).tobytes()
 
     @classmethod
-    def from_bytes(cls, content: bytes) -> Moments:
+    def from_bytes(cls, content: bytes) -> ScoreMoments:
         """Return what `to_bytes` wrote; ValueError if it is something else."""
         values = np.frombuffer(content, "<f8")
         if values.size != sum(math.prod(shape) for shape in _SHAPES.values()):

@@ -12,6 +12,9 @@ import numpy as np
 
 from rtcal.support import checks
 
+__all__ = ["HALL_SEEDS", "LECTURE_HALL", "SHOEBOX", "random_hall"]
+__dir__ = __all__.copy
+
 SHOEBOX: tuple[float, ...] = (35.0, 35.0, 21.0, 21.0, 15.0, 15.0)
 """Floor and ceiling 7 x 5 m, walls 7 x 3 m and 5 x 3 m; V = 105 m³."""
 

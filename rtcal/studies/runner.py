@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from rtcal.errors import DataError
-from rtcal.studies.moments import Moments
+from rtcal.studies.moments import ScoreMoments
 from rtcal.support import checks, transaction
 from rtcal.support.decode import json_object
 from rtcal.support.files import make_folder, read_text, write_bytes, write_text
@@ -36,7 +36,7 @@ _MAX_SUMS = 2**20  # bytes, unpacked; a piece has 226 kB
 
 
 def run_pieces(
-    compute: Callable[[int], Moments],
+    compute: Callable[[int], ScoreMoments],
     count: int,
     *,
     identity: dict[str, Any],
@@ -44,7 +44,7 @@ def run_pieces(
     workers: int | None = None,
     folder: str | os.PathLike[str] | None = None,
     progress: bool = False,
-) -> Moments:
+) -> ScoreMoments:
     """Return the sum of ``compute(0)`` to ``compute(count - 1)``, always added in that order.
 
     Parameters
@@ -78,7 +78,7 @@ def run_pieces(
         isinstance(executor, type) or not callable(getattr(executor, "submit", None))
     ):
         raise DataError(f"executor = {executor!r} is not a concurrent.futures.Executor")
-    total: Moments | None = None
+    total: ScoreMoments | None = None
     with ExitStack() as stack:
         store = None
         if folder is not None:
@@ -89,8 +89,8 @@ def run_pieces(
         )
         bar = stack.enter_context(progress_bar(count, "piece", progress))
         for number, piece in _hand_out(pool, compute, range(count), store):
-            result = piece if isinstance(piece, Moments) else piece.result()
-            if store is not None and not isinstance(piece, Moments):
+            result = piece if isinstance(piece, ScoreMoments) else piece.result()
+            if store is not None and not isinstance(piece, ScoreMoments):
                 store.write(number, result)
             total = result if total is None else total + result
             bar.update(1)
@@ -100,10 +100,10 @@ def run_pieces(
 
 
 def _hand_out(
-    pool: Any, compute: Callable[[int], Moments], numbers: Iterable[int], store: _Store | None
-) -> Iterator[tuple[int, Moments | Future[Moments]]]:
+    pool: Any, compute: Callable[[int], ScoreMoments], numbers: Iterable[int], store: _Store | None
+) -> Iterator[tuple[int, ScoreMoments | Future[ScoreMoments]]]:
     """Yield each number with its stored piece or its future, a bounded number of them ahead."""
-    waiting: deque[tuple[int, Moments | Future[Moments]]] = deque()
+    waiting: deque[tuple[int, ScoreMoments | Future[ScoreMoments]]] = deque()
     try:
         for number in numbers:
             stored = None if store is None else store.read(number)
@@ -114,7 +114,7 @@ def _hand_out(
             yield waiting.popleft()
     finally:  # after an error, pieces that have not begun are cancelled
         for _, piece in waiting:
-            if not isinstance(piece, Moments):
+            if not isinstance(piece, ScoreMoments):
                 piece.cancel()
 
 
@@ -129,11 +129,11 @@ class _Store:
     def record(self) -> Path:
         return self.folder / "study.json"
 
-    def write(self, number: int, piece: Moments) -> None:
+    def write(self, number: int, piece: ScoreMoments) -> None:
         packed = zlib.compress(piece.to_bytes())
         write_bytes(self._file(number), self._head(number, packed) + packed)
 
-    def read(self, number: int) -> Moments | None:
+    def read(self, number: int) -> ScoreMoments | None:
         """Return a finished piece; None if it is missing, damaged or from another study."""
         path = self._file(number)
         try:
@@ -143,7 +143,7 @@ class _Store:
                 head, _, packed = stream.read(_MAX_PIECE).partition(b"\n")
             if head + b"\n" != self._head(number, packed):
                 return None
-            return Moments.from_bytes(zlib.decompressobj().decompress(packed, _MAX_SUMS))
+            return ScoreMoments.from_bytes(zlib.decompressobj().decompress(packed, _MAX_SUMS))
         except (OSError, ValueError, zlib.error):
             return None
 

@@ -23,7 +23,7 @@ from rtcal.errors import DataError
 from rtcal.studies import estimators
 from rtcal.studies import sampling as draws
 from rtcal.studies.estimators import CALIBRATIONS, METHODS, TrialSums
-from rtcal.studies.moments import SAMPLED, Moments
+from rtcal.studies.moments import SAMPLED, ScoreMoments
 from rtcal.studies.runner import run_pieces
 from rtcal.studies.sampling import SAMPLINGS, SIGMA_LIMIT, Sampling
 from rtcal.support import checks
@@ -67,7 +67,7 @@ class Study(Result):
     trials: int
     seed: int
     sampling: Sampling
-    moments: Moments
+    moments: ScoreMoments
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was drawn, and the tables of scores."""
@@ -306,13 +306,15 @@ def _drawn(
 
 def _analytic(
     areas: Array, sigma_r: float, realisations: int, seed: int, sampling: Sampling
-) -> Moments:
-    total: Moments | None = None
+) -> ScoreMoments:
+    total: ScoreMoments | None = None
     for number in range(-(-realisations // PIECE)):
         _, mu, sigma = _drawn(areas, sigma_r, realisations, seed, sampling, number)
         exact = analytic_emse(mu, sigma, areas)
         unsampled = np.zeros((len(mu), len(SAMPLED)))
-        piece = Moments.of(np.hstack([unsampled, exact]), np.zeros((len(mu), len(CALIBRATIONS))))
+        piece = ScoreMoments.of(
+            np.hstack([unsampled, exact]), np.zeros((len(mu), len(CALIBRATIONS)))
+        )
         total = piece if total is None else total + piece
     if total is None:
         raise DataError("a study needs at least one realisation")
@@ -327,7 +329,7 @@ def _piece(
     seed: int,
     sampling: Sampling,
     number: int,
-) -> Moments:
+) -> ScoreMoments:
     """Simulate one piece of a study."""
     rng, mu, sigma = _drawn(areas, sigma_r, realisations, seed, sampling, number)
     sampled = np.empty((len(mu), len(SAMPLED)))
@@ -343,7 +345,7 @@ def _piece(
             sums.append(estimators.score(z, room))
         total = functools.reduce(operator.add, sums)
         sampled[r], active[r] = total.errors(room, trials), total.active
-    return Moments.of(np.hstack([sampled, analytic_emse(mu, sigma, areas)]), active)
+    return ScoreMoments.of(np.hstack([sampled, analytic_emse(mu, sigma, areas)]), active)
 
 
 def _table(rows: list[Any], columns: list[tuple[str, str]]) -> Table:

@@ -67,7 +67,7 @@ def decode(record: Mapping[str, Any]) -> Any:
 
 
 class _Writer:
-    """What was written so far: each object and each array once."""
+    """The text written so far: each object and each array once."""
 
     def __init__(self) -> None:
         self.objects: list[dict[str, Any]] = []

@@ -24,7 +24,7 @@ def result() -> rt.calibration.result.CalibrationResult:
 
 @pytest.fixture(scope="module")
 def html(result) -> str:
-    return page.page(result)
+    return page.calibration_page(result)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def evil():
 
 @pytest.fixture(scope="module")
 def evil_html(evil) -> str:
-    return page.page(evil)
+    return page.calibration_page(evil)
 
 
 @pytest.fixture(scope="module")

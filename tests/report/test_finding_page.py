@@ -20,7 +20,7 @@ def test_a_findings_page_opens_with_the_finding(result) -> None:
             "evidence": (figures.gap(result), "E"),
         }
         text = page.finding_page(result, FINDING, pictures)
-        usual = page.page(result)
+        usual = page.calibration_page(result)
     met = "now the model has the measured T in all 6 bands"
     order = [
         "The model lacks &lt;i&gt;this&lt;/i&gt;.",

@@ -132,12 +132,12 @@ def test_title_author_and_date_are_settable(result, loop, tmp_path, capsys) -> N
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(page, "_figures", no_figures)
         texts = [
-            page.page(result, heading=heading),
+            page.calibration_page(result, heading=heading),
             page.loop_page(loop, heading=heading),
             page.finding_page(result, FINDING, {}, heading=heading),
         ]
-        assert page.page(result) == page.page(result)
-        assert "2026" not in page.page(result).split("<main>")[0]
+        assert page.calibration_page(result) == page.calibration_page(result)
+        assert "2026" not in page.calibration_page(result).split("<main>")[0]
         (tmp_path / "result.json").write_text(result.to_json(), encoding="utf-8")
         options = ["--title", "Hall B", "--author", "C", "--date", "today"]
         assert run("report", tmp_path, *options, "--quiet") == 0
@@ -167,13 +167,13 @@ def test_the_author_of_a_room_stands_on_its_pages(loop, tmp_path) -> None:
         (tmp_path / "result.json").write_text(result.to_json(), encoding="utf-8")
         heading = document.Heading(author="C")
         for text in (
-            page.page(result),
+            page.calibration_page(result),
             page.page_of(tmp_path),
             page.loop_page(replace(loop, room=signed)),
         ):
             assert "· B &amp; Sons" in text
-        assert "· C" in page.page(result, heading=heading)
-        assert "Sons" not in page.page(result, heading=heading).split("<main>")[0]
+        assert "· C" in page.calibration_page(result, heading=heading)
+        assert "Sons" not in page.calibration_page(result, heading=heading).split("<main>")[0]
     with pytest.raises(DataError, match="author has"):
         room.replace(author="two\nlines")
 
@@ -215,9 +215,9 @@ def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
         air=rt.Air(),
     )
     monkeypatch.setattr(page, "_figures", no_figures)
-    text = page.page(rt.calibrate(room, [1.0, 1.0]))
+    text = page.calibration_page(rt.calibrate(room, [1.0, 1.0]))
     assert "the 100 of 130 materials that absorb most" in text
     assert len(text.encode()) < document.MAX_BYTES
     monkeypatch.setattr(document, "MAX_BYTES", 1000)
     with pytest.raises(DataError, match="more than 1000"):
-        page.page(rt.calibrate(room, [1.0, 1.0]))
+        page.calibration_page(rt.calibrate(room, [1.0, 1.0]))

@@ -101,7 +101,9 @@ def test_a_printed_page_can_be_handed_to_a_client(result, tmp_path) -> None:
         air=rt.Air(),
     )
     heading = document.Heading("Hall “A”", "A. Consultant", "2026-11-22")
-    document.write(tmp_path / "p.html", page.page(rt.calibrate(room, [1.6] * 6), heading=heading))
+    document.write(
+        tmp_path / "p.html", page.calibration_page(rt.calibrate(room, [1.6] * 6), heading=heading)
+    )
     sheets = printed(tmp_path, tmp_path / "p.html")
     assert len(sheets) >= 3
     for number, sheet in enumerate(sheets, start=1):

@@ -7,7 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.errors import DataError
-from rtcal.loop.measured_pairs import fingerprints, measured_pairs
+from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
 
 
@@ -72,7 +72,7 @@ def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, s
         pairs=pairs,
     )
     match = ("t20", "t30")
-    data = measured_pairs(room, heard, match, Observations.of_measurement(heard, match, pairs))
+    data = pairs_to_match(room, heard, match, Observations.of_measurement(heard, match, pairs))
     assert any("leave one out of match" in note for note in data.notes) == said
 
 
@@ -90,4 +90,4 @@ def test_an_empty_calibration_is_refused() -> None:
         centre_frequencies=hall.room.centre_frequencies, values=values, pairs=tracer.pairs
     )
     with pytest.raises(DataError, match=r"calibration = \[\] is not a rtcal"):
-        rt.calibrate_simulator(tracer, hall.room, measured, match=("t20", "edt"), calibration=[])
+        rt.calibrate_positions(tracer, hall.room, measured, match=("t20", "edt"), calibration=[])

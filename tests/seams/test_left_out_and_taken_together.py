@@ -34,7 +34,7 @@ def test_a_pair_that_was_not_measured_cannot_be_left_out(match: tuple[str, ...])
     room, heard = stated(), measured(False)
     said = "exclude has S1 to R9, which the measurement lacks"
     with pytest.raises(DataError, match=said):
-        rt.calibrate_simulator(
+        rt.calibrate_positions(
             tracing(room, n_paths=400), room, heard, match=match, exclude=[("S1", "R9")]
         )
     with pytest.raises(DataError, match=said):

@@ -84,9 +84,9 @@ def test_no_reference_of_another_programs_level_changes_a_finding(cache: Path) -
 def test_no_reference_changes_a_calibration_to_every_position(cache: Path) -> None:
     room, heard = stated(), relative(True)
     options = {"match": MATCH, "cache": cache}
-    first = rt.calibrate_simulator(simulator(), room, heard, **options)
+    first = rt.calibrate_positions(simulator(), room, heard, **options)
     for offset in OFFSETS:
-        other = rt.calibrate_simulator(simulator(), room, referred(heard, offset), **options)
+        other = rt.calibrate_positions(simulator(), room, referred(heard, offset), **options)
         assert other.measured.fingerprints == first.measured.fingerprints
         assert other.error_scale == pytest.approx(first.error_scale, rel=1e-6)
         np.testing.assert_allclose(other.alpha, first.alpha, atol=1e-6)

@@ -12,7 +12,7 @@ from scipy import stats
 import rtcal as rt
 from benchmarks import interval_coverage
 from rtcal import terms
-from rtcal.posterior import posterior
+from rtcal.posterior import distribution
 from rtcal.report.material_figures import intervals
 
 EYRING = rt.Eyring()
@@ -57,7 +57,7 @@ def test_far_from_the_bounds_all_say_the_same(n: int, method: str, relative: flo
     )
     # 1e-3: quantiles are read from 801 points.
     np.testing.assert_allclose((high - low) / 2, 1.6449 * result.posterior_sigma, rtol=5e-3)
-    known = posterior(result)
+    known = distribution(result)
     np.testing.assert_allclose(known.sigma, result.posterior_sigma, rtol=2e-3)
     np.testing.assert_array_equal(known.interval(0.9), (low, high))
     of_page = intervals(result)
@@ -89,7 +89,7 @@ def test_the_interval_holds_its_own_value(method: str, seed: int) -> None:
     assert (low <= result.alpha).all()
     assert (result.alpha <= high).all()
     assert ((low >= 0) & (high <= 1)).all()
-    other = posterior(result).interval(0.5)
+    other = distribution(result).interval(0.5)
     assert ((other[0] <= result.alpha) & (result.alpha <= other[1])).all()
 
 
@@ -131,7 +131,7 @@ def test_between_bounds_the_distribution_is_a_mean_over_the_sum() -> None:
         share = np.append(0.0, np.cumsum(density[1:] + density[:-1]))
         below += stats.norm(b, u).pdf(c) * share / share[-1]
     below /= below[-1]
-    known = posterior(result)
+    known = distribution(result)
     for p in (0.05, 0.3, 0.5, 0.7, 0.95):
         assert np.interp(known.quantile(p)[0, 0], a, below) == pytest.approx(p, abs=0.003)
 
@@ -142,7 +142,7 @@ def test_samples_have_the_uncertainty_of_time_too() -> None:
     t = measured(EYRING.time(stated, 1.05 * stated.absorption_area), 0.1)
     loose = [terms.ExactMatch(), terms.GroupAbsorption(["m0"], most=10_000.0)]
     drawn = rt.Calibration(terms.PriorDeviation(), loose).build(stated).solve(t)
-    known, exact = posterior(drawn), posterior(rt.calibrate(stated, t))
+    known, exact = distribution(drawn), distribution(rt.calibrate(stated, t))
     assert known.samples is not None
     np.testing.assert_allclose(known.sigma, exact.sigma, rtol=0.06)
     np.testing.assert_allclose(known.mean, exact.mean, atol=0.1 * exact.sigma.max())

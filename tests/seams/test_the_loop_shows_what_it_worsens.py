@@ -183,7 +183,7 @@ def test_every_position_shows_it_too(cost: float) -> None:
     measured = rt.Measurement(
         centre_frequencies=room.centre_frequencies, values=values, pairs=first.pairs
     )
-    result = rt.calibrate_simulator(simulator, room, measured, match=("t20", "ts"))
+    result = rt.calibrate_positions(simulator, room, measured, match=("t20", "ts"))
     assert result.parameters == ("t20",)
     assert result.beside.parameters == ("c80",)
     np.testing.assert_allclose(result.beside.gap_before, 0.0, atol=1e-9)
@@ -213,7 +213,7 @@ def test_a_tracer_hears_at_its_end_what_was_not_matched() -> None:
     rng = np.random.default_rng(1)
     errors = 0.1 * rng.normal(size=(4, 2, len(tracer.pairs), hall.room.n_bands))
     controls = rt.loop.ControlRuns(parameters=("t20", "ts"), pairs=tracer.pairs, errors=errors)
-    result = rt.calibrate_simulator(
+    result = rt.calibrate_positions(
         tracer, hall.room, measured, match=("t20", "ts"), controls=controls, fit_scattering=False
     )
     assert result.beside.parameters == ("edt", "c50", "c80")

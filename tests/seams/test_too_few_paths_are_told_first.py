@@ -39,15 +39,15 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> rt.Measurement:
         raise AssertionError("the control runs have begun")
 
     heard = tracer(160).simulate(HALL.room.alpha * 1.1, seed=3)
-    monkeypatch.setattr(positions, "control_runs", begun)
+    monkeypatch.setattr(positions, "simulated_controls", begun)
     return heard
 
 
 def test_in_python(measured: rt.Measurement) -> None:
     with pytest.raises(DataError, match=r"paths per source are too few\. Take a larger n_paths"):
-        rt.calibrate_simulator(tracer(16), HALL.room, measured, match=("t20", "edt"))
+        rt.calibrate_positions(tracer(16), HALL.room, measured, match=("t20", "edt"))
     with pytest.raises(AssertionError, match="have begun"):  # enough paths come to them
-        rt.calibrate_simulator(tracer(160), HALL.room, measured, match=("t20", "edt"))
+        rt.calibrate_positions(tracer(160), HALL.room, measured, match=("t20", "edt"))
 
 
 def test_by_command(

@@ -3,7 +3,12 @@
 A new observable is one new module of this package. Its class registers itself in `OBSERVABLES`, where
 files, tables, impulse responses, simulators, calibrations, finders, pages and checks look it up: its
 value from an energy decay, its derivative, the scale on which it is linear in the absorption, its JND,
-its uncertainty, its unit, its limits and its names.
+its uncertainty, its unit, its limits and its names. docs/extending.md adds one from outside.
+
+Examples
+--------
+>>> print(observable("c80").label, isinstance(observable("t20"), DecaySlope), TARGET.key)
+C80 True t20
 """
 
 import importlib
@@ -11,12 +16,24 @@ import pkgutil
 from collections.abc import Iterable
 
 from rtcal.acoustics.observables.base import DB as DB
-from rtcal.acoustics.observables.base import OBSERVABLES as OBSERVABLES
-from rtcal.acoustics.observables.base import Observable as Observable
-from rtcal.acoustics.observables.base import observable as observable
-from rtcal.acoustics.observables.base import of_kind as of_kind
-from rtcal.acoustics.observables.base import register as register
-from rtcal.acoustics.observables.decay_slope import DecaySlope as DecaySlope
+from rtcal.acoustics.observables.base import OBSERVABLES, Observable, observable, of_kind, register
+from rtcal.acoustics.observables.decay_slope import DecaySlope
+
+__all__ = [
+    "EARLY",
+    "LEVEL",
+    "MATCH",
+    "OBSERVABLES",
+    "REVERBERATION",
+    "TARGET",
+    "DecaySlope",
+    "Observable",
+    "longest",
+    "observable",
+    "of_kind",
+    "register",
+]
+__dir__ = __all__.copy
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")

@@ -1,4 +1,4 @@
-"""What every observable has, and the registry that the whole package asks.
+"""The base of every observable, and the registry that the whole package asks.
 
 An observable is heard at a position, in a band. Three scales belong to it. Its values have its unit.
 What is *observed* is nearly linear in alpha: the logarithm of a time, or the value itself. And one

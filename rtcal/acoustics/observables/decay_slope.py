@@ -45,7 +45,7 @@ class Relative(Observable):
 
 @dataclass(frozen=True)
 class Bend:
-    """How far a decay time differs from T20 in straight decays.
+    """The difference of a decay time from T20 in straight decays.
 
     Attributes
     ----------

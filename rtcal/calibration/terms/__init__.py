@@ -70,3 +70,4 @@ __all__ = [
     "lacking",
     "match_matrix",
 ]
+__dir__ = __all__.copy

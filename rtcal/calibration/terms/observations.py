@@ -16,6 +16,7 @@ from rtcal.errors import ModelError
 from rtcal.support.types import Array
 
 __all__ = ["LinearObservations", "Observed"]
+__dir__ = __all__.copy
 
 
 @dataclass(frozen=True)

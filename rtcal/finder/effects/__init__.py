@@ -18,6 +18,7 @@ from rtcal.finder.effects.resonator import Resonator
 from rtcal.finder.effects.stated import WrongArea, WrongFormula, WrongVolume
 
 __all__ = ["Absorber", "Effect", "Limits", "Parameters", "library"]
+__dir__ = __all__.copy
 
 
 def library() -> tuple[Effect, ...]:

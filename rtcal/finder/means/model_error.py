@@ -16,7 +16,7 @@ from rtcal.support.types import Array
 
 COMMON_UNCERTAINTY: Mapping[str, float] = {"edt": 0.05, "t30": 0.018, "c80": 0.5, "g": 0.5}
 """Standard uncertainty of the model common to all bands and configurations, in ln and dB. The scatter
-of one engine does not show it; that between engines does (`hidden_effects_choices engines`)."""
+of one engine does not show it; that between engines does."""
 COMMON_CORRELATION = 0.85
 """Its correlation from octave to octave."""
 SHRINKAGE = 0.4

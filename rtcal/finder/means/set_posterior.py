@@ -57,7 +57,7 @@ class Kept:
 
 KEPT = (Kept(0.0, 0.5, 16), Kept(1e-3, 0.99, 96))
 """How many parameters of two effects are evaluated: few of each two, more of those that are probable
-among the pairs (`benchmarks.several_effects_choices parameters`)."""
+among the pairs."""
 UNEXPLAINED = 0.05
 """Probability of the residuals under the best pair below which three effects are tried: the usual level
 of a test of fit."""

@@ -28,3 +28,4 @@ __all__ = [
     "next_position",
     "verify",
 ]
+__dir__ = __all__.copy

@@ -20,7 +20,7 @@ from rtcal.finder.positions.shift import SCATTERING as SCATTERED
 from rtcal.finder.positions.shift import interpolation
 from rtcal.finder.positions.simulator_error import SimulatorError, simulator_error
 from rtcal.loop.control_runs import ControlRuns, level
-from rtcal.loop.measured_pairs import MeasuredPairs, measured_pairs
+from rtcal.loop.measured_pairs import MeasuredPairs, pairs_to_match
 from rtcal.loop.positions import prior_covariance
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
@@ -120,7 +120,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
         centre_frequencies=room.centre_frequencies,
         values=base,
     )
-    data = measured_pairs(room, case.measured, case.match, heard, case.exclude)
+    data = pairs_to_match(room, case.measured, case.match, heard, case.exclude)
     wanted = data.observations
     if len(wanted.pairs) < 2:
         raise DataError(

@@ -42,7 +42,7 @@ from rtcal.finder.positions.responses import Responses, parameters, responses
 from rtcal.finder.positions.shift import NOISE, POSITION, SCATTERING, UNKNOWN, Shift
 from rtcal.finder.positions.summary import Summary, summary_of
 from rtcal.finder.prior import COEFFICIENTS, NONE
-from rtcal.loop.control_runs import ControlRuns, control_runs
+from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress
@@ -140,7 +140,7 @@ def find_by_positions(
             progress("control runs", done, total)
 
     if controls is None:
-        controls = control_runs(
+        controls = simulated_controls(
             case.simulator,
             case.room,
             parameters(case),

@@ -1,0 +1,106 @@
+"""One name for one thing: modules, functions, classes and the public lists are walked."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+import rtcal as rt
+
+PACKAGE = Path(rt.__file__).parent
+PARSED = {
+    ".".join(("rtcal", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(
+        ".__init__"
+    ): ast.parse(path.read_text(encoding="utf-8"))
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
+Definition = ast.FunctionDef | ast.ClassDef
+
+# Docstrings that begin with one of these have no subject. A sentence may begin with "Whether".
+WITHOUT_SUBJECT = ("Of", "What", "How", "By")
+# Verbs and nouns of everyday speech that stood for the field's terms, in what a user calls.
+NOT_THE_FIELDS = ("hears", "told", "weighing", "what")
+
+
+def definitions(kind: type[Definition]) -> list[tuple[str, str]]:
+    """Return (module, name) of what stands at the head of every module."""
+    return [
+        (module, node.name)
+        for module, tree in PARSED.items()
+        for node in tree.body
+        if isinstance(node, kind)
+    ]
+
+
+def test_no_function_has_the_name_of_its_module() -> None:
+    own = {(module, module.rpartition(".")[2]) for module in PARSED}
+    commands = {pair for pair in own if pair[0].startswith("rtcal.command.")}  # click's own names
+    finder = {pair for pair in own if pair[0].startswith("rtcal.finder.")}
+    assert own.isdisjoint({*definitions(ast.FunctionDef)} - commands - finder)
+
+
+def test_no_package_lists_a_function_with_the_name_of_one_of_its_modules() -> None:
+    """`package.name` would be the module or the function, whichever was imported last."""
+    for module, tree in PARSED.items():
+        inside = {m.rpartition(".")[2] for m in PARSED if m.rpartition(".")[0] == module}
+        listed = {
+            (alias.asname or alias.name, node.module)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        hidden = {name for name, origin in listed if name in inside and origin != module}
+        assert not hidden, f"{module} lists {hidden}"
+
+
+def test_no_two_classes_have_one_name() -> None:
+    public = [(m, name) for m, name in definitions(ast.ClassDef) if not name.startswith("_")]
+    times = Counter(name for _, name in public)
+    twice = {name for name, n in times.items() if n > 1}
+    finder = {n for m, n in public if m.startswith("rtcal.finder.")}
+    assert twice - finder == set()
+
+
+@pytest.mark.parametrize("module", [m for m in PARSED if not m.startswith("rtcal.finder")])
+def test_every_docstring_has_a_subject(module: str) -> None:
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    for node in ast.walk(PARSED[module]):
+        if isinstance(node, kinds) and (text := ast.get_docstring(node)):
+            assert text.split()[0] not in WITHOUT_SUBJECT, f"{module}: {text.splitlines()[0]}"
+
+
+DIRECTORIES = """
+import types
+import rtcal as rt
+
+rt.calibrate(*rt.datasets.bras_cr2())  # imports many a module past its package
+modules = [rt]
+for module in modules:
+    stray = {n for n in dir(module) if not n.startswith("__")} - {*module.__all__}
+    assert not stray, f"{module.__name__} shows {sorted(stray)}"
+    values = [getattr(module, name) for name in module.__all__]
+    modules += [v for v in values if isinstance(v, types.ModuleType) and v not in modules]
+print(len(modules))
+"""
+
+
+def test_what_completion_shows_is_public() -> None:
+    """`dir(rt.priors)` showed np, checks and Array."""
+    done = subprocess.run([sys.executable, "-c", DIRECTORIES], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 40
+
+
+def test_public_names_are_the_fields_words() -> None:
+    modules = [rt]
+    for module in modules:
+        for name in module.__all__:
+            value = getattr(module, name)
+            assert not {*name.lower().split("_")} & {*NOT_THE_FIELDS}, f"{module.__name__}.{name}"
+            if hasattr(value, "__all__") and value not in modules:
+                modules.append(value)
