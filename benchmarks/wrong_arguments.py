@@ -188,7 +188,7 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
             workers=1,
             scattering=0.5,
         ),
-        "ScatteringDelayNetwork": rt.ScatteringDelayNetwork(
+        "ScatteringDelayNetwork": rt.simulators.ScatteringDelayNetwork(
             room=room, sources=point, receivers=receivers, sampling_rate=4000.0
         ),
         "Eyring": rt.Eyring(),

@@ -48,9 +48,8 @@ if TYPE_CHECKING:
     from rtcal.calibration.presets import calibrate as calibrate
     from rtcal.calibration.problem import Calibration as Calibration
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
-    from rtcal.prediction.designed import design as design
     from rtcal.loop.positions import calibrate_positions as calibrate_positions
-    from rtcal.simulators.sdn import ScatteringDelayNetwork as ScatteringDelayNetwork
+    from rtcal.prediction.designed import design as design
     from rtcal.support.results import load as load
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

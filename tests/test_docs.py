@@ -150,6 +150,10 @@ def public_names() -> dict[str, object]:
 
 
 NEEDS_NO_EXAMPLE = {
+    "Observable": "the base of each",
+    "of_kind": "for the package's own lists",
+    "register": "docs/extending.md",
+    "DecaySlope": "the base of the decay times",
     "EFFECTS": "a tuple of names",
     "Candidate": "part of a rt.finder.positions.Finding",
     "Place": "part of a rt.finder.positions.Finding",

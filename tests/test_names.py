@@ -41,7 +41,7 @@ def test_no_function_has_the_name_of_its_module() -> None:
     own = {(module, module.rpartition(".")[2]) for module in PARSED}
     commands = {pair for pair in own if pair[0].startswith("rtcal.command.")}  # click's own names
     finder = {pair for pair in own if pair[0].startswith("rtcal.finder.")}
-    assert own.isdisjoint({*definitions(ast.FunctionDef)} - commands - finder)
+    assert (own & {*definitions(ast.FunctionDef)}) - commands - finder == set()
 
 
 def test_no_package_lists_a_function_with_the_name_of_one_of_its_modules() -> None:

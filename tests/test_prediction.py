@@ -26,7 +26,7 @@ from rtcal.prediction import (
     predict,
     read_variants,
 )
-from rtcal.prediction.estimate import Rooms, estimate
+from rtcal.prediction.estimate import Rooms, estimated_change
 
 BANDS = [500.0, 1000.0]
 PANEL = rt.Material("panel", [0.8, 0.9], [0.1, 0.1])
@@ -84,7 +84,7 @@ def test_the_estimate_is_the_mode_within_the_bounds(factor: float) -> None:
     room = a_room(((0.2, 0.25), (0.01, 0.01)), 0.2, air=rt.Air(20, 50))
     states = [measured(room, factor), measured(changed(room, Add(PANEL, 10)), factor * 0.95)]
     rooms = Rooms([s.room for s in states], rt.Eyring(), Assumptions())
-    found = estimate(rooms, states)
+    found = estimated_change(rooms, states)
     rng = np.random.default_rng(3)
     for k in range(2):
         best = negative_log_posterior(rooms, states, found.mode[k], k)

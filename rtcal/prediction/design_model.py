@@ -21,9 +21,9 @@ from rtcal.errors import DataError
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.changes import changed
 from rtcal.prediction.envelope import Ranges
-from rtcal.prediction.estimate import Rooms, State, estimate, near_bounds, samples
+from rtcal.prediction.estimate import Rooms, State, estimated_change, near_bounds, samples
 from rtcal.prediction.predicted import SAMPLES
-from rtcal.prediction.program import Numbers, program
+from rtcal.prediction.program import ProgramNumbers, program
 from rtcal.prediction.targets import Target
 from rtcal.prediction.treatments import Treatment
 from rtcal.support.types import Array
@@ -40,7 +40,7 @@ _WHOLE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class DesignModel:
-    """What may be done in a room, and what is known of it."""
+    """The treatments that a room allows, and what is known of it."""
 
     states: tuple[State, ...]
     before: Room
@@ -90,7 +90,7 @@ class DesignModel:
     @cached_property
     def _known(self) -> tuple[Array, Array, Array, Array, Array]:
         """Mean and root of the covariance of a; beta; mean and sd of the independent error."""
-        found = estimate(self.rooms, self.states)
+        found = estimated_change(self.rooms, self.states)
         n, n_bands = len(self.rooms.materials), len(found.mode)
         factor = np.exp(found.mode[:, n + 1 : -1])
         by_volume = self.rooms.log_time(len(self.states), found.mode)[1][:, n]
@@ -181,7 +181,7 @@ class DesignModel:
 
     def numbers(
         self, probability: float, x: Array, at: Array, target: Target | None = None
-    ) -> Numbers | None:
+    ) -> ProgramNumbers | None:
         """Return the program's numbers; None if the equation's error alone forbids the probability."""
         ranges = self.ranges(x, target)
         whole = ranges.room.total_area
@@ -194,7 +194,7 @@ class DesignModel:
         mean, root, beta, _, _ = self._known
         q = self._slope(at, x)[:, np.newaxis]
         limits, largest = self.covering
-        return Numbers(
+        return ProgramNumbers(
             cost=np.array([t.cost for t in self.treatments], dtype=float),
             lower=np.zeros(len(self.treatments)),
             upper=self._upper,
@@ -223,7 +223,7 @@ class DesignModel:
             ]
         )
 
-    def _solve(self, numbers: Numbers) -> Array | None:
+    def _solve(self, numbers: ProgramNumbers) -> Array | None:
         n_bands, n_rows, n_treatments = numbers.steps.shape
         return program(n_treatments, len(numbers.limits), n_bands, n_rows).solve(numbers)
 

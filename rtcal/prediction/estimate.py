@@ -23,7 +23,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, ModelError, SolverError
-from rtcal.posterior.density import TruncatedNormal
+from rtcal.posterior.density import JointTruncatedNormal
 from rtcal.posterior.sampler import sample
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.support import checks
@@ -252,7 +252,7 @@ class Estimate:
     noise: Array
 
 
-def estimate(rooms: Rooms, states: Sequence[State]) -> Estimate:
+def estimated_change(rooms: Rooms, states: Sequence[State]) -> Estimate:
     """Return the posterior given the measured T of the first rooms, which are the states'.
 
     Raises
@@ -359,7 +359,7 @@ def samples(rooms: Rooms, found: Estimate, band: int, number: int) -> Array:
     lower, upper = np.full(rooms.size, -np.inf), np.full(rooms.size, np.inf)
     lower[:n], upper[:n] = rooms.lower[:, band], 1.0
     point = np.clip(found.mode[band], lower, upper)
-    density = TruncatedNormal(
+    density = JointTruncatedNormal(
         point=point,
         gradient=curvature @ (point - found.free[band]),
         curvature=sp.csr_array(curvature),

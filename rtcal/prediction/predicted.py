@@ -22,7 +22,7 @@ from rtcal.prediction.estimate import (
     Flags,
     Rooms,
     State,
-    estimate,
+    estimated_change,
     near_bounds,
     samples,
 )
@@ -78,7 +78,7 @@ class Prediction(Result):
     @cached_property
     def estimate(self) -> Estimate:
         """The posterior of the unknowns."""
-        return estimate(self.rooms, self.states)
+        return estimated_change(self.rooms, self.states)
 
     @cached_property
     def _linear(self) -> tuple[Array, Array]:

@@ -27,7 +27,7 @@ _GONE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
+class ProgramNumbers:
     """The numbers of one program, areas in m².
 
     Attributes
@@ -103,7 +103,7 @@ class Program:
                 "the design's program is not DPP: cvxpy would compile it for every solve"
             )
 
-    def solve(self, numbers: Numbers) -> Array | None:
+    def solve(self, numbers: ProgramNumbers) -> Array | None:
         """Return the cheapest areas in m², (n_treatments,); None if there are none.
 
         Raises SolverError if the solver fails, or its answer misses a constraint.
@@ -141,7 +141,7 @@ class Program:
         return np.asarray(x)
 
 
-def worst(numbers: Numbers, x: Array) -> float:
+def worst(numbers: ProgramNumbers, x: Array) -> float:
     """Return by how much areas miss the worst constraint in m², recomputed from the numbers."""
     mean = numbers.mean + numbers.gains @ x
     sigma = np.linalg.norm(numbers.start + numbers.steps @ x, axis=1)

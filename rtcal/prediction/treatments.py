@@ -1,4 +1,4 @@
-"""What may be put into a room, at which cost; its file, and its areas on the room's materials.
+"""Treatments of a room, and their cost; its file, and its areas on the room's materials.
 
 ::
 

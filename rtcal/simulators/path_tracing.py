@@ -148,7 +148,7 @@ class PathTracing(Tracer):
 
     @property
     def source_notes(self) -> tuple[str, ...]:
-        """What is assumed of the sources' directivities."""
+        """The assumption on the sources' directivities."""
         notes = []
         if unknown := ", ".join(self.unknown_sources):
             notes.append(
