@@ -16,6 +16,7 @@ from rtcal.support.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from rtcal import acoustics as acoustics
+    from rtcal import archive as archive
     from rtcal import calibration as calibration
     from rtcal import datasets as datasets
     from rtcal import errors as errors
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement as Measurement
     from rtcal.acoustics.room import Room as Room
     from rtcal.acoustics.scene import Scene as Scene
+    from rtcal.archive.rooms import learn as learn
     from rtcal.calibration import closed_form as closed_form
     from rtcal.calibration import terms as terms
     from rtcal.calibration.configurations import Configurations as Configurations

@@ -22,6 +22,7 @@ ORDER = (
     "posterior",
     "prediction",
     "calibration",
+    "archive",
     "simulators",
     "io",
     "loop",

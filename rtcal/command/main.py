@@ -18,6 +18,7 @@ from rtcal.command.files import export, measure, table
 from rtcal.command.fit import fit
 from rtcal.command.gap import NOTHING_TO_ADD, gap
 from rtcal.command.import_room import import_room
+from rtcal.command.learn import learn
 from rtcal.command.loop import loop
 from rtcal.command.predict import predict
 from rtcal.command.report import report
@@ -82,6 +83,7 @@ for command in (
     table,
     import_room,
     export,
+    learn,
     study,
 ):
     cli.add_command(command)

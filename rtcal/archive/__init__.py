@@ -1,0 +1,15 @@
+"""What an archive of calibrated rooms says of the materials that they share."""
+
+from typing import TYPE_CHECKING
+
+from rtcal.support import lazy
+
+if TYPE_CHECKING:
+    from rtcal.archive.library import Archive as Archive
+    from rtcal.archive.library import Lesson as Lesson
+    from rtcal.archive.library import Suspect as Suspect
+    from rtcal.archive.likelihood import Spread as Spread
+    from rtcal.archive.rooms import learn as learn
+    from rtcal.archive.rooms import read_folder as read_folder
+else:
+    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -1,0 +1,253 @@
+"""The library of an archive: materials with mu and sigma, and how sure each is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.room import Material, Room
+from rtcal.archive.likelihood import Spread
+from rtcal.errors import DataError
+from rtcal.support import checks, text
+from rtcal.support.arguments import checked
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
+from rtcal.support.types import Array
+
+_OFF = 2.0
+"""Standard deviations from which a table's entry is printed as off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lesson:
+    """What one room taught, and how well it agrees with the others.
+
+    Attributes
+    ----------
+    room : str
+    factor, factor_sigma : float
+        The relative factor of all its coefficients, and its standard deviation.
+    q, degrees_of_freedom, p_value
+        Of its T beside what all other rooms predict: chi-square.
+    taught : float
+        By which share this room reduced the standard deviation of its materials' means.
+    """
+
+    room: str
+    factor: float
+    factor_sigma: float
+    q: float
+    degrees_of_freedom: int
+    p_value: float
+    taught: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suspect:
+    """A material of a room that is likely another than it is named.
+
+    Attributes
+    ----------
+    room, material : str
+    instead : str
+        The archive's material that it more likely is; "" for none of them.
+    probability : float
+        That it is another one; before the data 0.01.
+    """
+
+    room: str
+    material: str
+    instead: str
+    probability: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Archive(Result):
+    """What calibrated rooms say of the materials that they share, as `rtcal.learn` returns it.
+
+    Attributes
+    ----------
+    materials : tuple of str
+    centre_frequencies : array (n_bands,)
+    table, table_sigma : array (n_materials, n_bands)
+        What the rooms had stated: the mean of their entries, and the largest sigma.
+    alpha, sigma : array (n_materials, n_bands)
+        The library: mean and standard deviation of a coefficient in the next room.
+    mean_sigma : array (n_materials, n_bands)
+        Standard deviation of the mean itself: it falls with every room.
+    seen : array (n_materials,)
+        In how many rooms.
+    spread : Spread
+    lessons : tuple of Lesson
+    suspects : tuple of Suspect
+        The likeliest first.
+    """
+
+    record_kind: ClassVar[str] = "archive 1"
+
+    materials: tuple[str, ...]
+    centre_frequencies: Array
+    table: Array
+    table_sigma: Array
+    alpha: Array
+    sigma: Array
+    mean_sigma: Array
+    seen: NDArray[np.int_]
+    spread: Spread
+    lessons: tuple[Lesson, ...]
+    suspects: tuple[Suspect, ...]
+
+    @checked
+    def material(self, name: str) -> Material:
+        """Return one entry with its sigma and its source; DataError if the archive lacks it."""
+        if name not in self.materials:
+            raise DataError(
+                f'"{name}" is no material of the archive; it has {", ".join(self.materials)}'
+            )
+        i = self.materials.index(name)
+        return Material(
+            name=name,
+            alpha=self.alpha[i].tolist(),
+            sigma=self.sigma[i].tolist(),
+            source=self._source(i),
+        )
+
+    @checked
+    def apply(self, room: Room, names: Mapping[str, str] | None = None) -> Room:
+        """Return a room with the library's alpha and sigma where the archive knows the material.
+
+        The room's other materials and bands stay. ``common_alpha_sigma`` becomes the factor by which
+        rooms differ. An ``alpha_min`` above the new coefficient is kept, and the coefficient raised to
+        it.
+
+        Parameters
+        ----------
+        room : Room
+            Not calibrated yet.
+        names : mapping of str to str, optional
+            From the room's names of materials to the archive's.
+
+        Raises
+        ------
+        DataError
+            If no material or no band of the room is known, or ``names`` has an unknown one.
+        """
+        mapped = checks.mapped("names", {} if names is None else names)
+        for own, entry in mapped.items():
+            if own not in room.materials or entry not in self.materials:
+                raise DataError(
+                    f'names: "{own}" = "{entry}": no material of the room, or none known'
+                )
+        pairs = [
+            (i, self.materials.index(called))
+            for i, m in enumerate(room.materials)
+            if (called := mapped.get(m, m)) in self.materials
+        ]
+        columns = [
+            (k, place)
+            for k, f in enumerate(room.centre_frequencies)
+            if (place := bands.index(self.centre_frequencies, float(f))) is not None
+        ]
+        if not pairs or not columns:
+            what = "materials" if not pairs else "bands"
+            raise DataError(f'the archive knows none of the {what} of room "{room.name}"')
+        own = np.ix_([i for i, _ in pairs], [k for k, _ in columns])
+        entry = np.ix_([j for _, j in pairs], [k for _, k in columns])
+        alpha, sigma = room.alpha.copy(), room.sigma.copy()
+        alpha[own], sigma[own] = self.alpha[entry], np.minimum(self.sigma[entry], 1.0)
+        if room.alpha_min is not None:
+            alpha = np.maximum(alpha, room.alpha_min)
+        sources = dict(room.sources) | {room.materials[i]: self._source(j) for i, j in pairs}
+        return room.replace(
+            alpha=alpha, sigma=sigma, sources=sources, common_alpha_sigma=self.spread.room
+        )
+
+    def _source(self, i: int) -> str:
+        return f"archive of {len(self.lessons)} rooms, in {self.seen[i]} of them"
+
+    @property
+    def off(self) -> Array:
+        """(alpha - table) / table, (n_materials, n_bands): how far each entry was off; NaN at 0."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.table > 0, self.alpha / self.table - 1, np.nan)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the library, the rooms' lessons and the suspects as plain values."""
+        return {
+            "centre_frequencies": json_numbers(self.centre_frequencies),
+            "materials": [
+                {
+                    "name": name,
+                    "rooms": int(self.seen[i]),
+                    "table": json_numbers(self.table[i]),
+                    "alpha": json_numbers(self.alpha[i]),
+                    "sigma": json_numbers(self.sigma[i]),
+                    "mean_sigma": json_numbers(self.mean_sigma[i]),
+                    "off": json_numbers(self.off[i]),
+                }
+                for i, name in enumerate(self.materials)
+            ],
+            "spread": asdict(self.spread),
+            "rooms": [asdict(lesson) for lesson in self.lessons],
+            "suspects": [asdict(suspect) for suspect in self.suspects],
+        }
+
+    def __repr__(self) -> str:
+        return f"<Archive of {len(self.lessons)} rooms, {len(self.materials)} materials>"
+
+    def __str__(self) -> str:
+        labels = [bands.label(f) for f in self.centre_frequencies]
+        shift = (self.alpha - self.table) / np.maximum(self.mean_sigma, 1e-12)
+        rows = [
+            (
+                f"{name} ({self.seen[i]})",
+                [
+                    f"{a:.3f}{'*' if abs(z) >= _OFF else ' '}"
+                    for a, z in zip(self.alpha[i], shift[i], strict=True)
+                ],
+            )
+            for i, name in enumerate(self.materials)
+        ]
+        rooms = [
+            (
+                lesson.room,
+                [
+                    f"{100 * lesson.factor:+.0f} %",
+                    f"{lesson.q:.1f}",
+                    f"{lesson.p_value:.2g}",
+                    f"{100 * lesson.taught:.0f} %",
+                ],
+            )
+            for lesson in self.lessons
+        ]
+        spread = self.spread
+        notes = [
+            f"An entry is off by {spread.table:.2g} of its stated sigma, a material differs between "
+            f"rooms by {spread.between:.2g} of it. Rooms differ by {100 * spread.room:.0f} %, all "
+            f"tables are off together by {100 * spread.together:.0f} %, the equation by "
+            f"{100 * spread.equation:.0f} % a band (standard deviations).",
+            *(
+                f'In room "{s.room}", "{s.material}" is likely '
+                + (f'"{s.instead}"' if s.instead else "none of the archive's materials")
+                + f" (p = {s.probability:.2f}): look, and correct its name or leave the room out."
+                for s in self.suspects
+            ),
+        ]
+        return "\n".join(
+            [
+                f"{len(self.lessons)} rooms, {len(self.materials)} materials",
+                "",
+                f"alpha (number of rooms; * off the table by {_OFF:g} standard deviations)",
+                *text.table(rows, header=("", labels)),
+                "",
+                "what each room says beside all others",
+                *text.table(rooms, header=("", ["factor", "Q", "p", "taught"])),
+                "",
+                *(line for note in notes for line in text.wrapped(note)),
+            ]
+        )

@@ -1,0 +1,187 @@
+"""The Gaussian model of an archive: what all rooms have in common, and what each has of its own.
+
+In room r, material i has in band k the coefficient
+
+    alpha_rik = mu_ik + d_ik + h mu_ik + e_rik + g_r mu_ik,
+
+with the table's entry mu and its sigma. d is how far the entry is off in all rooms, h how far all
+tables are off together, e how far the material in this room differs from others of its name, and g_r a
+factor of this room. The absorption area b_rk that its T asks for is sum S_ri alpha_rik, with an error
+of the equation relative to b, and the errors of T, volume and areas. All are normal, so the means
+follow in one linear step, and the marginal likelihood in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from rtcal.support.types import Array
+
+_USUAL = {
+    "table": (1.0, 0.5),
+    "between": (0.5, 0.7),
+    "room": (0.1, 0.7),
+    "together": (0.1, 0.7),
+    "equation": (0.03, 0.7),
+}
+"""Prior of each standard deviation: its median, and the standard deviation of its logarithm."""
+_LOGIT = (0.85, 1.0)
+"""Prior of the band correlation's logit, as mean and standard deviation: about 0.7."""
+_MEDIANS = {name: median for name, (median, _) in _USUAL.items()} | {"correlation": 0.7}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """How far coefficients differ: found by marginal likelihood.
+
+    Attributes
+    ----------
+    table, between : float
+        In units of the stated sigma: how far an entry is off in all rooms, and how far a material of
+        one name differs between rooms.
+    room, together : float
+        Relative: the factor of a room, and of all tables together.
+    equation : float
+        Relative error of b, of each room and band on its own.
+    correlation : float
+        Of one material's errors an octave apart.
+    """
+
+    table: float
+    between: float
+    room: float
+    together: float
+    equation: float
+    correlation: float
+
+
+@dataclass(frozen=True, eq=False)
+class RoomData:
+    """What a room says: its absorption area by band, and how sure it is.
+
+    Attributes
+    ----------
+    areas : array (n_materials,)
+        m² of each of the archive's materials.
+    target : array (n_bands,)
+        b in m², NaN where there is no T.
+    covariance : array (n_bands, n_bands)
+        Of b through T, volume, areas and climate, in m⁴.
+    weight : float
+        Above 0; 1 counts in full. With a weight w, what the room has of its own has 1 / w times its
+        usual variance.
+    """
+
+    areas: Array
+    target: Array
+    covariance: Array
+    weight: float = 1.0
+
+
+class Evidence:
+    """The rows b_rk of all rooms, and the model's covariance of them."""
+
+    def __init__(self, rooms: Sequence[RoomData], mu: Array, sigma: Array, octaves: Array) -> None:
+        self.mu, self.sigma, self.rooms = mu, sigma, rooms
+        n_bands = len(octaves)
+        place = [(r, k) for r, d in enumerate(rooms) for k in range(n_bands) if d.target[k] > 0]
+        self.room, self.band = np.array(place, dtype=int).reshape(-1, 2).T
+        self.distance = np.abs(octaves[:, np.newaxis] - octaves)
+        self.areas = np.array([rooms[r].areas for r in self.room])
+        self.target = np.array([rooms[r].target[k] for r, k in place])
+        self.weight = np.array([rooms[r].weight for r in self.room])
+        self.same_room = self.room[:, np.newaxis] == self.room
+        self.noise = np.zeros_like(self.same_room, dtype=float)
+        for r, data in enumerate(rooms):
+            rows = np.flatnonzero(self.room == r)
+            used = self.band[rows]
+            self.noise[np.ix_(rows, rows)] = data.covariance[np.ix_(used, used)]
+        self.expected = self.total(mu)
+        self.miss = self.target - self.expected
+        self.spreads = self.areas * sigma.T[self.band]  # S sigma of each row and material
+        self.shared = self.spreads @ self.spreads.T
+        # Noise that does not depend on the spread: else a room of little weight would still shape it.
+        self.noise = self.noise + (1 / self.weight - 1) * self.own(Spread(**_MEDIANS))
+
+    def total(self, alpha: Array) -> Array:
+        """Return S'alpha of each row in m²."""
+        return np.asarray(np.sum(self.areas * alpha.T[self.band], axis=1))
+
+    def covariance(self, spread: Spread) -> Array:
+        """Return the covariance of the rows about S'mu, in m⁴."""
+        together = np.outer(self.expected, self.expected)
+        shared = self.shared * self.correlation(spread)[np.ix_(self.band, self.band)]
+        common = spread.table**2 * shared + spread.together**2 * together
+        return np.asarray(common + self.own(spread))
+
+    def own(self, spread: Spread) -> Array:
+        """Return the part of the covariance that each room has of its own, in m⁴."""
+        shared = self.shared * self.correlation(spread)[np.ix_(self.band, self.band)]
+        of_room = spread.between**2 * shared
+        of_room = of_room + spread.room**2 * np.outer(self.expected, self.expected)
+        equation = np.diag((spread.equation * self.target) ** 2)
+        return np.asarray(np.where(self.same_room, of_room, 0.0) + equation + self.noise)
+
+    def correlation(self, spread: Spread) -> Array:
+        """Return that of one material's errors in two bands, (n_bands, n_bands)."""
+        return np.asarray(spread.correlation**self.distance)
+
+    def fitted(self, rows: NDArray[np.bool_] | None = None, start: Spread | None = None) -> Spread:
+        """Return the spread of the largest marginal likelihood of ``rows`` times `_USUAL`."""
+        used = np.ix_(rows, rows) if rows is not None else np.s_[:, :]
+        miss = self.miss if rows is None else self.miss[rows]
+        names = tuple(_USUAL)
+        usual = np.array([(np.log(median), width) for median, width in _USUAL.values()])
+        centre, width = np.vstack([usual, _LOGIT]).T
+
+        def spread(x: Array) -> Spread:
+            values = np.exp(np.clip(x[:-1], -12, 3))
+            logit = np.clip(x[-1], -8, 4)
+            return Spread(
+                **dict(zip(names, values.tolist(), strict=True)),
+                correlation=float(1 / (1 + np.exp(-logit))),
+            )
+
+        def cost(x: Array) -> float:
+            factor, low = cho_factor(self.covariance(spread(x))[used], lower=True)
+            quadratic = miss @ cho_solve((factor, low), miss)
+            penalty = np.sum(((x - centre) / width) ** 2)
+            return float(np.sum(np.log(np.diag(factor))) + 0.5 * quadratic + 0.5 * penalty)
+
+        first = centre
+        if start is not None:
+            logit = np.log(start.correlation / (1 - start.correlation))
+            first = np.append(np.log([getattr(start, name) for name in names]), logit)
+        return spread(minimize(cost, first, method="L-BFGS-B").x)
+
+    def posterior(self, spread: Spread, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Return the entries' means (n_materials, n_bands) from ``rows``, and their covariance.
+
+        An entry is mu + d + h mu: what all rooms have in common. Its covariance has shape
+        (n_materials n_bands, n_materials n_bands), the bands last.
+        """
+        n, k = self.mu.shape
+        correlation = self.correlation(spread)
+        sigma, mu = self.sigma.ravel(), self.mu.ravel()
+        same = np.kron(np.eye(n), np.ones((k, k)))
+        prior = spread.table**2 * same * np.tile(correlation, (n, n)) * np.outer(sigma, sigma)
+        prior = prior + spread.together**2 * np.outer(mu, mu)
+        matrix = self.matrix(rows)
+        whole = self.covariance(spread)[np.ix_(rows, rows)]
+        cross = prior @ matrix.T
+        factor = cho_factor(whole, lower=True)
+        mean = mu + cross @ cho_solve(factor, self.miss[rows])
+        return mean.reshape(n, k), prior - cross @ cho_solve(factor, cross.T)
+
+    def matrix(self, rows: NDArray[np.bool_]) -> Array:
+        """Return the areas of ``rows`` over the entries, (n_rows, n_materials n_bands), in m²."""
+        n, k = self.mu.shape
+        out = np.zeros((np.count_nonzero(rows), n, k))
+        out[np.arange(len(out)), :, self.band[rows]] = self.areas[rows]
+        return out.reshape(len(out), n * k)

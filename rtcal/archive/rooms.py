@@ -1,0 +1,252 @@
+"""`learn`: from calibrated rooms to a library of materials."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from rtcal.archive import suspects
+from rtcal.archive.library import Archive, Lesson, Suspect
+from rtcal.archive.likelihood import Evidence, RoomData
+from rtcal.calibration.result import CalibrationResult
+from rtcal.errors import DataError
+from rtcal.support import checks, results
+from rtcal.support.arguments import checked
+from rtcal.support.types import Array
+
+_MOST = 500
+"""Largest number of rooms: their T together are one matrix."""
+
+
+@checked
+def learn(
+    rooms: Sequence[CalibrationResult],
+    names: Mapping[str, str] | None = None,
+    weights: Mapping[str, float] | None = None,
+) -> Archive:
+    """Learn from calibrated rooms what the materials that they share absorb.
+
+    alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
+    room; see `rtcal.archive.likelihood`. How far a material differs between rooms, how far the tables
+    are off, alone and together, follow by marginal likelihood; the means by one linear step, cut to 0
+    to 1 after it. Only the rooms' stated priors and measured T count, not how they were calibrated.
+    Nothing leaves the machine.
+
+    Parameters
+    ----------
+    rooms : sequence of CalibrationResult
+        Two or more, each with a name of its own. Their common bands are used.
+    names : mapping of str to str, optional
+        From a room's name of a material to the archive's, where the two differ.
+    weights : mapping of room name to float, optional
+        Between 0 and 1: how far a room counts; 0 leaves it out. 1 if not given.
+
+    Returns
+    -------
+    Archive
+        The library, what each room taught, and materials that are likely misnamed.
+
+    Raises
+    ------
+    DataError
+        For fewer than two rooms, one that occurs twice, rooms without common bands, an unknown name in
+        ``names`` or ``weights``, or a room in which two materials get one name.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> t = 1.2 * rt.Eyring().reverberation_time(room)  # they absorb less than stated
+    >>> rooms = [rt.calibrate(room.replace(name=n), f * t) for n, f in (("A", 1.0), ("B", 0.97))]
+    >>> archive = learn(rooms)
+    >>> print(archive.seen, bool(archive.material("floor").alpha[2] < room.alpha[3, 2]))
+    [2 2 2 2 2] True
+    """
+    used, of_room = _weighed(rooms, weights)
+    mapped = checks.mapped("names", {} if names is None else names)
+    known = {m for result in used for m in result.prior.materials}
+    if unknown := [name for name in mapped if name not in known]:
+        raise DataError(f'names: "{unknown[0]}" is a material of no room')
+    called = [_called(result, mapped) for result in used]
+    materials = tuple(dict.fromkeys(m for row in called for m in row))
+    shared = [f for f in used[0].prior.centre_frequencies if all(_has(r, f) for r in used)]
+    if not shared:
+        raise DataError("the rooms have no band in common")
+    frequencies = np.array(shared)
+    entries = [_entries(result, frequencies) for result in used]
+    mu, sigma, seen = _tables(used, called, materials, entries)
+    data = [
+        _data(result, row, materials, columns, weight)
+        for result, row, columns, weight in zip(used, called, entries, of_room, strict=True)
+    ]
+    if not any(np.isfinite(d.target).any() for d in data):
+        raise DataError("no room has a measured T in the common bands")
+    evidence = Evidence(data, mu, sigma, np.log2(frequencies))
+    spread = evidence.fitted()
+    every = np.ones(len(evidence.room), dtype=bool)
+    mean, covariance = evidence.posterior(spread, every)
+    left = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(mu.shape)
+    lessons, doubts = [], []
+    for r, result in enumerate(used):
+        if not (evidence.room == r).any():
+            continue
+        lesson, doubt = _lesson(
+            result.prior.name, evidence, suspects.judged(evidence, spread, r), left
+        )
+        lessons.append(lesson)
+        doubts += [
+            Suspect(
+                room=result.prior.name,
+                material=result.prior.materials[called[r].index(materials[i])],
+                instead=materials[j] if j < len(materials) else "",
+                probability=p,
+            )
+            for i, j, p in doubt
+        ]
+    return Archive(
+        materials=materials,
+        centre_frequencies=frequencies,
+        table=mu,
+        table_sigma=sigma,
+        alpha=np.clip(mean, 0.0, 1.0),
+        sigma=np.hypot(left, spread.between * sigma),
+        mean_sigma=left,
+        seen=seen,
+        spread=spread,
+        lessons=tuple(lessons),
+        suspects=tuple(sorted(doubts, key=lambda s: -s.probability)),
+    )
+
+
+def _weighed(
+    rooms: Sequence[CalibrationResult], weights: Mapping[str, float] | None
+) -> tuple[list[CalibrationResult], list[float]]:
+    """The rooms that count, and how far."""
+    listed = checks.listed("rooms", rooms)
+    for i, room in enumerate(listed):
+        if not isinstance(room, CalibrationResult):
+            raise DataError(f"rooms[{i}] = {checks.shown(room)} is no result of rtcal.calibrate")
+    names = [room.prior.name for room in listed]
+    if repeated := [n for i, n in enumerate(names) if n in names[:i]]:
+        raise DataError(f'room "{repeated[0]}" occurs twice; its T would count twice')
+    stated = checks.mapped("weights", {} if weights is None else weights)
+    for name, value in stated.items():
+        if name not in names:
+            raise DataError(f'weights: "{name}" is no room; there are {", ".join(names[:20])}')
+        if not 0 <= checks.number(f'weights["{name}"]', value) <= 1:
+            raise DataError(f'weights["{name}"] = {value:g} is not from 0 to 1')
+    kept = [(r, float(stated.get(r.prior.name, 1.0))) for r in listed]
+    kept = [(r, w) for r, w in kept if w > 0]
+    if not 2 <= len(kept) <= _MOST:
+        raise DataError(f"{len(kept)} rooms; an archive has from 2 to {_MOST}")
+    return [r for r, _ in kept], [w for _, w in kept]
+
+
+def _called(result: CalibrationResult, names: Mapping[str, str]) -> list[str]:
+    """The archive's names of a room's materials."""
+    called = [str(names.get(m, m)) for m in result.prior.materials]
+    if repeated := [m for i, m in enumerate(called) if m in called[:i]]:
+        raise DataError(
+            f'room "{result.prior.name}": two of its materials are "{repeated[0]}"; merge them there'
+        )
+    return called
+
+
+def _has(result: CalibrationResult, frequency: float) -> bool:
+    return bool(np.isclose(result.prior.centre_frequencies, frequency, rtol=1e-6).any())
+
+
+def _entries(result: CalibrationResult, frequencies: Array) -> list[int]:
+    """The room's columns of the common bands."""
+    own = result.prior.centre_frequencies
+    return [int(np.argmin(np.abs(own - f))) for f in frequencies]
+
+
+def _tables(
+    rooms: Sequence[CalibrationResult],
+    called: Sequence[Sequence[str]],
+    materials: Sequence[str],
+    entries: Sequence[Sequence[int]],
+) -> tuple[Array, Array, NDArray[np.int_]]:
+    """The mean of the rooms' entries for each material, their largest sigma, and how many there are."""
+    mu, sigma, seen = [], [], []
+    for name in materials:
+        rows = [
+            (room.prior.alpha[row.index(name), columns], room.prior.sigma[row.index(name), columns])
+            for room, row, columns in zip(rooms, called, entries, strict=True)
+            if name in row
+        ]
+        mu.append(np.mean([alpha for alpha, _ in rows], axis=0))
+        sigma.append(np.max([each for _, each in rows], axis=0))
+        seen.append(len(rows))
+    return np.array(mu), np.array(sigma), np.array(seen, dtype=int)
+
+
+def _data(
+    result: CalibrationResult,
+    called: Sequence[str],
+    materials: Sequence[str],
+    columns: Sequence[int],
+    weight: float,
+) -> RoomData:
+    areas = np.zeros(len(materials))
+    areas[[materials.index(m) for m in called]] = result.prior.areas
+    start = result.configuration * result.prior.n_bands
+    places = start + np.array(columns)
+    covariance = result.joint.solution.model.data.target_covariance[np.ix_(places, places)]
+    return RoomData(areas, result.target[list(columns)], covariance, weight)
+
+
+def _lesson(
+    name: str, evidence: Evidence, room: suspects.Judged, left: Array
+) -> tuple[Lesson, list[tuple[int, int, float]]]:
+    """What one room adds, and its materials that are likelier than not another one."""
+    q = float(room.miss @ np.linalg.solve(room.covariance, room.miss))
+    rows = np.flatnonzero(room.suspicion.sum(axis=1) > 0)
+    learnt = [1 - left[i] / room.sigma[i] for i in rows if (room.sigma[i] > 0).all()]
+    lesson = Lesson(
+        room=name,
+        factor=room.factor,
+        factor_sigma=room.factor_sigma,
+        q=q,
+        degrees_of_freedom=len(room.miss),
+        p_value=float(chi2.sf(q, len(room.miss))),
+        taught=float(np.mean(learnt)) if learnt else 0.0,
+    )
+    by_material = room.suspicion.sum(axis=1)
+    doubtful = np.flatnonzero(by_material > 0.5)
+    return lesson, [
+        (int(i), int(np.argmax(room.suspicion[i])), float(by_material[i])) for i in doubtful
+    ]
+
+
+@checked
+def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult]:
+    """Return the calibrations in a folder: each ``result.json`` of ``rtcal calibrate --out`` below it.
+
+    Raises DataError if there is none, or one that cannot be read. Files of other results are left out.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import rtcal as rt
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = rt.calibrate(*rt.datasets.bras_cr2()).save(f"{folder}/seminar room")
+    ...     print([result.prior.name for result in read_folder(folder)])
+    ['BRAS CR2, seminar room']
+    """
+    files = sorted(Path(folder).rglob(results.NUMBERS))
+    if not files:
+        raise DataError(
+            f"folder {folder} has no {results.NUMBERS}; rtcal calibrate --out writes one"
+        )
+    found = [results.load(file) for file in files[: _MOST + 1]]
+    kept = [result for result in found if isinstance(result, CalibrationResult)]
+    if not kept:
+        raise DataError(f"folder {folder} has results, but no calibration among them")
+    return kept

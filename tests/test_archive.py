@@ -1,0 +1,214 @@
+"""`rtcal.learn`: the model by dense algebra, what it finds, its library, its command, bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import rtcal as rt
+from benchmarks import archive as study
+from rtcal.archive.likelihood import Evidence, RoomData, Spread
+from rtcal.command.main import cli
+from rtcal.errors import DataError
+
+SPREAD = Spread(table=0.9, between=0.3, room=0.05, together=0.1, equation=0.02, correlation=0.6)
+
+
+def small() -> tuple[list[RoomData], np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    mu = rng.uniform(0.1, 0.5, (3, 2))
+    sigma = 0.3 * mu
+    rooms = []
+    for r in range(4):
+        areas = rng.uniform(10, 60, 3) * (np.arange(3) != r)
+        target = areas @ mu * rng.uniform(0.8, 1.2, 2)
+        rooms.append(RoomData(areas, target, np.diag((0.02 * target) ** 2)))
+    return rooms, mu, sigma, np.log2([500.0, 1000.0])
+
+
+def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra() -> None:
+    """Every d, h, e and g as an unknown of its own, conditioned on b."""
+    rooms, mu, sigma, octaves = small()
+    n, k = mu.shape
+    evidence = Evidence(rooms, mu, sigma, octaves)
+    rho = np.array([[1, 0.6], [0.6, 1]])
+    columns = []  # of b (rooms x bands) per unknown
+    entry = []  # of the entries per unknown
+    root = np.linalg.cholesky(rho)
+    for i in range(n):
+        for c in range(k):
+            shift = SPREAD.table * sigma[i] * root[:, c]
+            columns.append(np.concatenate([d.areas[i] * shift for d in rooms]))
+            entry.append(np.kron(np.eye(n)[i], shift))
+    columns.append(np.concatenate([SPREAD.together * d.areas @ mu for d in rooms]))
+    entry.append(SPREAD.together * mu.ravel())
+    for r, d in enumerate(rooms):
+        own = np.eye(len(rooms))[r]
+        for i in range(n):
+            for c in range(k):
+                e = SPREAD.between * sigma[i] * root[:, c] * d.areas[i]
+                columns.append(np.kron(own, e))
+                entry.append(np.zeros(n * k))
+        columns.append(np.kron(own, SPREAD.room * d.areas @ mu))
+        entry.append(np.zeros(n * k))
+        for c in range(k):
+            noise = np.hypot(SPREAD.equation * d.target[c], 0.02 * d.target[c])
+            columns.append(np.kron(own, noise * np.eye(k)[c]))
+            entry.append(np.zeros(n * k))
+    matrix, entries = np.array(columns).T, np.array(entry).T
+    whole = matrix @ matrix.T
+    np.testing.assert_allclose(evidence.covariance(SPREAD), whole, rtol=1e-10)
+    miss = np.concatenate([d.target - d.areas @ mu for d in rooms])
+    gain = entries @ matrix.T @ np.linalg.inv(whole)
+    mean, covariance = evidence.posterior(SPREAD, np.ones(len(miss), dtype=bool))
+    np.testing.assert_allclose(mean.ravel(), mu.ravel() + gain @ miss, rtol=1e-9)
+    np.testing.assert_allclose(
+        covariance, entries @ entries.T - gain @ matrix @ entries.T, atol=1e-12
+    )
+    assert np.abs(mean - mu).max() > 0.01
+
+
+def test_the_spread_of_a_drawn_firm_is_found() -> None:
+    firm = study.Firm(7)
+    archive = rt.learn([study.calibrated(room, t) for room, _, t in firm.rooms[:-1]])
+    spread = archive.spread
+    assert 0.4 < spread.table < 1.6  # 0.25 of alpha against a stated 0.3
+    assert 0.1 < spread.between < 0.9
+    assert spread.room < 0.15
+    assert len(archive.lessons) == 20
+    assert sum(lesson.p_value < 0.05 for lesson in archive.lessons) <= 4
+    assert all(lesson.taught > 0 for lesson in archive.lessons)
+    assert (archive.mean_sigma < archive.table_sigma).mean() > 0.9
+
+
+def test_a_twenty_first_room_is_known_better_than_by_the_table() -> None:
+    row = study.judge(3)
+    assert row["archive"] < 0.8 * row["table"]
+    assert row["archive, calibrated"] < row["table, calibrated"]
+    assert 0.7 < row["coverage"] <= 1
+    assert row["false suspects"] == 0
+
+
+def test_a_material_that_is_another_is_named() -> None:
+    """In a room where the wrong name changes the absorption by half."""
+    row = study.misnamed(1014)
+    assert row["change of absorption"] > 0.3
+    assert row["found"]
+    assert row["its name"]
+    assert row["room has the least p"]
+    assert row["false suspects"] == 0
+
+
+@pytest.fixture(scope="module")
+def rooms() -> list[rt.calibration.CalibrationResult]:
+    room, _ = rt.datasets.bras_cr2()
+    room = room.replace(surfaces=())
+    t = 1.2 * rt.Eyring().reverberation_time(room)
+    shapes = [1.0, [1, 2, 1, 0.5, 1], [2, 1, 1, 1, 0.5]]
+    return [
+        rt.calibrate(room.replace(name=name, areas=room.areas * shape), t)
+        for name, shape in zip("ABC", shapes, strict=True)
+    ]
+
+
+def test_order_and_weights_do_what_they_say(
+    rooms: list[rt.calibration.CalibrationResult],
+) -> None:
+    archive = rt.learn(rooms)
+    turned = rt.learn(rooms[::-1])
+    order = [turned.materials.index(m) for m in archive.materials]
+    np.testing.assert_allclose(turned.alpha[order], archive.alpha, atol=1e-4)
+    left = rt.learn(rooms, weights={"C": 0})
+    np.testing.assert_allclose(left.alpha, rt.learn(rooms[:2]).alpha, rtol=1e-12)
+    assert (left.seen == 2).all()
+    little = rt.learn(rooms, weights={"C": 1e-9})
+    np.testing.assert_allclose(little.alpha, left.alpha, atol=1e-4)
+    assert (archive.mean_sigma <= left.mean_sigma + 5e-3).all()
+
+
+def test_the_library_is_the_next_calibrations_input(
+    rooms: list[rt.calibration.CalibrationResult],
+) -> None:
+    archive = rt.learn(rooms, names={"floor": "linoleum"})
+    new = rooms[0].prior.replace(name="new")
+    known = archive.apply(new, names={"floor": "linoleum"})
+    i = archive.materials.index("linoleum")
+    assert (known.alpha[new.materials.index("floor")] == archive.alpha[i]).all()
+    assert known.sources["floor"] == "archive of 3 rooms, in 3 of them"
+    assert known.common_alpha_sigma == archive.spread.room
+    t = rooms[0].measured
+    result = rt.calibrate(known, t)
+    assert result.certificate.worst < 1e-9
+    assert abs(result.gap_before).max() < abs(rooms[0].gap_before).max()
+    again = rt.Room.from_text(known.to_text(), "room.toml")
+    assert again.common_alpha_sigma == known.common_alpha_sigma
+    other = new.replace(materials=[f"x{i}" for i in range(new.n_materials)], sources={})
+    with pytest.raises(DataError, match="none of the materials"):
+        archive.apply(other)
+    with pytest.raises(DataError, match="no material of the archive"):
+        archive.material("floor")
+    with pytest.raises(DataError, match="names"):
+        archive.apply(new, names={"roof": "linoleum"})
+
+
+def test_it_is_saved_and_read_back(
+    rooms: list[rt.calibration.CalibrationResult], tmp_path: Path
+) -> None:
+    archive = rt.learn(rooms)
+    archive.save(tmp_path)
+    again = rt.load(tmp_path)
+    assert str(again) == str(archive)
+    assert (again.alpha == archive.alpha).all()
+
+
+def test_the_command_reads_a_folder_and_writes_a_room(
+    rooms: list[rt.calibration.CalibrationResult], tmp_path: Path
+) -> None:
+    for result in rooms:
+        result.save(tmp_path / "rooms" / result.prior.name)
+    rooms[0].prior.save(str(tmp_path / "new.toml"))
+    out = tmp_path / "library"
+    stated = ["learn", str(tmp_path / "rooms"), "--name", "floor=linoleum", "--weight", "C=0.5"]
+    run = CliRunner().invoke(
+        cli, [*stated, "--apply", str(tmp_path / "new.toml"), "--out", str(out), "--json"]
+    )
+    assert run.exit_code == 0, run.output
+    record = json.loads(run.output)
+    assert [m["rooms"] for m in record["materials"]] == [3] * 5
+    assert rt.Room.from_file(str(out / "room.toml")).common_alpha_sigma > 0
+    assert rt.load(out).materials[3] == "linoleum"
+
+    def refused(*more: str) -> str:
+        return str(CliRunner().invoke(cli, ["learn", *more]).exception)
+
+    folder = str(tmp_path / "rooms")
+    assert "say where with --out" in refused(folder, "--apply", "room.toml")
+    assert "would be written over" in refused(folder, "--out", str(tmp_path / "rooms" / "A"))
+    assert "has no result.json" in refused(str(tmp_path / "nothing"))
+    assert "no calibration among them" in refused(str(out))
+    assert "--weight" in refused(folder, "--weight", "C=much")
+
+
+def test_bad_input_is_named(rooms: list[rt.calibration.CalibrationResult]) -> None:
+    for stated, message in (
+        (([rooms[0]],), "1 rooms"),
+        (([rooms[0], rooms[0]],), 'room "A" occurs twice'),
+        (([rooms[0], "B"],), r"rooms\[1\]"),
+        ((rooms, {"roof": "plaster"}), '"roof" is a material of no room'),
+        ((rooms, {"floor": "plaster"}), 'two of its materials are "plaster"'),
+        ((rooms, None, {"D": 1}), '"D" is no room'),
+        ((rooms, None, {"A": 2}), "is not from 0 to 1"),
+        ((rooms, None, {"A": float("nan")}), "is not from 0 to 1"),
+    ):
+        with pytest.raises(DataError, match=message):
+            rt.learn(*stated)
+    room = rooms[0].prior.replace(
+        name="other bands", centre_frequencies=[160, 315, 630, 1250, 2500, 5000]
+    )
+    apart = rt.calibrate(room, rooms[0].measured)
+    with pytest.raises(DataError, match="no band in common"):
+        rt.learn([rooms[0], apart])
