@@ -45,6 +45,8 @@ ONE_DOOR = (
     "jinja2",
     "openpyxl",
     "sofar",
+    "trimesh",
+    "shapely",
 )
 
 

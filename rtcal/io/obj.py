@@ -19,8 +19,11 @@ import os
 import re
 from collections import Counter
 
+import numpy as np
+
 from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError
+from rtcal.io.mend import Faces
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
@@ -31,6 +34,9 @@ __dir__ = __all__.copy
 
 MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
+
+MOST_DRAWN = 100_000
+"""Largest number of faces of a mesh that is to be mended, and joined where they are in one plane."""
 
 VOLUME_LIMITS = (1e-3, 2e7)
 """Accepted volumes in m³, from a scale model of a litre. The largest building by volume, Boeing's in
@@ -86,12 +92,42 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
     """Return the room of a file's content; see `read`."""
     if not 0 < unit < float("inf"):
         raise DataError(f"unit = {unit:g} m is not finite and above 0")
+    vertices, polygons, materials, names, line = _drawn(content, path, unit, "", MAX_FACES)
+    if not polygons:
+        raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
+    try:
+        room = Polyhedron(vertices=vertices, faces=polygons, materials=materials, names=names)  # type: ignore[arg-type]
+    except DataError as error:
+        raise DataError(
+            f"{path}: {error}; `rtcal import check {path}` lists all defects, and mends what it can"
+        ) from error
+    check_volume(room.volume, unit, path)
+    return room
+
+
+def faces(content: bytes, path: str, unit: float, otherwise: str) -> Faces:
+    """Return the faces of a file as they are drawn, closed or not.
+
+    Those without usemtl are of the material ``otherwise``.
+    Raises DataError as `parse`, but for what `rtcal.io.mend` mends.
+    """
+    vertices, polygons, materials, names, line = _drawn(content, path, unit, otherwise, MOST_DRAWN)
+    if not polygons:
+        raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
+    points = np.array(vertices)
+    return Faces(path, [points[face] for face in polygons], materials, names)
+
+
+def _drawn(
+    content: bytes, path: str, unit: float, otherwise: str, most: int
+) -> tuple[list[tuple[float, ...]], list[list[int]], list[str], list[str], int]:
+    """Return corners in m, faces, their materials and names, and the number of the last line."""
     vertices: list[tuple[float, ...]] = []
     faces: list[list[int]] = []
     materials: list[str] = []
     names: list[str] = []
     members: Counter[str] = Counter()
-    material, group = "", ""
+    material, group = otherwise, ""
     line, continued = 1, ""
     for line, _, raw in lines(decode(content, path).characters):
         place = f"{path}, line {line}"
@@ -102,15 +138,15 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
         words = statement.split("#", 1)[0].split(None, 1) or [""]
         keyword, arguments = words[0], words[1].strip() if len(words) > 1 else ""
         if keyword == "v":
-            if len(vertices) >= 4 * MAX_FACES:
-                raise DataError(f"{place}: more than {4 * MAX_FACES} vertices")
+            if len(vertices) >= 4 * most:
+                raise DataError(f"{place}: more than {4 * most} vertices")
             tokens = arguments.split()
             if not 3 <= len(tokens) <= 7:
                 raise DataError(f"{place}: v has {len(tokens)} numbers; x y z are needed")
             vertices.append(tuple(unit * number(t, place) for t in tokens[:3]))
         elif keyword == "f":
-            if len(faces) >= MAX_FACES:
-                raise DataError(f"{place}: more than {MAX_FACES} faces; simplify the model")
+            if len(faces) >= most:
+                raise DataError(f"{place}: more than {most} faces; simplify the model")
             if not material:
                 raise DataError(f"{place}: a face without a material; usemtl must stand before it")
             faces.append([_corner(t, len(vertices), place) for t in arguments.split()])
@@ -127,17 +163,10 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
             group = text_name(f"{place}: {keyword}", arguments)
         elif keyword and keyword not in _IGNORED:
             raise DataError(f'{place}: "{shown(keyword)}" is no keyword of an OBJ file')
-    if not faces:
-        raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
-    try:
-        room = Polyhedron(vertices=vertices, faces=faces, materials=materials, names=names)  # type: ignore[arg-type]
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
-    _check_volume(room.volume, unit, path)
-    return room
+    return vertices, faces, materials, names, line
 
 
-def _check_volume(volume: float, unit: float, path: str) -> None:
+def check_volume(volume: float, unit: float, path: str) -> None:
     """Raise DataError for a volume that no room has; the message has the volume in other units."""
     low, high = VOLUME_LIMITS
     if low <= volume <= high:

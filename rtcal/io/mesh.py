@@ -1,0 +1,199 @@
+"""Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
+
+A format is one reader: `obj` and `dxf` are read here, the others by trimesh (``rtcal[mesh]``). A mesh
+without materials, such as STL, has one, named after its file; `materials` gives it another.
+
+The axes are turned so that z is up where the format says that y is (glTF, COLLADA).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics.materials import text_name
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io import dxf, obj
+from rtcal.io.mend import HOLE_SHARE, OFFSET, WELD, Faces, Mended, mend
+from rtcal.io.text import shown
+from rtcal.support.arguments import checked
+from rtcal.support.files import read_bytes
+from rtcal.support.types import Array
+
+MAX_BYTES = 2**26
+MAX_TRIANGLES = 100_000
+BY_TRIMESH = (".ply", ".stl", ".glb", ".gltf", ".3mf", ".dae", ".off")
+_Y_UP = (".glb", ".gltf")
+_REFUSED = {
+    ".skp": "SketchUp's own format; export COLLADA (.dae) from it",
+    ".blend": "Blender's own format; export glTF (.glb) from it",
+    ".3dm": "Rhino's own format; export OBJ from it, one material per layer",
+    ".dwg": "AutoCAD's own format; save it as DXF with 3D faces",
+    ".fbx": "a format without a public description; export glTF (.glb)",
+    ".ifc": "a building model; export glTF or OBJ of the room's bounding surfaces (IfcConvert does)",
+    ".geo": "CATT's list of materials goes before the mesh: rtcal import catt hall.geo --mesh hall.obj",
+}
+_LENGTHS = {"mm": 0.001, "millimeter": 0.001, "cm": 0.01, "inch": 0.0254, "feet": 0.3048, "m": 1.0}
+
+
+@checked
+def read(path: str | os.PathLike[str], *, unit: float | None = None) -> Faces:
+    """Return the faces of a mesh.
+
+    Parameters
+    ----------
+    path : path
+    unit : float, optional
+        Length of the file's unit in m; by default what the file states, else 1.
+
+    Raises
+    ------
+    DataError
+        For a format that is not read, with the way to one that is, and for a broken file.
+    MissingDependencyError
+        Without trimesh, for a format that it reads.
+    """
+    if unit is not None and not 0 < unit < float("inf"):
+        raise DataError(f"unit = {unit:g} m is not finite and above 0")
+    ending = Path(path).suffix.lower()
+    if ending in _REFUSED:
+        raise DataError(f"{path}: {_REFUSED[ending]}")
+    if ending not in READERS:
+        raise DataError(f'{path}: "{ending}" is no format of a mesh; read are {", ".join(READERS)}')
+    content = read_bytes(path, MAX_BYTES)
+    return READERS[ending](content, os.fspath(path), unit)
+
+
+@checked
+def room(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | None = None,
+    weld: float = WELD,
+    offset: float = OFFSET,
+    largest_hole: float | None = None,
+) -> Mended:
+    """Return the closed room of a mesh, with every defect that was mended; see `read` and `mend`."""
+    faces = read(path, unit=unit)
+    done = mend(faces, weld=weld, offset=offset, largest_hole=largest_hole)
+    obj.check_volume(done.geometry.volume, 1.0 if unit is None else unit, os.fspath(path))
+    return done
+
+
+def _obj(content: bytes, path: str, unit: float | None) -> Faces:
+    return obj.faces(content, path, 1.0 if unit is None else unit, Path(path).stem)
+
+
+def _dxf(content: bytes, path: str, unit: float | None) -> Faces:
+    return dxf.faces(content, path, unit)
+
+
+def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
+    """Return the faces of a scene that trimesh reads; each triangle is a face."""
+    trimesh = _library()
+    ending = Path(path).suffix.lower()
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        stated = getattr(scene, "units", None)
+        parts = [
+            (name, geometry, np.asarray(transform, dtype=float))
+            for node in scene.graph.nodes_geometry
+            for transform, name in [scene.graph[node]]
+            for geometry in [scene.geometry[name]]
+            if hasattr(geometry, "faces")
+        ]
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"{path}: trimesh reads this with another library ({error}): pip install 'rtcal[mesh]'"
+        ) from error
+    except Exception as error:  # trimesh raises what its parsers raise
+        raise DataError(f"{path}: cannot be read as {ending[1:]}: {error}") from error
+    if (count := sum(len(g.faces) for _, g, _ in parts)) > MAX_TRIANGLES:
+        raise DataError(f"{path}: {count} triangles; at most {MAX_TRIANGLES}: simplify the model")
+    notes = []
+    length = 1.0
+    if ending == ".dae":
+        length, up = _collada(content)
+        turned = up == "Y_UP"
+    else:
+        turned = ending in _Y_UP
+        if ending == ".3mf":
+            length = _LENGTHS.get(str(stated), 0.001)
+    if unit is not None:
+        length = unit
+    if length != 1.0:
+        notes.append(f"the file's unit is {length:g} m")
+    if turned:
+        notes.append("y is up in the file: its z is here -y")
+    polygons: list[Array] = []
+    materials: list[str] = []
+    names: list[str] = []
+    for name, geometry, transform in parts:
+        points = np.asarray(geometry.vertices, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
+        points = points * length
+        if turned:
+            points = points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])
+        of_face = _materials(geometry, Path(path).stem)
+        part = text_name(f"{path}: a part", str(name)) or "part"
+        for corners, material in zip(points[np.asarray(geometry.faces)], of_face, strict=True):
+            polygons.append(corners)
+            materials.append(text_name(f"{path}: a material", material))
+            names.append(part)
+    if not polygons:
+        raise DataError(f"{path}: there is no face; a room has at least 4")
+    return Faces(path, polygons, materials, names, tuple(notes))
+
+
+def _materials(geometry: Any, otherwise: str) -> list[str]:
+    """Return the material of each face: its name, else its colour where there are several."""
+    n = len(geometry.faces)
+    visual: Any = getattr(geometry, "visual", None)
+    material = getattr(visual, "material", None)
+    several = getattr(material, "materials", None)
+    if several is not None and getattr(visual, "face_materials", None) is not None:
+        return [str(several[k].name or otherwise) for k in visual.face_materials]
+    if material is not None:
+        name = getattr(material, "name", None)
+        return [str(name) if name else otherwise] * n
+    if getattr(visual, "kind", None) == "face":
+        colours = ["#" + "".join(f"{c:02x}" for c in row[:3]) for row in visual.face_colors]
+        if len(set(colours)) > 1:
+            return [f"colour {c}" for c in colours]
+    return [otherwise] * n
+
+
+def _collada(content: bytes) -> tuple[float, str]:
+    """Return the unit in m and the axis that is up, which COLLADA states in its asset."""
+    head = content[:20_000].decode("utf-8", errors="replace")
+    unit = re.search(r'<unit[^>]*\bmeter\s*=\s*"([0-9.eE+-]+)"', head)
+    up = re.search(r"<up_axis>\s*([XYZ]_UP)\s*</up_axis>", head)
+    try:
+        length = float(unit[1]) if unit else 1.0
+    except ValueError as error:
+        raise DataError(f'the unit "{shown(unit[1] if unit else "")}" is no number') from error
+    return length if length > 0 else 1.0, up[1] if up else "Y_UP"
+
+
+def _library() -> Any:
+    try:
+        import trimesh
+    except ImportError as error:
+        raise MissingDependencyError(
+            "this format needs trimesh: pip install 'rtcal[mesh]'; OBJ and DXF do not"
+        ) from error
+    return trimesh
+
+
+READERS: dict[str, Callable[[bytes, str, float | None], Faces]] = {
+    ".obj": _obj,
+    ".dxf": _dxf,
+    **dict.fromkeys(BY_TRIMESH, _by_trimesh),
+}
+"""The reader of each ending."""
+
+__all__ = ["HOLE_SHARE", "READERS", "read", "room"]
