@@ -49,7 +49,7 @@ def size(polygon: Array) -> float:
 
 
 def room(rng: np.random.Generator) -> Drawn:
-    """Return a closed prism: a star-shaped footprint of 4 to 8 corners, flat or with an oblique roof."""
+    """Return a closed prism: a star-shaped footprint of 4 to 8 corners, its roof flat or oblique."""
     n = int(rng.integers(4, 9))
     angles = 2 * np.pi * (np.arange(n) + rng.uniform(-0.25, 0.25, n)) / n
     radii = rng.uniform(5, 14) * rng.uniform(0.75, 1.25, n)

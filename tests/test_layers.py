@@ -46,6 +46,7 @@ ONE_DOOR = (
     "openpyxl",
     "sofar",
     "trimesh",
+    "collada",
     "shapely",
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,15 +22,40 @@ if TYPE_CHECKING:
     from rtcal.acoustics.materials import Surface
     from rtcal.acoustics.room import Room
     from rtcal.io.material_list import ListedMaterial, MaterialList
+    from rtcal.io.mend import Mended
+
+_LEAST_UNCERTAINTY = 1e-3
+"""Relative uncertainty of V from which the room states it: no T is measured as exactly."""
 
 
 @click.command("import", short_help="A program's material list and a mesh to a room.")
-@click.argument("program", type=click.Choice((*PROGRAMS, "catalogue")))
+@click.argument("program", type=click.Choice((*PROGRAMS, "catalogue", "library", "check")))
 @click.argument("materials", type=click.Path(), required=False)
 @click.option(
-    "--mesh", type=click.Path(), help="Mesh (OBJ) with the materials' names, for areas and volume."
+    "--mesh",
+    type=click.Path(),
+    help="Mesh (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF) with materials' names, for areas and volume.",
 )
-@click.option("--unit", type=float, default=1.0, show_default=True, help="The mesh's unit in m.")
+@click.option(
+    "--unit", type=float, help="The mesh's unit in m; by default what the file states, else 1."
+)
+@click.option(
+    "--weld",
+    type=float,
+    default=0.01,
+    show_default=True,
+    help="In a mesh that does not close: distance in m within which corners are one.",
+)
+@click.option(
+    "--hole",
+    type=float,
+    help="Largest area in m² of a hole that is closed; by default 1 % of the walls.",
+)
+@click.option("--mended", type=click.Path(dir_okay=False), help="Mended mesh (OBJ) to write.")
+@click.option(
+    "--picture", type=click.Path(dir_okay=False), help="Picture (PNG) of the mesh to write."
+)
+@click.option("--name", help="The room's name; by default that of the file.")
 @click.option("--volume", type=float, help="The room's volume in m³, without a mesh.")
 @click.option(
     "--area",
@@ -44,6 +70,13 @@ if TYPE_CHECKING:
     multiple=True,
     metavar="MATERIAL=ENTRY",
     help="Take a material from the catalogue (Vorländer 2008).",
+)
+@click.option(
+    "--as",
+    "others_names",
+    multiple=True,
+    metavar="MATERIAL=ENTRY",
+    help="Take a material from the list's entry of another name.",
 )
 @click.option(
     "--bands",
@@ -83,17 +116,23 @@ if TYPE_CHECKING:
 @click.option(
     "--scattering", type=float, help="Scattering coefficient of materials that state none."
 )
-@click.option("--out", type=click.Path(dir_okay=False), required=True, help="Room (TOML) to write.")
+@click.option("--out", type=click.Path(dir_okay=False), help="Room (TOML) to write.")
 @json_option
 @quiet_option
 def import_room(
     program: str,
     materials: str | None,
     mesh: str | None,
-    unit: float,
+    unit: float | None,
+    weld: float,
+    hole: float | None,
+    mended: str | None,
+    picture: str | None,
+    name: str | None,
     volume: float | None,
     areas: tuple[str, ...],
     entries: tuple[str, ...],
+    others_names: tuple[str, ...],
     bands: str | None,
     temperature: float | None,
     humidity: float | None,
@@ -103,13 +142,16 @@ def import_room(
     iso_12999_2: bool,
     in_situ_factor: float,
     scattering: float | None,
-    out: str,
+    out: str | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
     """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
 
-    The room's file names the mesh. Add [sources] and [receivers] to it for what needs positions.
+    The room's file names the mesh. Add [sources] and [receivers] to it for what needs positions. A mesh
+    that does not close is mended where that is safe: every defect is listed with its effect on V and S,
+    and the mended mesh is written beside the room. `rtcal import check MESH` does only that. MATERIALS
+    of a library are a folder or a file of product data (CSV, xlsx).
 
     A list states neither uncertainty nor air. Without the options for them, the assumptions are
     printed.
@@ -121,14 +163,25 @@ def import_room(
     \b
     Example: rtcal import odeon hall.Li8 \\
         --mesh hall.obj --out room.toml
+
+    \b
+    Example: rtcal import check hall.glb --picture hall.png
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.scene import Scene
     from rtcal.io import sigma_table as table
     from rtcal.io.material_list import SigmaRule
 
-    spare([out], [path for path in (materials, mesh, sigma_table) if path is not None])
+    if program == "check":
+        _check(materials or mesh, unit, weld, hole, mended, picture, as_json=as_json, quiet=quiet)
+        return
+    if out is None:
+        raise DataError("--out is missing: the room's file (TOML) to write")
+    written = [path for path in (out, mended, picture) if path is not None]
+    spare(written, [path for path in (materials, mesh, sigma_table) if path is not None])
     listed = _materials(program, materials)
-    volume, surfaces = _geometry(mesh, unit, volume, areas, listed.names)
+    chosen_names = texts("--as", others_names, "MATERIAL=ENTRY")
+    listed = replace(listed, aliases={**listed.aliases, **chosen_names})
+    model, volume, surfaces = _geometry(mesh, unit, weld, hole, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", entries, "NAME=ENTRY")
     others = _from_catalogue(listed, program, used, chosen, "--area" if mesh is None else mesh)
@@ -142,7 +195,7 @@ def import_room(
     if unknown := [name for name in sigma if name not in used]:
         raise DataError(f'{sigma_table}: "{unknown[0]}" is no material of the room')
     room = listed.room(
-        name=Path(materials or mesh or "room").stem,
+        name=Path(materials or mesh or "room").stem if name is None else name,
         volume=volume,
         areas=surfaces,
         centre_frequencies=_centre_frequencies(bands, [*listed.materials, *others.values()]),
@@ -152,13 +205,91 @@ def import_room(
         others=others,
         air=_air(temperature, humidity),
     )
-    if mesh is not None:
-        room = room.replace(scene=Scene(mesh=mesh, unit=unit))
+    if mesh is not None and model is not None:
+        target = _mesh_file(mesh, model, out, mended)
+        if target is not None:
+            spare([target], [mesh])
+            model.geometry.save(target)
+        stated = 1.0 if target is not None or unit is None else unit
+        room = room.replace(scene=Scene(mesh=target or mesh, unit=stated))
+        if model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
+            room = room.replace(volume_sigma=float(f"{model.volume_uncertainty / room.volume:.2g}"))
+        if picture is not None:
+            _draw(model.geometry, None, picture)
     room.save(out)
     in_use = {listed.listed(name).name for name in used if name not in others}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
     notes = _notes(room, rule, sigma, {n: m.scattering for n, m in _used(listed, others, used)})
+    if model is not None:
+        notes += [f"mesh: {note}" for note in (*model.notes, *map(str, model.defects))]
+    if room.volume_sigma:
+        notes.append(
+            f"V is known to {100 * room.volume_sigma:.2g} % (volume_sigma), by what was mended"
+        )
     _tell(room, unused, notes, out, as_json=as_json, quiet=quiet)
+
+
+def _check(
+    mesh: str | None,
+    unit: float | None,
+    weld: float,
+    hole: float | None,
+    mended: str | None,
+    picture: str | None,
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Print V, S and the defects of a mesh, without a list of materials; write it and its picture."""
+    from rtcal.io import mesh as meshes
+    from rtcal.io.mend import MeshError
+
+    if mesh is None:
+        raise DataError("which mesh? rtcal import check room.obj")
+    spare([path for path in (mended, picture) if path is not None], [mesh])
+    try:
+        with errors_name_options("unit", "weld"):
+            done = meshes.room(mesh, unit=unit, weld=weld, largest_hole=hole)
+    except MeshError as error:
+        if picture is not None:
+            _draw(meshes.read(mesh, unit=unit), error.edges, picture)
+            raise DataError(f"{error}. Written: {picture}") from error
+        raise
+    if mended is not None:
+        done.geometry.save(mended)
+    if picture is not None:
+        _draw(done.geometry, None, picture)
+    files = [path for path in (mended, picture) if path is not None]
+    text = "\n".join([*done.notes, str(done), *([f"Written: {', '.join(files)}"] if files else [])])
+    record = {
+        "volume": done.geometry.volume,
+        "volume_uncertainty": done.volume_uncertainty,
+        "areas": done.geometry.areas,
+        "defects": [asdict(defect) for defect in done.defects],
+        "notes": done.notes,
+        "written": files,
+    }
+    tell(text, record, quiet=quiet, as_json=as_json)
+
+
+def _draw(geometry: Any, edges: Any, path: str) -> None:
+    from rtcal.report import figures, mesh_figure
+
+    figures.save(mesh_figure.wireframe(geometry, edges), path)
+
+
+def _mesh_file(mesh: str, model: Mended, out: str, stated: str | None) -> str | None:
+    """Return the file to which the room's mesh is written; None if the tracers read it as it is."""
+    if stated is not None:
+        return stated
+    if Path(mesh).suffix.lower() == ".obj" and all(d.kind == "turned" for d in model.defects):
+        return None
+    beside = Path(out).with_suffix(".obj")
+    return str(
+        beside
+        if beside.resolve() != Path(mesh).resolve()
+        else beside.with_stem(f"{beside.stem}_mended")
+    )
 
 
 def _materials(program: str, path: str | None) -> MaterialList:
@@ -176,31 +307,33 @@ def _materials(program: str, path: str | None) -> MaterialList:
 
 def _geometry(
     mesh: str | None,
-    unit: float,
+    unit: float | None,
+    weld: float,
+    hole: float | None,
     volume: float | None,
     areas: tuple[str, ...],
     names: Sequence[str],
-) -> tuple[float, Sequence[Surface]]:
-    """Return volume in m³ and surfaces, from the mesh or from the options.
+) -> tuple[Mended | None, float, Sequence[Surface]]:
+    """Return the mesh's room, volume in m³ and surfaces, from the mesh or from the options.
 
     ``names`` are those of the list's materials, for the message where the options lack them.
     """
     from rtcal.acoustics.materials import Surface
-    from rtcal.io import obj
+    from rtcal.io import mesh as meshes
 
     if mesh is not None and (volume is not None or areas):
         raise DataError("--mesh states volume and areas already: leave --volume and --area out")
     if mesh is not None:
-        with errors_name_options("unit"):
-            polyhedron = obj.read(mesh, unit=unit)
-        return polyhedron.volume, polyhedron.surfaces
+        with errors_name_options("unit", "weld"):
+            model = meshes.room(mesh, unit=unit, weld=weld, largest_hole=hole)
+        return model, model.geometry.volume, model.geometry.surfaces
     if volume is None or not areas:
         raise DataError(
             "how large is the room? State --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
             f"each material in it. The list has: {shortened(', '.join(names), 200)}"
         )
     stated = numbers("--area", areas, "NAME=M2")
-    return volume, [Surface(name, name, area) for name, area in stated.items()]
+    return None, volume, [Surface(name, name, area) for name, area in stated.items()]
 
 
 def _from_catalogue(
@@ -243,10 +376,10 @@ def _proposals(name: str) -> str:
     from rtcal.datasets import catalogue
 
     try:
-        similar = catalogue.similar(name)
+        near = catalogue.nearest(name)
     except MissingDependencyError:
         return ""
-    return f" (similar: {', '.join(similar)})" if similar else ""
+    return f" (similar: {'; '.join(near)})" if near else ""
 
 
 def _centre_frequencies(

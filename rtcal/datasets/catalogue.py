@@ -23,12 +23,42 @@ from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import pyroomacoustics
 from rtcal.io.material_list import MaterialList
 from rtcal.support.arguments import checked
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
 __all__ = ["material", "material_list", "names", "similar"]
 __dir__ = __all__.copy
 
 _TABLE = "pyroomacoustics"
+_SYNONYMS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("vinyl", "pvc", "lino", "resilient", "gummi"), ("linoleum",)),
+    **dict.fromkeys(
+        ("parquet", "parkett", "laminate", "timber", "holz", "oak"), ("wood", "wooden")
+    ),
+    **dict.fromkeys(("drywall", "gips", "gipskarton", "sheetrock"), ("plasterboard", "gypsum")),
+    **dict.fromkeys(("gypsum", "plasterboard"), ("plasterboard", "gypsum")),
+    **dict.fromkeys(("steel", "aluminium", "aluminum", "metall", "blech"), ("metal", "steel")),
+    **dict.fromkeys(("window", "windows", "fenster", "glas", "glazing"), ("glass", "glazing")),
+    **dict.fromkeys(("teppich", "rug"), ("carpet",)),
+    **dict.fromkeys(("vorhang", "drape", "drapes"), ("curtain", "curtains")),
+    **dict.fromkeys(("beton", "cement", "screed", "estrich"), ("concrete",)),
+    **dict.fromkeys(("ziegel", "masonry", "mauerwerk"), ("brick", "brickwork")),
+    **dict.fromkeys(("tuer", "tür", "doors"), ("door",)),
+    **dict.fromkeys(("putz", "stucco", "render"), ("plaster", "rendered")),
+    **dict.fromkeys(("fliesen", "tiles", "tile"), ("ceramic", "tiles", "tile")),
+    **dict.fromkeys(("decke",), ("ceiling",)),
+    **dict.fromkeys(("boden", "flooring"), ("floor",)),
+    **dict.fromkeys(("wand", "waende", "wände"), ("walls", "wall")),
+    **dict.fromkeys(("seat", "seats", "stuhl", "stühle"), ("chairs", "seats")),
+    **dict.fromkeys(("publikum", "people", "persons"), ("audience",)),
+    **dict.fromkeys(("rockwool", "mineralwolle", "glasswool"), ("rockwool", "mineral", "wool")),
+    **dict.fromkeys(("stone", "stein", "granite"), ("limestone", "marble")),
+}
+"""Words of the trade, English and German, for those of the catalogue."""
+_PLACES = {"floor", "wall", "walls", "ceiling", "roof", "panel", "board", "decke", "boden", "wand"}
+"""Words that say where a material is, and of which form, rather than which it is."""
+_PEOPLE = {"audience", "chairs", "orchestra"}
+_OF_A_PLACE = 0.4
 _LEAST_LIKENESS = 0.75
 """Share of the letters that two words have in common: 0.93 for "curtains" and "curtain"."""
 
@@ -120,16 +150,60 @@ def material_list() -> MaterialList:
 def similar(name: str, most: int = 5) -> list[str]:
     """Return the names of entries whose name or description resembles a material's name.
 
-    Entries that share more words come first; words may differ in their ending.
+    A word counts the more, the fewer entries have it, and more in an entry's name than in its
+    description. Words may differ in their ending, and `_SYNONYMS` of the trade stand for each other.
+
+    Examples
+    --------
+    >>> similar("vinyl floor", 1), similar("perforated metal panel", 1)
+    (['linoleum_on_concrete'], ['ceiling_fibre_absorber'])
     """
-    words = set(re.findall(r"[^\W\d_]{3,}", name.lower()))
-    scores = {}
-    for entry, description in names().items():
-        entry_words = set(re.findall(r"[^\W\d_]{3,}", f"{entry} {description}".lower()))
-        close = [max((_likeness(w, e) for e in entry_words), default=0.0) for w in words]
-        scores[entry] = sum(c for c in close if c >= _LEAST_LIKENESS)
+    described = names()
+    of_entry = {n: (_words(n), _words(text)) for n, text in described.items()}
+    scores = dict.fromkeys(described, 0.0)
+    for word in _words(name):
+        close = {
+            entry: max(_closest(word, own), 0.75 * _closest(word, text))
+            for entry, (own, text) in of_entry.items()
+        }
+        having = sum(share > 0 for share in close.values())
+        weight = np.log((len(described) + 1) / (having + 1)) if having else 0.0
+        weight *= _OF_A_PLACE if word in _PLACES else 1.0
+        for entry, share in close.items():
+            scores[entry] += weight * share
+    for entry, (own, _) in of_entry.items():
+        people = own & _PEOPLE and not any(_closest(word, _PEOPLE) for word in _words(name))
+        scores[entry] *= (_OF_A_PLACE if people else 1.0) / (1 + 0.02 * len(own))
     best = sorted((n for n, score in scores.items() if score), key=lambda n: (-scores[n], n))
     return best[:most]
+
+
+@checked
+def nearest(name: str, most: int = 3) -> list[str]:
+    """Return what resembles a material's name: entry, construction and mounting, alpha with its sigma.
+
+    The construction is as the source describes it. alpha is at 500 Hz, with `material`'s sigma.
+    """
+    described = names()
+    lines = []
+    for entry in similar(name, most):
+        at = material(entry, [500.0])
+        lines.append(
+            f"{entry}: {shortened(described[entry], 70)}, alpha {float(np.ravel(at.alpha)[0]):.2f} ± "
+            f"{float(np.ravel(at.sigma)[0]):.2f} at 500 Hz"
+        )
+    return lines
+
+
+def _words(text: str) -> set[str]:
+    return set(re.findall(r"[^\W\d_]{3,}", text.lower()))
+
+
+def _closest(word: str, others: set[str]) -> float:
+    """Return the largest likeness of a word, or of a synonym, to one of others; 0 below the least."""
+    shares = [(word, 1.0), *((synonym, 0.9) for synonym in _SYNONYMS.get(word, ()))]
+    best = max((share * _likeness(w, o) for w, share in shares for o in others), default=0.0)
+    return best if best >= _LEAST_LIKENESS else 0.0
 
 
 def _likeness(first: str, second: str) -> float:

@@ -3,7 +3,7 @@
 Read are the entities 3DFACE, POLYLINE as a polyface or polygon mesh with its VERTEX entities, and
 MESH, outside blocks. Others, such as lines, texts and solids (ACIS), are counted in a note.
 
-Source: Autodesk, "DXF Reference", 2012, ENTITIES section: group codes of 3DFACE, POLYLINE, VERTEX, MESH.
+Source: Autodesk, "DXF Reference", 2012, ENTITIES: group codes of 3DFACE, POLYLINE, VERTEX, MESH.
 """
 
 from __future__ import annotations

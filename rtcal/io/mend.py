@@ -143,10 +143,13 @@ class Mended:
     ----------
     geometry : Polyhedron
     defects : sequence of Defect
+    notes : sequence of str
+        What the reader of the file did: units, axes.
     """
 
     geometry: Polyhedron
     defects: tuple[Defect, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def volume_uncertainty(self) -> float:
@@ -205,6 +208,20 @@ def mend(
 
 _Cut = tuple[Any, str | None, str]
 """A shape on a face, with the material and the name of what lies there; None where an object stands."""
+
+
+def closed(faces: Faces) -> Mended | None:
+    """Return the room of faces that close as they are drawn; None if they do not."""
+    if not 4 <= len(faces.polygons) <= MOST_FACES // 4:
+        return None
+    try:
+        polygons = zip(_numbered(faces.names), faces.materials, faces.polygons, strict=True)
+        geometry = Polyhedron.from_polygons(list(polygons))
+    except DataError:  # not closed, or a defect that `mend` names
+        return None
+    mender = _Mender(faces, _SAME, 0.0, None)
+    mender.turned(geometry)
+    return Mended(geometry, tuple(mender.defects), faces.notes)
 
 
 @dataclass
@@ -274,7 +291,7 @@ class _Mender:
         except DataError as error:
             raise self.refused(f"after mending, {error}") from error
         self.turned(geometry)
-        return Mended(geometry, tuple(self.defects))
+        return Mended(geometry, tuple(self.defects), self.drawn.notes)
 
     def found(
         self,
@@ -509,11 +526,7 @@ class _Mender:
         sizes = [float(np.prod(np.sort(np.ptp(self._corners(p), axis=0))[1:])) for p in parts]
         areas = [sum(_area(self.points[f]) for f in p.faces) for p in parts]
         # The shell encloses all: its box is the largest, and no flat component's is a room's.
-        solid = [
-            i
-            for i, p in enumerate(parts)
-            if np.ptp(self._corners(p), axis=0).min() > 10 * self.weld
-        ]
+        solid = [i for i, p in enumerate(parts) if _plane(self._corners(p))[1] > 5 * self.weld]
         if not solid:
             raise self.refused(
                 "no faces enclose a volume: draw the walls, the floor and the ceiling"

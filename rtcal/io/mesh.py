@@ -1,6 +1,6 @@
 """Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
 
-A format is one reader: `obj` and `dxf` are read here, the others by trimesh (``rtcal[mesh]``). A mesh
+A format is one reader: `obj`, `dxf` and `collada`, the others by trimesh (``rtcal[mesh]``). A mesh
 without materials, such as STL, has one, named after its file; `materials` gives it another.
 
 The axes are turned so that z is up where the format says that y is (glTF, COLLADA).
@@ -9,7 +9,6 @@ The axes are turned so that z is up where the format says that y is (glTF, COLLA
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,16 +17,15 @@ import numpy as np
 
 from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.io import dxf, obj
-from rtcal.io.mend import HOLE_SHARE, OFFSET, WELD, Faces, Mended, mend
-from rtcal.io.text import shown
+from rtcal.io import collada, dxf, obj
+from rtcal.io.mend import OFFSET, WELD, Faces, Mended, closed, mend
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 
 MAX_BYTES = 2**26
 MAX_TRIANGLES = 100_000
-BY_TRIMESH = (".ply", ".stl", ".glb", ".gltf", ".3mf", ".dae", ".off")
+BY_TRIMESH = (".ply", ".stl", ".glb", ".gltf", ".3mf", ".off")
 _Y_UP = (".glb", ".gltf")
 _REFUSED = {
     ".skp": "SketchUp's own format; export COLLADA (.dae) from it",
@@ -78,9 +76,14 @@ def room(
     offset: float = OFFSET,
     largest_hole: float | None = None,
 ) -> Mended:
-    """Return the closed room of a mesh, with every defect that was mended; see `read` and `mend`."""
+    """Return the closed room of a mesh, with every defect that was mended; see `read` and `mend`.
+
+    A mesh whose faces close as they are drawn is taken as it is.
+    """
     faces = read(path, unit=unit)
-    done = mend(faces, weld=weld, offset=offset, largest_hole=largest_hole)
+    done = closed(faces)
+    if done is None:
+        done = mend(faces, weld=weld, offset=offset, largest_hole=largest_hole)
     obj.check_volume(done.geometry.volume, 1.0 if unit is None else unit, os.fspath(path))
     return done
 
@@ -93,7 +96,11 @@ def _dxf(content: bytes, path: str, unit: float | None) -> Faces:
     return dxf.faces(content, path, unit)
 
 
-def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
+def _collada(content: bytes, path: str, unit: float | None) -> Faces:
+    return collada.faces(content, path, unit, Path(path).stem)
+
+
+def _by_trimesh(_: bytes, path: str, unit: float | None) -> Faces:
     """Return the faces of a scene that trimesh reads; each triangle is a face."""
     trimesh = _library()
     ending = Path(path).suffix.lower()
@@ -117,13 +124,9 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
         raise DataError(f"{path}: {count} triangles; at most {MAX_TRIANGLES}: simplify the model")
     notes = []
     length = 1.0
-    if ending == ".dae":
-        length, up = _collada(content)
-        turned = up == "Y_UP"
-    else:
-        turned = ending in _Y_UP
-        if ending == ".3mf":
-            length = _LENGTHS.get(str(stated), 0.001)
+    turned = ending in _Y_UP
+    if ending == ".3mf":
+        length = _LENGTHS.get(str(stated), 0.001)
     if unit is not None:
         length = unit
     if length != 1.0:
@@ -167,18 +170,6 @@ def _materials(geometry: Any, otherwise: str) -> list[str]:
     return [otherwise] * n
 
 
-def _collada(content: bytes) -> tuple[float, str]:
-    """Return the unit in m and the axis that is up, which COLLADA states in its asset."""
-    head = content[:20_000].decode("utf-8", errors="replace")
-    unit = re.search(r'<unit[^>]*\bmeter\s*=\s*"([0-9.eE+-]+)"', head)
-    up = re.search(r"<up_axis>\s*([XYZ]_UP)\s*</up_axis>", head)
-    try:
-        length = float(unit[1]) if unit else 1.0
-    except ValueError as error:
-        raise DataError(f'the unit "{shown(unit[1] if unit else "")}" is no number') from error
-    return length if length > 0 else 1.0, up[1] if up else "Y_UP"
-
-
 def _library() -> Any:
     try:
         import trimesh
@@ -192,8 +183,7 @@ def _library() -> Any:
 READERS: dict[str, Callable[[bytes, str, float | None], Faces]] = {
     ".obj": _obj,
     ".dxf": _dxf,
+    ".dae": _collada,
     **dict.fromkeys(BY_TRIMESH, _by_trimesh),
 }
 """The reader of each ending."""
-
-__all__ = ["HOLE_SHARE", "READERS", "read", "room"]

@@ -1,0 +1,75 @@
+"""COLLADA (.dae), which SketchUp writes: polygons with the names of their materials, by pycollada.
+
+trimesh reads COLLADA, too, but not the materials' names. The unit and the axis that is up are those
+that the file states.
+"""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics.materials import text_name
+from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io.mend import Faces
+
+MAX_FACES = 100_000
+
+
+def faces(content: bytes, path: str, unit: float | None, otherwise: str) -> Faces:
+    """Return the faces of a COLLADA file; those without a material are of ``otherwise``."""
+    collada = _library()
+    try:
+        model = collada.Collada(
+            io.BytesIO(content),
+            ignore=[collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError],
+        )
+        drawn = [
+            (geometry.original.name or "part", _name(part, otherwise), polygon.vertices)
+            for geometry in (model.scene.objects("geometry") if model.scene else ())
+            for part in geometry.primitives()
+            if not isinstance(part, collada.lineset.BoundLineSet)
+            for polygon in part
+        ]
+        stated, up = model.assetInfo.unitmeter, model.assetInfo.upaxis
+    except Exception as error:  # pycollada raises what its parser raises
+        raise DataError(f"{path}: cannot be read as COLLADA: {error}") from error
+    if not drawn:
+        raise DataError(f"{path}: there is no face; a room has at least 4")
+    if len(drawn) > MAX_FACES:
+        raise DataError(f"{path}: {len(drawn)} faces; at most {MAX_FACES}: simplify the model")
+    length = unit if unit is not None else float(stated or 1.0)
+    notes = [f"the file's unit is {length:g} m"] if length != 1.0 else []
+    turned = up == "Y_UP"
+    if turned:
+        notes.append("y is up in the file: its z is here -y")
+    polygons, materials, names = [], [], []
+    for name, material, corners in drawn:
+        points = np.array(corners, dtype=float) * length
+        if turned:
+            points = points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])
+        polygons.append(points)
+        materials.append(text_name(f"{path}: a material", material))
+        names.append(text_name(f"{path}: a part", name) or "part")
+    return Faces(path, polygons, materials, names, tuple(notes))
+
+
+def _name(part: Any, otherwise: str) -> str:
+    """Return the name of a primitive's material: as bound in the scene, else its symbol."""
+    bound = getattr(part, "material", None)
+    name = getattr(bound, "name", None) or getattr(bound, "id", None)
+    return str(name or getattr(part.original, "material", None) or otherwise)
+
+
+def _library() -> Any:
+    try:
+        import collada
+        import collada.common
+        import collada.lineset
+    except ImportError as error:
+        raise MissingDependencyError(
+            "COLLADA needs pycollada: pip install 'rtcal[mesh]'"
+        ) from error
+    return collada
