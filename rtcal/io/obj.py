@@ -167,7 +167,15 @@ def _drawn(
 
 
 def check_volume(volume: float, unit: float, path: str) -> None:
-    """Raise DataError for a volume that no room has; the message has the volume in other units."""
+    """Raise DataError for a volume that no room has; the message has the volume in other units.
+
+    Examples
+    --------
+    >>> check_volume(60e9, 1.0, "room.obj")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ...
+    rtcal.errors.DataError: room.obj: V = 6e+10 m³ is not from 0.001 to 2e+07 m³, as in any room; ...
+    """
     low, high = VOLUME_LIMITS
     if low <= volume <= high:
         return
