@@ -139,7 +139,7 @@ def test_the_library_is_the_next_calibrations_input(
     i = archive.materials.index("linoleum")
     assert (known.alpha[new.materials.index("floor")] == archive.alpha[i]).all()
     assert known.sources["floor"] == "archive of 3 rooms, in 3 of them"
-    assert known.common_alpha_sigma == archive.spread.room
+    assert known.common_alpha_sigma == archive.room_sigma
     t = rooms[0].measured
     result = rt.calibrate(known, t)
     assert result.certificate.worst < 1e-9

@@ -83,6 +83,9 @@ class Archive(Result):
     seen : array (n_materials,)
         In how many rooms.
     spread : Spread
+        The likeliest. Those above count what it leaves open.
+    room_sigma : float
+        Relative standard deviation of the next room's common factor.
     lessons : tuple of Lesson
     suspects : tuple of Suspect
         The likeliest first.
@@ -99,6 +102,7 @@ class Archive(Result):
     mean_sigma: Array
     seen: NDArray[np.int_]
     spread: Spread
+    room_sigma: float
     lessons: tuple[Lesson, ...]
     suspects: tuple[Suspect, ...]
 
@@ -164,7 +168,7 @@ class Archive(Result):
             alpha = np.maximum(alpha, room.alpha_min)
         sources = dict(room.sources) | {room.materials[i]: self._source(j) for i, j in pairs}
         return room.replace(
-            alpha=alpha, sigma=sigma, sources=sources, common_alpha_sigma=self.spread.room
+            alpha=alpha, sigma=sigma, sources=sources, common_alpha_sigma=self.room_sigma
         )
 
     def _source(self, i: int) -> str:
@@ -193,6 +197,7 @@ class Archive(Result):
                 for i, name in enumerate(self.materials)
             ],
             "spread": asdict(self.spread),
+            "room_sigma": self.room_sigma,
             "rooms": [asdict(lesson) for lesson in self.lessons],
             "suspects": [asdict(suspect) for suspect in self.suspects],
         }

@@ -33,6 +33,11 @@ _USUAL = {
 """Prior of each standard deviation: its median, and the standard deviation of its logarithm."""
 _LOGIT = (0.85, 1.0)
 """Prior of the band correlation's logit, as mean and standard deviation: about 0.7."""
+_CENTRE, _WIDTH = np.array(
+    [*((np.log(median), width) for median, width in _USUAL.values()), _LOGIT]
+).T
+_STEP = 0.05
+"""Step of the cost's second differences, in logarithms."""
 _MEDIANS = {name: median for name, (median, _) in _USUAL.items()} | {"correlation": 0.7}
 
 
@@ -59,6 +64,19 @@ class Spread:
     together: float
     equation: float
     correlation: float
+
+
+def _spread(x: Array) -> Spread:
+    """The spread of its logarithms, and of the logit of its correlation."""
+    values = np.exp(np.clip(x[:-1], -12, 3)).tolist()
+    correlation = float(1 / (1 + np.exp(-np.clip(x[-1], -8, 4))))
+    return Spread(**dict(zip(_USUAL, values, strict=True)), correlation=correlation)
+
+
+def _point(spread: Spread) -> Array:
+    """The inverse of `_spread`."""
+    logit = np.log(spread.correlation / (1 - spread.correlation))
+    return np.append(np.log([getattr(spread, name) for name in _USUAL]), logit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,31 +152,44 @@ class Evidence:
 
     def fitted(self, rows: NDArray[np.bool_] | None = None, start: Spread | None = None) -> Spread:
         """Return the spread of the largest marginal likelihood of ``rows`` times `_USUAL`."""
-        used = np.ix_(rows, rows) if rows is not None else np.s_[:, :]
+        first = _CENTRE if start is None else _point(start)
+        return _spread(minimize(self._cost, first, (rows,), method="L-BFGS-B").x)
+
+    def plausible(self, spread: Spread) -> list[Spread]:
+        """Return spreads of equal weight about the fitted one, as uncertain as the rows leave it.
+
+        Two along each axis of the normal density that has the cost's curvature there, so that mean and
+        covariance are its own (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
+        """
+        centre, size = _point(spread), len(_CENTRE)
+        steps = _STEP * np.eye(size)
+        curvature = np.array(
+            [
+                [
+                    sum(
+                        s * t * self._cost(centre + s * a + t * b, None)
+                        for s in (-1, 1)
+                        for t in (-1, 1)
+                    )
+                    for b in steps
+                ]
+                for a in steps
+            ]
+        ) / (4 * _STEP**2)
+        values, axes = np.linalg.eigh(curvature)
+        # Where the cost is flat, or rounds, the prior of the spread bounds it.
+        reach = np.sqrt(size / np.maximum(values, 1 / np.max(_WIDTH) ** 2))
+        ends = [sign * r * axis for r, axis in zip(reach, axes.T, strict=True) for sign in (-1, 1)]
+        return [_spread(centre + end) for end in ends]
+
+    def _cost(self, x: Array, rows: NDArray[np.bool_] | None) -> float:
+        """The negative logarithm of the marginal likelihood times the spread's prior."""
+        used = np.s_[:, :] if rows is None else np.ix_(rows, rows)
         miss = self.miss if rows is None else self.miss[rows]
-        names = tuple(_USUAL)
-        usual = np.array([(np.log(median), width) for median, width in _USUAL.values()])
-        centre, width = np.vstack([usual, _LOGIT]).T
-
-        def spread(x: Array) -> Spread:
-            values = np.exp(np.clip(x[:-1], -12, 3))
-            logit = np.clip(x[-1], -8, 4)
-            return Spread(
-                **dict(zip(names, values.tolist(), strict=True)),
-                correlation=float(1 / (1 + np.exp(-logit))),
-            )
-
-        def cost(x: Array) -> float:
-            factor, low = cho_factor(self.covariance(spread(x))[used], lower=True)
-            quadratic = miss @ cho_solve((factor, low), miss)
-            penalty = np.sum(((x - centre) / width) ** 2)
-            return float(np.sum(np.log(np.diag(factor))) + 0.5 * quadratic + 0.5 * penalty)
-
-        first = centre
-        if start is not None:
-            logit = np.log(start.correlation / (1 - start.correlation))
-            first = np.append(np.log([getattr(start, name) for name in names]), logit)
-        return spread(minimize(cost, first, method="L-BFGS-B").x)
+        factor, low = cho_factor(self.covariance(_spread(x))[used], lower=True)
+        quadratic = miss @ cho_solve((factor, low), miss)
+        penalty = np.sum(((x - _CENTRE) / _WIDTH) ** 2)
+        return float(np.sum(np.log(np.diag(factor))) + 0.5 * quadratic + 0.5 * penalty)
 
     def posterior(self, spread: Spread, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Return the entries' means (n_materials, n_bands) from ``rows``, and their covariance.

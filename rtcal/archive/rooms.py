@@ -89,8 +89,12 @@ def learn(
     evidence = Evidence(data, mu, sigma, np.log2(frequencies))
     spread = evidence.fitted()
     every = np.ones(len(evidence.room), dtype=bool)
-    mean, covariance = evidence.posterior(spread, every)
-    left = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(mu.shape)
+    left = _sigma(evidence.posterior(spread, every)[1], mu.shape)
+    # The spread is uncertain itself: means and variances are those of the mixture.
+    mixed = [(each, *evidence.posterior(each, every)) for each in evidence.plausible(spread)]
+    mean = np.mean([m for _, m, _ in mixed], axis=0)
+    of_mean = np.mean([_sigma(c, mu.shape) ** 2 + (m - mean) ** 2 for _, m, c in mixed], axis=0)
+    of_rooms = np.mean([(each.between * sigma) ** 2 for each, _, _ in mixed], axis=0)
     lessons, doubts = [], []
     for r, result in enumerate(used):
         if not (evidence.room == r).any():
@@ -114,13 +118,18 @@ def learn(
         table=mu,
         table_sigma=sigma,
         alpha=np.clip(mean, 0.0, 1.0),
-        sigma=np.hypot(left, spread.between * sigma),
-        mean_sigma=left,
+        sigma=np.sqrt(of_mean + of_rooms),
+        mean_sigma=np.sqrt(of_mean),
         seen=seen,
         spread=spread,
+        room_sigma=float(np.sqrt(np.mean([each.room**2 for each, _, _ in mixed]))),
         lessons=tuple(lessons),
         suspects=tuple(sorted(doubts, key=lambda s: -s.probability)),
     )
+
+
+def _sigma(covariance: Array, shape: tuple[int, ...]) -> Array:
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(shape)
 
 
 def _weighed(
