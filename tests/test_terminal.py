@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import time
 from pathlib import Path
 from typing import Any
 
@@ -233,6 +234,31 @@ def test_a_progress_bar_says_how_long_it_will_take(monkeypatch, capsys) -> None:
     frames = capsys.readouterr().err.replace("\n", "\r").split("\r")
     assert any("3/3 figures" in frame and "left" in frame for frame in frames)
     assert max(map(len, frames)) <= 60
+
+
+def test_a_long_step_says_once_what_it_does_without_a_terminal(monkeypatch) -> None:
+    """`fit` was silent for fifteen minutes in a log."""
+    lines: list[str] = []
+    monkeypatch.setattr(progress, "PATIENCE", 0.05)
+    with progress.bar(4, "control run", wanted=False, say=lines.append) as shown:
+        for _ in range(4):
+            time.sleep(0.04)
+            shown.update(1)
+    assert len(lines) == 1
+    assert re.fullmatch(r"1 of 4 control runs in 0 s, about 0 s left", lines[0])
+    lines.clear()
+    with progress.bar(0, "model", wanted=False, say=lines.append) as shown:
+        shown.reset(2)
+        shown.set_description("weighing")
+        time.sleep(0.15)
+        shown.update(1)
+    assert lines[0] == "weighing: the first model of 2 takes more than 0.05 s"
+    assert lines[1].startswith("weighing: 1 of 2 models in")
+    lines.clear()
+    with progress.bar(2, "figure", wanted=False, say=lines.append) as shown:
+        shown.update(2)
+    time.sleep(0.1)
+    assert lines == []
 
 
 @pytest.mark.parametrize("columns", WIDTHS[1:])

@@ -20,7 +20,9 @@ from rtcal.errors import DataError
 from rtcal.support.encode import json_text
 from rtcal.support.text import fitted, printable, width
 
-quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+quiet_option = click.option(
+    "--quiet", "-q", is_flag=True, help="Print nothing but errors, and the JSON."
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
 method_option = click.option(
     "--method",
@@ -88,12 +90,12 @@ def in_the_room(option: str, keys: str) -> Callable[[Callable[..., None]], Calla
 
 
 def tell(text: str, record: Mapping[str, Any], *, quiet: bool, as_json: bool) -> None:
-    """Print a text, or with ``--json`` its record; nothing with ``--quiet``.
+    """Print a text, or with ``--json`` its record; without that, nothing with ``--quiet``.
 
     Commands write their files before they print, since a reader may close the output (``| head``).
     Raises CannotPrint where the output is closed or full.
     """
-    if quiet:
+    if quiet and not as_json:
         return
     if sys.stdout is None:
         raise CannotPrint("cannot print: the standard output is closed")
@@ -141,6 +143,11 @@ def output_folder(option: str, path: str | None) -> Path | None:
     if path == "":
         raise DataError(f"{option} is empty; it is a folder")
     return None if path is None else Path(path)
+
+
+def said(quiet: bool) -> Callable[[str], None] | None:
+    """Return what prints progress where no bar is shown, one line on standard error; None if quiet."""
+    return None if quiet else warn
 
 
 def bar_wanted(quiet: bool) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.command.assignments import as_options, errors_name_options, numbers, texts
-from rtcal.command.console import bar_wanted, json_option, quiet_option, tell
+from rtcal.command.console import bar_wanted, json_option, quiet_option, said, tell
 from rtcal.command.measured import ARGUMENTS
 from rtcal.errors import DataError
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
@@ -87,7 +87,7 @@ def measure(
     scene = None if positions is None else _positions_text(responses)
     with (
         errors_name_options("channels", "repeats"),
-        bar(len(responses), "response", bar_wanted(quiet)) as shown,
+        bar(len(responses), "response", bar_wanted(quiet), said(quiet)) as shown,
     ):
         analysis = impulse_responses.read(
             responses,

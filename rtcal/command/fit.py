@@ -14,6 +14,7 @@ from rtcal.command.console import (
     json_option,
     output_folder,
     quiet_option,
+    said,
     tell,
     without_air_warning,
     written,
@@ -121,7 +122,7 @@ def fit(
         tracer = geometry_files.path_tracing(
             stated, scattering=scattering, scattering_model=scattering_model, n_paths=paths
         )
-        with bar(RUNS, "control run", bar_wanted(quiet)) as shown:
+        with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
             result = calibrate_positions(
                 tracer,
                 stated,

@@ -19,6 +19,7 @@ from rtcal.command.console import (
     heading_options,
     json_option,
     quiet_option,
+    said,
     tell,
     written,
 )
@@ -379,7 +380,7 @@ def _find_several(
 def _arguments(inputs: Inputs, search: Search, quiet: bool) -> Iterator[dict[str, Any]]:
     """Return the arguments of a search, whose progress is shown."""
     begun: list[str] = []
-    with bar(0, "control room", bar_wanted(quiet)) as shown:
+    with bar(0, "control room", bar_wanted(quiet), said(quiet)) as shown:
 
         def progress(engine: str, done: int, total: int) -> None:
             if engine not in begun and hasattr(shown, "reset"):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtcal.command.assignments import errors_name_options, pairs
-from rtcal.command.console import bar_wanted, tell, written
+from rtcal.command.console import bar_wanted, said, tell, written
 from rtcal.command.gap_options import Inputs
 from rtcal.errors import DataError
 from rtcal.support.files import spare
@@ -47,7 +47,7 @@ def find(inputs: Inputs, search: Any, quiet: bool, outputs: Sequence[Path] = ())
         raise DataError("--prior: a search with positions takes --only and --without")
     case = _case(inputs, outputs)
     begun: list[str] = []
-    with bar(0, "control run", bar_wanted(quiet)) as shown:
+    with bar(0, "control run", bar_wanted(quiet), said(quiet)) as shown:
 
         def progress(what: str, done: int, total: int) -> None:
             step = "weighing" if what != "control runs" else what
@@ -146,7 +146,7 @@ def _verified(inputs: Inputs, finding: Finding, search: Any, quiet: bool) -> Ver
     """Return the gaps at pairs that were not fitted, over `SEEDS`; a bar says how long it will take."""
     from rtcal.finder import positions
 
-    with bar(0, "model", bar_wanted(quiet)) as shown:
+    with bar(0, "model", bar_wanted(quiet), said(quiet)) as shown:
 
         def progress(what: str, done: int, total: int) -> None:
             if done == 1 and hasattr(shown, "reset"):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rtcal.command.console import bar_wanted, heading_options, json_option, quiet_option, tell
+from rtcal.command.console import bar_wanted, heading_options, json_option, quiet_option, said, tell
 from rtcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
         done = {"written": str(target), "bytes": target.stat().st_size}
         tell(f"Written: {target}", done, quiet=quiet, as_json=as_json)
         return
-    with bar(_FIGURES, "figure", bar_wanted(quiet)) as shown:
+    with bar(_FIGURES, "figure", bar_wanted(quiet), said(quiet)) as shown:
         text = page.page_of(result, heading=heading, progress=lambda: shown.update(1))
     document.write(target, text)
     tell(
