@@ -326,6 +326,15 @@ class Room:
         return any(stated) or bool(self.area_sigma.any())
 
     @property
+    def as_exact(self) -> Room:
+        """The room with its volume, areas and climate as stated and taken as exact."""
+        if not self.is_uncertain:
+            return self
+        return self.replace(
+            volume_sigma=0.0, area_sigma=0.0, common_area_sigma=0.0, climate_sigma=(0.0, 0.0)
+        )
+
+    @property
     def speed_of_sound(self) -> float:
         """c in m/s of the stated air; of air at 20 °C if none is stated."""
         return (self.air or Air()).speed_of_sound

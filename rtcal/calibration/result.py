@@ -303,8 +303,17 @@ class CalibrationResult(Result):
         It weighs the stated coefficients with their sigma, the measured T, volume and areas, and the
         error of the equation: see `rtcal.prediction.predict`. Which method calibrated does not matter.
 
+        What the room states of its volume and areas takes the place of the usual assumptions.
+
         Raises ModelError as `JointSolution.states`, and as `rtcal.prediction.predict`.
         """
+        if assumptions is None and self.prior.is_uncertain:
+            usual, areas = Assumptions(), float(np.max(self.prior.area_sigma))
+            assumptions = replace(
+                usual,
+                volume=self.prior.volume_sigma or usual.volume,
+                areas=float(np.hypot(areas, self.prior.common_area_sigma)) or usual.areas,
+            )
         return predict(
             self.states,
             changes,

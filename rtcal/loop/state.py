@@ -124,10 +124,13 @@ class Loop(Result):
     def calibrated(self, target: Array) -> CalibrationResult:
         """Return the equation's calibration to a target T in s, (n_bands,), or the nearest one.
 
-        The problem is built once, and shared with the loops that `record` returns.
+        The problem is built once, and shared with the loops that `record` returns. The room's volume
+        and areas are taken as exact: a loop that hunts for the measured T would otherwise move the
+        target until the coefficients carry the room's share too.
         """
         if not self._problems:
-            self._problems.append(preset(self.method, self.room).build(self.room, self.equation))
+            room = self.room.as_exact
+            self._problems.append(preset(self.method, room).build(room, self.equation))
         return self._problems[0].solve(target, unreachable="nearest", method=self.method)
 
     @property

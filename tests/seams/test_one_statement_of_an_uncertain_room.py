@@ -1,0 +1,71 @@
+"""What a room says of its volume and areas is one statement, wherever the room goes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.prediction import Climate
+from rtcal.simulators.equation import EquationSimulator
+
+STATED = {"volume_sigma": 0.08, "area_sigma": 0.05}
+
+
+@pytest.fixture(scope="module")
+def room() -> rt.Room:
+    return rt.datasets.bras_cr2()[0].replace(surfaces=())
+
+
+def measured(room: rt.Room) -> rt.Measurement:
+    t = 1.15 * rt.Eyring().reverberation_time(room)
+    return rt.Measurement.from_values(room.centre_frequencies, t20=t)
+
+
+def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room: rt.Room) -> None:
+    """The simulator is brought to T all the same, so the room's share must not drift into alpha."""
+    loops = []
+    for each in (room, room.replace(**STATED)):
+        simulator = EquationSimulator(rt.Kuttruff(), each)
+        loops.append(rt.calibrate_simulator(simulator, each, measured(each)))
+    np.testing.assert_allclose(loops[1].room.alpha, loops[0].room.alpha, rtol=0, atol=1e-12)
+    assert np.abs(loops[0].room.alpha - room.alpha).max() > 0.001
+
+
+def test_a_prediction_counts_it(room: rt.Room) -> None:
+    t = measured(room)
+    change = Climate(rt.Air(25, 30))
+    usual = rt.calibrate(room, t).predict(change)
+    stated = rt.calibrate(room.replace(**STATED), t).predict(change)
+    assert (usual.assumptions.volume, usual.assumptions.areas) == (0.03, 0.03)
+    assert (stated.assumptions.volume, stated.assumptions.areas) == (0.08, 0.05)
+    part = rt.calibrate(room.replace(volume_sigma=0.08), t).predict(change)
+    assert (part.assumptions.volume, part.assumptions.areas) == (0.08, 0.03)
+
+
+def test_an_archive_counts_it(room: rt.Room) -> None:
+    shapes = {"A": [1, 1, 1, 1, 1], "B": [1, 2, 1, 0.5, 1], "C": [2, 1, 1, 1, 0.5]}
+    exact = [room.replace(name=n, areas=room.areas * np.array(s)) for n, s in shapes.items()]
+    sure, unsure = (
+        rt.learn([rt.calibrate(r.replace(**stated), measured(r)) for r in exact])
+        for stated in ({}, {"volume_sigma": 0.3})
+    )
+    assert unsure.mean_sigma.mean() > 1.05 * sure.mean_sigma.mean()
+    shift = [np.abs(a.alpha - a.table).mean() for a in (sure, unsure)]
+    assert shift[1] < shift[0]
+
+
+def test_a_file_keeps_it(room: rt.Room, tmp_path: Path) -> None:
+    stated = room.replace(**STATED, common_area_sigma=0.02, climate_sigma=(2, 10))
+    stated.save(str(tmp_path / "room.toml"))
+    again = rt.Room.from_file(str(tmp_path / "room.toml"))
+    first, second = (rt.calibrate(r, measured(room)) for r in (stated, again))
+    np.testing.assert_allclose(first.alpha, second.alpha, rtol=0, atol=1e-12)
+    first.save(tmp_path / "result")
+    loaded = rt.load(tmp_path / "result")
+    assert loaded.plausibility.q == first.plausibility.q
+    assert (loaded.interval[0] == first.interval[0]).all()
+    assert first.room.area_sigma.tolist() == [0.05] * 5
+    assert first.plausibility.q < rt.calibrate(room, measured(room)).plausibility.q
