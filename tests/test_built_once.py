@@ -114,7 +114,7 @@ def test_where_the_quick_answer_does_not_do_the_full_solve_follows(
 ) -> None:
     ((room, t),) = cases(1)
     usual = rt.calibrate(room, t)
-    run, polish, calls = solvers.run, convex_program.polish, []
+    run, polish, calls = solvers.run, convex_program.polish_answer, []
 
     def failing_once(*given):
         calls.append(given)

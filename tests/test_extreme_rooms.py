@@ -90,7 +90,7 @@ def test_dual_answers_where_the_default_solver_fails(monkeypatch: pytest.MonkeyP
     room, measured = rt.datasets.bras_cr2()
     usual = rt.calibrate(room, measured)
     monkeypatch.setattr(solvers, "run", fails)
-    for polish in (convex_program.polish, lambda *_: None):
+    for polish in (convex_program.polish_answer, lambda *_: None):
         monkeypatch.setattr(convex_program, "polish_answer", polish)
         result = rt.calibrate(room, measured)
         np.testing.assert_allclose(result.alpha, usual.alpha, rtol=0, atol=1e-13)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 
-@click.command(short_help="Impulse responses (WAV, SOFA) to T20, T30, EDT, C50, C80, D50, STI, Ts.")
+@click.command(short_help="Impulse responses (WAV, SOFA) to T20, EDT, C80, STI and others.")
 @click.argument("responses", type=click.Path(), nargs=-1, required=True)
 @click.option(
     "--bands",

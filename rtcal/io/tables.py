@@ -53,9 +53,9 @@ MAX_PAIRS = 5000
 MAX_BYTES = 2**22
 """Largest size of a table in bytes; a workbook of 5000 positions, compressed, is a tenth of it."""
 
-FORMATS = (workbook, rew)
-"""Modules of formats beside text with separators. Each has ``claims(content)`` and
-``sheets(content, path, where)``."""
+FORMATS: list[Any] = [workbook, rew]
+"""Formats beside text with separators. Each has ``claims(content)`` and
+``sheets(content, path, where)``; one of your own is appended (docs/extending.md)."""
 
 
 @dataclass(frozen=True)

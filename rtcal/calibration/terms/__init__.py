@@ -20,6 +20,7 @@ from rtcal.calibration.terms.base import (
     Rows,
     SharedMaterials,
     as_objective,
+    half_squares,
     lacking,
 )
 from rtcal.calibration.terms.limits import (
@@ -67,6 +68,7 @@ __all__ = [
     "SharedMaterials",
     "SoftMatch",
     "as_objective",
+    "half_squares",
     "lacking",
     "match_matrix",
 ]
