@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rtcal.io.mend import Faces, MeshError, mend
+from rtcal.io.mend import Faces, MeshError, mended
 from rtcal.simulators import triangles
 
 Array = np.ndarray
@@ -199,7 +199,7 @@ def judged(seed: int) -> tuple[str, str]:
     drawn = example(seed)
     unmendable = [REFUSED[d] for d in drawn.defects if d in REFUSED]
     try:
-        done = mend(drawn.faces())
+        done = mended(drawn.faces())
     except MeshError as error:
         right = any(name in str(error) for name in unmendable)
         return ("refused right" if right else "refused wrong"), f"{drawn.defects}: {error}"

@@ -60,13 +60,13 @@ TABLE = [
 
 
 def test_a_closed_mesh_has_no_defect() -> None:
-    done = mend.mend(drawn())
+    done = mend.mended(drawn())
     assert (done.geometry.volume, area(done), kinds(done)) == (V, S, [])
     assert done.volume_uncertainty == 0
 
 
 def test_windows_take_the_area_of_their_wall() -> None:
-    done = mend.mend(drawn(WINDOW, DOOR))
+    done = mend.mended(drawn(WINDOW, DOOR))
     assert done.geometry.volume == pytest.approx(V, rel=1e-9)
     assert area(done) == pytest.approx(S, rel=1e-6)
     assert done.geometry.areas == pytest.approx(
@@ -88,13 +88,13 @@ def test_windows_take_the_area_of_their_wall() -> None:
 
 
 def test_one_overlay_on_another() -> None:
-    done = mend.mend(drawn(("frame", [[0, 1, 0.5], [0, 5, 0.5], [0, 5, 3], [0, 1, 3]]), WINDOW))
+    done = mend.mended(drawn(("frame", [[0, 1, 0.5], [0, 5, 0.5], [0, 5, 3], [0, 1, 3]]), WINDOW))
     areas = done.geometry.areas
     assert (areas["frame"], areas["glass"], areas["west"]) == pytest.approx((8, 2, 18), rel=1e-6)
 
 
 def test_a_free_panel_reflects_on_both_sides() -> None:
-    done = mend.mend(drawn(PANEL))
+    done = mend.mended(drawn(PANEL))
     assert done.geometry.areas["panel"] == pytest.approx(8, rel=1e-3)
     assert done.geometry.volume == pytest.approx(V - 4 * mend.THICKNESS, rel=1e-6)
     room = rt.Room(
@@ -119,14 +119,14 @@ def test_a_free_panel_reflects_on_both_sides() -> None:
 
 
 def test_a_table_without_a_bottom_stands_on_the_floor() -> None:
-    done = mend.mend(drawn(*TABLE))
+    done = mend.mended(drawn(*TABLE))
     assert done.geometry.volume == pytest.approx(V - 0.8, rel=1e-9)
     assert area(done) == pytest.approx(S + 3.2, rel=1e-9)
     assert done.geometry.areas["floor"] == pytest.approx(69, rel=1e-9)
 
 
 def test_what_is_outside_is_left_out() -> None:
-    done = mend.mend(drawn(("label", [[20, 2, 1], [21, 2, 1], [21, 3, 1]])))
+    done = mend.mended(drawn(("label", [[20, 2, 1], [21, 2, 1], [21, 3, 1]])))
     assert (done.geometry.volume, area(done), kinds(done)) == (V, S, ["outside"])
 
 
@@ -134,11 +134,11 @@ def test_a_large_hole_is_refused_and_says_how_to_mend_it() -> None:
     with pytest.raises(
         mend.MeshError, match=r"hole of 70 m² at .* up to 2\.1 m² are closed"
     ) as error:
-        mend.mend(drawn(without="ceiling"))
+        mend.mended(drawn(without="ceiling"))
     assert "In your program, close the hole with a face" in str(error.value)
     assert "or state --hole 71" in str(error.value)
     assert error.value.edges.shape == (4, 2, 3)
-    done = mend.mend(drawn(without="ceiling"), largest_hole=71)
+    done = mend.mended(drawn(without="ceiling"), largest_hole=71)
     assert done.geometry.volume == pytest.approx(V, rel=1e-12)
     assert done.volume_uncertainty > 0.1 * V
 
@@ -146,8 +146,8 @@ def test_a_large_hole_is_refused_and_says_how_to_mend_it() -> None:
 def test_a_wall_beside_its_place_asks_for_the_weld() -> None:
     moved = [[10.04, 0, 0], [10.04, 7, 0], [10.04, 7, 4], [10.04, 0, 4]]
     with pytest.raises(mend.MeshError, match=r"lie 40 mm from its edges: state --weld 0\.044"):
-        mend.mend(drawn(("east", moved), without="east"))
-    done = mend.mend(drawn(("east", moved), without="east"), weld=0.044)
+        mend.mended(drawn(("east", moved), without="east"))
+    done = mend.mended(drawn(("east", moved), without="east"), weld=0.044)
     assert done.geometry.volume == pytest.approx(V * 1.002, rel=2e-3)
     assert 0 < done.volume_uncertainty < 0.01 * V
 
@@ -166,14 +166,14 @@ def test_a_wall_beside_its_place_asks_for_the_weld() -> None:
 )
 def test_bad_faces(faces: mend.Faces, rule: str) -> None:
     with pytest.raises(DataError, match=rule):
-        mend.mend(faces)
+        mend.mended(faces)
 
 
 def test_bad_distances() -> None:
     with pytest.raises(DataError, match=r"weld = -1 m is not finite and 0 or more"):
-        mend.mend(drawn(), weld=-1)
+        mend.mended(drawn(), weld=-1)
     with pytest.raises(DataError, match="largest_hole = nan m² is not finite"):
-        mend.mend(drawn(), largest_hole=float("nan"))
+        mend.mended(drawn(), largest_hole=float("nan"))
 
 
 def test_defective_meshes_are_right_or_refused_for_the_right_defect() -> None:
@@ -318,7 +318,7 @@ def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch) -
         mesh.room(path)
     monkeypatch.setitem(sys.modules, "shapely", None)
     with pytest.raises(MissingDependencyError, match=r"needs shapely: pip install 'rtcal\[mesh\]'"):
-        mend.mend(drawn(PANEL))
+        mend.mended(drawn(PANEL))
 
 
 # -- commands

@@ -1,4 +1,4 @@
-"""What an archive of calibrated rooms says of the materials that they share."""
+"""An archive of calibrated rooms, and the materials that they share."""
 
 from typing import TYPE_CHECKING
 

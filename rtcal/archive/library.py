@@ -25,7 +25,7 @@ _OFF = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Lesson:
-    """What one room taught, and how well it agrees with the others.
+    """The contribution of one room, and its agreement with the others.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Suspect:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Archive(Result):
-    """What calibrated rooms say of the materials that they share, as `rtcal.learn` returns it.
+    """The materials that calibrated rooms share, as `rtcal.learn` returns them.
 
     Attributes
     ----------

@@ -43,7 +43,7 @@ _MEDIANS = {name: median for name, (median, _) in _USUAL.items()} | {"correlatio
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """How far coefficients differ: found by marginal likelihood.
+    """The spread of coefficients, found by marginal likelihood.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ def _point(spread: Spread) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RoomData:
-    """What a room says: its absorption area by band, and how sure it is.
+    """The evidence of a room: its absorption area by band, and how sure it is.
 
     Attributes
     ----------

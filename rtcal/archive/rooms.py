@@ -214,7 +214,7 @@ def _data(
 def _lesson(
     name: str, evidence: Evidence, room: suspects.Judged, left: Array
 ) -> tuple[Lesson, list[tuple[int, int, float]]]:
-    """What one room adds, and its materials that are likelier than not another one."""
+    """The contribution of one room, and its materials that are likelier than not another one."""
     q = float(room.miss @ np.linalg.solve(room.covariance, room.miss))
     rows = np.flatnonzero(room.suspicion.sum(axis=1) > 0)
     learnt = [1 - left[i] / room.sigma[i] for i in rows if (room.sigma[i] > 0).all()]

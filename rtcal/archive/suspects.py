@@ -1,4 +1,4 @@
-"""What each room adds to the others, and which of its materials is likely another one."""
+"""The contribution of each room to the others, and its materials that are likely another one."""
 
 from __future__ import annotations
 

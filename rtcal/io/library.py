@@ -27,6 +27,9 @@ from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 
+__all__ = ["read"]
+__dir__ = __all__.copy
+
 ENDINGS = (".csv", ".txt", ".xlsx")
 MAX_FILES = 1000
 LARGEST = 1.5

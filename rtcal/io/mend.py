@@ -168,7 +168,7 @@ class Mended:
 
 
 @checked
-def mend(
+def mended(
     faces: Faces,
     *,
     weld: float = WELD,
@@ -217,7 +217,7 @@ def closed(faces: Faces) -> Mended | None:
     try:
         polygons = zip(_numbered(faces.names), faces.materials, faces.polygons, strict=True)
         geometry = Polyhedron.from_polygons(list(polygons))
-    except DataError:  # not closed, or a defect that `mend` names
+    except DataError:  # not closed, or a defect that `mended` names
         return None
     mender = _Mender(faces, _SAME, 0.0, None)
     mender.turned(geometry)

@@ -18,10 +18,13 @@ import numpy as np
 from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import collada, dxf, obj
-from rtcal.io.mend import OFFSET, WELD, Faces, Mended, closed, mend
+from rtcal.io.mend import OFFSET, WELD, Faces, Mended, closed, mended
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
+
+__all__ = ["read", "room"]
+__dir__ = __all__.copy
 
 MAX_BYTES = 2**26
 MAX_TRIANGLES = 100_000
@@ -76,14 +79,14 @@ def room(
     offset: float = OFFSET,
     largest_hole: float | None = None,
 ) -> Mended:
-    """Return the closed room of a mesh, with every defect that was mended; see `read` and `mend`.
+    """Return the closed room of a mesh, with every defect that was mended; see `read` and `mended`.
 
     A mesh whose faces close as they are drawn is taken as it is.
     """
     faces = read(path, unit=unit)
     done = closed(faces)
     if done is None:
-        done = mend(faces, weld=weld, offset=offset, largest_hole=largest_hole)
+        done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)
     obj.check_volume(done.geometry.volume, 1.0 if unit is None else unit, os.fspath(path))
     return done
 

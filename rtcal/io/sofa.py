@@ -25,6 +25,9 @@ from rtcal.io.wav import MAX_CHANNEL_SAMPLES
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
+__all__ = ["Responses", "claims", "read"]
+__dir__ = __all__.copy
+
 ROOM_CONVENTIONS = ("SingleRoomSRIR", "SingleRoomMIMOSRIR", "SingleRoomDRIR")
 GENERAL_CONVENTIONS = ("GeneralFIR", "GeneralFIR-E")
 MAX_BYTES = 2**28
