@@ -143,6 +143,17 @@ def test_a_large_hole_is_refused_and_says_how_to_mend_it() -> None:
     assert done.volume_uncertainty > 0.1 * V
 
 
+def test_all_large_holes_are_named() -> None:
+    faces = drawn(without="ceiling")
+    two = [p for n, p in zip(faces.names, faces.polygons, strict=True) if n not in ("west", "east")]
+    roof = BOX.vertices[list(BOX.faces[BOX.names.index("ceiling")])]
+    opened = mend.Faces("x", [*two, roof], ["w"] * 4, list("abcd"))
+    with pytest.raises(
+        mend.MeshError, match=r"hole of 28 m² at .*; hole of 28 m² at .*; holes up to"
+    ):
+        mend.mend(opened)
+
+
 def test_a_wall_beside_its_place_asks_for_the_weld() -> None:
     moved = [[10.04, 0, 0], [10.04, 7, 0], [10.04, 7, 4], [10.04, 0, 4]]
     with pytest.raises(mend.MeshError, match=r"lie 40 mm from its edges: state --weld 0\.044"):

@@ -608,16 +608,21 @@ class _Mender:
                 f"bound a hole: faces are missing or cross each other there; {_LOOPS}",
                 list(missing),
             )
+        large = [loop for loop in loops if _area(self.points[loop]) > largest]
+        if large:
+            each = "; ".join(
+                f"hole of {_area(self.points[loop]):.3g} m² at {self.place(loop[0])}, beside "
+                f'"{work.names[missing[_sorted(loop[0], loop[1])]]}"'
+                for loop in sorted(large, key=lambda v: -_area(self.points[v]))[:_MOST_PLACES]
+            )
+            more = f" ({len(large)} holes in all)" if len(large) > _MOST_PLACES else ""
+            raise self.refused(
+                f"{each}{more}; holes up to {largest:.2g} m² are closed. {self.hint(large, work)}",
+                list(missing),
+            )
         closed, area, spread = [], 0.0, 0.0
         for loop in loops:
             size = _area(self.points[loop])
-            if size > largest:
-                raise self.refused(
-                    f"hole of {size:.3g} m² at {self.place(loop[0])}, beside "
-                    f'"{work.names[missing[_sorted(loop[0], loop[1])]]}"; holes up to {largest:.2g} '
-                    f"m² are closed. {self.hint(loop, work)}",
-                    list(missing),
-                )
             longest = max(
                 zip(loop, [*loop[1:], loop[0]], strict=True),
                 key=lambda e: float(np.linalg.norm(self.points[e[0]] - self.points[e[1]])),
@@ -643,8 +648,9 @@ class _Mender:
             )
         return work
 
-    def hint(self, loop: Face, work: _Work) -> str:
-        """Return how a hole may be mended: faces whose corners nearly meet its edges ask for a weld."""
+    def hint(self, loops: Sequence[Face], work: _Work) -> str:
+        """Return how holes may be mended: faces whose corners nearly meet the edges ask for a weld."""
+        loop = max(loops, key=lambda v: _area(self.points[v]))
         own = {v for face in work.faces for v in face}
         others = [v for v in self.used if v not in own]
         if others:
