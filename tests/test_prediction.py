@@ -325,4 +325,5 @@ def test_the_floor_of_sigma_holds_for_what_changes_alone() -> None:
     assert rooms.sigma[1] == pytest.approx([0.01, 0.01])
     stated = replace(Assumptions(), changed=0.0)
     narrow = predict([state], Cover("wall", PANEL, 5), assumptions=stated)
-    assert (narrow.half_width < predict([state], Cover("wall", PANEL, 5)).half_width).all()
+    wide = predict([state], Cover("wall", PANEL, 5))
+    assert (narrow.linear_sigma < wide.linear_sigma).all()

@@ -30,9 +30,9 @@ _FIGURES = 5
 def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet: bool) -> None:
     """Write RESULT as one HTML page: summary, doubts, tables, figures; or its tables as a workbook.
 
-    RESULT is the folder of `rtcal calibrate --out` or `rtcal fit --out`, its result.json, the state of
-    an `rtcal loop`, or the file of `LoopResult.save`. The page needs no network and no other file. It
-    can be printed.
+    RESULT is the folder of `rtcal calibrate`, `fit`, `predict` or `design --out`, its result.json, the
+    state of an `rtcal loop`, or the file of `LoopResult.save`. The page needs no network and no other
+    file. It can be printed.
 
     \b
     Example: rtcal report calibrated \\

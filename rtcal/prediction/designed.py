@@ -331,7 +331,7 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
         equation=model.equation,
         assumptions=model.assumptions,
     ).parts
-    said.append(f"To narrow the interval, {words.advice(next(iter(parts)))}.")
+    said.append(f"To narrow the interval, {words.advice(next(iter(parts)), len(model.states))}.")
     return said
 
 

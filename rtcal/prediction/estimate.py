@@ -39,6 +39,8 @@ _NEAR = 2.0
 """Distance of a coefficient from a bound, in standard deviations, below which the bound counts."""
 _MATTERS = 0.1
 """Share of the whole standard deviation from which a coefficient counts."""
+_DRAWS = 8
+"""Number of draws per sample, before the sampler is asked."""
 _EXACT = 1e-12
 """Standard deviation up to which an unknown is known."""
 _LEAST = 1e-9
@@ -348,9 +350,19 @@ def near_bounds(rooms: Rooms, found: Estimate, weights: Array, whole: Array) -> 
 
 
 def samples(rooms: Rooms, found: Estimate, band: int, number: int) -> Array:
-    """Return samples of a band's unknowns within the bounds of alpha, (number, size)."""
+    """Return samples of a band's unknowns within the bounds of alpha, (number, size).
+
+    Draws of the normal distribution that keep the bounds; the sampler's where few do.
+    """
     n, covariance = len(rooms.materials), found.covariance[band]
+    value, vector = np.linalg.eigh(covariance)
+    root = vector * np.sqrt(np.maximum(value, 0))
+    drawn = np.random.default_rng(band).standard_normal((_DRAWS * number, rooms.size))
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0))
+    drawn = found.free[band] + np.where(sigma > _EXACT, drawn @ root.T, 0.0)
+    kept = ((drawn[:, :n] >= rooms.lower[:, band]) & (drawn[:, :n] <= 1)).all(axis=1)
+    if kept.sum() >= number:
+        return drawn[kept][:number]
     moving = np.where(sigma > _EXACT, sigma, 0.0)
     free = np.flatnonzero(moving)
     inverse = np.linalg.inv(covariance[np.ix_(free, free)])

@@ -253,7 +253,9 @@ class Prediction(Result):
             },
             "sampled": self.sampled.tolist(),
             "parts": {name: json_numbers(share) for name, share in self.parts.items()},
-            "sentences": words.sentences(self.parts, self.half_width, self._half_width_without),
+            "sentences": words.sentences(
+                self.parts, self.half_width, self._half_width_without, len(self.states)
+            ),
         }
 
     @property

@@ -27,12 +27,15 @@ _MOST = 0.5
 """Share of the variance from which one part is most of the interval."""
 
 
-def advice(part: str) -> str:
-    """Return what to measure next to narrow one part of an interval."""
+def advice(part: str, n_states: int) -> str:
+    """Return what to measure next to narrow one part of an interval, after so many states."""
+    if part == EQUATION and n_states > 1:
+        return "use a simulator: several states are measured, and what is left is the equation's own"
     return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
 
 
-def sentences(parts: Mapping[str, Array], half_width: Array, without: Array | None) -> list[str]:
+def sentences(parts: Mapping[str, Array], half_width: Array, without: Array | None, n_states: int
+) -> list[str]:
     """Return what the interval rests on, whether calibrating narrowed it, and what to measure next.
 
     Parameters
@@ -41,6 +44,7 @@ def sentences(parts: Mapping[str, Array], half_width: Array, without: Array | No
         Shares of the variance, the largest first.
     half_width, without : array (n_bands,)
         Of the interval in JND, with the measured states and without; None if nothing was measured.
+    n_states : int
     """
     largest, share = next((name, float(part.mean())) for name, part in parts.items())
     new = sum(float(v.mean()) for name, v in parts.items() if name not in (*_ADVICE,))
@@ -61,7 +65,7 @@ def sentences(parts: Mapping[str, Array], half_width: Array, without: Array | No
             )
     said.append(
         f"Largest part: {largest} ({100 * share:.0f} % of the variance). To narrow it, "
-        f"{advice(largest)}."
+        f"{advice(largest, n_states)}."
     )
     return said
 

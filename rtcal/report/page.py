@@ -20,12 +20,16 @@ from rtcal.loop import beside
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
+from rtcal.prediction.compared import Predictions
+from rtcal.prediction.designed import Design
+from rtcal.prediction.predicted import Prediction
 from rtcal.report import (
     figures,
     loop_figures,
     loop_words,
     material_figures,
     positions_page,
+    prediction_page,
     words,
 )
 from rtcal.report.document import Heading, blocks, material_rows, render, source
@@ -238,6 +242,8 @@ def page_of(
         return loop_page(result, heading=heading, progress=progress)
     if isinstance(result, PositionsResult):
         return positions_page.page(result, heading or Heading(), progress or (lambda: None))
+    if isinstance(result, Prediction | Predictions | Design):
+        return prediction_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, CalibrationResult):
         return calibration_page(result, heading=heading, progress=progress)
     raise DataError(

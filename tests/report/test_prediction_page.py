@@ -1,0 +1,74 @@
+"""The page of predictions and designs: what it must say, and that it needs nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.prediction import Open, Target, Treatment, Variant, compare
+from rtcal.report import page, prediction_figures
+
+pytest.importorskip("matplotlib", reason="needs the extra report")
+pytest.importorskip("jinja2", reason="needs the extra report")
+
+EVIL = 'panel <b>"5 $x$"</b>'
+
+
+@pytest.fixture(scope="module")
+def result():
+    return rt.calibrate(*rt.datasets.bras_cr2())
+
+
+@pytest.fixture(scope="module")
+def folder(result, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("variants")
+    variants = [
+        Variant("window open", (Open("windows", 2.0),)),
+        Variant(EVIL, (Open("windows", 4.0),)),
+    ]
+    compare(result.states, variants).save(path)
+    return path
+
+
+def test_variants_stand_side_by_side_and_names_are_text(folder: Path) -> None:
+    html = page.page_of(folder)
+    assert "window open" in html
+    assert "<b>" not in html
+    assert "panel &lt;b&gt;" in html
+    assert html.count("What the interval is made of") == 2
+    assert "To narrow it" in html
+    assert "://" not in html
+
+
+def test_a_designs_page_has_its_treatments_target_and_frontier(result, tmp_path: Path) -> None:
+    panel = rt.Material("panel", [0.5, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
+    treatment = Treatment("panels", panel, 45, cost=90, covers="ceiling", unit=1.44)
+    none = [np.nan] * 6
+    found = rt.design(result, [treatment], Target(none, [0.9] * 6))
+    found.save(tmp_path)
+    html = page.page_of(tmp_path)
+    assert f"Cost {found.cost:.0f}." in html
+    assert f"<td>{found.areas[0] / 1.44:.0f}</td>" in html
+    assert f"all bands at once with {found.probability_together:.2f}" in html
+    assert "Cost against the probability" in html
+    assert html == page.page_of(tmp_path)
+
+
+def test_the_interval_is_drawn_where_it_is(result) -> None:
+    variant = result.predict(Open("windows", 2.0), name="open")
+    low, high = variant.interval
+    f = variant.after.centre_frequencies
+    drawn = prediction_figures.times(
+        f, variant.time_before, [("open", variant.mean, (low, high))], (0.5 * low, high)
+    )
+    (axes,) = drawn.axes
+    (segments,) = [c for c in axes.collections if hasattr(c, "get_segments")]
+    ends = np.array(segments.get_segments())[:, :, 1]
+    assert ends[:, 0] == pytest.approx(low)
+    assert ends[:, 1] == pytest.approx(high)
+    shares = prediction_figures.parts(f, variant.parts).axes[0]
+    tops = [p.get_y() + p.get_height() for p in shares.patches]
+    assert max(tops) == pytest.approx(100)
