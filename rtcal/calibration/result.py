@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import room_errors
+from rtcal.acoustics.changes import Change
 from rtcal.acoustics.common_errors import of_absorption
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import (
@@ -34,7 +35,6 @@ from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.distributions import exact_interval
 from rtcal.posterior.sensitivities import Optimality
 from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.changes import Change
 from rtcal.prediction.estimate import State
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support.files import json_numbers

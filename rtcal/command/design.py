@@ -51,10 +51,10 @@ def design(
 
     Example: rtcal design room.toml t20.csv --treatments treatments.toml
     """
+    from rtcal.acoustics.treatments import read_treatments
     from rtcal.datasets import catalogue
     from rtcal.prediction.designed import Known
     from rtcal.prediction.designed import design as cheapest
-    from rtcal.prediction.treatments import read_treatments
     from rtcal.support.files import read_text
 
     folder = output_folder("--out", out)

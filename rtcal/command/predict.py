@@ -69,9 +69,9 @@ def predict(
 
     Example: rtcal predict room.toml t20.csv --change variants.toml
     """
+    from rtcal.acoustics.change_files import read_variants
     from rtcal.datasets import catalogue
     from rtcal.prediction.compared import compare
-    from rtcal.prediction.variants import read_variants
     from rtcal.support.files import read_text
 
     folder = output_folder("--out", out)

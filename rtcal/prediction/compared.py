@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.estimate import State
 from rtcal.prediction.predicted import Prediction, predict
-from rtcal.prediction.variants import Variant
 from rtcal.support.arguments import checked
 from rtcal.support.results import Result
 

@@ -15,17 +15,17 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.changes import changed
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.targets import Target
+from rtcal.acoustics.treatments import Treatment
 from rtcal.errors import DataError
 from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.changes import changed
 from rtcal.prediction.envelope import Ranges
 from rtcal.prediction.estimate import Rooms, State, estimated_change, near_bounds, samples
 from rtcal.prediction.predicted import SAMPLES
 from rtcal.prediction.program import ProgramNumbers, program
-from rtcal.prediction.targets import Target
-from rtcal.prediction.treatments import Treatment
 from rtcal.support.types import Array
 
 _ROUNDS = 6
@@ -271,8 +271,3 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
         if treatment.covers is not None:
             room.material_index(treatment.covers)
     return listed
-
-
-def costs(treatments: Sequence[Treatment], x: Array) -> Array:
-    """Return the cost of each treatment, (n_treatments,)."""
-    return np.array([t.cost * a for t, a in zip(treatments, x, strict=True)])

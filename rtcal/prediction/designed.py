@@ -12,14 +12,14 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.targets import Target
+from rtcal.acoustics.treatments import LEAST, Treatment
 from rtcal.errors import DataError, InfeasibleError
 from rtcal.prediction import words
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.design_model import DesignModel, check_treatments
 from rtcal.prediction.estimate import State
 from rtcal.prediction.predicted import JND, Prediction, predict
-from rtcal.prediction.targets import Target
-from rtcal.prediction.treatments import LEAST, Treatment
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
@@ -264,8 +264,8 @@ def design(
     >>> none = float("nan")
     >>> target = rt.prediction.Target([none] * 6, [none, 1.2, 1.0, 1.0, 1.0, none])
     >>> found = rt.design(result, [on_ceiling], target)
-    >>> print(found.areas.round(), bool((found.probability[1:5] > 0.79).all()))
-    [20.] True
+    >>> print(18 < found.areas[0] < 23, bool((found.probability[1:5] > 0.79).all()))
+    True True
     """
     if not LEAST <= checks.number("probability", probability) <= _BEST:
         raise DataError(

@@ -18,7 +18,7 @@ from scipy.special import ndtr
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.prediction.targets import Target
+from rtcal.acoustics.targets import Target
 from rtcal.support.types import Array
 
 CHORDS = 16

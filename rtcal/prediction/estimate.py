@@ -362,7 +362,7 @@ def samples(rooms: Rooms, found: Estimate, band: int, number: int) -> Array:
     drawn = found.free[band] + np.where(sigma > _EXACT, drawn @ root.T, 0.0)
     kept = ((drawn[:, :n] >= rooms.lower[:, band]) & (drawn[:, :n] <= 1)).all(axis=1)
     if kept.sum() >= number:
-        return drawn[kept][:number]
+        return np.asarray(drawn[kept][:number])
     moving = np.where(sigma > _EXACT, sigma, 0.0)
     free = np.flatnonzero(moving)
     inverse = np.linalg.inv(covariance[np.ix_(free, free)])

@@ -11,12 +11,12 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.changes import Change, changed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.prediction import words
 from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.changes import Change, changed
 from rtcal.prediction.estimate import (
     Estimate,
     Flags,

@@ -30,11 +30,14 @@ _MOST = 0.5
 def advice(part: str, n_states: int) -> str:
     """Return what to measure next to narrow one part of an interval, after so many states."""
     if part == EQUATION and n_states > 1:
-        return "use a simulator: several states are measured, and what is left is the equation's own"
+        return (
+            "use a simulator: several states are measured, and what is left is the equation's own"
+        )
     return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
 
 
-def sentences(parts: Mapping[str, Array], half_width: Array, without: Array | None, n_states: int
+def sentences(
+    parts: Mapping[str, Array], half_width: Array, without: Array | None, n_states: int
 ) -> list[str]:
     """Return what the interval rests on, whether calibrating narrowed it, and what to measure next.
 

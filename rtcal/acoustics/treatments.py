@@ -29,12 +29,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal.acoustics.change_files import Catalogue, new_material, tables
+from rtcal.acoustics.changes import Add, Change, Cover
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.targets import Target, target_of
 from rtcal.errors import DataError
-from rtcal.prediction.changes import Add, Change, Cover
-from rtcal.prediction.targets import Target, target_of
-from rtcal.prediction.variants import Catalogue, new_material, tables
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, toml_table

@@ -34,10 +34,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from rtcal.acoustics import room_files
+from rtcal.acoustics.changes import Add, Change, Climate, Cover, NewVolume, Open, Remove
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.prediction.changes import Add, Change, Climate, Cover, NewVolume, Open, Remove
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, toml_table
 
