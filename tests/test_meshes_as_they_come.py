@@ -16,6 +16,7 @@ from rtcal.command.main import main
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import geometry_files, mend, mesh
 from rtcal.simulators.geometry import Polyhedron
+from tests.damage import damages
 
 BOX = Polyhedron.shoebox((10, 7, 4), "plaster")
 V, S = 280.0, 276.0
@@ -320,6 +321,26 @@ def test_bad_files(tmp_path: Path, name: str, content: bytes, rule: str) -> None
     (tmp_path / name).write_bytes(content)
     with pytest.raises(DataError, match=rule):
         mesh.room(tmp_path / name)
+
+
+@pytest.mark.parametrize("ending", [".glb", ".dae", ".3mf", ".ply", ".stl", ".off", ".dxf", ".obj"])
+def test_broken_files_raise_typed_errors(tmp_path: Path, ending: str) -> None:
+    """A PLY or a glTF with an index beyond its corners had raised an IndexError."""
+    if ending == ".dxf":
+        content = dxf("MESH").encode()
+    elif ending == ".obj":
+        content = obj(drawn(WINDOW, PANEL, *TABLE), tmp_path / "whole.obj").read_bytes()
+    else:
+        content = written(tmp_path, ending).read_bytes()
+    path = tmp_path / f"broken{ending}"
+    refused = 0
+    for damaged in damages(content, 60):
+        path.write_bytes(damaged)
+        try:
+            mesh.room(path)
+        except DataError:
+            refused += 1
+    assert refused > 5
 
 
 def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch) -> None:

@@ -19,6 +19,7 @@ import rtcal as rt
 from rtcal.command.main import main
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import tables, workbook
+from tests.damage import damages
 
 Cells = Sequence[Sequence[Any]]
 
@@ -235,6 +236,17 @@ BAD: list[tuple[bytes, str]] = [
 def test_bad_tables(content: bytes, rule: str) -> None:
     with pytest.raises(DataError, match=rule):
         tables.parse(content)
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_broken_tables_raise_typed_errors(name: str) -> None:
+    refused = 0
+    for damaged in damages(SAME[name], 40):
+        try:
+            tables.parse(damaged, **STATED.get(name, {}))
+        except DataError:
+            refused += 1
+    assert refused > 3
 
 
 def test_a_workbook_that_unpacks_to_too_much_is_not_unpacked(monkeypatch) -> None:

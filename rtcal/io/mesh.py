@@ -19,6 +19,7 @@ from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import collada, dxf, obj
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, closed, mended
+from rtcal.io.text import shown
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
@@ -144,9 +145,12 @@ def _by_trimesh(_: bytes, path: str, unit: float | None) -> Faces:
         points = points * length
         if turned:
             points = points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])
+        index = np.asarray(geometry.faces)
+        if index.size and not 0 <= index.min() <= index.max() < len(points):
+            raise DataError(f'{path}: part "{shown(str(name))}" has a face without its corners')
         of_face = _materials(geometry, Path(path).stem)
         part = text_name(f"{path}: a part", str(name)) or "part"
-        for corners, material in zip(points[np.asarray(geometry.faces)], of_face, strict=True):
+        for corners, material in zip(points[index], of_face, strict=True):
             polygons.append(corners)
             materials.append(text_name(f"{path}: a material", material))
             names.append(part)

@@ -62,6 +62,10 @@ def _measurement(
     )  # the last of lines alike
     name = titles.get("Measurement", "").strip()
     columns = [c.strip() for c in names.split(",")]
+    if len(columns) < 3 or not columns[1].startswith("BW"):
+        raise DataError(
+            f"{path}, line {line_of_header}: REW's format line names freq, BW and a parameter first"
+        )
     rows: list[Row] = [
         (n, _cells(line, len(columns), f"{path}, line {n}"))
         for n, line in block[at + 1 :]
