@@ -349,6 +349,12 @@ def test_what_a_workbook_leaves_open_is_told_with_the_command(
     assert rt.Measurement.from_file(out).values["t30"][0].tolist() == [1.5, 1.4]
 
 
+def test_a_command_that_takes_no_workbook_says_how_to_make_a_csv(tmp_path: Path) -> None:
+    (tmp_path / "t.xlsx").write_bytes(SAME["other sheets"])
+    with pytest.raises(DataError, match=r"t\.xlsx: a workbook, and no CSV: `rtcal table .*t\.csv`"):
+        rt.Measurement.from_file(str(tmp_path / "t.xlsx"))
+
+
 def test_without_openpyxl_the_extra_is_named(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'rtcal\[tables\]'"):

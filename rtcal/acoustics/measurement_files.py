@@ -59,6 +59,10 @@ MAX_CELLS = 2**20
 
 def read(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return a CSV file as `Measurement.to_dict` would; DataError names file, line, value and rule."""
+    if os.fspath(path).lower().endswith((".xlsx", ".xls")):
+        raise DataError(
+            f"{path}: a workbook, and no CSV: `rtcal table {path} --out t.csv` makes one of it"
+        )
     # Not splitlines: it would also split at separators that may stand in a name.
     lines = read_text(path, MAX_BYTES).split("\n")
     numbered = [
