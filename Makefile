@@ -25,7 +25,7 @@ demo: $(DEMO_STAMP)  ## calibrate a real measured room; find what the model of a
 		rtcal/datasets/bras_cr2/measured.csv --out demo
 	$(DEMO_VENV)/bin/rtcal report demo
 	@printf "\nA second room, simulated by code that is not rtcal's. Does its model lack anything?\n\n"
-	$(DEMO_VENV)/bin/rtcal gap find $(HIDDEN)/named.json
+	$(DEMO_VENV)/bin/rtcal find $(HIDDEN)/named.json
 	@$(DEMO_VENV)/bin/python -c 'import json, sys; \
 		print("\nHidden in it:", json.load(open(sys.argv[1]))["hidden"])' $(HIDDEN)/named_truth.json
 

@@ -38,7 +38,7 @@ import rtcal as rt
 from benchmarks.judging import FLAGS, rounded, row_of
 from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.finder import find
+from rtcal.finder import find, library
 from rtcal.finder.positions import track_record
 from rtcal.finder.positions.detection import of_means
 from rtcal.finder.positions.model import Model, model
@@ -110,7 +110,7 @@ def prepared(case: rt.finder.positions.Case, cache: Path) -> tuple[Model, Hypoth
     )
     made = responses(case, 0, cache)
     numbers = model(case, made, controls)
-    return numbers, every_hypothesis(case, made, numbers)
+    return numbers, every_hypothesis(case, made, numbers, library())
 
 
 def judged(judging: Judging, index: int, data: str) -> dict[str, Any]:

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from rtcal.calibration.configurations import Configurations as Configurations
     from rtcal.calibration.presets import calibrate as calibrate
     from rtcal.calibration.problem import Calibration as Calibration
+    from rtcal.finder.search import find as find
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
     from rtcal.loop.positions import calibrate_positions as calibrate_positions
     from rtcal.prediction.designed import design as design

@@ -87,7 +87,7 @@ def test_the_room_has_the_corrected_model_s_time(
         # 18 m² more, as far as its interval reaches: there alpha = 1.
         assert room.areas[-1] == pytest.approx(40.0 + 18.0)
         np.testing.assert_allclose(room.alpha[-1] + 1.6449 * room.sigma[-1], 1.0, rtol=1e-3)
-        assert "rtcal gap: 40 m²" in room.sources["opening"]
+        assert "rtcal find: 40 m²" in room.sources["opening"]
 
 
 def test_an_absorber_at_its_own_size_raises_no_alarm(hidden: tuple[Case, np.ndarray]) -> None:
@@ -335,7 +335,6 @@ def test_the_command_s_room_is_one_that_rtcal_calibrates(
     room = str(tmp_path / "room.toml")
     said = json.loads(
         done(
-            "gap",
             "apply",
             str(tmp_path / "case.json"),
             "--out",

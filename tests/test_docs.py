@@ -166,7 +166,7 @@ NEEDS_NO_EXAMPLE = {
     "Threshold": "part of a Finding, never made by a user",
     "bent_marks": "trust_marks calls it",
     "of_energy": "one response of impulse_responses.analyse",
-    "finding_page": "`rtcal gap report` calls it; takes seconds",
+    "finding_page": "`rtcal find --out` calls it; takes seconds",
     "loop_page": "as page.page, with a loop's result",
     "page_of": "as page.page, from a folder",
     "summary": "the first sentences of a finding's page",

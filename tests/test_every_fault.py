@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rtcal.command import gap
+from rtcal.command import finder as commands
 from rtcal.finder import find
 from rtcal.report import figures, gap_report, page, result_folder, study_report
 from tests.test_discrepancy import controls_of, opened
@@ -33,7 +33,7 @@ def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     fit_once(monkeypatch)
     search_once(monkeypatch)
     finding = find(opened(), controls=controls_of(opened()))
-    monkeypatch.setattr(gap, "_find", lambda *_: finding)
+    monkeypatch.setattr(commands, "_find", lambda *_, **__: finding)
     for name in ("verify", "figures", "finding_page"):
         once(monkeypatch, gap_report, name)
     once(monkeypatch, page, "page_of")

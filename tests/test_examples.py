@@ -61,7 +61,7 @@ def test_the_printed_commands_run(
 def test_the_case_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run("example", "missing-effect", "-q") == 0
-    assert run("gap", "plan", "missing-effect/case.json") == 0
+    assert run("plan", "missing-effect/case.json") == 0
 
 
 def test_the_case_with_a_geometry_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

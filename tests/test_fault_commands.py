@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import pytest
 
 import rtcal as rt
-from rtcal.command import gap_where
 from rtcal.command.main import main
 from rtcal.loop import positions
 from rtcal.report import figures, where_folder
@@ -140,13 +139,13 @@ def fit_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def search_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`rtcal gap` with a geometry searches and verifies once."""
+    """`rtcal find` with a geometry searches and verifies once."""
     finding = finding_of({"floor": 0.7, "wall 5": 0.3})
     verified = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
     drawn = where_folder.drawn(finding, verified, PLACE)
     pictures = {id(figure): figures.rendered(figure, "png") for figure in drawn.values()}
-    monkeypatch.setattr(gap_where, "find", lambda *_, **__: finding)
-    monkeypatch.setattr(rt.finder.positions, "verify", lambda *_, **__: verified)
+    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: finding)
+    monkeypatch.setattr(rt.finder, "verify", lambda *_, **__: verified)
     monkeypatch.setattr(rt.finder.positions, "next_position", lambda *_, **__: (PLACE,))
     monkeypatch.setattr(where_folder, "drawn", lambda *_: drawn)
     monkeypatch.setattr(where_folder, "rendered", lambda figure, _: pictures[id(figure)])
@@ -185,14 +184,10 @@ WRITERS = {
         f"{STUDY} --realisations 250 --trials 10 --workers 1 --folder @pieces",
         ahead="pieces",
     ),
-    "gap apply": Writer(case, "gap apply @case.json --out @new.json --room @new.toml"),
-    "gap report": Writer(case, "gap report @case.json --out @gap"),
-    "gap apply with a geometry": Writer(
-        box_with_pairs, "gap apply @room.toml @pairs.csv --out @corrected"
-    ),
-    "gap report with a geometry": Writer(
-        box_with_pairs, "gap report @room.toml @pairs.csv --out @page"
-    ),
+    "apply": Writer(case, "apply @case.json --out @new.json --room @new.toml"),
+    "gap report": Writer(case, "find @case.json --out @gap"),
+    "apply with a geometry": Writer(box_with_pairs, "apply @room.toml @pairs.csv --out @corrected"),
+    "find with a geometry": Writer(box_with_pairs, "find @room.toml @pairs.csv --out @page"),
 }
 
 
@@ -240,7 +235,7 @@ def attempt(name: str, tmp_path: Path, between: int) -> tuple[int, int]:
     return tried, lost
 
 
-@pytest.mark.parametrize("name", ["gap apply with a geometry", "gap report with a geometry"])
+@pytest.mark.parametrize("name", ["apply with a geometry", "find with a geometry"])
 def test_a_corrected_geometry_is_written_all_or_nothing(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

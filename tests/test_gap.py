@@ -1,4 +1,4 @@
-"""`rtcal gap` and the hidden rooms: commands, leak audit, stored findings."""
+"""`rtcal find`, its kin and the hidden rooms: commands, leak audit, stored findings."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command import gap
-from rtcal.command.gap_options import Inputs
+from rtcal.command import finder as commands
+from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
 from rtcal.finder import Case, Finding, control_rooms, find, verify
 from rtcal.finder.means import evidence
@@ -55,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(*arguments: str) -> str:
-    done = CliRunner().invoke(cli, ["gap", *arguments], catch_exceptions=False)
+    done = CliRunner().invoke(cli, [*arguments], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done.output
 
@@ -81,7 +81,7 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
 def test_the_report_is_written_whole(folder: Path) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra report")
     pytest.importorskip("jinja2", reason="needs the extra report")
-    run("report", str(folder / "case.toml"), "--out", str(folder / "out"))
+    run("find", str(folder / "case.toml"), "--out", str(folder / "out"))
     names = {p.name for p in (folder / "out").iterdir()}
     # An opening bends no decay, so none is drawn.
     assert {
@@ -112,7 +112,7 @@ def test_the_report_is_written_whole(folder: Path) -> None:
         ("measured.csv", ["apply", "--out", "measured.csv"]),
         ("case.toml", ["apply", "--out", "case.toml"]),
         ("room.toml", ["apply", "--out", "new.json", "--room", "room.toml"]),
-        ("out/report.html", ["report", "--out", "out"]),
+        ("out/report.html", ["find", "--out", "out"]),
     ],
 )
 def test_nothing_is_written_over_what_was_read(
@@ -140,7 +140,7 @@ def test_a_room_and_its_measurement_are_a_case(folder: Path, tmp_path: Path) -> 
         f'room = "{room}"\n[[configuration]]\nname = "as measured"\nmeasured = "{measured}"\n'
     )
     stated = Case.from_file(str(tmp_path / "case.toml"))
-    assert gap._case(Inputs(case=room, measured=measured)).to_dict() == stated.to_dict()
+    assert commands._case(Inputs(case=room, measured=measured)).to_dict() == stated.to_dict()
     with pytest.raises(rt.errors.DataError, match="--paths needs a room that states its sources"):
         run("find", room, measured, "--paths", "100")
     with pytest.raises(rt.errors.DataError, match="would be written over"):
@@ -302,7 +302,7 @@ def test_a_sound_model_is_no_input_error(folder: Path) -> None:
     path.write_text(json.dumps(case.to_dict() | {"configurations": [sound]}))
     assert run("verify", str(path)).startswith("Nothing to add: prior, measurement and model agree")
     assert json.loads(run("verify", str(path), "--json"))["verdict"] is None
-    done = CliRunner().invoke(cli, ["gap", "apply", str(path), "--out", str(out)])
+    done = CliRunner().invoke(cli, ["apply", str(path), "--out", str(out)])
     assert done.exit_code == 6
     assert done.output.startswith("Nothing to add")
     assert not out.exists()

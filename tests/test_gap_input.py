@@ -93,7 +93,7 @@ def test_the_command_refuses_a_calibrated_room_s_file(tmp_path: Path) -> None:
     (tmp_path / "case.toml").write_text(
         'room = "room.toml"\n[[configuration]]\nname = "A"\nmeasured = "t.csv"\n'
     )
-    done = CliRunner().invoke(cli, ["gap", "find", str(tmp_path / "case.toml")])
+    done = CliRunner().invoke(cli, ["find", str(tmp_path / "case.toml")])
     assert done.exit_code != 0
     assert "already calibrated on these data" in str(done.exception or done.output)
 
@@ -489,7 +489,7 @@ def test_commands_simulate_a_case_s_control_rooms_once(
     path = str(tmp_path / "case.json")
 
     def command(*words: str) -> str:
-        done = CliRunner().invoke(cli, ["gap", *words, "--quiet", "--json"])
+        done = CliRunner().invoke(cli, [*words, "--quiet", "--json"])
         assert done.exit_code == 0, done.output
         return done.output
 

@@ -155,7 +155,7 @@ def test_the_command_proposes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     case.save(str(path))
 
     def run(*arguments: str) -> tuple[int, str]:
-        done = CliRunner().invoke(cli, ["gap", "plan", str(path), *arguments])
+        done = CliRunner().invoke(cli, ["plan", str(path), *arguments])
         return done.exit_code, done.output or str(done.exception)
 
     code, said = run("--json", "--cost", "G=0.01")

@@ -173,9 +173,7 @@ def test_odds_on_the_command_line_are_effect_and_number(tmp_path) -> None:  # ty
     path = tmp_path / "case.json"
     louder().save(str(path))
     with pytest.raises(DataError, match="is not EFFECT=ODDS"):
-        CliRunner().invoke(
-            cli, ["gap", "find", str(path), "--prior", "opening"], catch_exceptions=False
-        )
+        CliRunner().invoke(cli, ["find", str(path), "--prior", "opening"], catch_exceptions=False)
 
 
 def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() -> None:

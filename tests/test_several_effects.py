@@ -357,7 +357,7 @@ def test_the_command_finds_and_adds_the_set(
     case.save(str(tmp_path / "case.json"))
 
     def run(*arguments: str) -> str:
-        done = CliRunner().invoke(cli, ["gap", *arguments], catch_exceptions=False)
+        done = CliRunner().invoke(cli, [*arguments], catch_exceptions=False)
         assert done.exit_code == 0, done.output
         return done.output
 
@@ -375,14 +375,14 @@ def test_the_command_finds_and_adds_the_set(
     assert {a.name for a in Case.from_file(out).applied} == {"volume", "noise floor"}
     pytest.importorskip("jinja2", reason="needs the extra report")
     pytest.importorskip("matplotlib", reason="needs the extra report")
-    run("report", path, *only, "--several", "--out", str(tmp_path / "page"))
+    run("find", path, *only, "--several", "--out", str(tmp_path / "page"))
     text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
     # The set and its probabilities come first, then what to do, then the calibration with the set.
     order = [
         "The model lacks",
         "there with",
         "Number of effects",
-        "gap plan --next",
+        "plan --next",
         "in the model: stated",
         "Sets of effects, the most probable first",
         "noise floor + volume" if "noise floor + volume" in text else "volume + noise floor",
@@ -436,7 +436,7 @@ def test_options_of_several_effects_that_would_do_nothing_are_refused(
     options: tuple[str, ...], words: str, tmp_path: Path
 ) -> None:
     case_with().save(str(tmp_path / "case.json"))
-    done = CliRunner().invoke(cli, ["gap", "find", str(tmp_path / "case.json"), *options])
+    done = CliRunner().invoke(cli, ["find", str(tmp_path / "case.json"), *options])
     assert isinstance(done.exception, DataError | SystemExit)
     assert words in " ".join(f"{done.output} {done.exception}".split())
 

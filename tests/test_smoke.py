@@ -77,10 +77,10 @@ presets.calibrate = calibrate
 
 
 NOTHING_TO_ADD = """
-from rtcal.command import gap
+from rtcal.command import finder as commands
 from rtcal.report import correction
 
-gap._case = gap._find = lambda *_: None
+commands._case = commands._find = lambda *_, **__: None
 correction.correct = lambda *_: correction.Correction("nothing to add", {})
 """
 
@@ -91,7 +91,7 @@ correction.correct = lambda *_: correction.Correction("nothing to add", {})
         (0, "", CALIBRATE, ""),
         (2, "", [], "Usage: rtcal"),
         (2, "", ["nonsense"], "rtcal: No such command"),
-        (2, "", ["gap"], "Usage: rtcal gap"),
+        (2, "", ["loop"], "Usage: rtcal loop"),
         (2, "", ["calibrate", "room.toml"], "rtcal: Missing argument"),
         (2, "", ["calibrate", "room.toml", "none.csv"], "rtcal: none.csv: No such file"),
         (
@@ -101,7 +101,7 @@ correction.correct = lambda *_: correction.Correction("nothing to add", {})
             "no values",
         ),
         (4, "import sys; sys.modules['jinja2'] = None", ["report", "calibrated"], "rtcal[report]"),
-        (6, NOTHING_TO_ADD, ["gap", "apply", "case.toml", "--out", "c.json"], ""),
+        (6, NOTHING_TO_ADD, ["apply", "case.toml", "--out", "c.json"], ""),
         (130, fails_with("KeyboardInterrupt"), CALIBRATE, ""),
     ],
 )

@@ -85,11 +85,11 @@ CALLS: list[tuple[str, list[str], int]] = [
         FIT,
         0,
     ),
-    ("missing-effect", ["gap", "plan", "case.json"], 0),
-    ("missing-effect", ["gap", "find", "case.json"], 0),
-    ("missing-effect", ["gap", "verify", "case.json"], 0),
-    ("missing-effect", ["gap", "report", "case.json", "--out", "gap"], 0),
-    ("missing-effect", ["gap", "apply", "case.json", "--out", "c.json", "--room", "c.toml"], 0),
+    ("missing-effect", ["plan", "case.json"], 0),
+    ("missing-effect", ["find", "case.json"], 0),
+    ("missing-effect", ["verify", "case.json"], 0),
+    ("missing-effect", ["find", "case.json", "--out", "gap"], 0),
+    ("missing-effect", ["apply", "case.json", "--out", "c.json", "--room", "c.toml"], 0),
     (
         "room",
         ["study", "--trials", "9", "--realisations", "30", "--room", "shoebox", "--room", "halls"],
@@ -100,7 +100,7 @@ CALLS: list[tuple[str, list[str], int]] = [
 
 @pytest.fixture(scope="module")
 def computed() -> Any:
-    """The slow part of `gap` and `fit`, once for all widths: what is tested is their text."""
+    """The slow part of `find` and `fit`, once for all widths: what is tested is their text."""
     from rtcal import finder
 
     # It shall not import what is replaced below.
@@ -149,7 +149,7 @@ def test_every_command_is_called() -> None:
 def test_no_line_is_longer_than_the_terminal(
     projects: Path, computed: None, columns: int, monkeypatch, capsys, tmp_path
 ) -> None:
-    """`gap report` had printed 177 characters in a line."""
+    """`find --out` had printed 177 characters in a line."""
     monkeypatch.setenv("COLUMNS", str(columns))
     folder = tmp_path / "p"
     shutil.copytree(projects, folder)
@@ -169,7 +169,7 @@ def test_no_line_is_longer_than_the_terminal(
 @pytest.mark.parametrize("columns", WIDTHS)
 def test_no_help_is_wider_than_the_terminal(columns: int, monkeypatch, capsys) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
-    for name in ("", "gap", "loop", *command_names()):
+    for name in ("", "loop", *command_names()):
         assert run(*name.split(), "--help") == 0
         line = longest(capsys.readouterr().out)
         assert len(line) <= columns, f"rtcal {name}: {line}"
@@ -209,10 +209,10 @@ def test_what_is_missing_is_one_line_per_band(projects: Path, monkeypatch, capsy
 
 
 def test_every_progress_bar_is_documented() -> None:
-    """Those of `gap` were not: what they count was said by no page."""
+    """Those of `find` were not: what they count was said by no page."""
     root = Path(__file__).resolve().parents[1]
     shown = {
-        path.stem.split("_")[0]  # `gap_where` is `gap` with a geometry
+        "find" if path.stem == "finder" else path.stem
         for path in (root / "rtcal" / "command").glob("*.py")
         if "bar_wanted(" in path.read_text(encoding="utf-8") and path.stem != "console"
     }

@@ -266,7 +266,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(command: str, folder: Path, *options: str, code: int = 0) -> str:
     files = [str(folder / "room.toml"), str(folder / "pairs.csv")]
     stated = [command, *files, "--scattering", "0.4", "--paths", "4800", *options]
-    done = CliRunner().invoke(cli, ["gap", *stated], catch_exceptions=False)
+    done = CliRunner().invoke(cli, [*stated], catch_exceptions=False)
     assert done.exit_code == code, done.output
     return str(done.output)
 
@@ -291,7 +291,7 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     assert len(rt.io.obj.read(tmp_path / "wall" / "room.obj").faces) == 6
     with pytest.raises(DataError, match='--at "7,1" is not X,Y,Z in m'):
         run("apply", folder, "--out", str(tmp_path / "no"), "--at", "7,1")
-    assert "not fitted" in run("report", folder, "--out", str(tmp_path / "page"))
+    assert "not fitted" in run("find", folder, "--out", str(tmp_path / "page"))
     names = {"report.html", "result.json", "map.png", "plan.png", "room.png", "gap.png"}
     assert {p.name for p in (tmp_path / "page").iterdir()} == names
     page = (tmp_path / "page" / "report.html").read_text()
@@ -341,12 +341,12 @@ def test_a_case_that_states_its_geometry_is_told_where_to_write_it(tmp_path: Pat
     )
     said = r"case\.toml: a case states no geometry: write \[geometry\] with mesh, \[sources\]"
     with pytest.raises(DataError, match=said):
-        CliRunner().invoke(cli, ["gap", "find", str(case)], catch_exceptions=False)
+        CliRunner().invoke(cli, ["find", str(case)], catch_exceptions=False)
 
 
 def test_a_room_alone_is_told_to_name_its_measurement(folder: Path) -> None:
     with pytest.raises(DataError, match="this is a room's file; name what was measured"):
-        CliRunner().invoke(cli, ["gap", "find", str(folder / "room.toml")], catch_exceptions=False)
+        CliRunner().invoke(cli, ["find", str(folder / "room.toml")], catch_exceptions=False)
 
 
 def test_the_scales_are_linear_in_absorption() -> None:

@@ -1,4 +1,4 @@
-"""`rtcal gap` with a geometry: what it prints, its exit codes, and what an interrupted search keeps."""
+"""`rtcal find` and its kin with a geometry: what is printed, exit codes, what an interruption keeps."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.command import gap_where
 from rtcal.command.main import main
 from rtcal.finder.positions import Finding, Verification
 from tests.test_terminal import longest
@@ -27,7 +27,7 @@ COMMANDS = [
     ("find",),
     ("plan",),
     ("verify",),
-    ("report", "--out", "a-folder"),
+    ("find", "--out", "a-folder"),
     ("apply", "--out", "a-folder", "--at", "6,2,0"),
     ("apply", "--out", "a-folder", "--form", "material"),
 ]
@@ -35,7 +35,7 @@ COMMANDS = [
 
 def run(*arguments: str) -> int:
     with pytest.raises(SystemExit) as stop:
-        main(["gap", *arguments])
+        main(list(arguments))
     assert isinstance(stop.value.code, int)
     return stop.value.code
 
@@ -53,12 +53,12 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
     def verified(*_: Any, **__: Any) -> Verification:
         return verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
 
-    monkeypatch.setattr(gap_where, "find", lambda *_, **__: finding)
-    monkeypatch.setattr(rt.finder.positions, "verify", verified)
+    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: finding)
+    monkeypatch.setattr(rt.finder, "verify", verified)
     monkeypatch.setattr(rt.finder.positions, "next_position", lambda *_, **__: (PLACE,))
     monkeypatch.chdir(tmp_path)
     scene = rt.Scene(sources=SOURCES, receivers=RECEIVERS)
-    stated().replace(scene=scene).save("room.toml")
+    stated().replace(scene=scene, scattering=np.full((6, 3), 0.4)).save("room.toml")
     measured(False).save("pairs.csv")
     return finding
 
@@ -73,7 +73,7 @@ def test_no_line_is_longer_than_the_terminal(
         assert run(command, *FILES, *options) == 0, capsys.readouterr().err
         said = capsys.readouterr().out
         line = longest(said)
-        assert len(line) <= columns, f"rtcal gap {command}: {line}"
+        assert len(line) <= columns, f"rtcal {command}: {line}"
     assert run("apply", *FILES, "--out", "x", "--at", "3,2,1.5") == 2
     assert len(longest(capsys.readouterr().err)) <= columns
 
@@ -87,7 +87,7 @@ def test_the_next_position_is_proposed(
         {"point": list(PLACE.point), "source": PLACE.source, "nats": PLACE.nats}
     ]
     claimed = replace(found, surface="floor")
-    monkeypatch.setattr(gap_where, "find", lambda *_, **__: claimed)
+    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: claimed)
     assert run("plan", *FILES) == 0
     assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
 
@@ -108,12 +108,12 @@ def test_nothing_found_is_said_and_nothing_is_written(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     nothing = replace(found, verdict="none", effect=None, family=None)
-    monkeypatch.setattr(gap_where, "find", lambda *_, **__: nothing)
+    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: nothing)
     assert run("apply", *FILES, "--out", "corrected") == 6
     assert not (tmp_path / "corrected").exists()
     assert run("verify", *FILES) == 0
-    assert "There is nothing to add" in capsys.readouterr().out
-    assert run("report", *FILES, "--out", "page") == 0
+    assert "no surface lacks anything" in " ".join(capsys.readouterr().out.split())
+    assert run("find", *FILES, "--out", "page") == 0
     assert not (tmp_path / "page" / "gap.png").exists()
 
 

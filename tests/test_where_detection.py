@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.effects import library
 from rtcal.finder.positions import track_record
 from rtcal.finder.positions.detection import (
     OF_PROGRAMS,
@@ -62,7 +63,7 @@ def scored(
     of_noise: float, of_position: float, of_shift: float, case: rt.finder.positions.Case
 ) -> float:
     """The score where hypotheses have these log evidences, over that of nothing."""
-    one = next(s for s in shifts(case) if s.effect == "opening").some(slice(0, 1))
+    one = next(s for s in shifts(case, library()) if s.effect == "opening").some(slice(0, 1))
     every = Hypotheses([one], [spread(NOISE), spread(POSITION)], off=0.0, unknown=False)
     none = np.zeros(1)
     spreads = [np.full(1, of_noise), np.full(1, of_position)]

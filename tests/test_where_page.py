@@ -164,7 +164,7 @@ def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: Finding) -
 
 def test_the_page_begins_with_the_three_bars(finding: Finding, tmp_path: Path) -> None:
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
-    where_folder.write(finding, result, tmp_path, command="rtcal gap report", place=PLACE)
+    where_folder.write(finding, result, tmp_path, command="rtcal find", place=PLACE)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     body = page[page.index("<main>") :]
     assert body.index("<img") < body.index("Unproven") < body.index("What was found")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.effects import library
 from rtcal.finder.positions import surfaces
 from rtcal.finder.positions.corrected import corrected
 from rtcal.finder.positions.hypotheses import shifts
@@ -151,7 +152,7 @@ def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.finder.positi
             total[key] = total.get(key, 0.0) + float(s.odds.sum())
         return total
 
-    whole = shifts(case)
+    whole = shifts(case, library())
     both = on_parts(case, whole)
     assert odds(both) == pytest.approx(odds(whole))
     on_one = [s for s in both if s.part is not None]

@@ -12,6 +12,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import rtcal as rt
+from rtcal.finder.effects import library
 from rtcal.finder.positions.detection import THRESHOLD, Means
 from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (
@@ -37,7 +38,11 @@ def case() -> rt.finder.positions.Case:
 
 
 def test_the_families_of_the_means_are_multiplied_in(case: rt.finder.positions.Case) -> None:
-    some = [s.some(slice(0, 1)) for s in shifts(case) if s.effect in ("opening", "covered surface")]
+    some = [
+        s.some(slice(0, 1))
+        for s in shifts(case, library())
+        if s.effect in ("opening", "covered surface")
+    ]
     pair = [some[0], next(s for s in some if s.family != some[0].family)]
     every = Hypotheses(pair, [], off=0.1)
     one = np.zeros(1)

@@ -123,7 +123,7 @@ def together_in_words(p_value: float, p_together: float | None) -> str:
     Examples
     --------
     >>> print(together_in_words(1.7e-5, 0.011))
-    With errors that coefficients have in common p = 0.011. gap find assumes these too, and adds \
+    With errors that coefficients have in common p = 0.011. find assumes these too, and adds \
 those of the model and between measuring teams.
     >>> together_in_words(0.001, None)
     ''
@@ -131,7 +131,7 @@ those of the model and between measuring teams.
     if p_together is None or p_together < 2 * p_value:
         return ""
     return (
-        f"With errors that coefficients have in common p = {p_together:.2g}. gap find assumes these "
+        f"With errors that coefficients have in common p = {p_together:.2g}. find assumes these "
         "too, and adds those of the model and between measuring teams."
     )
 

@@ -15,8 +15,8 @@ from rtcal.command.console import CannotPrint, printing, show_warning, warn
 from rtcal.command.design import design
 from rtcal.command.example import example
 from rtcal.command.files import export, measure, table
+from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
 from rtcal.command.fit import fit
-from rtcal.command.gap import NOTHING_TO_ADD, gap
 from rtcal.command.import_room import import_room
 from rtcal.command.learn import learn
 from rtcal.command.loop import loop
@@ -32,7 +32,7 @@ EXIT_CODES = {
     3: "the solver failed",
     4: "an optional library is missing",
     CannotPrint.exit_code: "the output cannot be printed",
-    NOTHING_TO_ADD: "nothing to add, nothing written (`rtcal gap apply`)",
+    NOTHING_TO_ADD: "nothing to add, nothing written (`rtcal apply`)",
     130: "interrupted",
 }
 
@@ -76,9 +76,12 @@ for command in (
     report,
     predict,
     design,
-    gap,
     loop,
     fit,
+    find,
+    verify,
+    apply,
+    plan,
     measure,
     table,
     import_room,

@@ -187,10 +187,10 @@ def _missing_effect() -> Example:
     return Example(
         {name: path(f"hidden_room/{name}").read_bytes() for name in ("case.json", "closed.json")},
         (
-            "rtcal gap find case.json",
-            "rtcal gap find closed.json",
-            "rtcal gap verify closed.json",
-            "rtcal gap report closed.json --out gap",
+            "rtcal find case.json",
+            "rtcal find closed.json",
+            "rtcal verify closed.json",
+            "rtcal find closed.json --out gap",
         ),
     )
 
@@ -202,7 +202,7 @@ def _told() -> Example:
             f"{name}.json": path(f"hidden_room/{name}.json").read_bytes()
             for name in ("named", "not_told")
         },
-        ("rtcal gap find named.json", "rtcal gap find not_told.json"),
+        ("rtcal find named.json", "rtcal find not_told.json"),
     )
 
 
@@ -269,9 +269,9 @@ def _where() -> Example:
             "pairs.csv": path("where_room/pairs.csv").read_bytes(),
         },
         (
-            "rtcal gap find room.toml pairs.csv",
-            "rtcal gap report room.toml pairs.csv --out page",
-            "rtcal gap apply room.toml pairs.csv --out corrected",
+            "rtcal find room.toml pairs.csv",
+            "rtcal find room.toml pairs.csv --out page",
+            "rtcal apply room.toml pairs.csv --out corrected",
         ),
     )
 

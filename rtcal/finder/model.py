@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from rtcal.acoustics.equations import MeanEquation, mean_equation
+from rtcal.acoustics.room import Room
 from rtcal.support.types import Array, read_only_view
 
 FEATURES = ("t20", "edt", "t30", "c80", "g")
@@ -68,6 +69,20 @@ class State:
             values = getattr(self, name)
             if isinstance(values, np.ndarray) and values.flags.writeable:
                 object.__setattr__(self, name, read_only_view(values))
+
+    @classmethod
+    def of_room(cls, room: Room, facing: Array, equation: str = "eyring") -> State:
+        """Return a room as it is stated; ``facing`` as `Case` has it."""
+        return cls(
+            volume=room.volume,
+            areas=room.areas,
+            alpha=np.array(room.alpha),
+            facing=facing,
+            air=room.air_attenuation,
+            frequencies=room.centre_frequencies,
+            speed_of_sound=room.speed_of_sound,
+            equation=equation,
+        )
 
     @property
     def total_area(self) -> float:

@@ -29,6 +29,8 @@ OFF_TOGETHER = 0.2
 """Prior probability that coefficients of handbook uncertainty are off together. Catalogues agree to
 some 30 % for a material, and a room's absorption area after them is off by 23 to 34 % in three
 measured rooms (docs/discrepancy_study.md): more than independent errors of so many materials."""
+EXPECTED = 0.7
+"""Expected number of effects that a model lacks, where several are sought at once."""
 SHARPER = 0.4
 """How much the power of the probabilities grows towards a sigma of 0: it is 1 at a handbook's sigma,
 and 1.4 at 0. Where coefficients were measured, the most probable answer is right more often than

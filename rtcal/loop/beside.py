@@ -106,5 +106,5 @@ def sentences(gaps: Gaps, frequencies: Array) -> Iterator[str]:
         yield (
             f"{parameter_label(parameter)}, which was not fitted, left what was measured: by "
             f"{before[k]:.1f} JND before and {after[k]:.1f} JND after, at {label(frequencies[k])}. "
-            "Match it at every position, or look for what the model misses (rtcal gap)."
+            "Match it at every position, or look for what the model misses (rtcal find)."
         )

@@ -1,4 +1,4 @@
-"""The output of ``rtcal gap apply``: the case with the effect, its room and the printed text."""
+"""The output of ``rtcal apply``: the case with the effect, its room and the printed text."""
 
 from __future__ import annotations
 

@@ -247,7 +247,7 @@ def page_of(
     if isinstance(result, CalibrationResult):
         return calibration_page(result, heading=heading, progress=progress)
     raise DataError(
-        f"{place}: a {type(result).__name__} has no page here; `rtcal gap report` writes that of a "
+        f"{place}: a {type(result).__name__} has no page here; `rtcal find --out` writes that of a "
         "finding"
     )
 

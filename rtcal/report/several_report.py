@@ -134,7 +134,7 @@ def _to_do(finding: SeveralFinding) -> list[str]:
     if finding.can_be_added:
         return [
             *steps,
-            "Ask what to measure next with rtcal gap plan --next: it goes on from these sets.",
+            "Ask what to measure next with rtcal plan --next: it goes on from these sets.",
             "Do this before the corrected calibration is used. Nothing has verified the set.",
         ]
     return [*steps, "The calibration below can be used, with the reservations that it states."]

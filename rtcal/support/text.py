@@ -81,9 +81,9 @@ def shell(command: str, indent: str = "") -> list[str]:
 
     Examples
     --------
-    >>> command = "rtcal gap report case.toml --engine 'path tracing' --engine network --seed 123456"
+    >>> command = "rtcal find case.toml --engine 'path tracing' --engine network --seed 123456"
     >>> print("\n".join(shell(command)))
-    rtcal gap report case.toml --engine 'path tracing' --engine network \
+    rtcal find case.toml --engine 'path tracing' --engine network \
         --seed 123456
     """
     parts = re.findall(r"(?:--\S+ )?(?:'[^']*'|\"[^\"]*\"|[^\s'\"])+", command)

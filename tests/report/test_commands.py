@@ -11,7 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal.calibration.presets import METHODS
 from rtcal.command import console
-from rtcal.command.gap import NOTHING_TO_ADD
+from rtcal.command.finder import NOTHING_TO_ADD
 from rtcal.command.main import EXIT_CODES, cli
 from rtcal.errors import MissingDependencyError
 from rtcal.report import (

@@ -1,4 +1,4 @@
-"""Calibrate and gap find state once what coefficients are off by, alone and together."""
+"""Calibrate and find state once what coefficients are off by, alone and together."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> 
     assert found.p_together == pytest.approx(stats.chi2.sf(q, room.n_bands), rel=1e-9)
     assert found.p_together > 100 * found.p_value
     assert "With errors that coefficients have in common p = 0.01" in " ".join(str(result).split())
-    assert "gap find" in verdict(result)[2]
+    assert "find" in verdict(result)[2]
 
 
 def test_what_errors_in_common_explain_is_no_contradiction() -> None:

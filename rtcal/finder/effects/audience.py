@@ -18,6 +18,7 @@ from rtcal.finder.effects.base import (
     middle_absorption,
 )
 from rtcal.finder.model import State
+from rtcal.support.types import Array
 
 SEATED_ALPHA = 0.86
 """alpha of a seated audience at 1 kHz (Beranek 1996)."""
@@ -36,6 +37,7 @@ class Audience(AbsorbingObject):
     parameter_units: ClassVar[Mapping[str, str]] = {
         "absorption_area": " m² of absorption area at 1 kHz"
     }
+    stands_on: ClassVar[Sequence[str]] = ("floor",)
 
     # Relative to 1 kHz, 63 Hz to 8 kHz.
     SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)
@@ -51,5 +53,13 @@ class Audience(AbsorbingObject):
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the audience."""
-        alpha = SEATED_ALPHA * interpolate_octaves(state.frequencies, self.SEATED)
-        return state.covered(parameters["absorption_area"] / SEATED_ALPHA, np.minimum(alpha, 1.0))
+        return state.covered(
+            parameters["absorption_area"] / SEATED_ALPHA, self._alpha(state.frequencies)
+        )
+
+    def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
+        """Return the audience's alpha."""
+        return [({}, self._alpha(frequencies))]
+
+    def _alpha(self, frequencies: Array) -> Array:
+        return np.minimum(SEATED_ALPHA * interpolate_octaves(frequencies, self.SEATED), 1.0)

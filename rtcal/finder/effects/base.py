@@ -66,6 +66,11 @@ class Effect(ABC):
         formula that no two features share. From the prototype, of half of a variance of 0.15².
     largest_share : float
         Largest share of all surfaces that the effect is believed to take.
+    stands_on : sequence of str
+        The kinds of surfaces on which it may stand, of "floor", "wall" and "ceiling". With positions it
+        is sought on each of them; an effect without any is sought by means over positions alone.
+    shares : sequence of float
+        Shares of a surface that are tried, of an effect that takes absorption away from it.
     not_in_simulator : str or None
         Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
         only of effects that no material can represent.
@@ -85,6 +90,8 @@ class Effect(ABC):
     odds: ClassVar[float] = 1.0
     formula_error: ClassVar[float] = 0.106
     largest_share: ClassVar[float] = 0.25
+    stands_on: ClassVar[Sequence[str]] = ()
+    shares: ClassVar[Sequence[float]] = ()
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
     not_in_simulator: ClassVar[str | None] = (
         "it bends the decay, which no material of a simulator does; without make the case's own "
@@ -98,6 +105,10 @@ class Effect(ABC):
     @abstractmethod
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the effect in it."""
+
+    def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
+        """Return what may stand on a surface: parameters without a size, and alpha, (n_bands,)."""
+        return []
 
     def density(self, parameters: Parameters, state: State) -> float:
         """Return the prior density of the parameters, but for a factor: 1 everywhere.
@@ -180,6 +191,7 @@ class Absorber(AbsorbingObject):
     size: ClassVar[str] = "area"
     unit: ClassVar[str] = "m²"
     parameter_units: ClassVar[Mapping[str, str]] = {"area": " m²"}
+    stands_on: ClassVar[Sequence[str]] = ("wall", "ceiling")
     least: ClassVar[float] = 0.05
     most: ClassVar[float] = 1.2
     steps: ClassVar[int] = 10
@@ -200,6 +212,14 @@ class Absorber(AbsorbingObject):
         """Return the grid of the parameters other than the area; a single set without any."""
         return [{}]
 
+    def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
+        """Return every kind with its alpha."""
+        return [(dict(k), self._checked_alpha(frequencies, k)) for k in self.kinds()]
+
+    def _checked_alpha(self, frequencies: Array, parameters: Parameters) -> Array:
+        alpha = self.spectrum(frequencies, parameters)
+        return checked_spectrum(self.name, alpha, frequencies)
+
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return every kind with every area."""
         sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
@@ -207,9 +227,9 @@ class Absorber(AbsorbingObject):
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with the absorber in place of wall."""
-        alpha = self.spectrum(state.frequencies, parameters)
-        alpha = checked_spectrum(self.name, alpha, state.frequencies)
-        return state.covered(parameters[self.size], alpha)
+        return state.covered(
+            parameters[self.size], self._checked_alpha(state.frequencies, parameters)
+        )
 
 
 def checked_spectrum(name: str, alpha: object, frequencies: Array) -> Array:

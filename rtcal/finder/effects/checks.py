@@ -22,6 +22,7 @@ from rtcal.support.types import Array
 T = TypeVar("T")
 _TEXTS = ("name", "size", "unit")
 _RESERVED = ("none", "unknown")
+SURFACES = ("floor", "wall", "ceiling")
 _ARRAYS = {
     "areas": (0.0, np.inf),
     "alpha": (0.0, 1.0),
@@ -71,6 +72,14 @@ def _check(place: str, effect: Any) -> None:
         raise DataError(f"{where}: size_error = {error:g} is not finite and 0 or more")
     checks.flag(f"{where}: removable", getattr(effect, "removable", None))
     checks.listed(f"{where}: discrete", getattr(effect, "discrete", None))
+    for kind in checks.listed(f"{where}: stands_on", getattr(effect, "stands_on", None)):
+        if kind not in SURFACES:
+            raise DataError(
+                f"{where}: stands_on has {kind!r}, which is not one of {', '.join(SURFACES)}"
+            )
+    for share in checks.listed(f"{where}: shares", getattr(effect, "shares", None)):
+        if not 0 < checks.number(f"{where}: shares", share) <= 1:
+            raise DataError(f"{where}: shares has {share:g}, which is not above 0 and at most 1")
 
 
 def checked_grid(effect: Effect, state: State, room: Room | None = None) -> Sequence[Parameters]:

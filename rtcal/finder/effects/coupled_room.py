@@ -36,6 +36,7 @@ class CoupledRoom(Effect):
     removable: ClassVar[bool] = True
     size_error: ClassVar[float] = 0.4
     parameter_units: ClassVar[Mapping[str, str]] = {"aperture": " m²", "volume": " m³"}
+    stands_on: ClassVar[Sequence[str]] = ("wall", "ceiling")
     not_in_simulator: ClassVar[str | None] = (
         "the simulator has no second room; draw it in its geometry"
     )

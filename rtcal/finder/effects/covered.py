@@ -13,6 +13,7 @@ from rtcal.acoustics.room import Room
 from rtcal.finder.effects.base import Limits, Parameters
 from rtcal.finder.effects.stated import OfMaterial
 from rtcal.finder.model import State
+from rtcal.support.types import Array
 
 HARD = 0.04
 """alpha of what covers the material: wood, plaster or glass at middle frequencies."""
@@ -35,18 +36,23 @@ class CoveredSurface(OfMaterial):
     size_error: ClassVar[float] = 0.1
     discrete: ClassVar[Sequence[str]] = ("material",)
     parameter_units: ClassVar[Mapping[str, str]] = {"share": " of its area covered"}
-    SHARES: ClassVar[tuple[float, ...]] = (0.12, 0.2, 0.33, 0.55, 0.9)
+    stands_on: ClassVar[Sequence[str]] = ("floor", "wall", "ceiling")
+    shares: ClassVar[Sequence[float]] = (0.12, 0.2, 0.33, 0.55, 0.9)
 
     def grid(self, state: State) -> Sequence[Parameters]:
         """Return each material that is softer than the cover, covered by 0.12 to 0.9."""
         middle = state.alpha.mean(1)
         rows = np.flatnonzero(middle > 2 * HARD)
         rows = rows if len(rows) else np.array([int(np.argmax(middle))])
-        return [{"material": float(j), "share": s} for j, s in product(rows, self.SHARES)]
+        return [{"material": float(j), "share": s} for j, s in product(rows, self.shares)]
 
     def limits(self, room: Room | None) -> Limits:
         """Return a material of the room, and a share from 0 to 1."""
         return {**super().limits(room), "share": (0.0, 1.0)}
+
+    def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
+        """Return the cover's alpha."""
+        return [({}, np.full(len(frequencies), HARD))]
 
     def change(self, state: State, parameters: Parameters) -> State:
         """Return the room with that share of the material covered."""

@@ -32,6 +32,7 @@ class Curtain(Absorber):
     family: ClassVar[str] = "added absorption, rising"
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.12, 0.15)
     largest_share: ClassVar[float] = 0.5
+    stands_on: ClassVar[Sequence[str]] = ("wall",)
     least: ClassVar[float] = 0.1
     steps: ClassVar[int] = 7
     parameter_units: ClassVar[Mapping[str, str]] = {

@@ -24,6 +24,7 @@ class Porous(Absorber):
 
     name: ClassVar[str] = "porous"
     largest_share: ClassVar[float] = 0.5
+    stands_on: ClassVar[Sequence[str]] = ("floor", "wall", "ceiling")
     family: ClassVar[str] = "added absorption, rising"
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.1, 0.12)
     least: ClassVar[float] = 0.1

@@ -336,7 +336,7 @@ def _with_absorbers(
             alpha.append(equation.coefficient(absorber))
             if p.size_interval is not None:
                 size = amount(p.parameters[p.effect.size], p.effect.unit, p.size_interval)
-                sources[names[-1]] = f"rtcal gap: {size}; the area leaves room for more"
+                sources[names[-1]] = f"rtcal find: {size}; the area leaves room for more"
             mean_wall = stated.absorption_area / stated.total_area
             sigma.append(np.minimum(np.abs(alpha[-1] - mean_wall) * _spread(p), 1.0))
             at, wall = after, both

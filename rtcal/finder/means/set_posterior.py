@@ -29,11 +29,9 @@ from rtcal.finder.means.sets import (
     shapes,
     unknown_beside,
 )
-from rtcal.finder.prior import COEFFICIENTS, UNKNOWN, Prior
+from rtcal.finder.prior import COEFFICIENTS, EXPECTED, UNKNOWN, Prior
 from rtcal.support.types import Array
 
-EXPECTED = 0.7
-"""Expected number of effects that a model lacks."""
 MOST = 3
 
 

@@ -17,11 +17,11 @@ from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.probabilities import family_of, narrowest_family
 from rtcal.finder.means.search import effects_to_try, find
 from rtcal.finder.means.set_alpha import averaged_alpha
-from rtcal.finder.means.set_posterior import EXPECTED, MOST, Names, SetPosterior, set_posterior
+from rtcal.finder.means.set_posterior import MOST, Names, SetPosterior, set_posterior
 from rtcal.finder.means.sets import compare
 from rtcal.finder.means.several_finding import Member, SeveralFinding, applied_with
 from rtcal.finder.means.verdict import CLAIMED, Fit, doubts, fit
-from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
+from rtcal.finder.prior import COEFFICIENTS, EXPECTED, NONE, UNKNOWN
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress

@@ -33,17 +33,13 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
     values = np.array(room.alpha if alpha is None else alpha)
     for material, change in configuration.changes.items():
         values[room.material_index(material)] = change.alpha
-    air = configuration.air or room.air
-    unchanged = State(
-        volume=room.volume,
-        areas=room.areas,
-        alpha=values,
-        facing=case.facing,
-        air=np.zeros(room.n_bands) if air is None else air.attenuation(room.centre_frequencies),
-        frequencies=room.centre_frequencies,
-        speed_of_sound=(air or Air()).speed_of_sound,
-        equation=case.equation,
-    )
+    unchanged = replace(State.of_room(room, case.facing, case.equation), alpha=values)
+    if air := configuration.air:
+        unchanged = replace(
+            unchanged,
+            air=air.attenuation(room.centre_frequencies),
+            speed_of_sound=air.speed_of_sound,
+        )
     return with_applied(unchanged, case.applied, configuration)
 
 

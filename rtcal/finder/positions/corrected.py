@@ -75,6 +75,16 @@ class Corrected:
             scattering=self.room.scattering,
         )
 
+    @property
+    def in_words(self) -> list[str]:
+        """What was added, and why in another form than was asked for."""
+        said = f"Added {self.added.title}, {self.added.in_words}, as {self.form}"
+        return [f'{said}: material "{self.material}".', *([self.note] if self.note else [])]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was added as plain values."""
+        return {"added": self.added.to_dict(), "form": self.form, "note": self.note}
+
     @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write `FILES` into a folder, all or none, and return their paths.

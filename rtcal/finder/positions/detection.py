@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from rtcal.acoustics.observables import observable
 from rtcal.errors import DataError
 from rtcal.finder.case import Case as MeansCase
 from rtcal.finder.configuration import PARAMETERS, Configuration
+from rtcal.finder.effects import Effect
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.case import Case
 from rtcal.support.types import Array
@@ -99,14 +100,17 @@ class Detection:
 
 
 def evidence_of_means(
-    case: Case, seed: int = 0, cache: str | os.PathLike[str] | None = None
+    case: Case,
+    effects: Sequence[Effect] | None = None,
+    seed: int = 0,
+    cache: str | os.PathLike[str] | None = None,
 ) -> Means | None:
     """Return what `rtcal.finder.find` says of the means over positions.
 
     None where that finder has nothing to compare: no T, or none that can be trusted.
     """
     try:
-        found = find_by_means(of_means(case), seed=seed, cache=cache)
+        found = find_by_means(of_means(case), effects, seed=seed, cache=cache)
     except DataError:
         return None
     return Means(found.score, found.threshold, found.families)

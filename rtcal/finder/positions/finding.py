@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from rtcal.errors import DataError
+from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 KIND = "where 1"
 """Value of the key ``rtcal`` in a saved finding."""
+LEAST_PAIRS = 4
+"""Fewest pairs of a verification: half of them have to say where."""
 _SAID = 0.03
 """Probability below which a candidate is not printed."""
 _LEAST = 1e-3
@@ -67,6 +70,10 @@ class Finding(Result):
     notes : tuple of str
     controls : ControlRuns
         The simulator's error, to be given to another search or calibration.
+    effects : tuple of Effect
+        The library that was tried.
+    left_out : tuple of str
+        What of it was not.
     """
 
     record_kind: ClassVar[str] = KIND
@@ -88,6 +95,8 @@ class Finding(Result):
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     controls: ControlRuns
+    effects: tuple[Effect, ...] = library()
+    left_out: tuple[str, ...] = ()
 
     @property
     def score(self) -> float:
@@ -133,12 +142,19 @@ class Finding(Result):
         return self.detected and best is not None and best.can_be_added
 
     @property
-    def reason_for_none(self) -> str:
-        """Why `apply` has nothing to add."""
+    def can_be_verified(self) -> bool:
+        """Whether `verify` has enough pairs to predict half of them."""
+        return self.can_be_added and len(self.pairs) >= LEAST_PAIRS
+
+    @property
+    def reason_for_none(self) -> str | None:
+        """Why there is nothing to add, in words; None where there is something."""
         best = self.best
+        if self.can_be_added:
+            return None
         if self.detected and best is not None and best.effect == CoupledRoom.name:
             return f"{best.title}: {CoupledRoom.not_in_simulator}"
-        return f'the verdict is "{self.verdict}"; no surface lacks anything to add'
+        return f"{self.headline} So no surface lacks anything to add."
 
     @checked
     def apply(self, form: str = "patch", *, at: Sequence[float] | None = None) -> Corrected:
@@ -163,8 +179,8 @@ class Finding(Result):
         """
         from rtcal.finder.positions.corrected import corrected
 
-        if not self.can_be_added:
-            raise DataError(self.reason_for_none)
+        if (nothing := self.reason_for_none) is not None:
+            raise DataError(nothing)
         best = self.candidates[0] if at is None else self._candidate_at(at)
         return corrected(self.case, best, form, at)
 

@@ -7,24 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal.finder.effects.audience import SEATED_ALPHA, Audience
-from rtcal.finder.effects.base import Absorber, Effect, interpolate_octaves
+from rtcal.finder.effects.base import Effect, middle_absorption
 from rtcal.finder.effects.coupled_room import CoupledRoom
-from rtcal.finder.effects.covered import HARD, CoveredSurface
-from rtcal.finder.effects.curtain import Curtain
-from rtcal.finder.effects.membrane import Membrane
-from rtcal.finder.effects.opening import Opening
-from rtcal.finder.effects.porous import Porous
-from rtcal.finder.effects.resonator import Resonator
 from rtcal.finder.positions import unevenness
 from rtcal.finder.positions.aperture import SECOND_ROOMS
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.responses import MOVE, OPEN, SHARES
-from rtcal.finder.positions.room_hypotheses import air, materials, scattering, volume
+from rtcal.finder.positions.room_hypotheses import (
+    air,
+    materials,
+    scattering,
+    stated_room,
+    volume,
+)
 from rtcal.finder.positions.shift import (
     NOISE,
     ODDS,
     POSITION,
+    SCATTERING,
     Shift,
     Spread,
     error_over_bands,
@@ -39,23 +39,18 @@ from rtcal.support.types import Array
 COUPLED = CoupledRoom()
 SIZES = tuple(np.geomspace(0.05, 1.4, 14))
 """Areas that are tried, over the room's absorption area at 500 to 2000 Hz."""
+WHOLE = {"air": air, "volume": volume}
+"""Effects of the whole room that change what is traced, by name."""
 DISPLACEMENTS = (0.5, 1.0, 2.0)
 """Distances in m by which a source or receiver may stand elsewhere."""
 NOISES = (3.0, 10.0)
 """Factors of the standard deviation of a pair whose measurement failed."""
 
 
-def library() -> tuple[Effect, ...]:
-    """Return the effects that stand on a surface."""
-    return (
-        Opening(),
-        Porous(),
-        Curtain(),
-        Resonator(),
-        Membrane(),
-        Audience(),
-        CoveredSurface(),
-    )
+def on_surfaces(effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effects that have an alpha on a surface, those that cover it last."""
+    standing = [e for e in effects if e.stands_on and e.name != COUPLED.name]
+    return sorted(standing, key=lambda e: (bool(e.shares), "wall" not in e.stands_on))
 
 
 def surface_alpha(case: Case) -> Array:
@@ -70,17 +65,17 @@ def surface_alpha(case: Case) -> Array:
     )
 
 
-def shifts(case: Case, without: Sequence[str] = ()) -> list[Shift]:
+def shifts(case: Case, effects: Sequence[Effect], without: Sequence[str] = ()) -> list[Shift]:
     """Return the hypotheses of the room, but for some effects."""
     out: list[Shift] = []
-    for effect in library():
-        if effect.name not in without:
-            out += _on_surfaces(case, effect)
-    if COUPLED.name not in without:
+    tried = [effect for effect in effects if effect.name not in without]
+    for effect in on_surfaces(tried):
+        out += _on_surfaces(case, effect)
+    if COUPLED.name in [effect.name for effect in tried]:
         out += _apertures(case)
     out += materials(case) if COEFFICIENTS not in without else []
-    whole = [air(case), volume(case), scattering(case)]
-    return out + [shift for shift in whole if shift.effect not in without]
+    whole = [make(case) for name, make in WHOLE.items() if name in [e.name for e in tried]]
+    return [*out, *whole, *([] if SCATTERING in without else [scattering(case)])]
 
 
 def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
@@ -88,11 +83,11 @@ def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
     frequencies, areas = case.room.centre_frequencies, np.array(list(case.areas.values()))
     stated = surface_alpha(case)
     kinds = [kind(case.geometry, f) for f in case.faces.values()]
-    possible = np.array([_may_have(effect, k) for k in kinds])
-    spectra = _spectra(effect, frequencies)
-    middle = _middle_absorption(case)
-    covering = isinstance(effect, CoveredSurface)
-    sizes = np.array(CoveredSurface.SHARES if covering else SIZES)
+    possible = np.array([k in effect.stands_on for k in kinds])
+    spectra = effect.on_surface(frequencies)
+    middle = middle_absorption(stated_room(case))
+    covering = bool(effect.shares)
+    sizes = np.array(effect.shares or SIZES)
     made = []
     for j in np.flatnonzero(possible):
         weights, odds, used, parameters, alpha = [], [], [], [], []
@@ -129,6 +124,7 @@ def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
                     error=error_over_bands(effect, frequencies),
                     uneven=unevenness.factor(np.array(used) / areas[j]),
                     size_error=effect.size_error,
+                    divisible=not covering,
                 )
             )
     return _normalised(made, effect.prior_odds(case.room))
@@ -147,8 +143,8 @@ _LEAST_COVERED = 0.1
 def _apertures(case: Case) -> list[Shift]:
     """Return an aperture to a second room on each wall and ceiling."""
     room, areas = case.room, np.array(list(case.areas.values()))
-    middle, n_bands = _middle_absorption(case), case.room.n_bands
-    possible = np.array([kind(case.geometry, f) != "floor" for f in case.faces.values()])
+    middle, n_bands = middle_absorption(stated_room(case)), case.room.n_bands
+    possible = np.array([kind(case.geometry, f) in COUPLED.stands_on for f in case.faces.values()])
     made = []
     for j in np.flatnonzero(possible):
         area = np.array([size * middle for size in SIZES if size * middle <= areas[j]])
@@ -181,33 +177,6 @@ def _apertures(case: Case) -> list[Shift]:
             )
         )
     return _normalised(made, COUPLED.odds)
-
-
-def _may_have(effect: Effect, where: str) -> bool:
-    """Return whether a floor, a wall or a ceiling may have the effect."""
-    if isinstance(effect, Audience):
-        return where == "floor"
-    if isinstance(effect, Curtain):
-        return where == "wall"
-    return isinstance(effect, CoveredSurface | Porous) or where != "floor"
-
-
-def _spectra(effect: Effect, frequencies: Array) -> list[tuple[dict[str, float], Array]]:
-    """Return the effect's kinds: their parameters and alpha, (n_bands,)."""
-    if isinstance(effect, Absorber):
-        return [(dict(k), effect.spectrum(frequencies, k)) for k in effect.kinds()]
-    if isinstance(effect, Audience):
-        alpha = SEATED_ALPHA * interpolate_octaves(frequencies, effect.SEATED)
-        return [({}, np.minimum(alpha, 1.0))]
-    return [({}, np.full(len(frequencies), HARD))]
-
-
-def _middle_absorption(case: Case) -> float:
-    """Return the room's absorption area at 500 to 2000 Hz in m², over all bands if it has none."""
-    area = case.room.areas @ case.room.alpha
-    f = case.room.centre_frequencies
-    middle = (f > 440) & (f < 2300)
-    return float(area[middle].mean() if middle.any() else area.mean())
 
 
 def spreads(

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.finder.effects.covered import CoveredSurface
 from rtcal.finder.positions import unevenness
 from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.hypotheses import COUPLED, surface_alpha
+from rtcal.finder.positions.hypotheses import surface_alpha
 from rtcal.finder.positions.parts import Part
 from rtcal.finder.positions.responses import SHARES
 from rtcal.finder.positions.shift import Shift, interpolation, towards
@@ -32,7 +31,7 @@ def on_parts(case: Case, shifts: Sequence[Shift]) -> list[Shift]:
     out = []
     for shift in shifts:
         own = [(p, part) for p, part in every if part.surface == shift.surface]
-        if not own or shift.effect in (CoveredSurface.name, COUPLED.name):
+        if not own or not shift.divisible:
             out.append(shift)
             continue
         holds = np.array([shift.sizes <= part.area for _, part in own])

@@ -11,6 +11,7 @@ from rtcal.acoustics.air import Air
 from rtcal.finder.effects.air import OmittedAir
 from rtcal.finder.effects.base import Parameters
 from rtcal.finder.effects.stated import WrongVolume
+from rtcal.finder.model import State
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.responses import AIR, SHARES, VOLUME
 from rtcal.finder.positions.shift import (
@@ -102,14 +103,20 @@ def _whole(
     )
 
 
+def stated_room(case: Case) -> State:
+    """Return the room as it is stated; which way its materials face changes no whole-room effect."""
+    return State.of_room(case.room, np.full((case.room.n_materials, 3), 1 / 3))
+
+
 def air(case: Case) -> Shift:
     """Return other climates, or air where none is stated."""
     effect, room = OmittedAir(), case.room
     f = room.centre_frequencies
     reference = Air(20, 50).attenuation(f)
-    grid = effect.grid(None)  # type: ignore[arg-type]  # the climates do not depend on the room
+    stated = stated_room(case)
+    grid = effect.grid(stated)
     attenuation = np.array([Air(p["temperature"], p["humidity"]).attenuation(f) for p in grid])
-    density = grid_weights(effect, grid, None)  # type: ignore[arg-type]
+    density = grid_weights(effect, grid, stated)
     return _whole(
         "air",
         effect.family,
@@ -126,9 +133,10 @@ def air(case: Case) -> Shift:
 def volume(case: Case) -> Shift:
     """Return other volumes, the geometry scaled."""
     effect, n_bands = WrongVolume(), case.room.n_bands
-    grid = effect.grid(None)  # type: ignore[arg-type]  # the ratios do not depend on the room
+    stated = stated_room(case)
+    grid = effect.grid(stated)
     logs = np.log([p["ratio"] for p in grid])
-    density = grid_weights(effect, grid, None)  # type: ignore[arg-type]
+    density = grid_weights(effect, grid, stated)
     return _whole(
         "volume",
         effect.family,

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from rtcal.errors import DataError
-from rtcal.finder.effects import library as every_effect
-from rtcal.finder.effects.base import AbsorbingObject
+from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions import track_record
@@ -25,7 +25,7 @@ from rtcal.finder.positions.detection import (
 )
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import Finding
-from rtcal.finder.positions.hypotheses import COUPLED, library, shifts, spreads
+from rtcal.finder.positions.hypotheses import COUPLED, WHOLE, on_surfaces, shifts, spreads
 from rtcal.finder.positions.model import Model, model
 from rtcal.finder.positions.part_hypotheses import on_parts
 from rtcal.finder.positions.posterior import (
@@ -49,24 +49,23 @@ from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
-EFFECTS = (
-    *(e.name for e in library()),
-    COUPLED.name,
-    "air",
-    "volume",
-    SCATTERING,
-    POSITION,
-    NOISE,
-    COEFFICIENTS,
-    UNKNOWN,
-)
-"""Names of all effects that are tried."""
-_IN_THE_ROOM = [e.name for e in every_effect() if isinstance(e, AbsorbingObject)]
-UNTRIED = (
-    f"Not tried, since they stand on no surface: {', '.join(sorted({*_IN_THE_ROOM} - {*EFFECTS}))}. "
-    "Means over positions (rtcal.finder.find) try them."
-)
-"""What only the finder without a geometry has."""
+
+def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Return the names of everything that is tried with a library of effects."""
+    names = [e.name for e in effects]
+    return (
+        *(e.name for e in on_surfaces(effects)),
+        *(name for name in (COUPLED.name, *WHOLE) if name in names),
+        SCATTERING,
+        POSITION,
+        NOISE,
+        COEFFICIENTS,
+        UNKNOWN,
+    )
+
+
+EFFECTS = tried(library())
+"""Names of what is tried with rtcal's own library."""
 CLAIMED = 0.9
 """Probability from which an effect, a family or a surface is claimed."""
 APART = 2.3
@@ -86,6 +85,7 @@ _ANYWHERE = (
 def find(
     case: Case,
     *,
+    effects: Sequence[Effect] | None = None,
     controls: ControlRuns | None = None,
     cache: str | os.PathLike[str] | None = None,
     seed: int = 0,
@@ -98,6 +98,9 @@ def find(
     Parameters
     ----------
     case : Case
+    effects : sequence of Effect, optional
+        The effects to try; the whole library if not given. Those that stand on surfaces are sought on
+        each of them (`Effect.stands_on`).
     controls : ControlRuns, optional
         The simulator's error, as another finding's ``controls``.
     cache : path, optional
@@ -105,7 +108,7 @@ def find(
     seed : int
         Of control runs and paths.
     only, without : sequence of str
-        Effects to try alone, or to leave out; names of `EFFECTS`.
+        Effects to try alone, or to leave out; by default names of `EFFECTS`.
     progress : callable, optional
         Called with what is computed, the number of finished steps and their total.
 
@@ -115,17 +118,19 @@ def find(
         For an unknown effect, too few pairs, or control runs of another simulator.
     """
     checks.whole("seed", seed, 0)
-    left_out = left_out_of(only, without)
+    every = library() if effects is None else checked_effects(effects)
+    left_out = left_out_of(only, without, tried(every))
     means = None
     if not left_out and case.simulated is None:
         # The means know neither fewer effects nor another program's values.
-        means = evidence_of_means(case, seed, cache)
-    return find_by_positions(case, controls, cache, seed, left_out, progress, means)
+        means = evidence_of_means(case, every, seed, cache)
+    return find_by_positions(case, every, controls, cache, seed, left_out, progress, means)
 
 
 @single_threaded_blas()
 def find_by_positions(
     case: Case,
+    effects: Sequence[Effect],
     controls: ControlRuns | None,
     cache: str | os.PathLike[str] | None,
     seed: int,
@@ -153,7 +158,7 @@ def find_by_positions(
         raise DataError(f"{case.simulator.name} has no geometry to trace")
     made = responses(case, seed, cache, progress)
     numbers = model(case, made, controls)
-    hypotheses = every_hypothesis(case, made, numbers, left_out)
+    hypotheses = every_hypothesis(case, made, numbers, effects, left_out)
     likelihoods = numbers.likelihoods()
     evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
     score, noise = scores(weights(evidence, hypotheses), hypotheses)
@@ -167,11 +172,18 @@ def find_by_positions(
     if means is not None:
         posterior = with_families(posterior, hypotheses, means.families)
     finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0], detected)
-    return replace(finding, notes=(*finding.notes, CHOSEN)) if left_out else finding
+    notes = (*finding.notes, untried(effects), *([CHOSEN] if left_out else []))
+    return replace(
+        finding, effects=tuple(effects), left_out=tuple(left_out), notes=tuple(filter(None, notes))
+    )
 
 
 def every_hypothesis(
-    case: Case, made: Responses, numbers: Model, left_out: Sequence[str] = ()
+    case: Case,
+    made: Responses,
+    numbers: Model,
+    effects: Sequence[Effect],
+    left_out: Sequence[str] = (),
 ) -> Hypotheses:
     """Return the hypotheses of a search, but for some effects."""
     observations, (p, i, k) = numbers.data.observations, numbers.shape
@@ -185,22 +197,24 @@ def every_hypothesis(
     errors = (numbers.measurement + numbers.simulator_error()).reshape(k, p, i, k, p, i)
     places = spreads(observations.pairs, moved, errors, columns)
     return Hypotheses(
-        shifts=on_parts(case, shifts(case, left_out)),
+        shifts=on_parts(case, shifts(case, effects, left_out)),
         spreads=[spread for spread in places if spread.effect not in left_out],
         off=0.0 if COEFFICIENTS in left_out else prior_off(case),
         unknown=UNKNOWN not in left_out,
     )
 
 
-def left_out_of(only: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
+def left_out_of(
+    only: Sequence[str], without: Sequence[str], every: Sequence[str] = EFFECTS
+) -> tuple[str, ...]:
     """Return the effects that are not tried; DataError for an unknown name."""
     only, without = checks.listed("only", only), checks.listed("without", without)
     for place, names in (("only", only), ("without", without)):
         for name in names:
-            if name not in EFFECTS:
-                raise DataError(f'{place} has "{name}", which is not one of {", ".join(EFFECTS)}')
-    left = set(without) | (set(EFFECTS) - set(only) if only else set())
-    if left >= set(EFFECTS):
+            if name not in every:
+                raise DataError(f'{place} has "{name}", which is not one of {", ".join(every)}')
+    left = set(without) | (set(every) - set(only) if only else set())
+    if left >= set(every):
         raise DataError("only and without leave no effect to try")
     return tuple(sorted(left))
 
@@ -247,10 +261,20 @@ def _finding(
 
 
 def _assumed(case: Case) -> tuple[str, ...]:
-    """Return notes of what the search takes together, and what it does not try."""
+    """Return notes of what the search takes together."""
     together = "" if case.surfaces is not None else of_room.merged(case.geometry, case.faces)
-    notes = (*case.simulator.source_notes, together, UNTRIED)
-    return tuple(note for note in notes if note)
+    return tuple(note for note in (*case.simulator.source_notes, together) if note)
+
+
+def untried(effects: Sequence[Effect]) -> str:
+    """Return a note of what only means over positions try; "" where there is nothing."""
+    names = sorted(e.name for e in effects if e.removable and not e.stands_on)
+    if not names:
+        return ""
+    return (
+        f"Not tried, since they stand on no surface: {', '.join(names)}. Means over positions "
+        "(rtcal.find without a simulator) try them."
+    )
 
 
 def _claimed(summary: Summary, detected: Detection) -> tuple[str, str | None, str | None]:

@@ -62,6 +62,8 @@ class Shift:
         The material whose coefficients are off.
     part : int or None
         Number of the part of the surface; None for all of it.
+    divisible : bool
+        Whether it may stand on a part of its surface alone.
     """
 
     effect: str
@@ -79,6 +81,7 @@ class Shift:
     size_error: float = 0.0
     place: str = ""
     part: int | None = None
+    divisible: bool = False
 
     def some(self, which: slice) -> Shift:
         """Return some of the hypotheses."""

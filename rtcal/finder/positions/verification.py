@@ -19,9 +19,9 @@ from rtcal.errors import DataError
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import corrected
-from rtcal.finder.positions.finding import Finding
+from rtcal.finder.positions.finding import LEAST_PAIRS, Finding
 from rtcal.finder.positions.responses import key_of, precisely
-from rtcal.finder.positions.search import find_by_positions, left_out_of
+from rtcal.finder.positions.search import find_by_positions
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, with_reference
 from rtcal.loop.positions import calibrate_positions
@@ -35,8 +35,6 @@ from rtcal.support.results import Result
 from rtcal.support.types import Array
 
 MODELS = ("before", "plain", "corrected")
-LEAST_PAIRS = 4
-"""Fewest pairs: half of them have to say where."""
 TITLES = {
     "before": "as stated",
     "plain": "calibrated",
@@ -238,8 +236,6 @@ def verify(
     *,
     seeds: Sequence[int] = (0,),
     cache: str | os.PathLike[str] | None = None,
-    only: Sequence[str] = (),
-    without: Sequence[str] = (),
     progress: TaskProgress | None = None,
 ) -> Verification:
     """Return the gaps at positions that were not fitted, with and without what was found.
@@ -251,8 +247,6 @@ def verify(
         Of the simulator. The spread over them is the noise of the tracing.
     cache : path, optional
         As for `find`.
-    only, without : sequence of str
-        As for `find`: those of the finding's own search.
     progress : callable, optional
         Called with what is computed, the number of finished steps and their total.
 
@@ -266,18 +260,20 @@ def verify(
         raise DataError("seeds is empty; it has at least one")
     if len(set(chosen)) < len(chosen):
         raise DataError(f"seeds has one twice: {', '.join(map(str, chosen))}")
-    if not finding.can_be_added:
-        raise DataError(finding.reason_for_none)
+    if (nothing := finding.reason_for_none) is not None:
+        raise DataError(nothing)
     case = finding.case
     if len(finding.pairs) < LEAST_PAIRS:
         raise DataError(
             f"there are {len(finding.pairs)} pairs; to predict half of them from the others, it needs "
             f"{LEAST_PAIRS}"
         )
-    halves, left_out = halves_of(finding.pairs), left_out_of(only, without)
+    halves = halves_of(finding.pairs)
     searched = []
     for n, half in enumerate(halves):
-        again = find_by_positions(case.only(half), finding.controls, cache, chosen[0], left_out)
+        again = find_by_positions(
+            case.only(half), finding.effects, finding.controls, cache, chosen[0], finding.left_out
+        )
         searched.append(next((c for c in again.candidates if c.can_be_added), None))
         if progress is not None:
             progress("search in half of the pairs", n + 1, len(halves) + len(chosen) * _MODELS)

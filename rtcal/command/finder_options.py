@@ -1,10 +1,10 @@
-"""Options that the commands of ``rtcal gap`` share."""
+"""Options that the commands ``find``, ``verify``, ``apply`` and ``plan`` share."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import wraps
+from functools import cached_property, wraps
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from rtcal.command.console import json_option, quiet_option
 from rtcal.errors import DataError
 
 ENGINES = ("path tracing", "network")
-_EXPECTED = 0.7  # set_posterior.EXPECTED, which takes seconds to import
 seed_option = click.option(
     "--seed", default=0, show_default=True, help="Seed of the control rooms and the bootstrap."
 )
@@ -23,7 +22,7 @@ seed_option = click.option(
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """The input of a command of ``rtcal gap``: a case, or a room and what was measured in it."""
+    """The input of a command: a case, or a room and what was measured in it."""
 
     case: str
     measured: str | None = None
@@ -33,8 +32,8 @@ class Inputs:
     scattering: float | None = None
     paths: int | None = None
 
-    @property
-    def of_positions(self) -> bool:
+    @cached_property
+    def at_positions(self) -> bool:
         """Whether a room that states where its sources and receivers are was measured pair by pair."""
         if self.measured is None:
             return False
@@ -52,7 +51,7 @@ class Inputs:
         return Path(self.case).parent / FOLDER
 
     @property
-    def options(self) -> dict[str, list[str]]:
+    def stated(self) -> dict[str, list[str]]:
         """The stated options of a search with positions."""
         return {
             f"--{name}": [str(v) for v in (value if isinstance(value, tuple) else (value,))]
@@ -65,15 +64,8 @@ class Inputs:
         files = [self.case] if self.measured is None else [self.case, self.measured]
         return [
             *files,
-            *(x for name, texts in self.options.items() for t in texts for x in (name, t)),
+            *(x for name, texts in self.stated.items() for t in texts for x in (name, t)),
         ]
-
-    def refuse_options(self) -> None:
-        """Raise DataError for an option of a search with positions."""
-        for option in self.options:
-            raise DataError(
-                f"{option} needs a room that states its sources and receivers, measured pair by pair"
-            )
 
 
 def input_options(command: Any) -> Any:
@@ -189,14 +181,16 @@ def several_options(command: Any) -> Any:
     def with_number(several: bool, expected: float | None, **others: Any) -> Any:
         if expected is not None and not several:
             raise DataError("--expected is of a search for several effects: add --several")
-        number = _EXPECTED if expected is None else expected
+        from rtcal.finder.prior import EXPECTED
+
+        number = EXPECTED if expected is None else expected
         return command(expected=number if several else None, **others)
 
     for option in (
         click.option(
             "--expected",
             type=float,
-            help=f"Expected number of missing effects, with --several; {_EXPECTED:g} unless stated.",
+            help="Expected number of missing effects, with --several.",
         ),
         click.option("--several", is_flag=True, help="Several effects may be missing at once."),
     ):

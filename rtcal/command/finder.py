@@ -1,0 +1,462 @@
+"""``rtcal find``, ``verify``, ``apply`` and ``plan``: what a model misses, and what to do about it."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rtcal.command.assignments import errors_name_options, numbers, pairs
+from rtcal.command.console import (
+    bar_wanted,
+    heading_options,
+    json_option,
+    output_folder,
+    quiet_option,
+    said,
+    tell,
+    written,
+)
+from rtcal.command.finder_options import (
+    ENGINES,
+    Inputs,
+    Search,
+    input_options,
+    search_options,
+    seed_option,
+    several_options,
+)
+from rtcal.errors import DataError
+from rtcal.support import text
+from rtcal.support.files import spare
+from rtcal.support.progress import bar
+
+if TYPE_CHECKING:
+    from rtcal.finder import positions
+    from rtcal.report.document import Heading
+
+CHANGE = 0.2
+"""Relative change of T by each effect for which ``rtcal plan`` plans, where none is stated."""
+NOTHING_TO_ADD = 6
+"""Exit code of ``rtcal apply`` if the finding names nothing to add to the model."""
+SEEDS = (0, 1, 2)
+"""Seeds of the simulator over which a gap at positions is printed."""
+PROPOSED = 3
+"""Places for a further receiver that are printed."""
+
+
+@click.command(short_help="Find what a model misses.")
+@search_options
+@several_options
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False),
+    help="Verify it, too, and write page (report.html), figures (PNG) and numbers (result.json) "
+    "into this folder.",
+)
+@heading_options
+def find(
+    inputs: Inputs,
+    search: Search,
+    expected: float | None,
+    heading: Heading,
+    as_json: bool,
+    quiet: bool,
+    out: str | None,
+) -> None:
+    """Print whether the model misses something, where it shows, and what it is.
+
+    A ROOM and what was MEASURED in it are two files. If ROOM states a mesh, sources and receivers, and
+    MEASURED has every pair of them, the answer says on which surface (docs/where.md). A CASE is one
+    file that names a room, its equation, and measurements by configuration (docs/files.md).
+
+    The first search simulates control rooms, which takes a minute or more. They are kept beside ROOM or
+    CASE, in .rtcal_cache.
+
+    With --several, sets of up to three effects are compared, and each effect has the probability that
+    it is there at all. With --out the finding is verified, and its page leads with what is missing,
+    what that rests on and what to do.
+
+    \b
+    Example: rtcal find room.toml measured.csv
+             rtcal find case.toml --out finding
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    folder = output_folder("--out", out)
+    if folder is None:
+        finding = _find(inputs, search, quiet, expected=expected)
+        tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
+        return
+    from rtcal.report import gap_report, where_folder
+
+    targets = [folder / name for name in {*gap_report.WRITTEN, *where_folder.FILES}]
+    finding = _find(inputs, search, quiet, targets, expected)
+    several = [] if expected is None else ["--several", "--expected", f"{expected:g}"]
+    words = [*inputs.arguments(), *search.arguments(), *several, "--out", str(out)]
+    command, first = shlex.join(["rtcal", "find", *words]), []
+    if inputs.at_positions:
+        verification = None
+        if finding.can_be_verified:
+            verification = _verified(inputs, finding, quiet)
+            first = [verification.sentence]
+        place = next(iter(_places(finding)), None)
+        paths = where_folder.write(finding, verification, folder, heading, command, place)
+    else:
+        files = gap_report.Reproduction(command, tuple(_files(inputs)), search.seed)
+        paths = gap_report.write(finding, folder, files, heading)
+    printed = "\n".join([*first, str(finding), written(paths)])
+    record = {**finding.to_dict(), "written": [str(p) for p in paths]}
+    tell(printed, record, quiet=quiet, as_json=as_json)
+
+
+@click.command(short_help="Compare the gaps with and without what was found.")
+@search_options
+def verify(inputs: Inputs, search: Search, as_json: bool, quiet: bool) -> None:
+    """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
+
+    This shows whether the model gets better, not whether the name is right, so the rivals are printed
+    too. If there is nothing to add, the output says so. With a geometry, half of the pairs are fitted
+    and the others predicted.
+
+    Example: rtcal verify case.toml
+    """
+    finding = _find(inputs, search, quiet)
+    if (nothing := finding.reason_for_none) is not None:
+        record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
+        tell(nothing, record, quiet=quiet, as_json=as_json)
+        return
+    result = _verified(inputs, finding, quiet)
+    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
+
+
+@click.command(short_help="Add what was found to the model.")
+@search_options
+@click.option(
+    "--out",
+    type=click.Path(),
+    required=True,
+    help="The case with the effect (JSON); with a geometry, a folder.",
+)
+@click.option(
+    "--room",
+    type=click.Path(dir_okay=False),
+    help="The room with the effect (TOML), for rtcal calibrate. Absorbers are materials of it.",
+)
+@click.option(
+    "--form",
+    type=click.Choice(("patch", "material")),
+    help="With a geometry: a patch on the surface (default), or the whole surface.",
+)
+@click.option(
+    "--at", metavar="X,Y,Z", help="With a geometry: middle of the patch in m, on its surface."
+)
+@several_options
+def apply(
+    inputs: Inputs,
+    search: Search,
+    expected: float | None,
+    as_json: bool,
+    quiet: bool,
+    out: str,
+    room: str | None,
+    form: str | None,
+    at: str | None,
+) -> None:
+    """Add the named effect to the model, and print the calibration with it.
+
+    If the finding is ambiguous, the best candidate is added, and the others are printed. If there is
+    nothing to add, nothing is written and the exit code is 6. With --several, the most probable set is
+    added.
+
+    The written case can be used like any other. Neither it nor the room is calibrated.
+
+    With a geometry, a folder gets room, mesh, and lists of materials for CATT and ODEON. The
+    patch stands in the middle of its surface unless --at says where.
+
+    \b
+    Example: rtcal apply case.toml \\
+        --out corrected.json --room corrected.toml
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    stated = {"--room": room, "--form": form, "--at": at}
+    if not inputs.at_positions:
+        from rtcal.report.correction import correct
+        from rtcal.support.files import write_all
+
+        case = _case(inputs, [out] if room is None else [out, room])
+        of_patch = {k: stated[k] for k in ("--form", "--at")}
+        _refuse(of_patch, ": a case without a geometry has no surface")
+        correction = correct(_find(inputs, search, quiet, (), expected, case), out, room)
+        write_all(correction.files)
+        tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
+        added = bool(correction.files)
+    else:
+        _refuse({"--room": room}, ": with a geometry the room is written into the folder of --out")
+        if os.path.isfile(out):
+            raise DataError(f"--out {out} is a file; with a geometry it is a folder")
+        added = _add_to_geometry(
+            inputs, search, Path(out), form or "patch", _place(at), quiet, as_json
+        )
+    if not added:
+        raise click.exceptions.Exit(NOTHING_TO_ADD)
+
+
+def _add_to_geometry(
+    inputs: Inputs,
+    search: Search,
+    folder: Path,
+    form: str,
+    at: Sequence[float] | None,
+    quiet: bool,
+    as_json: bool,
+) -> bool:
+    """Write the corrected room into a folder; return whether there was something to add."""
+    from rtcal.finder.positions.corrected import FILES
+
+    finding = _find(inputs, search, quiet, [folder / name for name in FILES])
+    if (nothing := finding.reason_for_none) is not None:
+        record = {**finding.to_dict(), "written": []}
+        tell(f"{nothing}\nNothing is written.", record, quiet=quiet, as_json=as_json)
+        return False
+    corrected = finding.apply(form, at=at)
+    paths = corrected.save(folder)
+    printed = "\n".join([finding.headline, *corrected.in_words, written(paths)])
+    record = {**finding.to_dict(), **corrected.to_dict(), "written": [str(p) for p in paths]}
+    tell(printed, record, quiet=quiet, as_json=as_json)
+    return True
+
+
+@click.command(short_help="Which effects the data could tell apart; what to measure next.")
+@input_options
+@click.option(
+    "--change",
+    type=float,
+    help="Relative change of T by each effect, in the band that changes most; "
+    f"{CHANGE:g} unless stated.",
+)
+@click.option(
+    "--next", "after", is_flag=True, help="Go on from what has been measured: search first."
+)
+@click.option(
+    "--cost",
+    "costs",
+    multiple=True,
+    metavar="MEASUREMENT=HOURS",
+    help="Hours of a further measurement, such as G=0.5.",
+)
+@seed_option
+@json_option
+@quiet_option
+def plan(
+    inputs: Inputs,
+    change: float | None,
+    after: bool,
+    costs: tuple[str, ...],
+    seed: int,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Print which effects the data could distinguish, and what to measure next.
+
+    A configuration may state parameters = ["t20", "edt"] in place of measured. If others are measured,
+    it is among what could be measured next. Each proposal has the information to expect about which
+    effects are there, and its hours. With --next the proposals go on from what has been measured.
+
+    With a geometry the room is searched first. Where several surfaces are in question, places for a
+    further receiver are proposed, with the evidence that is to be expected of them.
+
+    Example: rtcal plan case.toml
+    """
+    search = Search(ENGINES, seed, (), (), {})
+    if inputs.at_positions:
+        _refuse(
+            {"--change": change, "--cost": costs or None},
+            ": with a geometry a place for a receiver is proposed",
+        )
+        _tell_places(_find(inputs, search, quiet), quiet, as_json)
+        return
+    from rtcal.finder import plan as planned_with
+    from rtcal.finder.prior import EXPECTED
+
+    read = _case(inputs)
+    planned = [c for c in read.configurations if c.planned]
+    if len(planned) < len(read.configurations):
+        measured = [c for c in read.configurations if not c.planned]
+        read = replace(read, configurations=measured)
+    else:
+        planned = []
+    result = planned_with(
+        read,
+        change=CHANGE if change is None else change,
+        finding=_find(inputs, search, quiet, expected=EXPECTED, case=read) if after else None,
+        costs=numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
+        planned=planned,
+    )
+    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
+
+
+def _tell_places(finding: positions.Finding, quiet: bool, as_json: bool) -> None:
+    """Print where a further receiver would tell the surfaces apart that are in question."""
+    places = _places(finding)[:PROPOSED]
+    lines = [*text.wrapped(finding.headline), ""]
+    if places:
+        names = [f'"{name}"' for name in finding.likely_surfaces]
+        lines += text.wrapped(
+            "A further receiver is expected to tell these surfaces apart with so many nats of "
+            f"evidence (2.3 are odds of ten to one): {', '.join(names)}."
+        )
+        rows = [
+            (f"{', '.join(f'{x:.2f}' for x in place.point)} m", [place.source, f"{place.nats:.1f}"])
+            for place in places
+        ]
+        lines += text.table(rows, header=("receiver", ["source", "nats"]))
+    else:
+        lines += text.wrapped(
+            "No surfaces are in question that a further receiver would tell apart. Which other "
+            "measurement would tell most is planned with means over positions: name a case that states "
+            "the room, or a measurement of means."
+        )
+    record = {
+        "places": [{**vars(place), "point": list(place.point)} for place in places],
+        "finding": finding.to_dict(),
+    }
+    tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
+
+
+def _places(finding: positions.Finding) -> tuple[positions.Place, ...]:
+    """Return places for a further receiver, the one that tells most first; none without a question."""
+    from rtcal.finder import positions
+
+    if not finding.can_be_added or finding.surface is not None:
+        return ()
+    try:
+        return positions.next_position(finding)
+    except DataError:  # at most one surface is in question, or the room is too small for a grid
+        return ()
+
+
+def _refuse(stated: Mapping[str, object], why: str) -> None:
+    """Raise DataError for the first option that is stated."""
+    for option, value in stated.items():
+        if value is not None:
+            raise DataError(f"{option}{why}")
+
+
+def _place(text: str | None) -> tuple[float, ...] | None:
+    """Read X,Y,Z; DataError for anything else."""
+    if text is None:
+        return None
+    try:
+        place = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        place = ()
+    if len(place) != 3:
+        raise DataError(f'--at "{text}" is not X,Y,Z in m, such as 0,4.2,1.5')
+    return place
+
+
+def _case(inputs: Inputs, targets: Sequence[str | Path] = ()) -> Any:
+    """Read the case; DataError if a file to be written is also one of those that are read."""
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Room
+    from rtcal.finder import Case
+    from rtcal.finder.search import case_of
+
+    spare(targets, [inputs.case])
+    if inputs.measured is None:
+        _refuse(inputs.stated, _NEEDS_POSITIONS)
+        case = Case.from_file(inputs.case)
+        spare(targets, _files(inputs))
+        return case
+    room = Room.from_file(inputs.case)
+    spare(targets, [path for path in (*_files(inputs), room.scene.mesh) if path is not None])
+    measured = Measurement.from_file(inputs.measured)
+    if not inputs.at_positions:
+        _refuse(inputs.stated, _NEEDS_POSITIONS)
+        return case_of(room, measured)
+    more: dict[str, Any] = {"exclude": pairs("--exclude", inputs.exclude)}
+    if inputs.simulated is not None:
+        more["simulated"] = Measurement.from_file(inputs.simulated)
+    if inputs.match:
+        more["match"] = inputs.match
+    tracing = {"n_paths": inputs.paths, "scattering": inputs.scattering}
+    with errors_name_options("scattering", "match", "exclude"):
+        return case_of(
+            room, measured, tracing={k: v for k, v in tracing.items() if v is not None}, **more
+        )
+
+
+_NEEDS_POSITIONS = " needs a room that states its sources and receivers, measured pair by pair"
+
+
+def _files(inputs: Inputs) -> list[str]:
+    """Return the paths of the files that are read."""
+    from rtcal.finder.case_files import files
+
+    if inputs.measured is None:
+        return [os.fspath(path) for path in files(inputs.case)]
+    return [f for f in (inputs.case, inputs.measured, inputs.simulated) if f is not None]
+
+
+def _find(
+    inputs: Inputs,
+    search: Search,
+    quiet: bool,
+    targets: Sequence[str | Path] = (),
+    expected: float | None = None,
+    case: Any = None,
+) -> Any:
+    """Find what a room's model misses; simulations are kept beside its file.
+
+    With ``expected`` that number of effects is sought at once.
+    """
+    from rtcal import finder
+
+    case = _case(inputs, targets) if case is None else case
+    options: dict[str, Any] = {"seed": search.seed, "without": search.without, "only": search.only}
+    of_means = {"prior": search.prior, "engines": search.engines}
+    if inputs.at_positions:
+        stated = {
+            "--engine": search.engines if search.engines_stated else None,
+            "--prior": search.prior or None,
+            "--several": expected,
+        }
+        _refuse(stated, ": with a geometry there is no such option")
+    else:
+        options |= of_means
+    with _progress("control room", quiet) as progress:
+        options |= {"cache": inputs.kept, "progress": progress}
+        if expected is not None:
+            return finder.find_several(case, expected=expected, **options)
+        return finder.find(case, **options)
+
+
+def _verified(inputs: Inputs, finding: Any, quiet: bool) -> Any:
+    """Return the gaps before and after; at pairs that were not fitted over `SEEDS`."""
+    from rtcal import finder
+
+    if not inputs.at_positions:
+        return finder.verify(finding)
+    with _progress("model", quiet) as progress:
+        return finder.verify(finding, seeds=SEEDS, cache=inputs.kept, progress=progress)
+
+
+@contextmanager
+def _progress(unit: str, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar for each step of a computation."""
+    begun: list[str] = []
+    with bar(0, unit, bar_wanted(quiet), said(quiet)) as shown:
+
+        def progress(step: str, done: int, total: int) -> None:
+            if step not in begun and hasattr(shown, "reset"):
+                begun.append(step)
+                if done == 1:
+                    shown.reset(total=total)
+                shown.set_description(step)
+            shown.update(1)
+
+        yield progress

@@ -1,0 +1,172 @@
+"""Find what a model misses, and verify it: by what was measured at every position, or by means."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, overload
+
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.finder import positions
+from rtcal.finder.case import Case
+from rtcal.finder.configuration import Configuration
+from rtcal.finder.effects import Effect
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.search import find as find_by_means
+from rtcal.finder.means.verification import Verification
+from rtcal.finder.means.verification import verify as verify_by_means
+from rtcal.loop.control_runs import ControlRuns
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.progress import TaskProgress
+
+
+def case_of(
+    room: Room, measured: Measurement, simulator: PathTracing | None = None, **stated: Any
+) -> Case | positions.Case:
+    """Return the case of a room and one measurement: of its positions, where both have them.
+
+    ``stated`` are further parameters of `positions.Case`, and of no other.
+    """
+    checks.instance("room", room, Room)
+    checks.instance("measured", measured, Measurement)
+    if not measured.is_summary and simulator is not None:
+        if simulator.room is not room:
+            raise DataError("simulator is of another room; make it with this one")
+        return positions.Case(simulator=simulator, measured=measured, **stated)
+    if not measured.is_summary and room.scene.sources:
+        return positions.Case.from_room(room, measured, **stated)
+    for name in stated:
+        raise DataError(
+            f"{name} needs a room that states its sources and receivers, measured pair by pair"
+        )
+    return Case(room=room, configurations=[Configuration(name="as measured", measured=measured)])
+
+
+@overload
+def find(room: Case, **options: Any) -> Finding: ...
+@overload
+def find(room: positions.Case, **options: Any) -> positions.Finding: ...
+@overload
+def find(
+    room: Room, measured: Measurement, simulator: PathTracing | None = None, **options: Any
+) -> Finding | positions.Finding: ...
+@checked
+def find(
+    room: Room | Case | positions.Case,
+    measured: Measurement | None = None,
+    simulator: PathTracing | None = None,
+    *,
+    effects: Sequence[Effect] | None = None,
+    seed: int = 0,
+    only: Sequence[str] = (),
+    without: Sequence[str] = (),
+    controls: Sequence[ControlRooms] | ControlRuns | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    progress: TaskProgress | None = None,
+    **of_means: Any,
+) -> Finding | positions.Finding:
+    """Find what the model of a room lacks, and where the positions tell on which surface.
+
+    Two models of what is observed, one library of effects. With a simulator, or a room that states its
+    mesh, sources and receivers, and a measurement of each pair, every pair is compared with traced
+    paths. Otherwise means over positions are compared with closed forms.
+
+    Parameters
+    ----------
+    room : Room, or a case
+        A `rtcal.finder.Case` has several configurations or another equation, a
+        `rtcal.finder.positions.Case` a simulator; both hold what was measured.
+    measured : Measurement
+        In a `Room`.
+    simulator : PathTracing, optional
+        Of the room; by default the one that the room's scene states, if it states one.
+    effects : sequence of Effect, optional
+        The effects to try; the whole library if not given.
+    seed : int
+        Of control rooms, control runs, paths and the bootstrap.
+    only, without : sequence of str
+        Names of the effects to try alone, or to leave out.
+    controls : ControlRuns, or sequence of ControlRooms, optional
+        The model's own error, of an earlier search.
+    cache : path, optional
+        Folder in which simulations are kept, by a hash of all that they depend on.
+    progress : callable, optional
+        Called with what is computed, the number of finished steps and their total.
+    **of_means
+        ``prior``, ``engines`` and ``threshold``, as `rtcal.finder.means.search.find` takes them.
+
+    Returns
+    -------
+    Finding or positions.Finding
+
+    Raises
+    ------
+    DataError
+        If a room is given without ``measured``, or a case with it; for an unknown effect; and as the
+        cases do.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> finding = rt.find(room, measured, only=["opening", "volume"])  # doctest: +SKIP
+    >>> print(finding.verdict)  # doctest: +SKIP
+    none
+    """
+    case: Case | positions.Case
+    if isinstance(room, Room):
+        if measured is None:
+            raise DataError("measured is missing: a room is compared with what was measured in it")
+        case = case_of(room, measured, simulator)
+    else:
+        if measured is not None or simulator is not None:
+            raise DataError("measured and simulator belong to a room; a case holds its own")
+        case = room
+    common: Mapping[str, Any] = {
+        "effects": effects,
+        "seed": seed,
+        "only": only,
+        "without": without,
+        "controls": controls,
+        "cache": cache,
+        "progress": progress,
+    }
+    if not isinstance(case, positions.Case):
+        return find_by_means(checks.instance("case", case, Case), **common, **of_means)
+    for name in of_means:
+        raise DataError(f"{name} is of a search by means over positions")
+    return positions.find(case, **common)
+
+
+@overload
+def verify(finding: Finding, case: Case | None = None) -> Verification: ...
+@overload
+def verify(finding: positions.Finding, **options: Any) -> positions.Verification: ...
+@checked
+def verify(
+    finding: Finding | positions.Finding, case: Case | None = None, **options: Any
+) -> Verification | positions.Verification:
+    """Verify a finding: by the gaps that alpha cannot close, or at pairs that were not fitted.
+
+    Parameters
+    ----------
+    finding : Finding or positions.Finding
+    case : Case, optional
+        Of a finding by means: the case in which it is verified; by default its own.
+    **options
+        Of a finding at positions: ``seeds``, ``cache`` and ``progress``, as
+        `rtcal.finder.positions.verify` takes them.
+
+    Raises
+    ------
+    DataError
+        Where there is nothing to add, and as these do.
+    """
+    if isinstance(finding, positions.Finding):
+        return positions.verify(finding, **options)
+    return verify_by_means(finding, case, **options)

@@ -1,0 +1,70 @@
+"""An effect of a user's own is one class, and both observation models find it where it may stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.errors import DataError
+from rtcal.finder.effects import Absorber, Parameters
+from rtcal.finder.positions.detection import of_means
+from rtcal.support.types import Array
+from tests.test_where import measured, stated, tracing
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+
+@dataclass(frozen=True)
+class Hatch(Absorber):
+    """What the hidden opening is, under a name that rtcal does not have."""
+
+    name: ClassVar[str] = "hatch"
+    family: ClassVar[str] = "added absorption, hatches"
+    stands_on: ClassVar[Sequence[str]] = ("wall",)
+
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        return np.full(len(frequencies), 0.98)
+
+
+OWN = [e for e in rt.finder.library() if e.name != "opening"] + [Hatch()]
+
+
+@pytest.fixture(scope="module")
+def case() -> rt.finder.positions.Case:
+    return rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True))
+
+
+def test_it_is_found_on_the_wall_where_it_stands(
+    case: rt.finder.positions.Case, kept: Path
+) -> None:
+    finding = rt.finder.positions.find(case, effects=OWN, cache=kept)
+    hatches = [c for c in finding.candidates if c.effect == "hatch"]
+    assert hatches[0].surface == "east"
+    assert hatches[0].low < 6.0 < hatches[0].high
+    assert {c.surface for c in hatches} == {"east", "west", "north", "south"}
+    assert finding.probabilities["hatch"] > 0.05
+    assert "opening" not in finding.probabilities
+    assert rt.finder.positions.verify(finding, cache=kept).ratio < 0.9
+
+
+def test_it_is_found_by_means_over_positions(case: rt.finder.positions.Case) -> None:
+    finding = rt.find(of_means(case), effects=OWN)
+    assert finding.families["added absorption, hatches"] > 0.05
+
+
+@pytest.mark.parametrize(
+    ("places", "message"),
+    [(("roof",), "stands_on has 'roof', which is not one of floor, wall, ceiling")],
+)
+def test_a_place_that_no_room_has_is_named(
+    places: Sequence[str], message: str, case: rt.finder.positions.Case
+) -> None:
+    wrong = type("Wrong", (Hatch,), {"stands_on": places})()
+    with pytest.raises(DataError, match=message):
+        rt.finder.positions.find(case, effects=[wrong])
