@@ -107,7 +107,7 @@ class JointSolution:
         if self.effects or any(isinstance(t, LinearObservations) for t in terms):
             raise ModelError(
                 "a prediction knows of T alone: calibrate without effects and other observations, such "
-                "as the corrected room of `rtcal gap apply`"
+                "as the corrected room of `rtcal apply`"
             )
         return tuple(
             State(room, times.reverberation_time, times.uncertainty)
