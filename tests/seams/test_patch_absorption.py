@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rtcal.finder.effects import library
 from rtcal.finder.positions.corrected import corrected
-from rtcal.finder.positions.hypotheses import _spectra, library
 from rtcal.simulators import Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from tests.test_where_corrected import BANDS, SIZE, candidate, case_in
@@ -24,7 +24,7 @@ def test_the_corrected_room_has_the_change_that_was_found(
     """6 m² of opening on a wall of 0.6 added 2.00 in place of 2.40 m²."""
     geometry = Polyhedron.shoebox(SIZE, {wall: f"{wall} wall" for wall in SHOEBOX_WALLS})
     stated = case_in(geometry, alpha=wall_alpha)
-    kinds = [spectrum for _, spectrum in _spectra(effect, np.array(BANDS))]  # type: ignore[arg-type]
+    kinds = [spectrum for _, spectrum in effect.on_surface(np.array(BANDS))]  # type: ignore[arg-type]
     for spectrum in (kinds[0], kinds[-1]):
         found = replace(candidate("east", size), effect=effect.name, spectrum=spectrum)  # type: ignore[attr-defined]
         made = corrected(stated, found, form)
