@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import overload
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh, solve_triangular
 
 from rtcal.acoustics import bands
@@ -25,6 +26,7 @@ from rtcal.acoustics.observables import MATCH, REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
+from rtcal.calibration.nonlinear import Steps, Taken, gauss_newton
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
@@ -53,7 +55,7 @@ from rtcal.support.version import __version__
 
 STEPS = 4
 """Largest number of Gauss-Newton steps."""
-_HALVINGS = 4
+_HALVINGS = 3
 _SETTLED = 0.05
 """Change of alpha in prior sigmas after which no further step is taken."""
 
@@ -196,15 +198,17 @@ def calibrate_positions(
     if materials is not None:
         error = error + materials.covariance
         listener.add(materials.back)
-    path = _gauss_newton(listener, calibration, measured, prior, room, error)
+    errors = _errors(listener, room, prior, error)
+    path = _steps(listener, calibration, measured, room, errors)
+    last = path.steps[-1].model.matrix
     pull, residual = np.zeros(len(error)), listener.residual()
-    pull[listener.used] = path.scale * np.linalg.solve(path.covariance, residual)
+    pull[listener.used] = errors.scale * np.linalg.solve(errors.covariance, residual)
     predicted = _predicted(listener, error if controls is not None else None, pull)
     scattering = None
     if materials is not None and isinstance(tracer, PathTracing):
         log_odds = materials.likely(pull)
         tracer = scattered(tracer, log_odds, materials.model)
-        unknown = path.covariance + path.steps[-1].matrix @ prior @ path.steps[-1].matrix.T
+        unknown = errors.covariance + last @ prior @ last.T
         scattering = fitted(tracer, log_odds, materials.posterior(listener.used, unknown))
         listener.add(materials.slope @ log_odds)
     return PositionsResult(
@@ -222,73 +226,117 @@ def calibrate_positions(
         after=_with(data.observations, listener.values()),
         predicted=predicted,
         controls=controls,
-        error_scale=path.scale,
-        innovation=residual + path.steps[-1].matrix @ (path.alpha - room.alpha).ravel(),
-        covariance=path.covariance,
+        error_scale=errors.scale,
+        innovation=residual + last @ (path.end.alpha - room.alpha).ravel(),
+        covariance=errors.covariance,
         prior_covariance=prior,
-        steps=path.steps,
+        steps=tuple(
+            GaussNewtonStep(s.model.start.alpha, s.model.matrix, float(s.share[0]), s.model.answer)
+            for s in path.steps
+        ),
         settled=path.settled,
         notes=(*notes, *data.notes, *base.lost_paths(simulator)),
     )
 
 
-@dataclass(frozen=True)
-class _Path:
-    """The Gauss-Newton steps, where they ended, and the covariance of the errors."""
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """The errors of what is compared: covariance, its Cholesky factor, scale of the simulator's."""
+
+    covariance: Array
+    factor: Array
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Heard:
+    """A point of the path: alpha, and what the simulator hears there."""
 
     alpha: Array
-    steps: tuple[GaussNewtonStep, ...]
-    settled: bool
-    scale: float
-    covariance: Array
+    heard: Observations
 
 
-def _gauss_newton(
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """The simulator, linearised at ``start``, and the answer of the QP."""
+
+    listener: Listener
+    start: _Heard
+    matrix: Array
+    errors: _Errors
+    answer: CalibrationResult
+    now: float
+
+    def towards(self, share: Array) -> _Heard:
+        """Return what is heard at these shares of the way to the answer."""
+        start = self.start.alpha
+        alpha = start + float(share[0]) * (self.answer.alpha - start)
+        self.listener.move(alpha)
+        return _Heard(alpha, self.listener.heard)
+
+    def worse(self, end: _Heard) -> NDArray[np.bool_]:
+        """Return whether the objective with the simulator itself rises."""
+        residual = self.listener.residual()
+        rises = _objective(self.errors.factor, residual, self.answer, end.alpha) > self.now
+        return np.array([rises])
+
+
+def _steps(
     listener: Listener,
     calibration: Calibration | None,
     measured: Measurement,
-    prior: Array,
     room: Room,
-    error: Array,
-) -> _Path:
-    """Take at most `STEPS` Gauss-Newton steps; ``error`` (n, n) is the simulator's covariance."""
+    errors: _Errors,
+) -> Steps[_Heard, _Linearised]:
+    """Take at most `STEPS` Gauss-Newton steps; the ``listener`` is left where they end."""
     problem = _composed(_plain(room) if calibration is None else calibration).build(room)
     # T enters where the user's own terms match it.
     times = None if calibration is None else measured
     inverse_sigma = np.divide(1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0)
+
+    def linearised(at: _Heard) -> _Linearised:
+        matrix = listener.linearised()
+        residual = listener.residual()
+        values = residual + matrix @ at.alpha.ravel()
+        numbers = Observed(matrix=matrix, values=values, covariance=errors.covariance)
+        answer = problem.solve(times, observed={POSITIONS: numbers}, method="positions")
+        # The prior may break the constraints, and then its objective is no measure.
+        now = np.inf
+        if at.alpha is not room.alpha:
+            now = _objective(errors.factor, residual, answer, at.alpha)
+        return _Linearised(listener, at, matrix, errors, answer, now)
+
+    def settled(step: Taken[_Linearised]) -> bool:
+        # A step that is refused says as much as the smallest that was tried.
+        share = float(step.share[0]) or 2.0 ** -(_HALVINGS + 1)
+        moved = np.abs(step.model.answer.alpha - step.model.start.alpha) * share
+        return bool(np.max(moved * inverse_sigma) < _SETTLED)
+
+    path = gauss_newton(
+        _Heard(room.alpha, listener.heard),
+        linearised,
+        most=STEPS,
+        halvings=_HALVINGS,
+        settled=settled,
+        refuse=True,
+    )
+    listener.alpha, listener.heard = path.end.alpha, path.end.heard
+    return path
+
+
+def _errors(listener: Listener, room: Room, prior: Array, error: Array) -> _Errors:
+    """Return the errors with the scale of the simulator's under which the data are likeliest.
+
+    ``error`` (n, n) is the simulator's covariance as it is assumed, at all pairs.
+    """
     of_measurement = listener.data.covariance
     error = error[np.ix_(listener.used, listener.used)]
-    alpha, steps, settled = room.alpha, list[GaussNewtonStep](), False
-    scale, covariance, factor = 1.0, of_measurement, np.eye(0)
-    while len(steps) < STEPS and not settled:
-        matrix = listener.linearised()
-        values = listener.residual() + matrix @ alpha.ravel()
-        if not steps:
-            expected = matrix @ prior @ matrix.T + of_measurement
-            scale = error_scale(values - matrix @ room.alpha.ravel(), expected, error)
-            covariance = of_measurement + scale * error
-            factor = np.asarray(np.linalg.cholesky(covariance))
-        numbers = Observed(matrix=matrix, values=values, covariance=covariance)
-        answer = problem.solve(times, observed={POSITIONS: numbers}, method="positions")
-        start, start_heard = alpha, listener.heard
-        now, share = _objective(factor, listener.residual(), answer, alpha), 1.0
-        for _ in range(_HALVINGS):
-            alpha = start + share * (answer.alpha - start)
-            listener.move(alpha)
-            # The prior may break the constraints, and then its objective is no measure.
-            if not steps or _objective(factor, listener.residual(), answer, alpha) <= now:
-                break
-            share /= 2
-        else:
-            alpha, share = start, 0.0
-            listener.alpha, listener.heard = start, start_heard
-        steps.append(GaussNewtonStep(start, matrix, share, answer))
-        # A step that is refused says as much as the smallest that was tried.
-        moved = np.abs(answer.alpha - start) * (share or 2.0**-_HALVINGS)
-        settled = bool(np.max(moved * inverse_sigma) < _SETTLED)
-        if share == 0:
-            break
-    return _Path(alpha, tuple(steps), settled, scale, covariance)
+    matrix = listener.linearised()
+    values = listener.residual() + matrix @ room.alpha.ravel()
+    expected = matrix @ prior @ matrix.T + of_measurement
+    scale = error_scale(values - matrix @ room.alpha.ravel(), expected, error)
+    covariance = of_measurement + scale * error
+    return _Errors(covariance, np.asarray(np.linalg.cholesky(covariance)), scale)
 
 
 def error_scale(innovation: Array, expected: Array, error: Array) -> float:
@@ -345,7 +393,7 @@ def _calibrated(
     room: Room,
     simulator: Simulator,
     scattering: Scattering | None,
-    path: _Path,
+    path: Steps[_Heard, _Linearised],
     data: MeasuredPairs,
     controls: ControlRuns | None,
 ) -> Room:
@@ -353,7 +401,7 @@ def _calibrated(
 
     It has the scattering coefficients of a `PathTracing` and their meaning, too.
     """
-    answer = path.steps[-1].answer
+    answer = path.steps[-1].model.answer
     record = CalibrationRecord(
         method="positions",
         equation=f"every position heard by {_named(simulator, scattering)}",
@@ -366,7 +414,7 @@ def _calibrated(
         room = room.replace(
             scattering=simulator.scattering, scattering_model=simulator.scattering_model
         )
-    return room.replace(alpha=np.clip(path.alpha, 0.0, 1.0), sigma=sigma, calibration=record)
+    return room.replace(alpha=np.clip(path.end.alpha, 0.0, 1.0), sigma=sigma, calibration=record)
 
 
 def _given(

@@ -14,11 +14,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.nonlinear import gauss_newton
 from rtcal.calibration.presets import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
@@ -103,11 +105,14 @@ def _calibrated(
     u = np.sqrt(variance[:, _T20] + error[:n, _T20] + _misfit(fitted) ** 2)
     is_linear = isinstance(mean_equation(fitted.equation), LinearEquation)
     stated = {(c.name, m): v.alpha for c in fitted.configurations for m, v in c.changes.items()}
-    point = _Point(fitted, np.array(room.alpha), stated)
-    solved: JointResult
-    for _ in range(1 if is_linear and not fitted.applied else _ROUNDS):
-        solved = _step(point, measured, u, exact=exact)
-        point = _shortened(point, _reached(fitted, solved), measured, u)
+    steps = gauss_newton(
+        _Point(fitted, np.array(room.alpha), stated),
+        lambda at: _Linearised.at(at, fitted, measured, u, exact=exact),
+        groups=k,
+        most=1 if is_linear and not fitted.applied else _ROUNDS,
+        halvings=_HALVINGS,
+    )
+    point, solved = steps.end, steps.steps[-1].model.solved
     applied = point.case.applied
     done = replace(whole, applied=applied if fitted.applied else whole.applied)
     features = np.array(
@@ -197,26 +202,48 @@ def _reached(case: Case, solved: JointResult) -> _Point:
     return _Point(replace(case, applied=effects), alpha, changed)
 
 
-def _shortened(start: _Point, end: _Point, measured: Array, u: Array) -> _Point:
-    """Halve a step in each band in which it leads farther from the measured T.
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """The QP at a point, what it solved to, and where that is.
 
-    Near a coefficient of 1 the model's T may fall much faster than the QP's (Millington's does).
+    Near a coefficient of 1 the model's T may fall much faster than the QP's (Millington's does), so a
+    step is shortened band by band where it leads farther from the ``measured`` ln T.
     """
-    before = np.max(np.abs(start.log_time - measured) / u, axis=0)
-    for _ in range(_HALVINGS):
-        after = np.max(np.abs(end.log_time - measured) / u, axis=0)
-        worse = after > np.maximum(before, _NEAR)
-        if not worse.any():
-            break
-        end = _Point(
-            end.case,
-            np.where(worse, (start.alpha + end.alpha) / 2, end.alpha),
-            {
-                key: np.where(worse, (start.changed[key] + value) / 2, value)
-                for key, value in end.changed.items()
-            },
+
+    start: _Point
+    solved: JointResult
+    answer: _Point
+    measured: Array
+    u: Array
+
+    @classmethod
+    def at(
+        cls, start: _Point, fitted: Case, measured: Array, u: Array, *, exact: bool
+    ) -> _Linearised:
+        solved = _step(start, measured, u, exact=exact)
+        return cls(start, solved, _reached(fitted, solved), measured, u)
+
+    def towards(self, share: Array) -> _Point:
+        """Return the point at these shares, (n_bands,), of the way."""
+
+        def part(start: Array, end: Array) -> Array:
+            for halvings in range(1, 1 + _HALVINGS):
+                end = np.where(share <= 0.5**halvings, (start + end) / 2, end)
+            return end
+
+        if (share == 1).all():
+            return self.answer
+        changed = {
+            key: part(self.start.changed[key], value) for key, value in self.answer.changed.items()
+        }
+        return _Point(self.answer.case, part(self.start.alpha, self.answer.alpha), changed)
+
+    def worse(self, end: _Point) -> NDArray[np.bool_]:
+        """Return in which bands the model is farther from the measured T than at the start."""
+        before, after = (
+            np.max(np.abs(of.log_time - self.measured) / self.u, axis=0) for of in (self.start, end)
         )
-    return end
+        return np.asarray(after > np.maximum(before, _NEAR))
 
 
 def _misfit(case: Case) -> Array:
