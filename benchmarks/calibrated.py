@@ -23,12 +23,12 @@ import numpy as np
 from benchmarks.judging import calibration_error, first_of, kept_controls, one
 from benchmarks.second_world import WORLDS, place, truth_of
 from rtcal.finder import Case, library
+from rtcal.finder.claim import posterior
 from rtcal.finder.means import likelihood
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.model_error import estimate_discrepancy
-from rtcal.finder.means.probabilities import posterior
 from rtcal.finder.prior import Prior, prior_of, relative_sigma
 from rtcal.support.threads import single_threaded_blas
 

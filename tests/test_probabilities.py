@@ -14,6 +14,7 @@ from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
 from rtcal.errors import DataError
 from rtcal.finder import Case, Configuration, find, library, recalibrate
+from rtcal.finder.claim import by_family, claim
 from rtcal.finder.effects.audience import Audience
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.effects.opening import Opening
@@ -25,9 +26,7 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import Evidence
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
-from rtcal.finder.means.probabilities import by_family
 from rtcal.finder.means.states import distances, state
-from rtcal.finder.means.verdict import claim
 from rtcal.finder.model import predict
 from rtcal.finder.prior import SHARPER, off_together, prior_of
 
@@ -252,12 +251,13 @@ def test_coefficients_off_together_given_an_effect_follow_bayes() -> None:
 
 def test_a_room_s_coupling_is_claimed_by_its_family() -> None:
     effects = {e.name: e for e in library()}
+    rough = [name for name, effect in effects.items() if not effect.alone]
     probabilities = {"coupled room": 0.97, "non-diffuse field": 0.02, "none": 0.01}
     families = by_family(probabilities, effects)
-    assert claim(probabilities, families, effects, 5.0, 1.0) == ("family", "field")
+    assert claim(None, probabilities, families, rough) == ("family", "field")
     probabilities = {"opening": 0.97, "none": 0.03}
     families = by_family(probabilities, effects)
-    assert claim(probabilities, families, effects, 5.0, 1.0)[0] == "named"
+    assert claim(None, probabilities, families, rough)[0] == "named"
 
 
 def with_levels(*, stated: bool) -> Case:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rtcal.finder.claim import SAID
 from rtcal.finder.means.bootstrap import QUANTILE
 from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.verification import Verification
@@ -20,7 +21,6 @@ _FAMILIES = {
     "scale": "the right area, volume or equation",
     "measurement": "something of the measurement",
 }
-_SAID = 0.03  # probability below which an effect is not listed
 
 
 def headline(finding: Finding) -> str:
@@ -66,7 +66,7 @@ def plain_heading(finding: Finding) -> str:
 
 def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
     """Return what the verdict rests on, a sentence each."""
-    said = [f"{k} {finding.percent(k)}" for k, p in finding.probabilities.items() if p >= _SAID]
+    said = [f"{k} {finding.percent(k)}" for k, p in finding.probabilities.items() if p >= SAID]
     sentences = [evidence(finding)]
     if finding.engines:
         sentences.append(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.finder.means.probabilities import family_of
+from rtcal.finder.claim import CLAIMED, SAID, family_of
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.several import TWO
 from rtcal.finder.means.several_finding import SeveralFinding
@@ -17,16 +17,11 @@ from rtcal.report.document import material_rows
 from rtcal.report.figures import BLACK, ORANGE, new_figure, shown
 from rtcal.support.arguments import checked
 
-CLAIMED = 0.9
-"""Probability from which an effect is claimed."""
-_SAID = 0.03
-"""Probability below which an effect or a set is not shown."""
-
 
 @checked
 def probabilities(finding: SeveralFinding) -> Any:
     """Return the figure of the probability of each effect that it is there at all."""
-    names = [n for n, p in finding.probabilities.items() if p >= _SAID]
+    names = [n for n, p in finding.probabilities.items() if p >= SAID]
     figure, axes = new_figure(6.0, 1.2 + 0.32 * max(len(names), 1))
     at = np.arange(len(names))[::-1]
     member = [n in finding.members for n in names]
@@ -83,7 +78,7 @@ def summary(finding: SeveralFinding) -> dict[str, Any]:
             (name, 100 * p, finding.single.evidence.get(name, 0.0))
             for name, p in finding.probabilities.items()
         ],
-        "sets": [(" + ".join(s) or "none", 100 * p) for s, p in finding.sets.items() if p >= _SAID],
+        "sets": [(" + ".join(s) or "none", 100 * p) for s, p in finding.sets.items() if p >= SAID],
         "plain_heading": gap_words.plain_heading(finding.single),
         "plain": plain,
         "corrected": _corrected(finding) if added else None,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rtcal.acoustics.parameters import parameter_label
+from rtcal.finder.claim import SAID
 from rtcal.finder.positions.advice import Place
 from rtcal.finder.positions.finding import Finding, strongest
 from rtcal.finder.positions.verification import MODELS, TITLES, Verification
@@ -24,8 +25,6 @@ PAGE, MAP, PLAN, ROOM, GAP = (
     "gap.png",
 )
 FILES = (PAGE, MAP, PLAN, ROOM, GAP)
-_SAID = 0.03
-"""Probability below which a candidate is not printed."""
 
 
 @checked
@@ -108,7 +107,7 @@ def page(
         }
         for name, figure in figures.items()
     }
-    said = [c for c in finding.candidates if c.probability >= _SAID][:8]
+    said = [c for c in finding.candidates if c.probability >= SAID][:8]
     values = {
         "finding": finding,
         "verification": verification,

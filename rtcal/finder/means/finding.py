@@ -11,6 +11,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.claim import SAID
 from rtcal.finder.coefficients import OffTogether
 from rtcal.finder.effects import Effect
 from rtcal.finder.means import track_record
@@ -314,7 +315,7 @@ class Finding(Result):
     def evidence_in_words(self) -> str:
         """What the headline leaves out: other probable effects, the evidence and its threshold."""
         said = self.candidates if self.verdict in ("family", "ambiguous") else ()
-        others = [k for k, p in self.probabilities.items() if p >= _SAID and k not in said]
+        others = [k for k, p in self.probabilities.items() if p >= SAID and k not in said]
         listing = ", ".join(f"{k} {self.percent(k)}" for k in others)
         title = "other probabilities" if said else "probabilities"
         return (
@@ -414,7 +415,3 @@ class Finding(Result):
             return f"{self.title_of(name)}: {effect.describe(fit.parameters)}"
         others = effect.describe(fit.parameters, without=effect.size)
         return f"size of {self.title_of(name)}: {s.words}" + (f"; {others}" if others else "")
-
-
-_SAID = 0.03
-"""Probability below which an effect is not printed."""

@@ -10,6 +10,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.finder.case import Case
+from rtcal.finder.claim import by_family, claim, credible_set, posterior
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.advice import next_measurement
@@ -29,8 +30,7 @@ from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.probabilities import by_family, credible_set, posterior
-from rtcal.finder.means.verdict import Fit, claim, doubted, doubts, fit
+from rtcal.finder.means.verdict import Fit, doubted, doubts, fit
 from rtcal.finder.prior import (
     COEFFICIENTS,
     NONE,
@@ -157,7 +157,9 @@ def _conclude(
     families = by_family(probabilities, predicted.effects)
     order = [k for k in probabilities if k != NONE]
     best, score = order[0], float(evidence_of_something(evidence, prior))
-    verdict, family = claim(probabilities, families, predicted.effects, score, limit)
+    detected = None if score > limit else "hint" if score > 0 else "none"
+    rough = [name for name, effect in predicted.effects.items() if not effect.alone]
+    verdict, family = claim(detected, probabilities, families, rough)
     fits, found = dict[str, Fit](), tuple[Doubt, ...]()
 
     def fitted(name: str) -> None:

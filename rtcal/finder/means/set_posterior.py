@@ -15,10 +15,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from rtcal.finder.case import AppliedEffect
+from rtcal.finder.claim import family_of
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import goodness_of_fit
-from rtcal.finder.means.probabilities import family_of
 from rtcal.finder.means.sets import (
     Comparison,
     Rows,

@@ -8,19 +8,19 @@ from dataclasses import replace
 
 from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.claim import CLAIMED, family_of, narrowest_family
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate_beyond
 from rtcal.finder.means.features import Observed, observe
 from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.probabilities import family_of, narrowest_family
 from rtcal.finder.means.search import effects_to_try, find
 from rtcal.finder.means.set_alpha import averaged_alpha
 from rtcal.finder.means.set_posterior import MOST, Names, SetPosterior, set_posterior
 from rtcal.finder.means.sets import compare
 from rtcal.finder.means.several_finding import Member, SeveralFinding, applied_with
-from rtcal.finder.means.verdict import CLAIMED, Fit, doubts, fit
+from rtcal.finder.means.verdict import Fit, doubts, fit
 from rtcal.finder.prior import COEFFICIENTS, EXPECTED, NONE, UNKNOWN
 from rtcal.support import checks
 from rtcal.support.arguments import checked

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 
 from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.claim import SAID, family_of
 from rtcal.finder.coefficients import OffTogether
 from rtcal.finder.effects import Effect
 from rtcal.finder.means import track_record
 from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.probabilities import family_of
 from rtcal.finder.means.set_posterior import Names
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import NONE, UNKNOWN
@@ -23,8 +23,6 @@ from rtcal.support.arguments import checked
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 
-_SAID = 0.03
-"""Probability below which an effect is not printed."""
 _NUMBERS = ("none", "one", "two", "three")
 
 
@@ -315,10 +313,10 @@ class SeveralFinding(Result):
         """Return verdict, probabilities, numbers, sets, sizes and doubts."""
         lines = text.wrapped(f"{self.verdict}: {self.sentence}")
         likely = ", ".join(
-            f"{n} {self.percent(n)}" for n, p in self.probabilities.items() if p >= _SAID
+            f"{n} {self.percent(n)}" for n, p in self.probabilities.items() if p >= SAID
         )
         sets = ", ".join(
-            f"{' + '.join(s) or NONE} {100 * p:.0f} %" for s, p in self.sets.items() if p >= _SAID
+            f"{' + '.join(s) or NONE} {100 * p:.0f} %" for s, p in self.sets.items() if p >= SAID
         )
         sentences = [self.numbers_in_words, f"there at all: {likely or 'nothing'}", f"sets: {sets}"]
         for name in self.members:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtcal.finder import coefficients
@@ -24,8 +24,7 @@ from rtcal.finder.means.gap import GapCheck, gap_check
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import covariance_of, goodness_of_fit, spreading
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.probabilities import narrowest_family
-from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
+from rtcal.finder.prior import COEFFICIENTS
 from rtcal.finder.size import (
     AbsorptionChange,
     Size,
@@ -33,8 +32,6 @@ from rtcal.finder.size import (
     estimate_size,
 )
 
-CLAIMED = 0.9
-"""Probability from which an effect, or a family, is claimed."""
 LIKELY = 0.5
 """Probability from which coefficients that are off together are said beside an effect."""
 _LARGER = SCALES[0][0]
@@ -57,25 +54,6 @@ class Fit:
     most_probable: Parameters
     surprise: tuple[float, float]
     absorption: AbsorptionChange | None = None
-
-
-def claim(
-    probabilities: Mapping[str, float],
-    families: Mapping[str, float],
-    effects: Mapping[str, Effect],
-    score: float,
-    limit: float,
-) -> tuple[str, str | None]:
-    """Return the verdict before any check, and the family that is probable enough to be claimed."""
-    best = next(k for k in probabilities if k != NONE)
-    family = narrowest_family({f: p for f, p in families.items() if f != NONE}, CLAIMED)
-    if score <= limit:
-        return ("hint" if score > 0 else "none"), None
-    if best == UNKNOWN:
-        return "unknown", family
-    if probabilities[best] >= CLAIMED and (best == COEFFICIENTS or effects[best].alone):
-        return "named", family
-    return ("ambiguous" if family is None else "family"), family
 
 
 def fit(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from rtcal.errors import DataError
+from rtcal.finder.claim import SAID
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.positions.candidate import Candidate
@@ -29,8 +30,6 @@ KIND = "where 1"
 """Value of the key ``rtcal`` in a saved finding."""
 LEAST_PAIRS = 4
 """Fewest pairs of a verification: half of them have to say where."""
-_SAID = 0.03
-"""Probability below which a candidate is not printed."""
 _LEAST = 1e-3
 """Probability below which nothing is added to a surface, even where the user names it."""
 
@@ -239,12 +238,12 @@ class Finding(Result):
         return f"These positions do not say on which surface: {_listed(some)}."
 
     def _names(self) -> list[str]:
-        every = dict.fromkeys(c.effect for c in self.candidates if c.probability >= _SAID)
+        every = dict.fromkeys(c.effect for c in self.candidates if c.probability >= SAID)
         return [f"{e} ({100 * self.probabilities[e]:.0f} %)" for e in every]
 
     def __str__(self) -> str:
         lines = text.wrapped(self.headline)
-        said = [c for c in self.candidates if c.probability >= _SAID][:8]
+        said = [c for c in self.candidates if c.probability >= SAID][:8]
         if said and self.verdict != "none":
             header = ("", ["probability", "size"])
             rows = [(c.title, [f"{100 * c.probability:.0f} %", c.in_words]) for c in said]
@@ -260,7 +259,7 @@ class Finding(Result):
         rows: list[list[str | html.Cell]] = [
             [c.title, f"{100 * c.probability:.0f} %", c.in_words]
             for c in self.candidates
-            if c.probability >= _SAID
+            if c.probability >= SAID
         ]
         header = ["", "probability", "size"]
         return html.table(self.headline, header, rows, [*self.reasons, *self.notes])

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtcal.errors import DataError
+from rtcal.finder.claim import CLAIMED, claim
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.search import CHOSEN
@@ -66,8 +67,6 @@ def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
 
 EFFECTS = tried(library())
 """Names of what is tried with rtcal's own library."""
-CLAIMED = 0.9
-"""Probability from which an effect, a family or a surface is claimed."""
 APART = 2.3
 """Nats below which two surfaces are not told apart: odds of ten to one."""
 _AIMED = (
@@ -229,7 +228,8 @@ def _finding(
 ) -> Finding:
     summary = summary_of(case, hypotheses, posterior)
     groups = _groups(case, hypotheses, summary, likelihood)
-    verdict, effect, family = _claimed(summary, detected)
+    verdict, family = claim(detected.verdict, summary.probabilities, summary.families)
+    best = next(e for e in summary.probabilities if e != NONE)
     reasons = _reasons(case, hypotheses, summary, verdict)
     first = next(iter(summary.surfaces))
     sure = summary.surfaces[first] * summary.on_surfaces >= CLAIMED
@@ -238,7 +238,7 @@ def _finding(
     return Finding(
         case=case,
         verdict=verdict,
-        effect=effect,
+        effect=best if verdict == "named" else None,
         family=family,
         surface=first if located else None,
         surfaces=summary.surfaces,
@@ -275,21 +275,6 @@ def untried(effects: Sequence[Effect]) -> str:
         f"Not tried, since they stand on no surface: {', '.join(names)}. Means over positions "
         "(rtcal.find without a simulator) try them."
     )
-
-
-def _claimed(summary: Summary, detected: Detection) -> tuple[str, str | None, str | None]:
-    """Return the verdict, and the effect and the family that are claimed."""
-    if detected.verdict is not None:
-        return detected.verdict, None, None
-    some = {e: p for e, p in summary.probabilities.items() if e != NONE}
-    best = next(iter(some))
-    families = [f for f, p in summary.families.items() if f != NONE and p >= CLAIMED]
-    family = max(families, key=len) if families else None
-    if best == UNKNOWN:
-        return "unknown", None, family
-    if some[best] >= CLAIMED:
-        return "named", best, family
-    return ("ambiguous" if family is None else "family"), None, family
 
 
 def _reasons(case: Case, hypotheses: Hypotheses, summary: Summary, verdict: str) -> tuple[str, ...]:

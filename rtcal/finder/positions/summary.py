@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal.finder.case import NORMAL_90
+from rtcal.finder.claim import most_probable_first, with_added
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.posterior import Hypotheses, Weights
@@ -16,8 +18,6 @@ from rtcal.support.types import Array
 
 _SPACING = 0.1
 """Standard deviation of ln size within the grid's distance, which is 0.26."""
-_ADDED = "added absorption"
-_NORMAL_90 = 1.6449
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,18 +64,15 @@ def summary_of(case: Case, hypotheses: Hypotheses, posterior: Weights) -> Summar
         families[c.family] = families.get(c.family, 0.0) + c.probability
         if c.surface is not None:
             surfaces[c.surface] += c.probability
-    added = [p for f, p in families.items() if f.startswith(_ADDED)]
-    if len(added) > 1:
-        families[_ADDED] = sum(added)
     on_surfaces = sum(surfaces.values())
     shares = {n: p / on_surfaces if on_surfaces > 0 else 0.0 for n, p in surfaces.items()}
     return Summary(
-        tuple(candidates), _sorted(probabilities), _sorted(families), _sorted(shares), on_surfaces
+        tuple(candidates),
+        most_probable_first(probabilities),
+        with_added(families),
+        most_probable_first(shares),
+        on_surfaces,
     )
-
-
-def _sorted(values: Mapping[str, float]) -> dict[str, float]:
-    return dict(sorted(values.items(), key=lambda kv: -kv[1]))
 
 
 def _shares(chances: Array) -> Array:
@@ -97,7 +94,7 @@ def _candidate(case: Case, members: Sequence[tuple[Shift, Array]]) -> Candidate:
     mean = float(share @ scale)
     more = 0.0 if signed else _SPACING**2 + shift.size_error**2
     deviation = float(np.sqrt(share @ (scale - mean) ** 2 + more))
-    ends = [mean, mean - _NORMAL_90 * deviation, mean + _NORMAL_90 * deviation]
+    ends = [mean, mean - NORMAL_90 * deviation, mean + NORMAL_90 * deviation]
     size, low, high = ends if signed else np.exp(ends).tolist()
     surface = None if shift.surface is None else list(case.faces)[shift.surface]
     return Candidate(

@@ -1,8 +1,8 @@
-"""Probabilities of each effect and family, from evidence and prior, and the candidates."""
+"""Probabilities of each effect and family, and what is claimed of them: of both observation models."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from scipy.special import logsumexp
@@ -10,6 +10,10 @@ from scipy.special import logsumexp
 from rtcal.finder.effects import Effect
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
 
+CLAIMED = 0.9
+"""Probability from which an effect, a family or a surface is claimed."""
+SAID = 0.03
+"""Probability below which an effect is not printed."""
 CREDIBLE = 0.9
 """Probability, given that something is missing, that the candidates hold together."""
 _ABSORPTION = "added absorption"
@@ -37,10 +41,21 @@ def by_family(
     for name, probability in probabilities.items():
         family = family_of(name, effects)
         out[family] = out.get(family, 0.0) + probability
+    return with_added(out)
+
+
+def with_added(families: Mapping[str, float]) -> dict[str, float]:
+    """Return the families with the sum of all added absorption, the most probable first."""
+    out = dict(families)
     absorption = [p for family, p in out.items() if family.startswith(f"{_ABSORPTION},")]
     if len(absorption) > 1:
         out[_ABSORPTION] = sum(absorption)
-    return dict(sorted(out.items(), key=lambda kv: -kv[1]))
+    return most_probable_first(out)
+
+
+def most_probable_first(values: Mapping[str, float]) -> dict[str, float]:
+    """Return probabilities in their order."""
+    return dict(sorted(values.items(), key=lambda kv: -kv[1]))
 
 
 def family_of(name: str, effects: Mapping[str, Effect]) -> str:
@@ -49,9 +64,40 @@ def family_of(name: str, effects: Mapping[str, Effect]) -> str:
 
 
 def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
-    """Return the family of at least this probability, the narrower of two; None without one."""
-    probable = [f for f, p in families.items() if p >= least]
-    return max(probable, key=len) if probable else None
+    """Return the family of at least this probability, the narrower of two; None without one.
+
+    A comma leads from a family to one of its kinds: "added absorption, rising".
+    """
+    probable = [f for f, p in families.items() if p >= least and f != NONE]
+    return max(probable, key=lambda family: family.count(",")) if probable else None
+
+
+def claim(
+    detected: str | None,
+    probabilities: Mapping[str, float],
+    families: Mapping[str, float],
+    by_family_alone: Collection[str] = (),
+) -> tuple[str, str | None]:
+    """Return the verdict before any check, and the family that is probable enough to be claimed.
+
+    Parameters
+    ----------
+    detected : str or None
+        The verdict where nothing is detected, "none" or "hint"; None where something is.
+    probabilities, families : mapping of str to float
+        Of each effect and family, the most probable first.
+    by_family_alone : collection of str
+        The effects that are not claimed by their own names (`Effect.alone`).
+    """
+    if detected is not None:
+        return detected, None
+    best = next(k for k in probabilities if k != NONE)
+    family = narrowest_family(families, CLAIMED)
+    if best == UNKNOWN:
+        return "unknown", family
+    if probabilities[best] >= CLAIMED and best not in by_family_alone:
+        return "named", family
+    return ("ambiguous" if family is None else "family"), family
 
 
 def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
