@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.where import case_of
+from rtcal.finder.effects import library
 from rtcal.finder.positions import track_record
 from rtcal.finder.positions.responses import parameters
 from rtcal.finder.positions.search import find_by_positions
@@ -36,7 +37,7 @@ def scores(
             case.simulator, case.room, parameters(case), seed=of_runs, cache=folder
         )
         for of_paths in seeds:
-            found = find_by_positions(case, controls, folder, of_paths, ())
+            found = find_by_positions(case, library(), controls, folder, of_paths, ())
             yield of_runs, of_paths, found.score
 
 
