@@ -83,10 +83,8 @@ def find(
     it is there at all. With --out the finding is verified, and its page leads with what is missing,
     what that rests on and what to do.
 
-    \b
     Example: rtcal find room.toml measured.csv
-             rtcal find case.toml --out finding
-    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    """
     folder = output_folder("--out", out)
     if folder is None:
         finding = _find(inputs, search, quiet, expected=expected)
