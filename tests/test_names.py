@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import ast
+import inspect
+import re
 import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -96,11 +100,38 @@ def test_what_completion_shows_is_public() -> None:
     assert int(done.stdout) > 40
 
 
-def test_public_names_are_the_fields_words() -> None:
-    modules = [rt]
+def public_objects() -> dict[str, Any]:
+    """Return the public classes and functions by the name of their module and their own."""
+    found, modules = {}, [rt]
     for module in modules:
-        for name in module.__all__:
-            value = getattr(module, name)
-            assert not {*name.lower().split("_")} & {*NOT_THE_FIELDS}, f"{module.__name__}.{name}"
-            if hasattr(value, "__all__") and value not in modules:
-                modules.append(value)
+        for value in (getattr(module, name) for name in module.__all__):
+            if isinstance(value, ModuleType):
+                modules += [value] * (value not in modules)
+            elif inspect.isclass(value) or inspect.isfunction(value):
+                found[f"{value.__module__}.{value.__name__}"] = value
+    return found
+
+
+def test_public_names_are_the_fields_words() -> None:
+    names = [name for name in public_objects() if not name.startswith("rtcal.finder.")]
+    assert len(names) > 200
+    for name in names:
+        words = {*re.findall("[a-z]+", name.rpartition(".")[2].lower())}
+        assert words.isdisjoint(NOT_THE_FIELDS), name
+
+
+FORMULA = re.compile(r"[²½]|⁻¹|\^")
+SOURCE = re.compile(r"(18|19|20)\d\d|ISO|IEC|Eqs?\.|docs/\w+\.md")
+
+
+def test_every_formula_has_a_source() -> None:
+    """The source is a publication, a standard, or the page that derives it."""
+    with_formula = []
+    for name, value in public_objects().items():
+        text = inspect.getdoc(value) or ""
+        prose = re.split(r"\n(?:Parameters|Attributes|Returns|Raises|Examples)\n-+", text)[0]
+        if FORMULA.search(re.sub("m²|m³|s²", "", prose)):
+            with_formula.append(name)
+            module = sys.modules[value.__module__].__doc__ or ""
+            assert SOURCE.search(text) or SOURCE.search(module), f"{name} has no source"
+    assert len(with_formula) > 10

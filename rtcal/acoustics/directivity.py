@@ -26,7 +26,7 @@ class Directivity:
     """A loudspeaker that radiates a lobe, with more energy along its axis than on average.
 
     Its energy at the angle theta from the axis, over that of an omnidirectional source of the same
-    power, is (n + 1) ((1 + cos theta) / 2)^n with n = 10^(index / 10) - 1.
+    power, is (n + 1) ((1 + cos theta) / 2)^n with n = 10^(index / 10) - 1 (docs/path_tracing.md).
 
     Parameters
     ----------

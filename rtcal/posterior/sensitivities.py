@@ -82,7 +82,7 @@ def sensitivity(result: Optimal) -> Array:
 
     The last two axes are those of T. Coefficients at a bound stay there: the derivative is valid until
     the next bound. For independent priors and an exact match, over the free coefficients F of the
-    band,  d alpha_F / db = S_F sigma_F² / sum(S_F² sigma_F²),  times db/dT.
+    band,  d alpha_F / db = S_F sigma_F² / sum(S_F² sigma_F²),  times db/dT (docs/posterior.md).
 
     Parameters
     ----------

@@ -270,5 +270,5 @@ def reciprocal(values: Array) -> Array:
 
 
 def half_squares(expression: Any) -> Any:
-    """Return ½ |expression|²."""
+    """Return half the sum of squares of a cvxpy expression, for a term's ``expression``."""
     return 0.5 * cp.sum_squares(expression)

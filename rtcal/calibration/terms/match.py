@@ -143,7 +143,7 @@ class MatchWithin:
 class SoftMatch(BaseTerm):
     """½ sum ((S'alpha - b) / u_b)²: match T as far as its own uncertainty deserves.
 
-    u_b = |db/dT| u_T.
+    u_b = |db/dT| u_T. docs/modelling.md compares it with other terms.
 
     When to use it: whenever the uncertainty of T is known, or can be stated; with several
     configurations always. It keeps the noise of T out of alpha. Weight 1 is the right one: then
@@ -236,7 +236,7 @@ class RoomMatch(SoftMatch):
     C is the covariance of r over all bands: u_b² on its diagonal, and what the room states of its
     volume, areas and climate (`rtcal.acoustics.room_errors.target_changes`). It is the QP with
     A_ik = alpha_ik S_i, every S_i and the volume unknown and shared by all bands, after these are
-    minimised out. Eyring's and Kuttruff's b is linearised in them.
+    minimised out. Eyring's and Kuttruff's b is linearised in them (docs/uncertain_room.md).
 
     When to use it: when the room states a ``volume_sigma``, an ``area_sigma`` or a ``climate_sigma``;
     `rtcal.calibrate` then uses it for every method but ``lse``. An error of the volume then changes
@@ -296,7 +296,7 @@ class RoomMatch(SoftMatch):
 class AddedAbsorption(BaseTerm):
     """A further unknown theta >= 0: an effect that adds theta times its gain to S'alpha.
 
-    ½ ((theta - mean) / sigma)² is its prior in the objective.
+    ½ ((theta - mean) / sigma)² is its prior in the objective (docs/modelling.md).
 
     When to use it: when something other than the listed surfaces absorbs (an opening, furniture, an
     audience) and its spectrum is known but not its amount. theta comes out beside alpha.

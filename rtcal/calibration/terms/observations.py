@@ -28,12 +28,16 @@ class LinearObservations(BaseTerm):
     whatever the number of observations, and solved for each of them.
 
     When to use it: where measurements tell more of alpha than one T per band does. J and y come from
-    a simulator's derivatives in `rtcal.calibrate_simulator`; weight 1 is then the right one.
+    a simulator's derivatives in `rtcal.calibrate_positions`; weight 1 is then the right one.
 
     Parameters
     ----------
     name : str
         Tells several of them apart.
+
+    References
+    ----------
+    Aitken 1935, generalised least squares.
     """
 
     name: str = "observations"
