@@ -212,6 +212,8 @@ def test_several_configurations_share_the_volume() -> None:
     alone = rt.calibrate(room, t[0], "soft", SABINE)
     assert joint.certificate.worst < 1e-9
     assert (joint.posterior_sigma <= alone.posterior_sigma + 1e-12).all()
+    warm = Configurations([room, other.replace(climate_sigma=(2, 0))])
+    assert warm.union.climate_sigma == (2, 0)
     with pytest.raises(DataError, match=r"volume_sigma = 0\.1, but"):
         Configurations([room, other.replace(volume_sigma=0.1)])
 

@@ -67,8 +67,11 @@ class Spread:
 
 
 def _spread(x: Array) -> Spread:
-    """The spread of its logarithms, and of the logit of its correlation."""
-    values = np.exp(np.clip(x[:-1], -12, 3)).tolist()
+    """The spread of its logarithms, and of the logit of its correlation.
+
+    Each is at least 0.001: rooms without any noise would leave the covariance singular.
+    """
+    values = np.exp(np.clip(x[:-1], np.log(1e-3), 3)).tolist()
     correlation = float(1 / (1 + np.exp(-np.clip(x[-1], -8, 4))))
     return Spread(**dict(zip(_USUAL, values, strict=True)), correlation=correlation)
 

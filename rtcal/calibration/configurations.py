@@ -172,5 +172,7 @@ class Configurations:
             area_sigma=np.array([r.area_sigma[i] for r, i in zip(owners, rows, strict=True)]),
             common_area_sigma=first.common_area_sigma,
             common_alpha_sigma=first.common_alpha_sigma,
-            climate_sigma=first.climate_sigma,
+            climate_sigma=(0.0, 0.0)
+            if first.air is None
+            else tuple(np.max([r.climate_sigma for r in self.rooms], axis=0).tolist()),
         )
