@@ -68,6 +68,7 @@ CALLS: list[tuple[str, list[str], int]] = [
     ("room", ["calibrate", "room.toml", "t.csv", "--out", "calibrated"], 0),
     ("room", ["calibrate", "room.toml", "t.csv", "--solver", "simplex"], 4),
     ("room", ["report", "calibrated"], 0),
+    ("room", ["learn", "calibrated"], 2),
     ("room", ["table", "dirac.csv"], 2),
     ("room", ["table", "dirac.csv", "--decay-time", "t30", "--out", "u.csv"], 0),
     ("room", ["import", "catt", "hall.geo", "--volume", "900", *AREAS, "--out", "hall.toml"], 0),
