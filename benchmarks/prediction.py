@@ -3,7 +3,7 @@
     python -m benchmarks.prediction toggles            # real rooms in several states
     python -m benchmarks.prediction worlds --rooms 200 # another tracer's rooms, one change each
     python -m benchmarks.prediction designs --rooms 200
-    python -m benchmarks.prediction resolve            # time of a re-solve
+    python -m benchmarks.prediction resolve            # processor time of a re-solve
 
 The measured rooms are not shipped: `benchmarks.real_data` says where they are looked for. The rule
 stands in the study and was written first.
@@ -482,15 +482,15 @@ def resolve() -> None:
         3,
     )
     for name, each in seconds.items():
-        print(f"{name}: {1000 * each:.1f} ms")
+        print(f"{name}: {1000 * each:.1f} ms of processor time")
 
 
 def median_time(call: Callable[[], object], repeats: int = 31) -> float:
     times = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         call()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return float(np.median(times))
 
 

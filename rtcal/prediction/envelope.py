@@ -88,9 +88,7 @@ class Ranges:
             return None
         first = self._edge(probability, peak, np.full(n_bands, _EDGE * whole))
         last = self._edge(probability, peak, np.full(n_bands, (1 - _EDGE) * whole))
-        grid = np.linspace(0, 1, _POINTS)[:, np.newaxis]
-        # Denser towards both edges, where g bends most in a narrow range.
-        means = first + (last - first) * (1 - np.cos(np.pi * grid)) / 2
+        means = first + (last - first) * _denser_at_the_ends(_POINTS)[:, np.newaxis]
         sigmas = self._largest(probability, means)
         intercept, slope = np.full((n_bands, CHORDS), _LOOSE * whole), np.zeros((n_bands, CHORDS))
         for k in np.flatnonzero(bounded):
@@ -122,10 +120,15 @@ def _chords(means: Array, sigmas: Array) -> tuple[Array, Array]:
         while len(hull) > 1 and _turns_up(means, sigmas, hull[-2], hull[-1], i):
             hull.pop()
         hull.append(i)
-    knots = np.linspace(means[0], means[-1], CHORDS + 1)
+    knots = means[0] + (means[-1] - means[0]) * _denser_at_the_ends(CHORDS + 1)
     heights = np.interp(knots, means[hull], sigmas[hull])
     slope = np.diff(heights) / np.diff(knots)
     return heights[:-1] - slope * knots[:-1], slope
+
+
+def _denser_at_the_ends(number: int) -> Array:
+    """Return places from 0 to 1, closer towards both ends, where g rises most steeply."""
+    return np.asarray((1 - np.cos(np.pi * np.linspace(0, 1, number))) / 2)
 
 
 def _turns_up(x: Array, y: Array, a: int, b: int, c: int) -> bool:
