@@ -125,20 +125,28 @@ class Program:
                         each.value = of_band
                 else:
                     parameter.value = value
-            try:
-                self._problem.solve(solver=cp.CLARABEL)
-            except cp.error.SolverError as error:
-                raise SolverError(f"the design's program was not solved: {error}") from error
-            status, x = self._problem.status, self._x.value
-        if status in ("infeasible", "infeasible_inaccurate"):
+            failure = ""
+            # Clarabel's workspace keeps the scaling of the numbers before, which may not suit these.
+            for kept in (True, False):
+                try:
+                    self._problem.solve(solver=cp.CLARABEL, warm_start=kept)
+                except cp.error.SolverError as error:
+                    failure = str(error)
+                    continue
+                status, x = self._problem.status, self._x.value
+                if status == "infeasible" and not kept:
+                    return None
+                if status not in ("optimal", "optimal_inaccurate") or x is None:
+                    failure = status
+                    continue
+                found = np.clip(np.where(x < _GONE, 0.0, x) * scale, numbers.lower, numbers.upper)
+                missed = worst(numbers, found) / scale
+                if missed <= _MISSED:
+                    return np.asarray(found)
+                failure = f"{status}, but a constraint is missed by {missed:.1e}"
+        if failure.startswith("infeasible"):
             return None
-        if x is None or status not in ("optimal", "optimal_inaccurate"):
-            raise SolverError(f"the design's program was not solved: {status}")
-        x = np.where(x < _GONE, 0.0, x) * scale
-        x = np.clip(x, numbers.lower, numbers.upper)
-        if (missed := worst(numbers, x) / scale) > _MISSED:
-            raise SolverError(f"clarabel says {status}, but a constraint is missed by {missed:.1e}")
-        return np.asarray(x)
+        raise SolverError(f"the design's program was not solved: {failure}")
 
 
 def worst(numbers: ProgramNumbers, x: Array) -> float:
