@@ -259,3 +259,7 @@ def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> 
         for material, alpha in zip(listed.materials, room.alpha, strict=True):
             columns = [list(material.centre_frequencies).index(f) for f in BANDS]
             assert np.asarray(material.alpha)[columns] == pytest.approx(alpha, abs=0.005)
+    assert made.room.scattering is not None
+    assert "scattering" in made.lost["odeon.txt"]  # a list for ODEON has no column for it
+    assert any(row.startswith("odeon.txt lacks: scattering") for row in made.in_words)
+    assert "scattering" not in made.lost.get("catt.txt", ())

@@ -7,6 +7,7 @@ import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -77,13 +78,19 @@ class Corrected:
 
     @property
     def in_words(self) -> list[str]:
-        """What was added, and why in another form than was asked for."""
+        """What was added, why in another form than was asked for, and what the lists lack."""
         said = f"Added {self.added.title}, {self.added.in_words}, as {self.form}"
-        return [f'{said}: material "{self.material}".', *([self.note] if self.note else [])]
+        rows = [f'{said}: material "{self.material}".', *([self.note] if self.note else [])]
+        return rows + [f"{name} lacks: {', '.join(lost)}." for name, lost in self.lost.items()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was added as plain values."""
-        return {"added": self.added.to_dict(), "form": self.form, "note": self.note}
+        return {
+            "added": self.added.to_dict(),
+            "form": self.form,
+            "note": self.note,
+            "lost": {name: list(lost) for name, lost in self.lost.items()},
+        }
 
     @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
@@ -106,23 +113,31 @@ class Corrected:
         contents = {
             ROOM: self.room.replace(scene=scene).to_text().encode(),
             MESH: obj.text(self.geometry).encode(),
-            **self._lists(),
+            **{name: content for name, (content, _) in self._lists.items()},
         }
         make_folder(where)
         write_all({where / name: content for name, content in contents.items()})
         return [where / name for name in contents]
 
-    def _lists(self) -> dict[str, bytes]:
-        """Return the lists of materials for CATT and ODEON by file name."""
+    @property
+    def lost(self) -> dict[str, tuple[str, ...]]:
+        """What the room states and a list of materials does not hold, by the list's file name."""
+        return {name: lost for name, (_, lost) in self._lists.items() if lost}
+
+    @cached_property
+    def _lists(self) -> dict[str, tuple[bytes, tuple[str, ...]]]:
+        """The lists of materials for CATT and ODEON, and what they lack, by file name."""
         names = [re.sub(r"[^!-~]|[=<>{};:]", "_", m) for m in self.room.materials]
         if len(set(names)) < len(names):
             names = [f"{name}_{i + 1}" for i, name in enumerate(names)]
         plain = self.room.replace(materials=names, surfaces=(), material_correlation={}, sources={})
         # Their writers fill in a list that exists; these are new ones.
         with tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
-            catt.write(plain, Path(empty, CATT), missing_bands="nearest")
-            odeon.write(self.room, Path(empty, ODEON), missing_bands="nearest")
-            return {name: Path(empty, name).read_bytes() for name in (CATT, ODEON)}
+            reports = {
+                CATT: catt.write(plain, Path(empty, CATT), missing_bands="nearest"),
+                ODEON: odeon.write(self.room, Path(empty, ODEON), missing_bands="nearest"),
+            }
+            return {n: (Path(empty, n).read_bytes(), r.lost) for n, r in reports.items()}
 
     def __repr__(self) -> str:
         return f'<Corrected room: {self.added.title} as {self.form} "{self.material}">'
