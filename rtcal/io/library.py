@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.observables import TARGET
 from rtcal.errors import DataError
 from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
@@ -83,7 +84,7 @@ def _materials(file: Path) -> Iterator[ListedMaterial]:
         sheets = workbook.sheets(content, os.fspath(file), {})
     else:
         text = decode(content, os.fspath(file))
-        sheets = [sheet_of_text(text, os.fspath(file), decay_time="t20")]
+        sheets = [sheet_of_text(text, os.fspath(file), decay_time=TARGET.key)]
     found = False
     for sheet in sheets:
         for material in _of_sheet(sheet, file.stem if len(sheets) == 1 else sheet.name):

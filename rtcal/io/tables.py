@@ -26,7 +26,7 @@ from typing import Any
 
 from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import OBSERVABLES
+from rtcal.acoustics.observables import OBSERVABLES, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.repeats import in_words, places_of
 from rtcal.errors import DataError
@@ -292,7 +292,7 @@ def _check_options(
 
 
 def _leaves_open(text: str) -> bool:
-    named = _named(text, "t20")
+    named = _named(text, TARGET.key)
     return named is not None and named.decay_time_open
 
 
@@ -313,11 +313,11 @@ def _parameter(
     values = [c for c in layout.columns if c.kind in ("data", "value")]
     if any(c.kind == "parameter" for c in layout.columns) or all(c.parameter for c in values):
         return None
-    texts = [t for t in (sheet.name, *layout.titles) if _named(t, decay_time or "t20")]
+    texts = [t for t in (sheet.name, *layout.titles) if _named(t, decay_time or TARGET.key)]
     if stated is None and decay_time is None:
         for text in filter(_leaves_open, texts):
             column_of(text, sheet.place, None)  # says which decay time is to be stated
-    named = [_named(text, decay_time or "t20") for text in texts]
+    named = [_named(text, decay_time or TARGET.key) for text in texts]
     own = {c.parameter for c in named if c is not None}
     if stated is not None:
         if own and own != {stated}:

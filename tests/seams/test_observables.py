@@ -203,12 +203,14 @@ def named(path: Path) -> set[str]:
 
 
 THE_MEANS_HAVE_FIVE = {
-    f"finder/{name}.py"
-    for name in (
-        *("advice", "case_checks", "case_files", "configuration", "corrected", "engines"),
-        *("features", "hypotheses", "measurements", "model", "model_error", "planning"),
-        *("recalibration", "search", "track_record"),
-    )
+    *(f"finder/{name}.py" for name in ("case_checks", "case_files", "configuration", "model")),
+    *(
+        f"finder/means/{name}.py"
+        for name in (
+            *("advice", "corrected", "engines", "features", "hypotheses", "measurements"),
+            *("model_error", "planning", "recalibration", "search", "track_record"),
+        )
+    ),
 }
 """The closed-form model of a room predicts five features, of T20, EDT, T30, C80 and G."""
 
