@@ -30,7 +30,9 @@ _NODES = np.linspace(-4.2, 4.2, 43)
 _WEIGHTS = np.exp(-(_NODES**2) / 2) / np.exp(-(_NODES**2) / 2).sum()
 _EDGE = 1e-9
 """Share of the whole surface by which A keeps off 0 and the equation's largest absorption."""
-_LOOSE = 1e3
+_NARROWEST = 1e-6
+"""Least width of the means that are allowed, in shares of the surface: below, there is no design."""
+_LOOSE = 10.0
 """Largest sd, in shares of the surface, of a band without a range."""
 
 
@@ -88,6 +90,8 @@ class Ranges:
             return None
         first = self._edge(probability, peak, np.full(n_bands, _EDGE * whole))
         last = self._edge(probability, peak, np.full(n_bands, (1 - _EDGE) * whole))
+        if ((last - first)[bounded] < _NARROWEST * whole).any():
+            return None
         means = first + (last - first) * _denser_at_the_ends(_POINTS)[:, np.newaxis]
         sigmas = self._largest(probability, means)
         intercept, slope = np.full((n_bands, CHORDS), _LOOSE * whole), np.zeros((n_bands, CHORDS))

@@ -85,6 +85,7 @@ class Program:
             "gains": cp.Parameter((n_bands, n_treatments)),
             "intercept": cp.Parameter((n_bands, CHORDS)),
             "slope": cp.Parameter((n_bands, CHORDS)),
+            "unit": cp.Parameter((n_bands, CHORDS), nonneg=True),
         }
         g, x = self._given, self._x
         constraints = [
@@ -94,7 +95,8 @@ class Program:
             mean == g["mean"] + g["gains"] @ x,
         ]
         for j in range(CHORDS):
-            constraints.append(sigma <= g["intercept"][:, j] + cp.multiply(g["slope"][:, j], mean))
+            allowed = g["intercept"][:, j] + cp.multiply(g["slope"][:, j], mean)
+            constraints.append(cp.multiply(g["unit"][:, j], sigma) <= allowed)
         for k in range(n_bands):
             constraints.append(cp.SOC(sigma[k], g["start"][k] + g["steps"][k] @ x))
         self._problem = cp.Problem(cp.Minimize(g["cost"] @ x), constraints)
@@ -111,10 +113,13 @@ class Program:
         import cvxpy as cp
 
         scale = numbers.scale
+        # Each chord's row has unit length: the steep ones at the ends of a range are as well scaled.
+        unit = 1 / np.hypot(1, numbers.slope)
+        rows = {"unit": unit, "slope": unit * numbers.slope, "intercept": unit * numbers.intercept}
         with self.lock:
             for name, parameter in self._given.items():
-                value = getattr(numbers, name)
-                if name in ("limits", "gains", "slope", "steps"):
+                value = rows[name] if name in rows else getattr(numbers, name)
+                if name in ("limits", "gains", "slope", "steps", "unit"):
                     pass
                 elif name == "cost":
                     value = value / max(float(np.max(value)), 1e-300)
