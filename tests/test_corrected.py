@@ -330,7 +330,7 @@ def test_the_command_s_room_is_one_that_rtcal_calibrates(
     def done(*arguments: str) -> str:
         found = CliRunner().invoke(cli, arguments, catch_exceptions=False)
         assert found.exit_code == 0, found.output
-        return found.output
+        return found.stdout
 
     room = str(tmp_path / "room.toml")
     said = json.loads(

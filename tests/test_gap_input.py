@@ -491,7 +491,7 @@ def test_commands_simulate_a_case_s_control_rooms_once(
     def command(*words: str) -> str:
         done = CliRunner().invoke(cli, [*words, "--quiet", "--json"])
         assert done.exit_code == 0, done.output
-        return done.output
+        return done.stdout
 
     said = command("find", path)
     assert runs == ["path tracing", "network"]

@@ -359,7 +359,7 @@ def test_the_command_finds_and_adds_the_set(
     def run(*arguments: str) -> str:
         done = CliRunner().invoke(cli, [*arguments], catch_exceptions=False)
         assert done.exit_code == 0, done.output
-        return done.output
+        return done.stdout
 
     only = [x for name in FEW for x in ("--only", name)]
     path, out = str(tmp_path / "case.json"), str(tmp_path / "corrected.json")

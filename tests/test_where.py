@@ -268,7 +268,7 @@ def run(command: str, folder: Path, *options: str, code: int = 0) -> str:
     stated = [command, *files, "--scattering", "0.4", "--paths", "4800", *options]
     done = CliRunner().invoke(cli, [*stated], catch_exceptions=False)
     assert done.exit_code == code, done.output
-    return str(done.output)
+    return str(done.stdout)
 
 
 @pytest.mark.long
