@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets import halls
-from rtcal.loop.control_runs import control_runs
+from rtcal.loop.control_runs import simulated_controls
 from rtcal.simulators import PathTracing
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
@@ -48,7 +48,7 @@ def test_a_fit_moves_by_seed_by_little_of_what_it_says():
         pairs=seen.pairs,
         values={("g" if p == "level" else p): seen.natural(p) for p in MATCH},
     )
-    controls = control_runs(tracing(0.5, 1200), room, MATCH)
+    controls = simulated_controls(tracing(0.5, 1200), room, MATCH)
     simulator = tracing(0.5, 5000)
     fits = [
         rt.calibrate_simulator(simulator, room, measured, match=MATCH, controls=controls, seed=seed)
