@@ -124,7 +124,7 @@ def _chords(means: Array, sigmas: Array) -> tuple[Array, Array]:
         while len(hull) > 1 and _turns_up(means, sigmas, hull[-2], hull[-1], i):
             hull.pop()
         hull.append(i)
-    knots = means[0] + (means[-1] - means[0]) * _denser_at_the_ends(CHORDS + 1)
+    knots = np.linspace(means[0], means[-1], CHORDS + 1)
     heights = np.interp(knots, means[hull], sigmas[hull])
     slope = np.diff(heights) / np.diff(knots)
     return heights[:-1] - slope * knots[:-1], slope

@@ -20,6 +20,8 @@ from rtcal.errors import ModelError, SolverError
 from rtcal.prediction.envelope import CHORDS
 from rtcal.support.types import Array
 
+_LOOSER = {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7}
+"""Settings for numbers with which Clarabel makes no progress to its usual 1e-8."""
 _MISSED = 1e-6
 """Largest violation of a constraint, in shares of the room's surface."""
 _GONE = 1e-7
@@ -132,9 +134,9 @@ class Program:
                     parameter.value = value
             failure = ""
             # Clarabel's workspace keeps the scaling of the numbers before, which may not suit these.
-            for kept in (True, False):
+            for kept, settings in ((True, {}), (False, {}), (False, _LOOSER)):
                 try:
-                    self._problem.solve(solver=cp.CLARABEL, warm_start=kept)
+                    self._problem.solve(solver=cp.CLARABEL, warm_start=kept, **settings)
                 except cp.error.SolverError as error:
                     failure = str(error)
                     continue
