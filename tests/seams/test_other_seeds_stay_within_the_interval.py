@@ -51,7 +51,7 @@ def test_a_fit_moves_by_seed_by_little_of_what_it_says():
     controls = simulated_controls(tracing(0.5, 1200), room, MATCH)
     simulator = tracing(0.5, 5000)
     fits = [
-        rt.calibrate_simulator(simulator, room, measured, match=MATCH, controls=controls, seed=seed)
+        rt.calibrate_positions(simulator, room, measured, match=MATCH, controls=controls, seed=seed)
         for seed in range(SEEDS)
     ]
     for values, sigma in (
