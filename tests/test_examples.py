@@ -90,7 +90,7 @@ def test_nothing_is_written_over(
 
 
 def test_an_unknown_name_is_refused() -> None:
-    with pytest.raises(DataError, match='example "church" is none of room, responses'):
+    with pytest.raises(DataError, match='example "church" is none of room, change, responses'):
         examples.example("church")
 
 

@@ -41,7 +41,7 @@ def command_names() -> list[str]:
 def projects(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The projects of `rtcal example`, with what a user adds to them."""
     folder = tmp_path_factory.mktemp("projects")
-    for name in ("room", "responses", "simulator", "missing-effect"):
+    for name in ("room", "change", "responses", "simulator", "missing-effect"):
         assert run("example", name, "--out", str(folder / name), "--quiet") == 0
     hall = halls.lecture_hall()
     mesh = folder / "simulator" / "room.obj"
@@ -69,6 +69,10 @@ CALLS: list[tuple[str, list[str], int]] = [
     ("room", ["calibrate", "room.toml", "t.csv", "--solver", "simplex"], 4),
     ("room", ["report", "calibrated"], 0),
     ("room", ["learn", "calibrated"], 2),
+    ("change", ["predict", "room.toml", "t.csv", "--change", "variants.toml"], 0),
+    ("change", ["predict", "room.toml", "t.csv", "--change", "treatments.toml"], 2),
+    ("change", ["design", "room.toml", "t.csv", "--treatments", "treatments.toml"], 0),
+    ("change", ["design", "room.toml", "t.csv", "--treatments", "variants.toml"], 2),
     ("room", ["table", "dirac.csv"], 2),
     ("room", ["table", "dirac.csv", "--decay-time", "t30", "--out", "u.csv"], 0),
     ("room", ["import", "catt", "hall.geo", "--volume", "900", *AREAS, "--out", "hall.toml"], 0),

@@ -11,6 +11,7 @@ from rtcal.command.console import json_option, output_folder, quiet_option, tell
 
 _PURPOSES = {
     "room": "a room and a measured T",
+    "change": "variants to predict, a target to design to",
     "responses": "impulse responses and a mesh",
     "program": "a CATT list and a table of T",
     "simulator": "a simulator in Python",

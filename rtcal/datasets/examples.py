@@ -57,6 +57,75 @@ def _room() -> Example:
     return Example(_seminar_room(), (_CALIBRATE, _REPORT))
 
 
+_PANEL = """\
+[[material]]
+name = "panel"
+alpha = [0.4, 0.6, 0.8, 0.9, 0.9, 0.9]
+sigma = 0.1
+"""
+_VARIANTS = f"""{_PANEL}
+[[variant]]
+name = "panels"
+
+[[variant.change]]
+cover = "ceiling"
+by = "panel"
+area = 20
+
+[[variant]]
+name = "panels and warmer air"
+
+[[variant.change]]
+cover = "ceiling"
+by = "panel"
+area = 20
+
+[[variant.change]]
+air = {{ temperature = 26, humidity = 60 }}
+"""
+_TREATMENTS = f"""probability = 0.8
+
+[target]
+high = [0.85, 0.75, 0.7, 0.7, 0.7, 0.7]
+
+{_PANEL}
+[[material]]
+name = "bass trap"
+alpha = [0.6, 0.5, 0.3, 0.2, 0.2, 0.2]
+sigma = 0.1
+
+[[treatment]]
+name = "panels on the ceiling"
+material = "panel"
+covers = "ceiling"
+largest = 40
+cost = 90
+unit = 1.44
+
+[[treatment]]
+name = "bass traps"
+material = "bass trap"
+covers = "concrete"
+largest = 20
+cost = 120
+"""
+
+
+def _change() -> Example:
+    return Example(
+        {
+            **_seminar_room(),
+            "variants.toml": _VARIANTS.encode(),
+            "treatments.toml": _TREATMENTS.encode(),
+        },
+        (
+            "rtcal predict room.toml t.csv --change variants.toml --out after",
+            "rtcal report after",
+            "rtcal design room.toml t.csv --treatments treatments.toml --out design",
+        ),
+    )
+
+
 _RATE = 16_000  # Hz
 _DECAY_TIMES = {125: 1.5, 250: 1.3, 500: 1.1, 1000: 0.95, 2000: 0.85, 4000: 0.75}  # s
 
@@ -278,6 +347,7 @@ def _where() -> Example:
 
 _EXAMPLES: Mapping[str, Callable[[], Example]] = {
     "room": _room,
+    "change": _change,
     "responses": _responses,
     "program": _program,
     "simulator": _simulator,
