@@ -24,6 +24,7 @@ from rtcal.prediction import (
     changed,
     design,
     din_18041,
+    read_treatments,
 )
 from rtcal.prediction.design_model import DesignModel
 from rtcal.prediction.envelope import Ranges
@@ -158,7 +159,7 @@ def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
     assert "Best probability of each band alone" in said
     assert "To narrow the interval" in said
     small = tuple(replace(t, largest=3.0) for t in TREATMENTS)
-    with pytest.raises(InfeasibleError, match="Best that all bands have: about 0"):
+    with pytest.raises(InfeasibleError, match="some band stays almost surely out of its range"):
         design(known(), small, TARGET)
 
 
@@ -186,7 +187,7 @@ def test_a_measured_second_state_makes_the_design_cheaper() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: design(known(), TREATMENTS, TARGET, 0.7), "0.7 is not from 0.8"),
+        (lambda: design(known(), TREATMENTS, TARGET, 0.7), "0.7 is below 0.8: the program"),
         (lambda: design(known(), [], TARGET), "at least one"),
         (lambda: design(known(), [TREATMENTS[0]] * 2, TARGET), "twice"),
         (lambda: design(known(), TREATMENTS, Target([0.4], [0.8])), "1 bands"),
@@ -194,6 +195,11 @@ def test_a_measured_second_state_makes_the_design_cheaper() -> None:
         (lambda: Treatment("x", PANEL, 4, cost=-1), "cost = -1"),
         (lambda: Target([0.8], [0.4]), "not below"),
         (lambda: Target([np.nan], [np.nan]), "no band has a range"),
+        (lambda: Target([0.4], [100.5]), "high = 100.5 s is above 100 s"),
+        (
+            lambda: design(known(), [Treatment("x", PANEL, 2201, cost=1)], TARGET),
+            'treatment "x": largest = 2201 m² is more than 2200 m²',
+        ),
         (lambda: din_18041("A3", 6000, BANDS), "from 30 to 5000"),
         (lambda: din_18041("B1", 100, BANDS), "not one of A1"),
         (lambda: ansi_s12_60(600, BANDS), "above 566"),
@@ -253,7 +259,7 @@ def test_the_command_designs_and_its_result_is_read_back(tmp_path: Path) -> None
         [*command, *options, "--probability", "0.5"], cwd=tmp_path, capture_output=True, text=True
     )
     assert refused.returncode == 2
-    assert "0.5 is not from 0.8" in refused.stderr
+    assert "0.5 is below 0.8" in refused.stderr
 
 
 def test_the_answer_does_not_depend_on_the_order_of_treatments() -> None:
@@ -274,3 +280,52 @@ def test_without_any_error_the_range_is_met_at_its_edge() -> None:
     assert x is not None
     times = rt.Eyring().reverberation_time(model.room_with(x))
     assert times.max() == pytest.approx(0.8, rel=0.005)
+
+
+TREATMENTS_FILE = """
+[target]
+TARGET
+[[material]]
+name = "panel"
+alpha = [0.5, 0.7, 0.8]
+sigma = 0.1
+[[treatment]]
+name = "panels"
+material = "panel"
+covers = "ceiling"
+largest = 40
+cost = 90
+"""
+
+
+@pytest.mark.parametrize(
+    ("target", "old", "new", "said"),
+    [
+        ('standard = "DIN 18041"\ngroup = "A3"\nhigh = 0.6', "", "", "and high are both stated"),
+        ('standard = "ANSI S12.60"\ngroup = "A3"', "", "", "ANSI S12.60 has no group"),
+        ('group = "A3"\nhigh = 0.6', "", "", "without a standard"),
+        ("high = 600", "", "", "above 100 s"),
+        (
+            "high = 0.6",
+            'material = "panel"',
+            'material = "panl"',
+            'material = "panl" is no material; the room has wall, floor, ceiling; the file has panel',
+        ),
+    ],
+)
+def test_nothing_that_a_file_states_is_lost(target: str, old: str, new: str, said: str) -> None:
+    content = TREATMENTS_FILE.replace("TARGET", target).replace(old, new)
+    with pytest.raises(DataError, match=said):
+        read_treatments(content, a_room())
+
+
+def test_a_range_is_widened_to_100_s_at_most() -> None:
+    assert Target([50.0], [90.0]).widened(2).high == 100
+
+
+def test_a_room_that_was_calibrated_on_the_data_is_not_designed_with_them() -> None:
+    room = a_room()
+    t = 1.1 * rt.Eyring().reverberation_time(room)
+    calibrated = rt.calibrate(room, t).room
+    with pytest.raises(DataError, match='"classroom" was already calibrated on these data'):
+        design(Known((State(calibrated, t),), calibrated), TREATMENTS, TARGET)

@@ -22,7 +22,9 @@ from rtcal.prediction import (
     Open,
     Remove,
     State,
+    Variant,
     changed,
+    compare,
     predict,
     read_variants,
 )
@@ -215,6 +217,7 @@ def test_changes_keep_the_books() -> None:
         (Add(rt.Material("panel", [0.8], [0.1]), 3), "2 bands"),
         (Add(rt.Material("wall", [0.8, 0.8], [0.1, 0.1]), 3), "not that of the room's"),
         (Cover("wall", PANEL, -1), "area = -1"),
+        (Add(PANEL, 1301), 'add "panel": area = 1301 m² is more than 1300 m²'),
         (Cover("floor", "ceiling", 1), '"ceiling" is no material'),
     ],
 )
@@ -235,6 +238,25 @@ def test_states_that_do_not_fit_are_refused() -> None:
         predict([measured(room)], [Open("wall"), Open("floor")])
     with pytest.raises(DataError, match=r"own = 2"):
         Assumptions(own=2)
+
+
+def test_no_measured_t_counts_twice() -> None:
+    room = a_room()
+    state = measured(room)
+    t = state.reverberation_time
+    again = State(a_room(), t.round(5))
+    with pytest.raises(DataError, match='"box": two states have the same areas and the same meas'):
+        predict([state, again], [])
+    predict([state, State(room, 1.01 * t)], [])  # another measurement of the same state
+    calibrated = rt.calibrate(room, t).room
+    with pytest.raises(DataError, match='"box" was already calibrated on these data'):
+        predict([State(calibrated, t)], [])
+    predict([State(calibrated, 1.01 * t)], [])
+
+
+def test_variants_have_names_of_their_own() -> None:
+    with pytest.raises(DataError, match='"one" twice'):
+        compare([measured(a_room())], [Variant("one", ()), Variant("one", (Open("wall", 1.0),))])
 
 
 def test_a_missing_t_leaves_the_stated_coefficients() -> None:
@@ -281,6 +303,12 @@ air = {temperature = 24, humidity = 50}
         ("cover", "covers", "covers"),
         ("area = 20", "area = 2000", "more than"),
         ('by = "panel"', "", "lacks by"),
+        (
+            'by = "panel"',
+            'by = "panl"',
+            r'by = "panl" is no material; the room has .*file has panel',
+        ),
+        ("[[variant]]", '[[variant]]\nname = "panels"\nchange = []\n[[variant]]', "given twice"),
         ("[[variant]]", "[[variants]]", "variants"),
         ("air = {temperature = 24, humidity = 50}", "air = {temperature = 24}\nby = 3", "by"),
         ("air = {temperature = 24, humidity = 50}", 'open = "x"\nair = {}', "2 of"),

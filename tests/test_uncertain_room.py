@@ -11,9 +11,23 @@ import pytest
 import rtcal as rt
 from benchmarks import uncertain_room
 from rtcal import terms
+from rtcal.acoustics.changes import Change
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.configurations import Configurations
 from rtcal.errors import DataError, ModelError
+from rtcal.prediction import (
+    Add,
+    Cover,
+    Known,
+    Open,
+    Remove,
+    State,
+    Target,
+    Treatment,
+    changed,
+    predict,
+)
+from rtcal.report import words
 
 AREAS = np.array([35.0, 30.0, 21.0, 15.0])
 BANDS = (250, 500, 1000, 2000)
@@ -296,3 +310,41 @@ def test_robust_has_no_common_factor() -> None:
     room = room_of(0, air=rt.Air(), common_alpha_sigma=0.1)
     with pytest.raises(ModelError, match="common_alpha_sigma"):
         rt.calibrate(room, times(room, 0), "robust")
+
+
+def test_a_changed_room_keeps_what_was_stated_of_its_areas() -> None:
+    room = room_of(1, area_sigma=[0.03, 0.01, 0.0, 0.0])
+    panel = rt.Material("panel", [0.5] * 4, [0.1] * 4)
+
+    def errors(*changes: Change) -> dict[str, float]:
+        after = changed(room, changes)
+        return dict(zip(after.materials, after.area_sigma.round(6).tolist(), strict=True))
+
+    stated = {"floor": 0.03, "ceiling": 0.01, "wall": 0.0, "door": 0.0}
+    assert errors(Cover("floor", panel, 10)) == {**stated, "panel": 0.03}
+    assert errors(Open("floor", 10)) == {**stated, "opening": 0.03}
+    assert errors(Add(panel, 10)) == {**stated, "panel": 0.0}
+    assert errors(Add("floor", 10)) == stated
+    assert errors(Cover("floor", "ceiling", 10))["ceiling"] == 0.015  # 0.01 of 30 m², 0.03 of 10 m²
+    assert errors(Remove("floor")) == {name: stated[name] for name in ("ceiling", "wall", "door")}
+
+
+def test_an_uncertain_room_is_predicted_and_designed_with() -> None:
+    room = room_of(1, area_sigma=0.03)
+    t = times(room, 1)
+    panel = rt.Material("panel", [0.5] * 4, [0.1] * 4)
+    for change in (Cover("wall", panel, 5), Add(panel, 5), Open("wall", 1)):
+        assert np.isfinite(predict([State(room, t)], change).mean).all()
+    free = Treatment("panels", panel, 20, cost=1)
+    found = rt.design(Known((State(room, t),), room), [free], Target(t / 9, t * 3))
+    assert found.cost == pytest.approx(0, abs=1e-3)
+
+
+def test_the_page_does_not_claim_that_t_is_met_exactly() -> None:
+    room = room_of(2, **STATED)
+    t = times(room, 2)
+    uncertain, certain = rt.calibrate(room, t), rt.calibrate(room_of(2), t)
+    assert np.abs(uncertain.gap_after).max() > 0.05
+    assert not any("exactly" in sentence for sentence in words.assumed(uncertain))
+    assert any("remains as a gap" in sentence for sentence in words.assumed(uncertain))
+    assert any("measured reverberation time exactly" in s for s in words.assumed(certain))

@@ -34,7 +34,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rtcal.acoustics import room_files
-from rtcal.acoustics.changes import Add, Change, Climate, Cover, NewVolume, Open, Remove
+from rtcal.acoustics.changes import OPENING, Add, Change, Climate, Cover, NewVolume, Open, Remove
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -79,7 +79,8 @@ def read_variants(
     Raises
     ------
     DataError
-        For an unknown key, a value that breaks a rule, or a material that is nowhere stated.
+        For an unknown key, a value that breaks a rule, a material that is nowhere stated, or a name
+        that is given twice.
 
     Examples
     --------
@@ -96,19 +97,17 @@ def read_variants(
     open 2 m² of "windows"
     """
     file = Entries("", toml_table(content), ("variant",), ("material",))
-    new: dict[str, Material] = {}
-    for place, table in tables(file, "material"):
-        material = new_material(place, table, room, catalogue)
-        if material.name in new:
-            raise DataError(f'material "{material.name}" is given twice')
-        new[material.name] = material
-    variants = []
+    new = new_materials(file, room, catalogue)
+    variants: list[Variant] = []
     for place, table in tables(file, "variant"):
         entry = Entries(f"{place}: ", table, ("change",), ("name",))
         made = tuple(
-            _change(f"{place}, {where}", each, new) for where, each in tables(entry, "change")
+            _change(f"{place}, {where}", each, room, new) for where, each in tables(entry, "change")
         )
-        variants.append(Variant(entry.text("name", "; ".join(map(str, made))), made))
+        name = entry.text("name", "; ".join(map(str, made)))
+        if name in [variant.name for variant in variants]:
+            raise DataError(f'variant "{name}" is given twice')
+        variants.append(Variant(name, made))
     if not variants:
         raise DataError("no [[variant]]; the file has at least one")
     return tuple(variants)
@@ -117,6 +116,28 @@ def read_variants(
 def tables(file: Entries, key: str) -> list[tuple[str, Mapping[str, Any]]]:
     """Return each ``[[key]]`` with its place in messages."""
     return [(f"[[{key}]] {i + 1}", table) for i, table in enumerate(file.listed(key, []))]
+
+
+def new_materials(file: Entries, room: Room, catalogue: Catalogue | None) -> dict[str, Material]:
+    """Return the materials that a file states, by name; DataError for a name given twice."""
+    new: dict[str, Material] = {}
+    for place, table in tables(file, "material"):
+        material = new_material(place, table, room, catalogue)
+        if material.name in new:
+            raise DataError(f'material "{material.name}" is given twice')
+        new[material.name] = material
+    return new
+
+
+def material_name(entry: Entries, key: str, room: Room, new: Mapping[str, Material]) -> str:
+    """Return the material that a file names; DataError if neither room nor file has it."""
+    name = entry.text(key)
+    if name not in (*room.materials, *new, OPENING):
+        raise DataError(
+            f'{entry.place}{key} = "{name}" is no material; the room has {", ".join(room.materials)}; '
+            f"the file has {', '.join(new) or 'none'}"
+        )
+    return name
 
 
 def new_material(
@@ -134,7 +155,7 @@ def new_material(
     return room_files.material(place, own, room.centre_frequencies, None)
 
 
-def _change(place: str, table: Any, new: Mapping[str, Material]) -> Change:
+def _change(place: str, table: Any, room: Room, new: Mapping[str, Material]) -> Change:
     entry = Entries(f"{place}: ", table, (), (*_KINDS, "by", "area"))
     kinds = [kind for kind in _KINDS if kind in entry]
     if len(kinds) != 1:
@@ -149,10 +170,10 @@ def _change(place: str, table: Any, new: Mapping[str, Material]) -> Change:
         return Climate(air)
     if kind == "volume":
         return NewVolume(entry.number("volume"))
-    surface = entry.text(kind)
+    surface = material_name(entry, kind, room, new)
     area = entry.number("area") if "area" in entry else None
     if kind == "cover":
-        by = entry.text("by")
+        by = material_name(entry, "by", room, new)
         return Cover(surface, new.get(by, by), area)
     if kind == "remove":
         return Remove(surface, area)

@@ -18,6 +18,8 @@ from rtcal.support.arguments import checked
 
 OPENING = "opening"
 """Name of the material of what is opened: alpha = 1, exactly."""
+MOST_ADDED = 10.0
+"""Largest area that is added, in shares of the room's surface: more is a slip of the decimal point."""
 _ROUNDING = 1e-9
 """Relative difference below which an area is the whole area."""
 
@@ -34,6 +36,8 @@ class Change(ABC):
 @dataclass(frozen=True)
 class Cover(Change):
     """A surface is covered: what lies below it no longer absorbs. The total surface stays.
+
+    The relative error of the covering area is that of the surface's area.
 
     Parameters
     ----------
@@ -60,7 +64,8 @@ class Cover(Change):
     def apply(self, room: Room) -> Room:
         """Return the room with the surface covered."""
         area = _taken(room, self.surface, self.area)
-        return _added(_with_less(room, self.surface, area), room, self.by, area)
+        left = _with_less(room, self.surface, area)
+        return _added(left, room, self.by, area, _area_sigma(room, self.surface))
 
     def __str__(self) -> str:
         return f'cover {_amount(self.area)} of "{self.surface}" by "{_name(self.by)}"'
@@ -76,7 +81,8 @@ class Add(Change):
     material : Material or str
         A str is a material of the room.
     area : float
-        m² of surface that the sound reaches: both sides of a baffle.
+        m² of surface that the sound reaches: both sides of a baffle; at most 10 times the room's
+        surface. Its relative error is that of the room's material, and 0 of a new one.
 
     Examples
     --------
@@ -92,7 +98,15 @@ class Add(Change):
 
     def apply(self, room: Room) -> Room:
         """Return the room with what is added."""
-        return _added(room, room, self.material, checks.positive("area", self.area, " m²"))
+        most = MOST_ADDED * room.total_area
+        if checks.positive("area", self.area, " m²") > most:
+            raise DataError(
+                f'add "{_name(self.material)}": area = {self.area:g} m² is more than {most:g} m², '
+                f"{MOST_ADDED:g} times the room's surface"
+            )
+        name = _name(self.material)
+        error = _area_sigma(room, name) if name in room.materials else 0.0
+        return _added(room, room, self.material, self.area, error)
 
     def __str__(self) -> str:
         return f'add {_amount(self.area)} of "{_name(self.material)}"'
@@ -270,22 +284,42 @@ def _with_less(room: Room, surface: str, area: float) -> Room | None:
     names = [room.materials[i] for i in kept]
     rows = {
         name: None if getattr(room, name) is None else getattr(room, name)[kept]
-        for name in ("alpha", "sigma", "alpha_min", "scattering")
+        for name in ("alpha", "sigma", "alpha_min", "scattering", "area_sigma")
     }
     pairs = {p: v for p, v in room.material_correlation.items() if surface not in p}
     return room.replace(materials=names, areas=areas[kept], material_correlation=pairs, **rows)
 
 
-def _added(left: Room | None, before: Room, material: Material | str, area: float) -> Room:
-    """Return what is left of a room with more of a material; ``before`` has the str's coefficients."""
+def _area_sigma(room: Room, material: str) -> float:
+    return float(room.area_sigma[room.material_index(material)])
+
+
+def _added(
+    left: Room | None, before: Room, material: Material | str, area: float, area_sigma: float
+) -> Room:
+    """Return what is left of a room with more of a material, whose area has a relative error.
+
+    ``before`` has the str's coefficients. The errors of two areas of one material add up.
+    """
     new = _material(before, material)
     if left is None:
         rows = {"alpha": [new.alpha], "sigma": [new.sigma], "alpha_min": None, "scattering": None}
-        return before.replace(materials=[new.name], areas=[area], material_correlation={}, **rows)
+        return before.replace(
+            materials=[new.name],
+            areas=[area],
+            material_correlation={},
+            area_sigma=[area_sigma],
+            **rows,
+        )
     if new.name in left.materials:
-        areas = np.array(left.areas)
-        areas[left.materials.index(new.name)] += area
-        return left.replace(areas=areas)
+        row, areas, errors = (
+            left.materials.index(new.name),
+            left.areas.copy(),
+            left.area_sigma.copy(),
+        )
+        errors[row] = (errors[row] * areas[row] + area_sigma * area) / (areas[row] + area)
+        areas[row] += area
+        return left.replace(areas=areas, area_sigma=errors)
     floor = None
     if left.alpha_min is not None or np.any(np.asarray(new.alpha_min) > 0):
         old = np.zeros_like(left.alpha) if left.alpha_min is None else left.alpha_min
@@ -296,6 +330,7 @@ def _added(left: Room | None, before: Room, material: Material | str, area: floa
     return left.replace(
         materials=[*left.materials, new.name],
         areas=[*left.areas, area],
+        area_sigma=[*left.area_sigma, area_sigma],
         alpha=np.vstack([left.alpha, _row(left, new.name, "alpha", new.alpha)]),
         sigma=np.vstack([left.sigma, _row(left, new.name, "sigma", new.sigma)]),
         alpha_min=floor,

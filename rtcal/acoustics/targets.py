@@ -50,6 +50,8 @@ DIN_18041_TOLERANCE = {
 _DIN_SOURCE = (
     "DIN 18041:2016-03, group {}, {}: T = {:.2f} s at middle frequencies (after secondary sources)"
 )
+LONGEST = 100.0
+"""Largest T of a target in s: more is no T of a room, but one in ms or in another unit."""
 ANSI_S12_60 = ((283.0, 0.6), (566.0, 0.7))
 """Largest volume in m³ (10,000 and 20,000 ft³) and largest T in s, furnished and unoccupied."""
 _ANSI_BANDS = (500.0, 1000.0, 2000.0)
@@ -71,7 +73,7 @@ class Target:
     Raises
     ------
     DataError
-        If an end is not above 0, ``low`` is not below ``high``, or no band has a range.
+        If an end is not above 0 or above 100 s, ``low`` is not below ``high``, or no band has a range.
 
     Examples
     --------
@@ -90,6 +92,10 @@ class Target:
         for name, ends in (("low", low), ("high", high)):
             if (bad := np.isinf(ends) | (ends <= 0)).any():
                 raise DataError(f"{name} = {ends[np.argmax(bad)]:g} s is not finite and above 0")
+            if (bad := ends > LONGEST).any():
+                raise DataError(
+                    f"{name} = {ends[np.argmax(bad)]:g} s is above {LONGEST:g} s, which no room has"
+                )
         if (bad := low >= high).any():
             k = int(np.argmax(bad))
             raise DataError(f"low = {low[k]:g} s is not below high = {high[k]:g} s")
@@ -104,8 +110,8 @@ class Target:
         return np.isfinite(self.low) | np.isfinite(self.high)
 
     def widened(self, factor: float) -> Target:
-        """Return the range with both ends moved outwards by a factor of T."""
-        return Target(self.low / factor, self.high * factor, self.source)
+        """Return the range with both ends moved outwards by a factor of T, to 100 s at most."""
+        return Target(self.low / factor, np.minimum(self.high * factor, LONGEST), self.source)
 
 
 @checked
@@ -176,12 +182,25 @@ def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> T
 
 
 def target_of(entry: Entries, volume: float, frequencies: Array) -> Target:
-    """Return the target of a file's table: ``low`` and ``high``, or ``standard`` and ``group``."""
+    """Return the target of a file's table: ``low`` and ``high``, or ``standard`` and ``group``.
+
+    Raises DataError if both are there, or a ``group`` that no stated standard has.
+    """
     if "standard" in entry:
         standard = entry.choice("standard", ("DIN 18041", "ANSI S12.60"))
+        if both := [key for key in ("low", "high") if key in entry]:
+            raise DataError(
+                f'target: standard = "{standard}" and {both[0]} are both stated; a target has one'
+            )
         if standard == "DIN 18041":
             return din_18041(entry.text("group"), volume, frequencies)
+        if "group" in entry:
+            raise DataError(f'target: group = "{entry.text("group")}"; ANSI S12.60 has no group')
         return ansi_s12_60(volume, frequencies)
+    if "group" in entry:
+        raise DataError(
+            f'target: group = "{entry.text("group")}" without a standard; it is one of DIN 18041'
+        )
 
     def ends(key: str) -> Array:
         if key not in entry:

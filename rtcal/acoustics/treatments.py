@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics.change_files import Catalogue, new_material, tables
+from rtcal.acoustics.change_files import Catalogue, material_name, new_materials, tables
 from rtcal.acoustics.changes import Add, Change, Cover
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
@@ -134,23 +134,20 @@ def read_treatments(
         room.volume,
         room.centre_frequencies,
     )
-    new = {}
-    for place, table in tables(file, "material"):
-        material = new_material(place, table, room, catalogue)
-        new[material.name] = material
+    new = new_materials(file, room, catalogue)
     treatments = []
     for place, table in tables(file, "treatment"):
         entry = Entries(
             f"{place}: ", table, ("name", "material", "largest", "cost"), ("covers", "unit")
         )
-        named = entry.text("material")
+        named = material_name(entry, "material", room, new)
         treatments.append(
             Treatment(
                 name=entry.text("name"),
                 material=new.get(named, named),
                 largest=entry.number("largest"),
                 cost=entry.number("cost"),
-                covers=entry.text("covers") if "covers" in entry else None,
+                covers=material_name(entry, "covers", room, {}) if "covers" in entry else None,
                 unit=entry.number("unit") if "unit" in entry else None,
             )
         )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics import band_conversion, bands, fingerprints
 from rtcal.acoustics.curvature import BentDecay, bent_decays
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET
@@ -21,8 +20,6 @@ from rtcal.support.types import Array
 
 _FEW_VALUES = 4
 """Fewer values of T20 and T30 may be equal by rounding."""
-_SAME = 1e-4
-"""Largest difference of the same data, relative above 1."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,7 +72,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
             uncertainty=decay.uncertainty,
             parameter=decay.parameter,
             ignored=tuple(band_conversion.unused(stated, wanted).tolist()),
-            fingerprint=_of_times(room, mean),
+            fingerprint=fingerprints.of_times(room, mean),
             caution=". ".join(filter(None, cautions)),
             bent=bent_decays(in_room),
         )
@@ -96,7 +93,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         np.full(times.shape, np.nan),
         tuple(TARGET.key if finite else "" for finite in np.isfinite(times)),
         (),
-        _of_times(room, times),
+        fingerprints.of_times(room, times),
         "",
     )
 
@@ -118,54 +115,6 @@ def no_times(room: Room) -> MeasuredTimes:
     """Return that no T was measured in any band: other observations alone are matched."""
     nothing = np.full(room.n_bands, np.nan)
     return MeasuredTimes(nothing, nothing, ("",) * room.n_bands, (), "", "")
-
-
-def fingerprint(kind: str, values: Mapping[str, float]) -> str:
-    """Return the name of data as a room's record keeps it: the values themselves, NaN left out.
-
-    Examples
-    --------
-    >>> fingerprint("T", {"500": 1.92, "1000": 1.8801})
-    'T:500=1.92000,1000=1.88010'
-    """
-    return f"{kind}:" + ",".join(f"{k}={v:.5f}" for k, v in values.items() if math.isfinite(v))
-
-
-def _of_times(room: Room, times: Array) -> str:
-    labels = (f"{f:g}" for f in room.centre_frequencies.tolist())
-    return fingerprint("T", dict(zip(labels, times.tolist(), strict=True)))
-
-
-def same_data(one: str, other: str) -> bool:
-    """Whether two names are of the same data, to within a ten-thousandth in every value.
-
-    No measurement is repeated so exactly; a program that rounds or converts changes less.
-
-    Examples
-    --------
-    >>> same_data("T:500=1.92000", "T:500=1.92001"), same_data("T:500=1.92000", "T:500=1.93000")
-    (True, False)
-    """
-    kinds, cells = zip(*(name.partition(":")[::2] for name in (one, other)), strict=True)
-    if one == other or kinds[0] != kinds[1]:
-        return one == other
-    of_one, of_other = (
-        dict(cell.split("=") for cell in cell_list.split(",") if "=" in cell) for cell_list in cells
-    )
-    return of_one.keys() == of_other.keys() and all(
-        abs(float(v) - float(of_other[f])) <= _SAME * max(1.0, abs(float(v)))
-        for f, v in of_one.items()
-    )
-
-
-def refuse_repeated_data(room: Room, *names: str) -> None:
-    """Raise DataError if the room was calibrated already on the data of one of these names."""
-    before = [] if room.calibration is None else room.calibration.measured.split()
-    if any(same_data(old, new) for old in before for new in names):
-        raise DataError(
-            f'room "{room.name}" was already calibrated on these data; doing so again would '
-            "count them twice. Calibrate the room as it was before, or on other data"
-        )
 
 
 def data_history(room: Room, data: MeasuredTimes) -> str:

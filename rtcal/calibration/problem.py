@@ -9,6 +9,7 @@ from functools import partial
 from typing import Unpack, overload
 
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
+from rtcal.acoustics.fingerprints import refuse_repeated_data
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.assemble import Assembler, layout_of, require_same_shape
@@ -19,7 +20,6 @@ from rtcal.calibration.layout import Layout
 from rtcal.calibration.measured import (
     MeasuredTimes,
     no_times,
-    refuse_repeated_data,
     times_in_room,
 )
 from rtcal.calibration.options import SolveKeywords, SolveOptions

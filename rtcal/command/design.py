@@ -49,6 +49,8 @@ def design(
 ) -> None:
     """Find the cheapest treatments of ROOM (TOML), MEASURED (CSV) as it is.
 
+    JND here is ln(T ratio) / ln 1.05.
+
     Example: rtcal design room.toml t20.csv --treatments treatments.toml
     """
     from rtcal.acoustics.treatments import read_treatments

@@ -65,7 +65,7 @@ def predict(
 ) -> None:
     """Predict T of ROOM (TOML), MEASURED (CSV) as it is, after the changes of a file.
 
-    Without MEASURED the stated coefficients alone predict.
+    Without MEASURED the stated coefficients alone predict. JND here is ln(T ratio) / ln 1.05.
 
     Example: rtcal predict room.toml t20.csv --change variants.toml
     """

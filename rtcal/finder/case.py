@@ -11,8 +11,9 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import mean_equation
+from rtcal.acoustics.fingerprints import refuse_repeated_data
 from rtcal.acoustics.room import Room
-from rtcal.calibration.measured import refuse_repeated_data, times_in_room
+from rtcal.calibration.measured import times_in_room
 from rtcal.errors import DataError
 from rtcal.finder import case_files
 from rtcal.finder.case_checks import check_configuration, check_room, in_room_bands, shares

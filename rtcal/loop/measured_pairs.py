@@ -16,11 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.decay import gradients
+from rtcal.acoustics.fingerprints import fingerprint, refuse_repeated_data
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, OBSERVABLES, REVERBERATION, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.calibration.measured import copied, fingerprint, refuse_repeated_data, times_in_room
+from rtcal.calibration.measured import copied, times_in_room
 from rtcal.errors import DataError
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.fingerprints import refuse_repeated_data
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.quality import TrustMark, bent_marks, gap_jnd
 from rtcal.acoustics.room import Room
-from rtcal.calibration.measured import data_history, refuse_repeated_data, times_in_room
+from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.estimate import State
 from rtcal.prediction.predicted import Prediction, predict
@@ -52,6 +53,8 @@ def compare(
 ) -> Predictions:
     """Predict T of several variants; the arguments and errors are those of `predict`.
 
+    Raises DataError also where two variants have one name.
+
     Examples
     --------
     >>> import rtcal as rt
@@ -61,6 +64,9 @@ def compare(
     >>> compare([state], [Variant("window open", (Open("windows", 2.0),))])
     <Predictions: window open>
     """
+    names = [variant.name for variant in variants]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise DataError(f'variants has "{twice}" twice; each has a name of its own')
     return Predictions(
         predictions=tuple(
             predict(

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.changes import changed
+from rtcal.acoustics.changes import MOST_ADDED, changed
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target
@@ -260,7 +260,7 @@ class DesignModel:
 
 
 def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treatment, ...]:
-    """Return the treatments; DataError if there are none, or two of a name."""
+    """Return the treatments; DataError if there are none, two of a name, or one that does not fit."""
     listed = tuple(treatments)
     if not listed:
         raise DataError("treatments is empty; there is at least one")
@@ -270,4 +270,9 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
     for treatment in listed:
         if treatment.covers is not None:
             room.material_index(treatment.covers)
+        elif treatment.largest > (most := MOST_ADDED * room.total_area):
+            raise DataError(
+                f'treatment "{treatment.name}": largest = {treatment.largest:g} m² is more than '
+                f"{most:g} m², {MOST_ADDED:g} times the room's surface"
+            )
     return listed

@@ -30,6 +30,8 @@ from rtcal.support.types import Array
 FRONTIER = (0.8, 0.85, 0.9, 0.95)
 """Probabilities of `Design.frontier`."""
 _BEST = 0.99
+_HARDLY = 0.01
+"""Probability below which a range is almost surely missed."""
 _TRIES = 7
 _WIDEST = 20.0
 """Most JND by which a range is widened in search of a feasible one."""
@@ -267,10 +269,13 @@ def design(
     >>> print(18 < found.areas[0] < 23, bool((found.probability[1:5] > 0.79).all()))
     True True
     """
-    if not LEAST <= checks.number("probability", probability) <= _BEST:
+    if not checks.number("probability", probability) >= LEAST:
         raise DataError(
-            f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below, the allowed sd "
-            "is no concave function of the mean"
+            f"probability = {probability:g} is below {LEAST:g}: the program finds no sure optimum there"
+        )
+    if probability > _BEST:
+        raise DataError(
+            f"probability = {probability:g} is above {_BEST:g}, the largest that a design takes"
         )
     room = result.prior
     if target.low.shape != (room.n_bands,):
@@ -313,9 +318,12 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     listed = ", ".join(f"{label} {p:.2f}" for label, p in each)
     said.append(f"Best probability of each band alone: {listed}.")
     best, at = _best(model)
-    if at is not None:
+    if best < _HARDLY:
+        said.append("With the best areas found, some band stays almost surely out of its range.")
+    elif at is not None:
         said.append(
-            f"Best that all bands have: about {best:.2f}, at a cost of {_cost(model, at):.0f}."
+            "With the best areas found, every band is in its range with a probability of "
+            f"{best:.2f} or more, at a cost of {_cost(model, at):.0f}."
         )
     widening = _widening(model, probability)
     if widening is None:

@@ -11,6 +11,7 @@ that of the linear estimate there, without the bounds.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import bands, fingerprints
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError, ModelError, SolverError
@@ -259,11 +260,14 @@ def estimated_change(rooms: Rooms, states: Sequence[State]) -> Estimate:
 
     Raises
     ------
+    DataError
+        If a measured T would count twice.
     ModelError
         If the equation gives no T for coefficients on the way.
     SolverError
         If the steps do not settle.
     """
+    _refuse_counted_twice(rooms, states)
     mean, covariance = rooms.prior
     n_bands = len(mean)
     measured = np.array([np.log(s.reverberation_time) for s in states]).reshape(-1, n_bands).T
@@ -291,6 +295,25 @@ def estimated_change(rooms: Rooms, states: Sequence[State]) -> Estimate:
         raise SolverError(f"the estimate did not settle: its last step was {moved:.1g}")
     posterior = covariance - gain @ across.swapaxes(1, 2)
     return Estimate(mode, free, posterior, np.asarray(gain), gradient, noise)
+
+
+def _refuse_counted_twice(rooms: Rooms, states: Sequence[State]) -> None:
+    """Raise DataError if a room was calibrated on a state's T, or two states are one."""
+    known = [s for s in states if np.isfinite(s.reverberation_time).any()]
+    names = [fingerprints.of_times(s.room, s.reverberation_time) for s in known]
+    for room in rooms.rooms:
+        fingerprints.refuse_repeated_data(room, *names)
+    for i, j in itertools.combinations(range(len(known)), 2):
+        one, other = known[i].room, known[j].room
+        same_room = one.volume == other.volume and (
+            dict(zip(one.materials, one.areas.tolist(), strict=True))
+            == dict(zip(other.materials, other.areas.tolist(), strict=True))
+        )
+        if same_room and fingerprints.same_data(names[i], names[j]):
+            raise DataError(
+                f'room "{one.name}": two states have the same areas and the same measured T, which '
+                "would count twice; leave one out"
+            )
 
 
 def _linearised(rooms: Rooms, n_measured: int, mode: Array) -> tuple[Array, Array]:

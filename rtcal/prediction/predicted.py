@@ -148,7 +148,7 @@ class Prediction(Result):
 
     @property
     def half_width(self) -> Array:
-        """Half of the 90 % interval in JND of 5 %, (n_bands,)."""
+        """Half of the 90 % interval in JND, ln(T ratio) / ln 1.05, (n_bands,)."""
         low, high = self.interval
         return np.asarray(np.log(high / low) / 2 / JND)
 
@@ -164,7 +164,7 @@ class Prediction(Result):
 
     @property
     def change(self) -> Array:
-        """Effect of the change on T, in JND of 5 %, (n_bands,)."""
+        """Effect of the change on T in JND, ln(T ratio) / ln 1.05, (n_bands,)."""
         return np.asarray((self.log_mean - np.log(self.time_before)) / JND)
 
     @cached_property

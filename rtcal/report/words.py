@@ -48,6 +48,11 @@ _METHODS = {
     "joint": "joint: one set of coefficients for several configurations of the room; a gap may remain.",
 }
 
+_MLE_UNCERTAIN_ROOM = (
+    "mle: the likeliest coefficients when T is exact and the room has the stated errors; what these "
+    "explain of the measured T remains as a gap (maximum likelihood)."
+)
+
 
 @dataclass(frozen=True)
 class Doubt:
@@ -286,6 +291,12 @@ def not_met(calibration: CalibrationResult) -> list[str]:
     return sentences
 
 
+def _method(calibration: CalibrationResult) -> str:
+    if calibration.method == "mle" and calibration.joint.matches_uncertain_room:
+        return _MLE_UNCERTAIN_ROOM
+    return _METHODS.get(calibration.method, f"A composed calibration: {composed(calibration)}.")
+
+
 def assumed(calibration: CalibrationResult) -> list[str]:
     """Return the assumptions of the calibration."""
     room, air = calibration.prior, calibration.prior.air
@@ -302,7 +313,7 @@ def assumed(calibration: CalibrationResult) -> list[str]:
         f"{air.pressure:g} kPa (absorption after ISO 9613-1).",
         f"{calibration.equation.name}'s reverberation equation{_parameters(calibration)}: a diffuse "
         "sound field.",
-        _METHODS.get(calibration.method, f"A composed calibration: {composed(calibration)}."),
+        _method(calibration),
         "The stated coefficients and their standard deviations, and that these errors "
         + _correlated(calibration)
         + " One measured T per band tells one number, the sum of all absorption: "
