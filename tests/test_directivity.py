@@ -115,7 +115,7 @@ def test_a_fit_leaves_them_out_and_says_so():
     measured = tracer(n_paths=1600).simulate(HALL.room.alpha, seed=5)
     said = {}
     for directivity in ({}, {"S1": "unknown"}):
-        result = rt.calibrate_simulator(
+        result = rt.calibrate_positions(
             tracer(n_paths=320, directivity=directivity), HALL.room, measured,
             match=["t20", "edt"], fit_scattering=False,
         )  # fmt: skip
