@@ -14,6 +14,7 @@ from benchmarks import archive as study
 from rtcal.archive.likelihood import Evidence, RoomData, Spread
 from rtcal.command.main import cli
 from rtcal.errors import DataError
+from rtcal.report import page
 
 SPREAD = Spread(table=0.9, between=0.3, room=0.05, together=0.1, equation=0.02, correlation=0.6)
 
@@ -140,7 +141,7 @@ def test_the_library_is_the_next_calibrations_input(
     assert (known.alpha[new.materials.index("floor")] == archive.alpha[i]).all()
     assert known.sources["floor"] == "archive of 3 rooms, in 3 of them"
     assert known.common_alpha_sigma == archive.room_sigma
-    t = rooms[0].measured
+    t = 1.01 * rooms[0].measured
     result = rt.calibrate(known, t)
     assert result.certificate.worst < 1e-9
     assert abs(result.gap_before).max() < abs(rooms[0].gap_before).max()
@@ -155,6 +156,34 @@ def test_the_library_is_the_next_calibrations_input(
         archive.apply(new, names={"roof": "linoleum"})
 
 
+def test_what_it_has_not_learned_is_said_and_what_it_has_learned_from_is_not_taken_again(
+    rooms: list[rt.calibration.CalibrationResult],
+) -> None:
+    archive = rt.learn(rooms)
+    old = rooms[0].prior
+    new = old.replace(
+        name="new",
+        materials=["plaster", "moss", *old.materials[2:]],
+        centre_frequencies=[125, 250, 500, 1000, 2000, 8000],
+        sources={"plaster": "a handbook"},
+    )
+    assert archive.left_as_stated(new) == (
+        'Left as the room states them, since the archive does not know them: "moss".',
+        "Left as the room states them, since the archive does not know them: 8000 Hz.",
+    )
+    known = archive.apply(new)
+    assert known.sources["plaster"] == "archive of 3 rooms, in 3 of them; 8000 Hz: a handbook"
+    assert known.sources["floor"].endswith("8000 Hz: the room's table")
+    assert "moss" not in known.sources
+    assert (known.alpha[0, 5], *known.alpha[1]) == (new.alpha[0, 5], *new.alpha[1])
+    again = archive.apply(old.replace(name="again"))
+    assert "coefficients of an archive" in repr(again)
+    for made in (again, rt.Room.from_text(again.to_text(), "room.toml")):
+        with pytest.raises(DataError, match="archive that has learned from these data"):
+            rt.calibrate(made, rooms[0].measured)
+    assert rt.calibrate(again, 1.01 * rooms[0].measured).room.calibration is not None
+
+
 def test_it_is_saved_and_read_back(
     rooms: list[rt.calibration.CalibrationResult], tmp_path: Path
 ) -> None:
@@ -163,6 +192,8 @@ def test_it_is_saved_and_read_back(
     again = rt.load(tmp_path)
     assert str(again) == str(archive)
     assert (again.alpha == archive.alpha).all()
+    with pytest.raises(DataError, match='a result of the kind "archive" has no page'):
+        page.page_of(tmp_path)
 
 
 def test_the_command_reads_a_folder_and_writes_a_room(
@@ -178,6 +209,9 @@ def test_the_command_reads_a_folder_and_writes_a_room(
     )
     assert run.exit_code == 0, run.output
     record = json.loads(run.output)
+    assert record["left_as_stated"] == []
+    assert "linoleum" not in rt.Room.from_file(str(out / "room.toml")).materials
+    assert "archive" in rt.Room.from_file(str(out / "room.toml")).sources["floor"]
     assert [m["rooms"] for m in record["materials"]] == [3] * 5
     assert rt.Room.from_file(str(out / "room.toml")).common_alpha_sigma > 0
     assert rt.load(out).materials[3] == "linoleum"

@@ -169,6 +169,10 @@ def test_a_room_file_keeps_it_and_the_simulator_takes_it(tmp_path):
             'room.toml: directivity "S1" lacks aim',
         ),
         (
+            lambda: Directivity.from_dict({"index": [3, "7"], "aim": [1, 0, 0]}, "S1"),
+            "S1.index[1] = '7' is not a number",
+        ),
+        (
             lambda: geometry_files.path_tracing(box(directivity=speaker([1.0, 2, 3]))),
             'directivity["S1"].index has 3 values; the room has 2 bands',
         ),

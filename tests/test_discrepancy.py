@@ -846,7 +846,13 @@ def test_hypotheses_predicted_in_parts_are_those_predicted_at_once(
 def test_a_case_too_large_is_refused_before_the_work() -> None:
     case = opened()
     (c,) = case.configurations
-    large = replace(case, configurations=[replace(c, name=str(i)) for i in range(48)])
+    heard = [  # each measured anew
+        replace(c.measured, values={p: v + 1e-6 * i for p, v in c.measured.values.items()})
+        for i in range(48)
+    ]
+    large = replace(
+        case, configurations=[replace(c, name=str(i), measured=m) for i, m in enumerate(heard)]
+    )
     for call in (lambda: find(large), lambda: plan(large)):
         with pytest.raises(DataError, match=r"48 configurations have 1008 values.* at most 1000"):
             call()

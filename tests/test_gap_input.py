@@ -471,6 +471,13 @@ def test_a_saved_case_keeps_what_its_measurement_is(tmp_path: Path) -> None:
     refused(lambda: find(loaded, controls=controls_of(case)), "it can only be planned")
 
 
+def test_one_measurement_in_two_configurations_is_given_twice() -> None:
+    case = opened()
+    first = case.configurations[0]
+    twice = replace(case, configurations=[first, replace(first, name="again")])
+    refused(lambda: find(twice, controls=controls_of(case)), "one measurement is given twice")
+
+
 # Control rooms that were simulated before.
 
 

@@ -152,7 +152,7 @@ def test_all_large_holes_are_named() -> None:
     with pytest.raises(
         mend.MeshError, match=r"hole of 28 m² at .*; hole of 28 m² at .*; holes up to"
     ):
-        mend.mend(opened)
+        mend.mended(opened)
 
 
 def test_a_wall_beside_its_place_asks_for_the_weld() -> None:
@@ -171,7 +171,7 @@ def test_a_wall_beside_its_place_asks_for_the_weld() -> None:
         (mend.Faces("a", [np.eye(3)], ["x"], ["x"]), "no faces enclose a volume"),
         (
             mend.Faces("a", [np.eye(3) * 1e-3], ["x"], ["x"]),
-            "narrower than the weld distance: is the unit",
+            r"weld distance of 10 mm: as read, the mesh is 1\.7 mm across\. State a larger --unit",
         ),
         (mend.Faces("a", [np.full((3, 3), np.nan)], ["x"], ["x"]), "a corner is not finite"),
     ],
@@ -387,6 +387,11 @@ def test_check_needs_no_material_list(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "hole of 70 m²" in capsys.readouterr().err
     assert run("import", "check") == 2
     assert "which mesh?" in capsys.readouterr().err
+    for unused in (("--out", "room.toml"), ("--volume", 5), ("--sigma-relative", 0.3)):
+        assert run("import", "check", path, *unused) == 2
+        assert f"does not use {unused[0]}" in capsys.readouterr().err
+    assert run("import", "check", path, "--mesh", path) == 2
+    assert "leave --mesh out" in capsys.readouterr().err
 
 
 def test_a_defective_mesh_becomes_a_room_that_tracers_take(tmp_path: Path, capsys) -> None:

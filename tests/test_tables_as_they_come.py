@@ -205,7 +205,7 @@ BAD: list[tuple[bytes, str]] = [
     ),
     (
         book({"Sheet1": ACROSS}),
-        r'line 2: the table does not say what "1.5" is; state it: parameter=',
+        r'line 2: no heading says which parameter the value "1.5" is; state it: parameter=',
     ),
     (book({"RT60": ACROSS}), r'sheet "RT60": "RT60" does not say which decay time it is'),
     (book({"a": [["x"]]}), r'sheet "a", line 1: column "x" is no parameter'),
@@ -214,6 +214,7 @@ BAD: list[tuple[bytes, str]] = [
         r'sheet "T20 \(s\)", line 2: T20 of S1, R1 .* twice',
     ),
     (book({"T20": [ACROSS[0], [125, "long", 1]]}), r'sheet "T20", line 2: "long" is not a finite'),
+    (book({"T20": [ACROSS[0], [125, "NaN", 1]]}), r'line 2: "NaN" is not a finite number'),
     (book({"T20": []}), "no visible sheet has a cell"),
     (b"\xd0\xcf\x11\xe0" + bytes(600), r"Excel's old format \(xls\); save it as xlsx"),
     (b"\x89HDF\r\n\x1a\n" + bytes(600), "a SOFA .* file: `rtcal measure` reads"),
@@ -236,6 +237,18 @@ BAD: list[tuple[bytes, str]] = [
 def test_bad_tables(content: bytes, rule: str) -> None:
     with pytest.raises(DataError, match=rule):
         tables.parse(content)
+
+
+MEANS = [["Mean", "", "", "", 1.3], ["", "Mean", "T20", 500, 1.3], ["Mean", "", "T20", 500, 1.3]]
+
+
+@pytest.mark.parametrize("row", MEANS)
+def test_a_row_of_means_beside_positions_is_left_out(row: list[object]) -> None:
+    header = ["source", "receiver", "parameter", "band", "value"]
+    single = [["S1", "R1", "T20", 500, 1.2], ["S1", "R2", "T20", 500, 1.4]]
+    read = tables.parse(book({"T": [header, *single, row]}))
+    assert read.measurement.pairs == (("S1", "R1"), ("S1", "R2"))
+    assert "rows of means and deviations beside single positions are left out" in read.columns
 
 
 @pytest.mark.parametrize("name", SAME)

@@ -104,7 +104,10 @@ class Directivity:
     def from_dict(cls, data: Any, place: str = "directivity") -> Directivity:
         """Return the directivity of a table as `to_dict` gives it; DataError begins with ``place``."""
         entries = Entries(f"{place}.", data, _KEYS, ())
+        per_band = isinstance(entries.values["index"], list | tuple)
+        index = entries.array("index", (None,)) if per_band else entries.number("index")
+        aim = entries.array("aim", (3,)).tolist()
         try:
-            return cls(index=entries.values["index"], aim=entries.values["aim"])
+            return cls(index=index, aim=aim)
         except DataError as error:
             raise DataError(f"{place}.{error}") from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from rtcal.acoustics.materials import ARCHIVE
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support.types import Array
@@ -56,6 +57,11 @@ def refuse_repeated_data(room: Room, *names: str) -> None:
     """Raise DataError if the room was calibrated already on the data of one of these names."""
     before = [] if room.calibration is None else room.calibration.measured.split()
     if any(same_data(old, new) for old in before for new in names):
+        if room.calibration is not None and room.calibration.method == ARCHIVE:
+            raise DataError(
+                f'room "{room.name}" has the coefficients of an archive that has learned from these '
+                "data; calibrating to them would count them twice. Leave their room out of the archive"
+            )
         raise DataError(
             f'room "{room.name}" was already calibrated on these data; doing so again would '
             "count them twice. Take the room as it was before, or other data"

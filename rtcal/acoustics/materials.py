@@ -82,9 +82,13 @@ class Geometry(Protocol):
         ...
 
 
+ARCHIVE = "archive"
+"""Method in the record of a room whose coefficients come from an archive of other rooms."""
+
+
 @dataclass(frozen=True)
 class CalibrationRecord:
-    """The calibration of a calibrated room.
+    """The calibration of a calibrated room, or the archive that its coefficients come from.
 
     ``measured`` identifies, per band, every T that the coefficients were calibrated to. A second
     calibration to the same T would count it twice and is refused.

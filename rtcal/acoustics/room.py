@@ -15,6 +15,7 @@ from rtcal.acoustics import bands, room_files, stated_errors
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.materials import (
+    ARCHIVE,
     AXES,
     LARGEST_LABORATORY_ALPHA,
     CalibrationRecord,
@@ -94,7 +95,7 @@ class Room:
         What to do with coefficients above 1, which laboratories report (ISO 354: the edges of the
         specimen absorb too). Clipped ones are listed in ``clipped``.
     calibration : CalibrationRecord, optional
-        Set in the room that a calibration returns.
+        Set in the room that a calibration returns, or `rtcal.archive.Archive.apply`.
     author : str
         Who made the model, for the pages of its results.
     volume_sigma : float
@@ -285,7 +286,10 @@ class Room:
 
     @property
     def _description(self) -> str:
-        calibrated = "" if self.calibration is None else ", calibrated"
+        calibrated = ""
+        if self.calibration is not None:
+            from_archive = self.calibration.method == ARCHIVE
+            calibrated = ", coefficients of an archive" if from_archive else ", calibrated"
         return (
             f'Room "{shortened(self.name)}": {self.volume:.4g} m³, {self.total_area:.4g} m², '
             f"{self.n_materials} material{'s' * (self.n_materials > 1)}, "

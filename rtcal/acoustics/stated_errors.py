@@ -59,9 +59,14 @@ def _of_area(place: str, value: Any, area: float) -> float:
         square_metres = float(number)
     except ValueError:
         square_metres = np.nan
-    if not unit or not 0 <= square_metres < area:
+    if not unit or np.isnan(square_metres):
         raise DataError(
-            f'{place} = "{value[:40]}" is not a text such as "1.5 m²", from 0 to below {area:g} m²'
+            f'{place} = "{value[:40]}" is no number with the unit m² (written with ²), such as '
+            '"1.5 m²"; a share of the area is a number without quotes, such as 0.1'
+        )
+    if not 0 <= square_metres < area:
+        raise DataError(
+            f'{place} = "{value[:40]}" is not from 0 to below the area, which is {area:g} m²'
         )
     return square_metres / area
 

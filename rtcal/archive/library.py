@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.materials import ARCHIVE, CalibrationRecord
 from rtcal.acoustics.room import Material, Room
 from rtcal.archive.likelihood import Spread
 from rtcal.errors import DataError
@@ -18,6 +19,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.types import Array
+from rtcal.support.version import __version__
 
 _OFF = 2.0
 """Standard deviations from which a table's entry is printed as off."""
@@ -89,6 +91,8 @@ class Archive(Result):
     lessons : tuple of Lesson
     suspects : tuple of Suspect
         The likeliest first.
+    measured : tuple of str
+        Names of the measured T that it has learned from, as a `CalibrationRecord` keeps them.
     """
 
     record_kind: ClassVar[str] = "archive 1"
@@ -105,6 +109,7 @@ class Archive(Result):
     room_sigma: float
     lessons: tuple[Lesson, ...]
     suspects: tuple[Suspect, ...]
+    measured: tuple[str, ...]
 
     @checked
     def material(self, name: str) -> Material:
@@ -127,7 +132,8 @@ class Archive(Result):
 
         The room's other materials and bands stay. ``common_alpha_sigma`` becomes the factor by which
         rooms differ. An ``alpha_min`` above the new coefficient is kept, and the coefficient raised to
-        it.
+        it. The room's record names the T that the archive has learned from, so that a calibration to
+        one of them is refused.
 
         Parameters
         ----------
@@ -141,6 +147,61 @@ class Archive(Result):
         DataError
             If no material or no band of the room is known, or ``names`` has an unknown one.
         """
+        pairs, columns = self._known(room, names)
+        if not pairs or not columns:
+            what = "materials" if not pairs else "bands"
+            raise DataError(f'the archive knows none of the {what} of room "{room.name}"')
+        own = np.ix_([i for i, _ in pairs], [k for k, _ in columns])
+        entry = np.ix_([j for _, j in pairs], [k for _, k in columns])
+        alpha, sigma = room.alpha.copy(), room.sigma.copy()
+        alpha[own], sigma[own] = self.alpha[entry], np.minimum(self.sigma[entry], 1.0)
+        if room.alpha_min is not None:
+            alpha = np.maximum(alpha, room.alpha_min)
+        sources = dict(room.sources)
+        learned = [k for k, _ in columns]
+        rest = np.delete(room.centre_frequencies, learned)
+        for i, j in pairs:
+            name, label = room.materials[i], self._source(j)
+            if rest.size:
+                held = sources.get(name, "the room's table")
+                label += f"; {_listed(rest)}: {held}"
+            sources[name] = label
+        before = [] if room.calibration is None else [room.calibration.measured]
+        record = CalibrationRecord(
+            method=ARCHIVE,
+            equation="that of each of its rooms",
+            measured=" ".join([*before, *self.measured]),
+            version=__version__,
+        )
+        return room.replace(
+            alpha=alpha,
+            sigma=sigma,
+            sources=sources,
+            common_alpha_sigma=self.room_sigma,
+            calibration=record,
+        )
+
+    @checked
+    def left_as_stated(self, room: Room, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
+        """Return in sentences what `apply` leaves as the room states it: materials, and bands.
+
+        DataError if ``names`` has an unknown one.
+        """
+        pairs, columns = self._known(room, names)
+        unknown = [m for i, m in enumerate(room.materials) if i not in {i for i, _ in pairs}]
+        rest = np.delete(room.centre_frequencies, [k for k, _ in columns])
+        said = [
+            "Left as the room states them, since the archive does not know them: "
+            + ", ".join(these)
+            for these in ([f'"{m}"' for m in unknown], [_listed(rest)] if rest.size else [])
+            if these
+        ]
+        return tuple(f"{sentence}." for sentence in said)
+
+    def _known(
+        self, room: Room, names: Mapping[str, str] | None
+    ) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+        """The room's materials and bands that the archive knows: place in the room, in the archive."""
         mapped = checks.mapped("names", {} if names is None else names)
         for own, entry in mapped.items():
             if own not in room.materials or entry not in self.materials:
@@ -157,19 +218,7 @@ class Archive(Result):
             for k, f in enumerate(room.centre_frequencies)
             if (place := bands.index(self.centre_frequencies, float(f))) is not None
         ]
-        if not pairs or not columns:
-            what = "materials" if not pairs else "bands"
-            raise DataError(f'the archive knows none of the {what} of room "{room.name}"')
-        own = np.ix_([i for i, _ in pairs], [k for k, _ in columns])
-        entry = np.ix_([j for _, j in pairs], [k for _, k in columns])
-        alpha, sigma = room.alpha.copy(), room.sigma.copy()
-        alpha[own], sigma[own] = self.alpha[entry], np.minimum(self.sigma[entry], 1.0)
-        if room.alpha_min is not None:
-            alpha = np.maximum(alpha, room.alpha_min)
-        sources = dict(room.sources) | {room.materials[i]: self._source(j) for i, j in pairs}
-        return room.replace(
-            alpha=alpha, sigma=sigma, sources=sources, common_alpha_sigma=self.room_sigma
-        )
+        return pairs, columns
 
     def _source(self, i: int) -> str:
         return f"archive of {len(self.lessons)} rooms, in {self.seen[i]} of them"
@@ -256,3 +305,7 @@ class Archive(Result):
                 *(line for note in notes for line in text.wrapped(note)),
             ]
         )
+
+
+def _listed(frequencies: Array) -> str:
+    return ", ".join(bands.label(float(f)) for f in frequencies)

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from rtcal.archive import suspects
 from rtcal.archive.library import Archive, Lesson, Suspect
 from rtcal.archive.likelihood import Evidence, RoomData
+from rtcal.calibration.measured import data_history
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
 from rtcal.support import checks, results
@@ -125,6 +126,7 @@ def learn(
         room_sigma=float(np.sqrt(np.mean([each.room**2 for each, _, _ in mixed]))),
         lessons=tuple(lessons),
         suspects=tuple(sorted(doubts, key=lambda s: -s.probability)),
+        measured=tuple(data_history(result.prior, result.measured_data) for result in used),
     )
 
 

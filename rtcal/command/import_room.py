@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from rtcal.command.assignments import errors_name_options, numbers, texts
 from rtcal.command.console import json_option, quiet_option, tell
@@ -26,6 +27,11 @@ if TYPE_CHECKING:
 
 _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V from which the room states it: no T is measured as exactly."""
+
+_USED_BY_CHECK = {
+    *("program", "materials", "mesh", "unit", "weld", "hole", "mended", "picture"),
+    *("as_json", "quiet"),
+}
 
 
 @click.command("import", short_help="A program's material list and a mesh to a room.")
@@ -172,6 +178,7 @@ def import_room(
     from rtcal.io.material_list import SigmaRule
 
     if program == "check":
+        _refuse_unused_options()
         _check(materials or mesh, unit, weld, hole, mended, picture, as_json=as_json, quiet=quiet)
         return
     if out is None:
@@ -227,6 +234,20 @@ def import_room(
             f"V is known to {100 * room.volume_sigma:.2g} % (volume_sigma), by what was mended"
         )
     _tell(room, unused, notes, out, as_json=as_json, quiet=quiet)
+
+
+def _refuse_unused_options() -> None:
+    """Raise DataError for an option that ``check`` would not use."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        stated = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
+        if stated and option.name not in _USED_BY_CHECK:
+            raise DataError(
+                f"import check does not use {option.opts[0]}: it reads the mesh alone and writes no "
+                "room; leave it out"
+            )
+    if context.params["materials"] is not None and context.params["mesh"] is not None:
+        raise DataError("import check reads one mesh: leave --mesh out")
 
 
 def _check(

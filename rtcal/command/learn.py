@@ -9,6 +9,7 @@ import click
 from rtcal.command.assignments import numbers, texts
 from rtcal.command.console import json_option, output_folder, quiet_option, tell, written
 from rtcal.errors import DataError
+from rtcal.support import text
 from rtcal.support.files import make_folder, spare, write_all
 
 LIBRARY_ROOM = "room.toml"
@@ -69,18 +70,23 @@ def learn(
     if target is not None:
         read = [*map(str, Path(folder).rglob(NUMBERS)), *([] if room is None else [room])]
         spare([target / NUMBERS, target / LIBRARY_ROOM], read)
+    called = texts("--name", names, "MATERIAL=ENTRY")
     archive = rooms.learn(
         rooms.read_folder(folder),
-        texts("--name", names, "MATERIAL=ENTRY"),
+        called,
         numbers("--weight", weights, "ROOM=WEIGHT, such as hall=0.5"),
     )
-    said = str(archive)
+    said, record = str(archive), archive.to_dict()
     if target is not None:
         files = {target / NUMBERS: archive.to_json().encode()}
         if room is not None:
-            known = archive.apply(Room.from_file(room))
+            new = Room.from_file(room)
+            of_room = {name: entry for name, entry in called.items() if name in new.materials}
+            known, left = archive.apply(new, of_room), archive.left_as_stated(new, of_room)
+            record["left_as_stated"] = list(left)
+            said = "\n".join([said, *(line for each in left for line in text.wrapped(each))])
             files[target / LIBRARY_ROOM] = known.to_text(target).encode()
         make_folder(target)
         write_all(files)
         said += "\n" + written([*files])
-    tell(said, archive.to_dict(), quiet=quiet, as_json=as_json)
+    tell(said, record, quiet=quiet, as_json=as_json)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.fingerprints import refuse_repeated_data
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import times_in_room
 from rtcal.errors import DataError
@@ -266,12 +268,22 @@ class Case:
         return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
 
     def require_fresh(self) -> None:
-        """Raise DataError if a configuration is only planned, or the room was calibrated to its T."""
+        """Raise DataError for data that would count twice, and for a configuration only planned.
+
+        The room must not have been calibrated to their T, and no two configurations may have one
+        measurement.
+        """
         for c in self.configurations:
             if c.planned:
                 raise DataError(
                     f'configuration "{c.name}" states parameters but no measurement: it can only be '
                     "planned"
+                )
+        for one, other in combinations(self.configurations, 2):
+            if _same_values(one.measured, other.measured):
+                raise DataError(
+                    f'one measurement is given twice, in the configurations "{one.name}" and '
+                    f'"{other.name}"; its values would count twice'
                 )
         if self.room.calibration is None:
             return
@@ -292,3 +304,11 @@ class Case:
             }
             kept.append(replace(c, measured=replace(c.measured, **tables)))
         return replace(self, configurations=kept)
+
+
+def _same_values(one: Measurement, other: Measurement) -> bool:
+    """Whether two measurements have the same values of all parameters that both have."""
+    shared = one.values.keys() & other.values.keys()
+    return any(np.isfinite(one.values[p]).any() for p in shared) and all(
+        np.array_equal(one.values[p], other.values[p], equal_nan=True) for p in shared
+    )

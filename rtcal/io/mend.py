@@ -380,9 +380,12 @@ class _Mender:
                 surface=-area,
             )
         if not any(kept):
+            corners = np.concatenate([np.asarray(p) for p in self.drawn.polygons])
+            across = np.linalg.norm(np.ptp(corners, axis=0))
             raise self.refused(
-                "every face is narrower than the weld distance: is the unit right? State --unit 0.001 "
-                "for a model in mm, or a smaller --weld"
+                f"every face is narrower than the weld distance of {self.weld * 1000:g} mm: as read, "
+                f"the mesh is {across * 1000:.2g} mm across. State a larger --unit, such "
+                "as 1 for a mesh drawn in m, or a smaller --weld"
             )
         return work.kept(kept)
 

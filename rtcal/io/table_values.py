@@ -39,7 +39,6 @@ _MISSING = {
     "\u2013",
     "\u2014",
     "*",
-    "nan",
     "na",
     "n/a",
     "n.a.",
@@ -110,6 +109,7 @@ class Reader:
             )
         is_summary = bool(counts) or {"sources", "receivers", "standard_deviation"} & {*kinds}
         self.named = bool(position[1])
+        self.unnamed_means = False  # whether a mean without a parameter or band was left out
         self.pair = (position[0] or "S1", position[1] or "R1")
         if is_summary and not self.has_positions:
             self.pair = (SUMMARY, SUMMARY)
@@ -175,13 +175,20 @@ class Reader:
                     f'{place}: statistic "{shown(word)}" is none of {", ".join(STATISTICS)}'
                 )
             return STATISTICS[word]
-        return STATISTICS.get(entries.get("receiver", "").lower())
+        receiver, source = (entries.get(name, "").lower() for name in ("receiver", "source"))
+        if receiver in ("", *STATISTICS) and source in STATISTICS:
+            return STATISTICS[source]
+        return STATISTICS.get(receiver)
 
     def _values(
         self, cells: list[str], entries: Mapping[str, str], statistic: str | None, place: str
     ) -> Iterator[tuple[Key, dict[str, float]]]:
         """Yield the key and the numbers of each value of a row."""
         if statistic == "":
+            return
+        named = all(entries.get(name, "?") for name in ("parameter", "band"))
+        if statistic is not None and self.has_positions and not named:
+            self.unnamed_means = True
             return
         of_row = (SUMMARY, SUMMARY) if statistic is not None else self._pair_of(entries)
         row_parameter, row_band = (
@@ -199,8 +206,8 @@ class Reader:
             band = column.band if column.has_band else row_band
             if parameter is None:
                 raise DataError(
-                    f'{place}: the table does not say what "{shown(cell)}" is; state it: '
-                    'parameter="t20", for instance'
+                    f'{place}: no heading says which parameter the value "{shown(cell)}" is; '
+                    'state it: parameter="t20", for instance'
                 )
             if band is None:
                 raise DataError(f'{place}: no band for the value "{shown(cell)}"')

@@ -349,7 +349,7 @@ def _table(readers: Sequence[Reader], where: Mapping[str, str], notes: list[str]
         if len(readers) > 1:
             report.append(f"{reader.header_place}:")
         report += reader.report(pairs)
-    if single and of_several:
+    if single and (of_several or any(reader.unnamed_means for reader in readers)):
         notes = ["rows of means and deviations beside single positions are left out", *notes]
     # What stands after the first line of a single table's report is about the columns.
     report[1:1] = notes if len(readers) == 1 else []

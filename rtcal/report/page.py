@@ -247,8 +247,9 @@ def page_of(
     if isinstance(result, CalibrationResult):
         return calibration_page(result, heading=heading, progress=progress)
     raise DataError(
-        f"{place}: a {type(result).__name__} has no page here; `rtcal find --out` writes that of a "
-        "finding"
+        f'{place}: a result of the kind "{result.record_kind.rstrip(" 0123456789")}" has no page. '
+        "Pages show a calibration, a loop, positions, predictions and designs; `rtcal find --out` "
+        "writes that of a finding, and `rtcal learn` prints an archive"
     )
 
 
