@@ -355,3 +355,20 @@ def test_the_floor_of_sigma_holds_for_what_changes_alone() -> None:
     narrow = predict([state], Cover("wall", PANEL, 5), assumptions=stated)
     wide = predict([state], Cover("wall", PANEL, 5))
     assert (narrow.linear_sigma < wide.linear_sigma).all()
+
+
+def test_what_a_room_states_of_its_volume_counts_in_every_way_to_predict_and_design():
+    room, measured = rt.datasets.bras_cr2()
+    vague = room.replace(volume_sigma=0.2)
+    panel = rt.Material("panel", [0.2, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
+    change = rt.prediction.Cover("ceiling", panel, 20)
+    result = rt.calibrate(vague, measured)
+    stated = result.predict(change).half_width
+    alone = rt.prediction.predict(result.states, change)
+    assert alone.half_width == pytest.approx(stated, rel=1e-9)
+    usual = rt.prediction.predict(
+        result.states, change, assumptions=rt.prediction.Assumptions()
+    ).half_width
+    assert (stated > 1.02 * usual).all()
+    assumed = rt.prediction.Assumptions.of(vague)
+    assert (assumed.volume, assumed.areas) == (0.2, 0.03)

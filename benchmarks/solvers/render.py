@@ -314,7 +314,8 @@ A route is a package and a solver. "own" is the solver's own Python interface; "
 
 Microseconds, shifted geometric mean with a shift of {SHIFT:.0f} microseconds, of what was solved. A call by cvxpy or rtcal includes filling in the
 numbers, rtcal's also the polish and the certificate; a "raw" time is the solver's own. Timings are the
-best of up to three calls, as many as fit in {ENOUGH} s.
+best of up to three calls, as many as fit in {ENOUGH} s. The times of `rtcal:clarabel` are from before [the quick first solve](qp.md), and so too long;
+`python benchmarks/resolve.py` prints those of today.
 
 {times(rows)}
 

@@ -307,13 +307,6 @@ class CalibrationResult(Result):
 
         Raises ModelError as `JointSolution.states`, and as `rtcal.prediction.predict`.
         """
-        if assumptions is None and self.prior.is_uncertain:
-            usual, areas = Assumptions(), float(np.max(self.prior.area_sigma))
-            assumptions = replace(
-                usual,
-                volume=self.prior.volume_sigma or usual.volume,
-                areas=float(np.hypot(areas, self.prior.common_area_sigma)) or usual.areas,
-            )
         return predict(
             self.states,
             changes,

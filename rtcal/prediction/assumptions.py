@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -60,3 +61,12 @@ class Assumptions:
                 raise DataError(f"{each.name} = {value:g} is not from 0 to 1")
         if self.band_correlation == 1:
             raise DataError("band_correlation = 1 is not below 1")
+
+    @classmethod
+    def of(cls, room: Room) -> Assumptions:
+        """Return the usual ones, but for what a room states of its volume and areas."""
+        usual = cls()
+        if not room.is_uncertain:
+            return usual
+        areas = float(np.hypot(np.max(room.area_sigma), room.common_area_sigma))
+        return replace(usual, volume=room.volume_sigma or usual.volume, areas=areas or usual.areas)

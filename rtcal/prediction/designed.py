@@ -246,6 +246,7 @@ def design(
     probability : float
         Of each band, 0.8 to 0.99.
     assumptions : Assumptions, optional
+        By default `Assumptions.of` the room.
 
     Raises
     ------
@@ -286,7 +287,7 @@ def design(
         check_treatments(treatments, room),
         target,
         result.equation,
-        assumptions or Assumptions(),
+        assumptions or Assumptions.of(room),
     )
     areas = model.cheapest(probability)
     if areas is None:

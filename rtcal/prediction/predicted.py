@@ -314,6 +314,7 @@ def predict(
     equation : LinearEquation, optional
         `rtcal.Eyring` if not given.
     assumptions : Assumptions, optional
+        By default `Assumptions.of` the room.
     name : str
         By default what is changed.
 
@@ -352,7 +353,7 @@ def predict(
         after=after,
         changes=made,
         equation=equation or Eyring(),
-        assumptions=assumptions or Assumptions(),
+        assumptions=assumptions or Assumptions.of(before),
     )
     _ = prediction.linear_mean  # raises where the equation gives no T
     return prediction
