@@ -94,10 +94,12 @@ def test_the_surface_of_an_aperture_is_not_claimed() -> None:
         spectrum=np.ones(2),
     )
     shifts = [SimpleNamespace(effect="coupled room", sizes=np.array([2.0, 4.0, 80.0]))]
-    reasons = find._reasons(
-        SimpleNamespace(shifts=shifts), SimpleNamespace(candidates=(aperture,)), "named"
-    )
-    assert "second room" in reasons[0]
+    for unknown, said in (((), "second room"), (("S1",), "A source's directivity is unknown")):
+        case = SimpleNamespace(simulator=SimpleNamespace(unknown_sources=unknown))
+        reasons = find._reasons(
+            case, SimpleNamespace(shifts=shifts), SimpleNamespace(candidates=(aperture,)), "named"
+        )
+        assert said in reasons[0]
 
 
 def shift(uneven: float) -> tuple[Shift, np.ndarray]:

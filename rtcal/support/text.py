@@ -81,10 +81,10 @@ def shell(command: str, indent: str = "") -> list[str]:
 
     Examples
     --------
-    >>> command = "rtcal find case.toml --engine 'path tracing' --engine network --seed 123456"
+    >>> command = "rtcal find case.toml --engine 'path tracing' --engine network --seed 1234567890"
     >>> print("\n".join(shell(command)))
     rtcal find case.toml --engine 'path tracing' --engine network \
-        --seed 123456
+        --seed 1234567890
     """
     parts = re.findall(r"(?:--\S+ )?(?:'[^']*'|\"[^\"]*\"|[^\s'\"])+", command)
     lines = [indent + parts[0]]
