@@ -96,6 +96,10 @@ class Directivity:
             )
         return Directivity(index=np.broadcast_to(self.index, n_bands), aim=self.aim)
 
+    def in_band(self, band: int) -> Directivity:
+        """Return the lobe of one band by its number."""
+        return Directivity(index=self.index[band], aim=self.aim)
+
     def to_dict(self) -> dict[str, Any]:
         """Return index and aim as plain values."""
         return {"index": self.index.tolist(), "aim": list(self.aim)}

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import repeat
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.directivity import Directivity
-from rtcal.acoustics.observables import MATCH, OBSERVABLES, longest
-from rtcal.acoustics.scene import directivities
+from rtcal.acoustics.observables import MATCH, longest
 from rtcal.errors import DataError
 from rtcal.simulators import observations, path_trace, paths
 from rtcal.simulators.base import check_alpha
+from rtcal.simulators.directed_sources import DirectedSources
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.tracer import (
     LONGEST,
@@ -41,7 +39,7 @@ _Gradient = Callable[[paths.Paths, int, _Weighing], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PathTracing(Tracer):
+class PathTracing(DirectedSources, Tracer):
     """Traces paths in a room with plane walls, and weighs the same paths for every alpha.
 
     Parameters
@@ -99,7 +97,6 @@ class PathTracing(Tracer):
     n_batches: int = 16
     scattering_model: Any = None
     workers: int | None = None
-    directivity: Mapping[str, Any] = field(default_factory=dict)
     smooth: ClassVar[bool] = True
     _traced: dict[tuple[int, ...], paths.Paths] = field(
         default_factory=dict, init=False, repr=False
@@ -117,47 +114,6 @@ class PathTracing(Tracer):
         self._check_directivity()
         if self.workers is not None:
             checks.whole("workers", self.workers, 1)
-
-    def _check_directivity(self) -> None:
-        stated = directivities(self.directivity, self.sources)
-        for name, of in stated.items():
-            if isinstance(of, Directivity):
-                stated[name] = of.for_bands(self.room.n_bands, f'directivity["{name}"]')
-        object.__setattr__(self, "directivity", stated)
-
-    @property
-    def unknown_sources(self) -> tuple[str, ...]:
-        """The sources whose directivity is stated to be unknown."""
-        return tuple(name for name, of in self.directivity.items() if isinstance(of, str))
-
-    def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
-        """Return those parameters that say as much where a source's directivity is unknown.
-
-        Early sound depends on where a loudspeaker aims, and so does the level near it. T20 and T30
-        depend on it little. DataError where none is left.
-        """
-        names = observations.checked_parameters(match)
-        if not self.unknown_sources:
-            return names
-        kept = tuple(name for name in names if OBSERVABLES[name].part == "late")
-        if not kept:
-            raise DataError(
-                f"match = {', '.join(names)} depends on the directivity of a source, which is unknown"
-            )
-        return kept
-
-    @property
-    def source_notes(self) -> tuple[str, ...]:
-        """The assumption on the sources' directivities."""
-        notes = []
-        if unknown := ", ".join(self.unknown_sources):
-            notes.append(
-                f"The directivity of {unknown} is unknown. So reverberation times alone are used: the "
-                "level and early parameters depend on where a loudspeaker aims."
-            )
-        if taken := ", ".join(name for name in self.sources if name not in self.directivity):
-            notes.append(f"Taken as omnidirectional: {taken}.")
-        return tuple(notes)
 
     @property
     def name(self) -> str:
@@ -416,18 +372,12 @@ class PathTracing(Tracer):
             if any(other != seed for other, *_ in self._traced):
                 self._traced.clear()
             self._traced[key] = self._trace(self.scattering[:, band], longest, seed)
-        return self._aimed(key, band) if self._aimed_sources else self._traced[key]
+        return self._aimed(key, band) if self.aimed_sources else self._traced[key]
 
     def bands_of_paths(self) -> list[NDArray[np.int64]]:
         """Return the bands' numbers in groups whose scattering and directivity are the same."""
-        aimed = [of.index for of in self._aimed_sources.values()]
+        aimed = [of.index for of in self.aimed_sources.values()]
         return equal_columns(np.vstack([self.scattering, *aimed]))
-
-    @property
-    def _aimed_sources(self) -> dict[int, Directivity]:
-        """The directivities that are known, by the number of the source."""
-        stated = {s: self.directivity.get(name) for s, name in enumerate(self.sources)}
-        return {s: of for s, of in stated.items() if isinstance(of, Directivity)}
 
     def _aimed(self, key: tuple[int, int], band: int) -> paths.Paths:
         """Return the paths of ``key`` as the sources' directivities in a band weigh them."""
@@ -435,8 +385,8 @@ class PathTracing(Tracer):
         aimed = self._traced.get((*key, band))
         if aimed is None or aimed.longest != traced.longest:
             sources, receivers = self._points()
-            gains = {s: partial(_gain, of, band) for s, of in self._aimed_sources.items()}
-            aimed = traced.aimed(gains, receivers - sources[:, np.newaxis])
+            lobes = {s: of.in_band(band) for s, of in self.aimed_sources.items()}
+            aimed = traced.aimed(lobes, receivers - sources[:, np.newaxis])
             self._traced[(*key, band)] = aimed
         return aimed
 
@@ -460,10 +410,6 @@ class PathTracing(Tracer):
             seed=seed,
             workers=self.workers,
         )
-
-
-def _gain(of: Directivity, band: int, directions: Array) -> Array:
-    return of.gain(directions)[:, band]
 
 
 def _in_one_group(swept: tuple[Array, Array]) -> tuple[Array, Array]:

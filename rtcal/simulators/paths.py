@@ -12,13 +12,14 @@ that hit material j n times has dE / d alpha_j = -n E / (1 - alpha_j), so they g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.directivity import Directivity
 from rtcal.errors import DataError
 from rtcal.simulators import path_numpy
 from rtcal.simulators.path_batch import Batch, ScatteringModel, joined
@@ -81,22 +82,23 @@ class Paths:
         ):
             values.setflags(write=False)
 
-    def aimed(self, gains: Mapping[int, Callable[[Array], Array]], to_receivers: Array) -> Paths:
+    def aimed(self, lobes: Mapping[int, Directivity], to_receivers: Array) -> Paths:
         """Return the same paths from sources that are not omnidirectional.
 
         Parameters
         ----------
-        gains : mapping of int to function
-            By a source's number: energies in directions (n, 3) over an omnidirectional source's, (n,).
+        lobes : mapping of int to Directivity
+            By a source's number, of one band.
         to_receivers : array (n_sources, n_receivers, 3)
             Direction of the direct sound.
         """
         batches, direct_gain = list(self.batches), self.direct_gain.copy()
-        for s, gain in gains.items():
+        for s, lobe in lobes.items():
             batches[s] = tuple(
-                b.aimed(gain(b.directions), 2 * len(self.materials)) for b in self.batches[s]
+                b.aimed(lobe.gain(b.directions)[:, 0], 2 * len(self.materials))
+                for b in self.batches[s]
             )
-            direct_gain[s] = gain(to_receivers[s])
+            direct_gain[s] = lobe.gain(to_receivers[s])[:, 0]
         return replace(self, batches=tuple(batches), direct_gain=direct_gain)
 
     @property
