@@ -160,8 +160,9 @@ def test_kkt_solution_satisfies_both_equations(sparse: bool) -> None:
 @pytest.mark.parametrize("steep", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("sparse", [False, True])
 @pytest.mark.parametrize("columns", [(), (3,)])
+@pytest.mark.parametrize("common", [False, True])
 def test_kkt_with_squares_solves_the_whole_system(
-    sparse: bool, steep: float, columns: tuple[int, ...]
+    common: bool, sparse: bool, steep: float, columns: tuple[int, ...]
 ) -> None:
     import scipy.sparse as sp
 
@@ -170,10 +171,14 @@ def test_kkt_with_squares_solves_the_whole_system(
     rows = rng.standard_normal((1, 6))
     force, limit = rng.standard_normal((6, *columns)), rng.standard_normal((1, *columns))
     plain = sp.csr_array(sp.diags_array(diagonal)) if sparse else diagonal
-    hessian = Hessian(plain, sp.csr_array(squares))
+    less = rng.uniform(0.2, 0.4, (1, 6)) if common else None
+    hessian = Hessian(plain, sp.csr_array(squares), less)
     whole = np.diag(diagonal) + squares.T @ squares
+    whole -= 0.0 if less is None else less.T @ less
     np.testing.assert_allclose(hessian.whole().toarray(), whole)
     np.testing.assert_allclose(hessian.diagonal(), np.diag(whole))
+    part = hessian.part(np.arange(6) < 4, np.full(4, 2.0))
+    np.testing.assert_allclose(part.whole().toarray(), 4 * whole[:4, :4])
     size = rng.uniform(0, 1, 6)
     assert (hessian.magnitude(size) >= np.abs(whole) @ size * (1 - 1e-12)).all()
     step, multipliers = kkt.solve(hessian, sp.csr_array(rows) if sparse else rows, force, limit)

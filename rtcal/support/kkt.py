@@ -3,11 +3,13 @@
     H x + A'y = f,  A x = c,
 
 with H positive definite, given as its diagonal, as a sparse matrix, or as a `Hessian` with rows F of
-squares. Each of those is a further unknown s = F x, which has s'Fx / 2 in the objective's place.
+squares. Each of those is a further unknown s = F x, which has s'Fx / 2 in the objective's place. What a
+`Hessian` has less, G'G, follows from the system without it (Woodbury 1950).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,12 +60,30 @@ def solve(hessian: Any, matrix: Any, force: Array, limit: Array) -> tuple[Array,
     [1. 1.] [-1.]
     """
     if isinstance(hessian, Hessian):
+        if hessian.less is not None:
+            return _with_less(hessian, matrix, force, limit)
         if hessian.rows is not None:
             return _with_squares(hessian, matrix, force, limit)
         hessian = hessian.plain
     if sp.issparse(hessian):
         return _factored(hessian, matrix, force, limit)
     return _eliminated(hessian, matrix, force, limit)
+
+
+def _with_less(hessian: Hessian, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:
+    """Solve without G'G for ``force`` and for G' together, and combine the two."""
+    less = np.asarray(hessian.less)
+    n = 1 if np.ndim(force) == 1 else np.shape(force)[1]
+    forces, limits = (np.reshape(v, (len(v), n)) for v in (force, limit))
+    forces = np.concatenate([forces, less.T], axis=1)
+    limits = np.concatenate([limits, np.zeros((len(limits), len(less)))], axis=1)
+    step, multipliers = solve(replace(hessian, less=None), matrix, forces, limits)
+    try:
+        share = np.linalg.solve(np.eye(len(less)) - less @ step[:, n:], less @ step[:, :n])
+    except np.linalg.LinAlgError as error:
+        raise SolverError("the optimality conditions are singular") from error
+    step, multipliers = (v[:, :n] + v[:, n:] @ share for v in (step, multipliers))
+    return step.reshape(np.shape(force)), multipliers.reshape(np.shape(limit))
 
 
 def _with_squares(hessian: Hessian, matrix: Any, force: Array, limit: Array) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, half_squares
 from rtcal.errors import ModelError
 from rtcal.support import checks
+from rtcal.support.hessian import Hessian
 from rtcal.support.types import Array
 
 
@@ -155,17 +156,19 @@ class PriorDeviation(BaseTerm):
         return self._apply(_deviation(u, data), data) * data.inverse_sigma
 
     def curvature(self, u: Array, data: ProblemData) -> Any:
-        """Return R⁻¹ over sigma sigma': 1 / sigma² on a diagonal without correlations."""
+        """Return R⁻¹ over sigma sigma': 1 / sigma² on a diagonal without correlations.
+
+        What all coefficients have in common takes one square off (`rtcal.support.hessian.Hessian`).
+        """
         inverse = data.inverse_sigma.copy()
         inverse[data.layout.n_alpha :] = 0.0
-        if not self.correlated():
-            return inverse**2
-        scale = sp.diags_array(inverse)
-        precision = self._padded(data)
+        plain: Any = inverse**2
+        if self.band_correlation or self.material_correlation:
+            scale = sp.diags_array(inverse)
+            plain = sp.csr_array(scale @ self._padded(data) @ scale)
         if self.common:
-            shared = self._shared(data)[:, np.newaxis]
-            precision = precision - sp.csr_array(shared @ shared.T)
-        return sp.csr_array(scale @ precision @ scale)
+            return Hessian(plain, less=(self._shared(data) * inverse)[np.newaxis])
+        return plain
 
     def convexity(self, data: ProblemData) -> Array:
         """Return the least eigenvalue of R⁻¹ for every coefficient."""
@@ -180,19 +183,23 @@ class PriorDeviation(BaseTerm):
         return m
 
     def _apply(self, x: Array, data: ProblemData) -> Array:
-        if not self.correlated():
-            return x
-        precise = np.asarray(self._padded(data) @ x)
+        precise = self._of_pairs(x, data)
         if self.common:
             shared = self._shared(data)
-            precise -= shared * (shared @ x)
+            precise = precise - shared * (shared @ x)
         return precise
 
     def _shared(self, data: ProblemData) -> Array:
         """s of (R + q q')⁻¹ = R⁻¹ - s s', q what all coefficients have in common in sigmas."""
         together = _together(data)
-        precise = np.asarray(self._padded(data) @ together)
+        precise = self._of_pairs(together, data)
         return np.asarray(precise / np.sqrt(1 + together @ precise))
+
+    def _of_pairs(self, x: Array, data: ProblemData) -> Array:
+        """R⁻¹x without the common part."""
+        if not (self.band_correlation or self.material_correlation):
+            return x
+        return np.asarray(self._padded(data) @ x)
 
     def _padded(self, data: ProblemData) -> Any:
         """R⁻¹ over all unknowns, those with sigma = 0 integrated out."""
