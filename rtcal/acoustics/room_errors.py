@@ -8,9 +8,11 @@ share these sizes, which is why several bands tell them from errors of the coeff
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
@@ -86,14 +88,44 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
             room.volume_sigma * of_volume,
             room.common_area_sigma * of_areas.sum(axis=0),
             room.area_sigma[:, np.newaxis] * of_areas,
-            *_of_climate(equation, room, t),
+            *_of_climate(room, lambda changed: equation.target(changed, t)),
         ]
     )
     return np.where(np.isfinite(b), changes, 0.0)
 
 
-def _of_climate(equation: LinearEquation, room: Room, t: Array) -> tuple[Array, Array]:
-    """Half the difference of b between the climates one standard deviation below and above."""
+def heard_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Array:
+    """Return the changes of what a simulator hears by one standard deviation each, (n_changes, n_values).
+
+    In the order of `target_changes`. An area that is larger by a share absorbs as coefficients that are
+    larger by that share. A larger volume decays as smaller coefficients do, and keeps the level. The
+    air's change of m absorbs as 4 m V / S on every surface.
+
+    Parameters
+    ----------
+    room : Room
+        Its stated standard deviations and mu.
+    matrix : array (n_values, n_materials * n_bands)
+        Derivatives of the values by the coefficients.
+    of_level : array of bool (n_values,)
+        Which values are levels.
+    """
+    slopes = matrix.reshape(-1, *room.alpha.shape)
+    of_areas = (slopes * room.alpha).sum(axis=2).T
+    together = of_areas.sum(axis=0)
+    of_air = 4 * room.volume / room.total_area * slopes.sum(axis=1)
+    return np.vstack(
+        [
+            -room.volume_sigma * np.where(of_level, 0.0, together),
+            room.common_area_sigma * together,
+            room.area_sigma[:, np.newaxis] * of_areas,
+            *(of_air @ m for m in _of_climate(room, lambda changed: changed.air_attenuation)),
+        ]
+    )
+
+
+def _of_climate(room: Room, quantity: Callable[[Room], Array]) -> tuple[Array, Array]:
+    """Half the difference of a quantity between the climates one standard deviation below and above."""
     air, (kelvin, percent) = room.air, room.climate_sigma
     none = np.zeros(room.n_bands)
     if air is None or not (kelvin or percent):
@@ -104,9 +136,7 @@ def _of_climate(equation: LinearEquation, room: Room, t: Array) -> tuple[Array, 
             return none
         stated = getattr(air, name)
         ends = max(stated - sigma, low), min(stated + sigma, high)
-        first, last = (
-            equation.target(room.with_air(replace(air, **{name: end})), t) for end in ends
-        )
+        first, last = (quantity(room.with_air(replace(air, **{name: end}))) for end in ends)
         return np.asarray((first - last) * sigma / (ends[1] - ends[0]))
 
     return change("temperature", kelvin, -20, 50), change("humidity", percent, 1.01, 100)

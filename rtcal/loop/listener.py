@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.observables import observable
 from rtcal.loop.control_runs import ahead_factor, level
 from rtcal.loop.measured_pairs import MeasuredPairs
 from rtcal.simulators.base import Simulator
@@ -128,6 +129,14 @@ class Listener:
     def residual(self) -> Array:
         """Return measured less heard, (n_used,)."""
         return np.asarray((self.data.observations.values - self.values())[self.data.used])
+
+    @property
+    def of_level(self) -> NDArray[np.bool_]:
+        """Which of the values used are levels, (n_used,)."""
+        levels = [observable(p).part == "level" for p in self.data.observations.parameters]
+        return np.broadcast_to(np.array(levels)[:, None, None], self.data.used.shape)[
+            self.data.used
+        ]
 
     def linearised(self) -> Array:
         """Return the derivatives of the values used, (n_used, n_materials * n_bands)."""

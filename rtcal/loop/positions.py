@@ -25,6 +25,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import heard_changes, in_words
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.nonlinear import Steps, Taken, gauss_newton
 from rtcal.calibration.problem import Calibration
@@ -175,6 +176,8 @@ def calibrate_positions(
     first, not_heard = _first(simulator, room.alpha, match, measured, seed)
     data = pairs_to_match(room, measured, match, first, exclude)
     notes = (*notes, *not_heard, *repeated)
+    if stated := in_words(room):
+        notes = (*notes, f"The room is uncertain, and that counts: {stated}.")
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
     if isinstance(simulator, PathTracing):  # too few paths are told before the control runs
         simulator.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
@@ -329,9 +332,10 @@ def _errors(listener: Listener, room: Room, prior: Array, error: Array) -> _Erro
 
     ``error`` (n, n) is the simulator's covariance as it is assumed, at all pairs.
     """
-    of_measurement = listener.data.covariance
     error = error[np.ix_(listener.used, listener.used)]
     matrix = listener.linearised()
+    of_room = heard_changes(room, matrix, listener.of_level)
+    of_measurement = listener.data.covariance + of_room.T @ of_room
     values = listener.residual() + matrix @ room.alpha.ravel()
     expected = matrix @ prior @ matrix.T + of_measurement
     scale = error_scale(values - matrix @ room.alpha.ravel(), expected, error)
@@ -367,7 +371,9 @@ def prior_covariance(room: Room) -> Array:
         between[i, j] = between[j, i] = r
     of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
     sigma = room.sigma.ravel()
-    return np.asarray(sigma[:, np.newaxis] * np.kron(between, of_bands) * sigma)
+    together = np.where(sigma > 0, room.common_alpha_sigma * room.alpha.ravel(), 0.0)
+    own = sigma[:, np.newaxis] * np.kron(between, of_bands) * sigma
+    return np.asarray(own + np.outer(together, together))
 
 
 def _predicted(listener: Listener, error: Array | None, pull: Array) -> Observations:
@@ -482,7 +488,9 @@ def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: 
 def _plain(room: Room) -> Calibration:
     return Calibration(
         PriorDeviation(
-            band_correlation=room.band_correlation, material_correlation=room.material_correlation
+            band_correlation=room.band_correlation,
+            material_correlation=room.material_correlation,
+            common=room.common_alpha_sigma > 0,
         ),
         [],
     )

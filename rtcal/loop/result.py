@@ -14,6 +14,8 @@ from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import in_words
+from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.beside import SHOWN, Gaps, left, sentences
 from rtcal.loop.matched import ParameterGap
 from rtcal.loop.state import Loop
@@ -111,6 +113,11 @@ class LoopResult(Result):
         of what is matched.
         """
         return left(self.gaps_beside)
+
+    @property
+    def of_uncertain_room(self) -> CalibrationResult | None:
+        """The coefficients without the share of an uncertain room; see `Loop.of_uncertain_room`."""
+        return self.loop.of_uncertain_room
 
     @property
     def gaps_beside(self) -> Gaps:
@@ -226,6 +233,12 @@ class LoopResult(Result):
                 "exceeds the tolerance. Simulate with less noise (more paths).",
             )
         notes[:0] = sentences(self.gaps_beside, self.room.centre_frequencies)
+        if self.loop.room.is_uncertain:
+            notes.append(
+                f"The room is uncertain ({in_words(self.loop.room)}). These coefficients serve the "
+                "simulator in the room as stated, and carry the room's error, too. Those of the "
+                "materials are in result.of_uncertain_room."
+            )
         return [*notes, *self.notes]
 
 

@@ -189,6 +189,18 @@ class Loop(Result):
         """The equation's calibration to the targets of each band's best step."""
         return self.calibrated(self.best_target)
 
+    @cached_property
+    def of_uncertain_room(self) -> CalibrationResult | None:
+        """The calibration to the targets of `outcome`, with the room as uncertain as it states.
+
+        Its coefficients leave their share to the volume, the areas and the climate. The simulator, which
+        has the stated room, does not have the measured T with them. None for an exact room.
+        """
+        if not self.room.is_uncertain or not self.steps:
+            return None
+        problem = preset(self.method, self.room).build(self.room, self.equation)
+        return problem.solve(self.best_target, unreachable="nearest", method=self.method)
+
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Bands of the `outcome` whose coefficients are at a bound, or contradict the prior (z over 2).

@@ -1,0 +1,142 @@
+"""A law: what a room states of its volume, areas, climate and tables counts at every position, too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.room_errors import heard_changes
+
+SABINE = rt.Sabine()
+PAIRS = (("S", "R1"), ("S", "R2"))
+STATED = {
+    "volume_sigma": 0.04,
+    "area_sigma": {"floor": 0.1, "ceiling": 0.02},
+    "common_area_sigma": 0.03,
+    "climate_sigma": (0.0, 5.0),
+}
+
+
+def room_of(**stated: object) -> rt.Room:
+    return rt.Room(
+        name="box",
+        volume=105,
+        materials=["floor", "ceiling", "wall"],
+        areas=[35.0, 35.0, 66.0],
+        alpha=[[0.2, 0.3], [0.5, 0.6], [0.1, 0.15]],
+        sigma=[[0.04, 0.06], [0.1, 0.12], [0.02, 0.03]],
+        centre_frequencies=[1000, 4000],
+        air=Air(20.0, 50.0),
+        **stated,  # type: ignore[arg-type]
+    )
+
+
+def logarithm(room: rt.Room) -> np.ndarray:
+    return np.log(SABINE.reverberation_time(room))
+
+
+def derivatives(room: rt.Room) -> np.ndarray:
+    """Of log T by every coefficient, (n_bands, n_materials * n_bands)."""
+    step, columns = 1e-6, []
+    for place in np.ndindex(room.alpha.shape):
+        alpha = room.alpha.copy()
+        alpha[place] += step
+        columns.append((logarithm(room.replace(alpha=alpha)) - logarithm(room)) / step)
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("of_level", [False, True])
+def test_changes_are_those_of_the_equation(of_level: bool) -> None:
+    room = room_of(**STATED)
+    got = heard_changes(room, derivatives(room), np.full(2, of_level))
+    step = 1e-4
+
+    def moved(**changes: object) -> np.ndarray:
+        return (logarithm(room.replace(**changes)) - logarithm(room)) / step
+
+    expected = [
+        # A larger volume at the same absorption area keeps the level, which here stands for nothing.
+        0.04 * (np.zeros(2) if of_level else moved(volume=105 * (1 + step))),
+        0.03 * moved(areas=room.areas * (1 + step)),
+        *(
+            sigma * moved(areas=room.areas * (1 + step * (np.arange(3) == i)))
+            for i, sigma in enumerate((0.1, 0.02, 0.0))
+        ),
+        np.zeros(2),
+        (logarithm(room.with_air(Air(20.0, 45.0))) - logarithm(room.with_air(Air(20.0, 55.0)))) / 2,
+    ]
+    np.testing.assert_allclose(got, expected, rtol=0.02, atol=1e-6)
+
+
+def calibrated(room: rt.Room, factor: float) -> rt.loop.PositionsResult:
+    """Calibrated to T that is ``factor`` times the room's at two pairs, heard by an equation."""
+
+    def program(alpha: np.ndarray, seed: int) -> rt.Measurement:
+        t = SABINE.time(room, room.areas @ alpha)
+        return rt.Measurement(
+            centre_frequencies=room.centre_frequencies, pairs=PAIRS, values={"t20": [t, t]}
+        )
+
+    simulator = rt.simulators.External(room=room, run=program, name="Sabine")
+    t = factor * SABINE.reverberation_time(room)
+    measured = rt.Measurement(
+        centre_frequencies=room.centre_frequencies,
+        pairs=PAIRS,
+        values={"t20": [t, t]},
+        uncertainty={"t20": [0.01 * t, 0.01 * t]},
+    )
+    controls = rt.loop.ControlRuns(
+        parameters=("t20",), pairs=PAIRS, errors=0.01 * np.ones((4, 1, 2, room.n_bands))
+    )
+    return rt.calibrate_positions(simulator, room, measured, ("t20",), controls=controls)
+
+
+@pytest.mark.parametrize(
+    "stated", [{"volume_sigma": 0.1}, {"area_sigma": 0.1}, {"common_area_sigma": 0.1}]
+)
+def test_coefficients_carry_less_of_what_the_room_explains(stated: dict[str, float]) -> None:
+    exact, uncertain = room_of(), room_of(**stated)
+    taken = [calibrated(room, 1.1) for room in (exact, uncertain)]
+    shift = [np.abs(result.room.alpha - exact.alpha) for result in taken]
+    assert (shift[1] < 0.9 * shift[0]).all()
+    assert np.abs(taken[1].gap_after).mean() > np.abs(taken[0].gap_after).mean()
+    # Each coefficient is as uncertain as before, or more: the same data tell less.
+    assert (taken[1].room.sigma >= taken[0].room.sigma * (1 - 1e-9)).all()
+    assert any("volume 10 %" in note or "areas" in note for note in taken[1].notes)
+    # The equation's own calibration shares out T alike.
+    t = 1.1 * SABINE.reverberation_time(exact)
+    measured = rt.Measurement.from_values(exact.centre_frequencies, t20=t)
+    soft = [rt.calibrate(room, measured, "soft", SABINE) for room in (exact, uncertain)]
+    by_equation = (soft[1].alpha - exact.alpha) / (soft[0].alpha - exact.alpha)
+    assert (by_equation < 1).all()
+
+
+def test_tables_that_are_off_together_move_together() -> None:
+    exact, together = room_of(), room_of(common_alpha_sigma=0.3)
+    alone, common = (
+        calibrated(room, 1 / 1.2).room.alpha / exact.alpha for room in (exact, together)
+    )
+    assert np.ptp(common) < np.ptp(alone)
+
+
+def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None:
+    room = room_of(volume_sigma=0.1)
+    simulator = rt.simulators.External(
+        room=room,
+        name="Sabine",
+        run=lambda alpha, seed: rt.Measurement.from_values(
+            room.centre_frequencies, t20=1.05 * SABINE.time(room, room.areas @ alpha)
+        ),
+    )
+    t = 1.2 * SABINE.reverberation_time(room)
+    measured = rt.Measurement.from_values(room.centre_frequencies, t20=t)
+    result = rt.calibrate_simulator(simulator, room, measured, equation=SABINE, tolerance=0.01)
+    np.testing.assert_allclose(result.gap, 0, atol=0.01)
+    expected = rt.calibrate(room, result.loop.best_target, "mle", SABINE)
+    np.testing.assert_allclose(result.of_uncertain_room.alpha, expected.alpha, rtol=1e-9)
+    assert (result.of_uncertain_room.alpha > result.alpha + 1e-3).all()
+    assert "volume 10 %" in " ".join(str(result).split())
+    exact = rt.calibrate_simulator(simulator, room_of(), measured, equation=SABINE, tolerance=0.01)
+    assert exact.of_uncertain_room is None
