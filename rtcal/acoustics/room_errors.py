@@ -95,7 +95,7 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
 
 
 def heard_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Array:
-    """Return the changes of what a simulator hears by one standard deviation each, (n_changes, n_values).
+    """Return the changes of heard values by one standard deviation each, (n_changes, n_values).
 
     In the order of `target_changes`. An area that is larger by a share absorbs as coefficients that are
     larger by that share. A larger volume decays as smaller coefficients do, and keeps the level. The

@@ -193,7 +193,7 @@ class Loop(Result):
     def of_uncertain_room(self) -> CalibrationResult | None:
         """The calibration to the targets of `outcome`, with the room as uncertain as it states.
 
-        Its coefficients leave their share to the volume, the areas and the climate. The simulator, which
+        Its coefficients leave their share to volume, areas and climate. The simulator, which
         has the stated room, does not have the measured T with them. None for an exact room.
         """
         if not self.room.is_uncertain or not self.steps:
