@@ -94,12 +94,28 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
     return np.where(np.isfinite(b), changes, 0.0)
 
 
+def alike_alpha(room: Room) -> Array:
+    """Return changes of alpha that act as the room's errors do, (n_changes, n_materials, n_bands).
+
+    One standard deviation each, in the order of `target_changes`. An area that is larger by a share
+    absorbs as coefficients that are larger by that share. A larger volume decays as smaller ones do. The
+    air's change of m absorbs as 4 m V / S on every surface.
+    """
+    of_air = 4 * room.volume / room.total_area * np.ones((room.n_materials, 1))
+    own = np.eye(room.n_materials)[:, :, np.newaxis] * room.area_sigma[:, np.newaxis, np.newaxis]
+    return np.concatenate(
+        [
+            np.array([[[-room.volume_sigma]], [[room.common_area_sigma]]]) * room.alpha,
+            own * room.alpha,
+            [of_air * m for m in _of_climate(room, lambda changed: changed.air_attenuation)],
+        ]
+    )
+
+
 def heard_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Array:
     """Return the changes of heard values by one standard deviation each, (n_changes, n_values).
 
-    In the order of `target_changes`. An area that is larger by a share absorbs as coefficients that are
-    larger by that share. A larger volume decays as smaller coefficients do, and keeps the level. The
-    air's change of m absorbs as 4 m V / S on every surface.
+    Those of `alike_alpha`; but a larger volume keeps the level.
 
     Parameters
     ----------
@@ -110,18 +126,10 @@ def heard_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Arr
     of_level : array of bool (n_values,)
         Which values are levels.
     """
-    slopes = matrix.reshape(-1, *room.alpha.shape)
-    of_areas = (slopes * room.alpha).sum(axis=2).T
-    together = of_areas.sum(axis=0)
-    of_air = 4 * room.volume / room.total_area * slopes.sum(axis=1)
-    return np.vstack(
-        [
-            -room.volume_sigma * np.where(of_level, 0.0, together),
-            room.common_area_sigma * together,
-            room.area_sigma[:, np.newaxis] * of_areas,
-            *(of_air @ m for m in _of_climate(room, lambda changed: changed.air_attenuation)),
-        ]
-    )
+    alike = alike_alpha(room)
+    changes = alike.reshape(len(alike), -1) @ matrix.T
+    changes[0, of_level] = 0.0
+    return np.asarray(changes)
 
 
 def _of_climate(room: Room, quantity: Callable[[Room], Array]) -> tuple[Array, Array]:

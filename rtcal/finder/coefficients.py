@@ -41,9 +41,12 @@ class Directions:
 def directions(case: Case, power: float = POWER) -> Directions:
     """Return the changes of alpha in which the coefficients of a case may be off together.
 
-    They fall with the ``power`` of the stated relative sigma, below a handbook's.
+    They fall with the ``power`` of the stated relative sigma, below a handbook's. What the room states
+    of its volume, its areas and its tables comes on top.
     """
     room = case.room
+    stated = (room.volume_sigma, room.common_area_sigma, room.common_alpha_sigma)
+    together = float(np.linalg.norm(stated))
     common, own = [], []
     for c in case.configurations:
         alpha, sigma = np.array(room.alpha), np.array(room.sigma)
@@ -52,8 +55,12 @@ def directions(case: Case, power: float = POWER) -> Directions:
             row = room.material_index(material)
             alpha[row], sigma[row], changed[row] = change.alpha, change.sigma, True
         both, each = common_error_columns(alpha, sigma, room.centre_frequencies, power)
+        each = np.where(changed, 0.0, each)
+        # A factor of all coefficients, or of a material's: so errors of volume and areas act, too.
+        both[0] = np.hypot(both[0], together * alpha)
+        each[0] = np.hypot(each[0], room.area_sigma[:, np.newaxis] * alpha)
         common.append(both)
-        own.append(np.where(changed, 0.0, each))
+        own.append(each)
     return Directions(np.array(common), np.array(own))
 
 

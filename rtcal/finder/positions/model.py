@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import observable
+from rtcal.acoustics.room_errors import alike_alpha
 from rtcal.errors import DataError
 from rtcal.finder.coefficients import SCALES
 from rtcal.finder.positions import unevenness
@@ -234,4 +235,6 @@ def _prior(case: Case, slopes: Array, air: Array) -> tuple[Array, Array]:
     together = matrix @ usual.reshape(len(usual), -1).T
     climate = interpolation(AIR, climate_error(case))  # (2, n_bands, n_nodes)
     shifts = np.einsum("krn,tkn->krt", air, climate).reshape(n_bands * n_values, -1)
-    return np.hstack([own, shifts, together]), together
+    of_room = alike_alpha(case.room)[:-2]  # its climate counts by the case's own uncertainty
+    of_room = of_room[of_room.any(axis=(1, 2))].reshape(-1, matrix.shape[1])
+    return np.hstack([own, shifts, matrix @ of_room.T, together]), together

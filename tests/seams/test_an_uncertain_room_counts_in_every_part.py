@@ -1,6 +1,8 @@
-"""A law: what a room states of its volume, areas, climate and tables counts at every position, too."""
+"""A law: what a room states of its volume, areas, climate and tables counts in every part."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room_errors import heard_changes
+from rtcal.finder.positions.model import _prior
+from rtcal.finder.positions.responses import AIR
 
 SABINE = rt.Sabine()
 PAIRS = (("S", "R1"), ("S", "R2"))
@@ -140,3 +144,37 @@ def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None
     assert "volume 10 %" in " ".join(str(result).split())
     exact = rt.calibrate_simulator(simulator, room_of(), measured, equation=SABINE, tolerance=0.01)
     assert exact.of_uncertain_room is None
+
+
+@pytest.mark.parametrize(
+    "stated", [{"volume_sigma": 0.1}, {"common_area_sigma": 0.1}, {"common_alpha_sigma": 0.1}]
+)
+def test_the_finder_doubts_an_uncertain_room_before_it_finds(stated: dict[str, float]) -> None:
+    exact, uncertain = (
+        room_of(**kind).replace(sigma=0.05 * room_of().alpha) for kind in ({}, stated)
+    )
+    t = 1.15 * SABINE.reverberation_time(exact)
+    measured = rt.Measurement.from_values(exact.centre_frequencies, t20=t)
+    score = [rt.find(room, measured).score for room in (exact, uncertain)]
+    assert score[1] < score[0] - 1.0
+
+
+@pytest.mark.parametrize("stated", [{"volume_sigma": 0.1}, {"area_sigma": 0.1}])
+def test_the_finder_at_positions_expects_what_the_room_may_be_off_by(
+    stated: dict[str, float],
+) -> None:
+    slopes = np.random.default_rng(0).uniform(-2, -1, (2, 5, 3))
+
+    def variance(room: rt.Room) -> np.ndarray:
+        case = SimpleNamespace(room=room)
+        factor, _ = _prior(case, slopes, np.zeros((2, 5, len(AIR))))
+        return (factor**2).sum(axis=1)
+
+    exact, uncertain = room_of(), room_of(**stated)
+    matrix = np.zeros((2, 5, 3, 2))
+    for k in range(2):
+        matrix[k, :, :, k] = slopes[k]
+    changes = heard_changes(uncertain, matrix.reshape(10, -1), np.zeros(10, dtype=bool))
+    np.testing.assert_allclose(
+        variance(uncertain) - variance(exact), (changes**2).sum(axis=0), rtol=1e-9
+    )
