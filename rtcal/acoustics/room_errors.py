@@ -97,9 +97,9 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
 def alike_alpha(room: Room) -> Array:
     """Return changes of alpha that act as the room's errors do, (n_changes, n_materials, n_bands).
 
-    One standard deviation each, in the order of `target_changes`. An area that is larger by a share
-    absorbs as coefficients that are larger by that share. A larger volume decays as smaller ones do. The
-    air's change of m absorbs as 4 m V / S on every surface.
+    One standard deviation each, in the order of `target_changes`. An area larger by a share absorbs as
+    coefficients larger by that share. A larger volume decays as smaller coefficients do. The air's
+    change of m absorbs as 4 m V / S on every surface.
     """
     of_air = 4 * room.volume / room.total_area * np.ones((room.n_materials, 1))
     own = np.eye(room.n_materials)[:, :, np.newaxis] * room.area_sigma[:, np.newaxis, np.newaxis]
