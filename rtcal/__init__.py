@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rtcal import finder as finder
     from rtcal import io as io
     from rtcal import loop as loop
+    from rtcal import modes as modes
     from rtcal import posterior as posterior
     from rtcal import prediction as prediction
     from rtcal import report as report
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from rtcal.finder.search import find as find
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
     from rtcal.loop.positions import calibrate_positions as calibrate_positions
+    from rtcal.modes.calibrate import calibrate_modes as calibrate_modes
     from rtcal.prediction.designed import design as design
     from rtcal.support.results import load as load
 else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 import click
@@ -18,6 +19,7 @@ from rtcal.command.console import (
     written,
 )
 from rtcal.command.measured import read_measured
+from rtcal.errors import DataError
 
 
 @click.command(short_help="Calibrate a room to measured reverberation times.")
@@ -39,6 +41,12 @@ from rtcal.command.measured import read_measured
     help="If no coefficients give the measured T: stop, or use the nearest T.",
 )
 @click.option(
+    "--modes",
+    type=click.Path(dir_okay=False),
+    help="Table (CSV) of measured modes: frequency, decay or T, and its uncertainty. Below the "
+    "Schroeder frequency their decays are matched, and T is one observation among them.",
+)
+@click.option(
     "--out",
     type=click.Path(file_okay=False),
     help="Folder for the calibrated room (room.toml), all numbers (result.json) and T(f) "
@@ -53,6 +61,7 @@ def calibrate(
     equation: LinearEquation,
     solver: str,
     unreachable: Literal["raise", "nearest"],
+    modes: str | None,
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -69,7 +78,14 @@ def calibrate(
 
     folder = output_folder("--out", out)
     if folder is not None:
-        result_folder.refuse_inputs(folder, [room, measured])
+        result_folder.refuse_inputs(folder, [p for p in (room, measured, modes) if p is not None])
+    if modes is not None:
+        if (method, solver, unreachable) != ("mle", "clarabel", "raise"):
+            raise DataError(
+                "--modes has a method of its own: leave out --method, --solver, --unreachable"
+            )
+        _by_modes(room, measured, modes, equation, folder, quiet=quiet, as_json=as_json)
+        return
     with without_air_warning():
         result = presets.calibrate(
             Room.from_file(room),
@@ -82,4 +98,33 @@ def calibrate(
     text = str(result)
     if folder is not None:
         text += "\n" + written(result_folder.write(result, folder))
+    tell(text, result.to_dict(), quiet=quiet, as_json=as_json)
+
+
+def _by_modes(
+    room: str,
+    measured: str,
+    modes: str,
+    equation: LinearEquation,
+    folder: Path | None,
+    *,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Calibrate to measured modes and T, and tell the result."""
+    from rtcal.acoustics.room import Room
+    from rtcal.modes.calibrate import calibrate_modes
+    from rtcal.modes.measured import read
+    from rtcal.report import result_folder
+
+    with without_air_warning():
+        result = calibrate_modes(
+            Room.from_file(room),
+            read(modes),
+            read_measured(measured, quiet=quiet),
+            equation=equation,
+        )
+    text = str(result)
+    if folder is not None:
+        text += "\n" + written(result_folder.write_with_figures(result, folder, {}))
     tell(text, result.to_dict(), quiet=quiet, as_json=as_json)

@@ -17,6 +17,7 @@ from rtcal.support.results import NUMBERS
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
     from rtcal.loop.positions_result import PositionsResult
+    from rtcal.modes.result import ModesResult
     from rtcal.simulators.geometry import Polyhedron
 
 ROOM, FIGURE = "room.toml", "reverberation_time.png"
@@ -67,7 +68,7 @@ def write_positions(
 
 
 def write_with_figures(
-    result: CalibrationResult | PositionsResult,
+    result: CalibrationResult | PositionsResult | ModesResult,
     folder: Path,
     draw: Mapping[str, Callable[[], Any]],
 ) -> list[Path]:

@@ -1,0 +1,17 @@
+"""Room modes below the Schroeder frequency: what their decays say of each wall."""
+
+from typing import TYPE_CHECKING
+
+from rtcal.support import lazy
+
+if TYPE_CHECKING:
+    from rtcal.modes.box import box_modes as box_modes
+    from rtcal.modes.calibrate import calibrate_modes as calibrate_modes
+    from rtcal.modes.measured import MeasuredModes as MeasuredModes
+    from rtcal.modes.measured import read as read
+    from rtcal.modes.paris import absorption as absorption
+    from rtcal.modes.paris import admittance as admittance
+    from rtcal.modes.result import ModesResult as ModesResult
+    from rtcal.modes.room_modes import RoomModes as RoomModes
+else:
+    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -1,0 +1,458 @@
+"""Calibrate a room to the decays of its modes: Gauss-Newton steps that are each a QP.
+
+    minimise ½ (d - D(alpha))' C⁻¹ (d - D(alpha)) + the prior
+    subject to T matched above the Schroeder frequency,
+
+with d the measured decays and D those of the room's poles (`rtcal.modes.room_modes`), which are
+linearised at the last answer. Below the Schroeder frequency T is one more observation, whose error
+counts that no field is diffuse there. C is the sum of what was measured, of the model, and of what
+admittance does between the bands (`rtcal.modes.frequency`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
+from rtcal.acoustics.room import Room
+from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
+from rtcal.calibration.nonlinear import Taken, gauss_newton
+from rtcal.calibration.presets import preset
+from rtcal.calibration.problem import Calibration
+from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.terms import LinearObservations, Observed, as_objective
+from rtcal.errors import DataError
+from rtcal.io import geometry_files
+from rtcal.modes.frequency import AtFrequencies
+from rtcal.modes.matching import Matches, match
+from rtcal.modes.measured import MeasuredModes
+from rtcal.modes.paris import admittance, admittance_slope
+from rtcal.modes.polyhedron import modes_of
+from rtcal.modes.result import ModesResult
+from rtcal.modes.room_modes import Poles, RoomModes
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.types import Array
+
+MODES = LinearObservations("modes")
+
+CORRELATION = 0.8
+"""Correlation of a coefficient's error an octave apart, where the room states none."""
+MODEL_ERROR = 0.05
+"""Relative standard deviation of a calculated decay: geometry, admittance that varies over a wall."""
+T_ERROR = 0.2
+"""Relative standard deviation of T from an equation below the Schroeder frequency."""
+_NONE = (
+    "none of the {} measured modes is surely a calculated one: check dimensions, temperature and the "
+    "modes' frequencies"
+)
+_ABOVE = 1.08
+"""Modes are calculated up to this times the highest measured frequency."""
+_STEPS = 5
+_HALVINGS = 3
+_SETTLED = 0.1
+"""Share of a decay's uncertainty by which the linearised decay may be off the model's own."""
+
+
+@checked
+def calibrate_modes(
+    room: Room,
+    modes: MeasuredModes,
+    measured: Measurement | Sequence[float] | Array | None = None,
+    *,
+    geometry: Polyhedron | None = None,
+    room_modes: RoomModes | None = None,
+    equation: LinearEquation | None = None,
+    frequency_correlation: float | None = None,
+    model_error: float = MODEL_ERROR,
+    t_error: float = T_ERROR,
+    phases: Mapping[str, float] | None = None,
+) -> ModesResult:
+    """Calibrate a room's coefficients to the decays of its modes, together with T.
+
+    Parameters
+    ----------
+    room : Room
+        Its alpha and sigma are the prior. It states a mesh, or dimensions and a surface per wall.
+    modes : MeasuredModes
+        As `rtcal.modes.read` reads them, or `rtcal.modes.find_modes` finds them in responses.
+    measured : Measurement, or T in s, (n_bands,), optional
+        Matched exactly above the Schroeder frequency. Below it T is one observation among the modes.
+    geometry : Polyhedron, optional
+        In place of the room's scene.
+    room_modes : RoomModes, optional
+        Modes that were calculated before, of this room's materials.
+    equation : Equation, optional
+        `rtcal.Eyring` if not given.
+    frequency_correlation : float, optional
+        Correlation of a coefficient's error an octave apart, 0 to below 1; by default the room's
+        ``band_correlation`` where it states one, else 0.8.
+    model_error : float
+        Relative standard deviation of a calculated decay.
+    t_error : float
+        Relative standard deviation of the equation's T below the Schroeder frequency.
+    phases : mapping of material to float, optional
+        Phase of its admittance in degrees; 0, a real admittance, where it is not stated.
+
+    Returns
+    -------
+    ModesResult
+
+    Raises
+    ------
+    DataError
+        If an argument breaks its rule, the room has no geometry, or no mode could be matched.
+    ModelError, InfeasibleError, SolverError
+        As `rtcal.calibrate`.
+    MissingDependencyError
+        If the room is no box and scikit-fem is not installed (``rtcal[modes]``).
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> sides, walls = (5.2, 4.1, 2.6), rt.simulators.geometry.SHOEBOX_WALLS
+    >>> box = rt.simulators.Polyhedron.shoebox(sides, dict(zip(walls, walls)))
+    >>> materials = [rt.Material(w, [0.1], [0.05]) for w in walls]
+    >>> room = rt.Room.from_geometry(box, name="box", materials=materials, centre_frequencies=[63],
+    ...                              dimensions=sides, air=rt.Air(20, 50))
+    >>> heard = rt.modes.MeasuredModes(frequencies=[33.0, 41.9, 53.3], decays=[8, 5, 7],
+    ...                                decay_uncertainty=[0.4, 0.3, 0.4])
+    >>> result = rt.calibrate_modes(room, heard)
+    >>> print(result.before.round(1), result.after.round(1))
+    [4.9 5.1 6. ] [5.9 5.4 6.9]
+    """
+    _check(room, model_error, t_error)
+    if not isinstance(modes, MeasuredModes):
+        raise DataError(
+            f"modes = {checks.shown(modes)} is no MeasuredModes; rtcal.modes.read reads a table, and "
+            "rtcal.modes.find_modes finds them in responses"
+        )
+    correlation = _correlation(room, frequency_correlation)
+    if room_modes is None:
+        geometry = geometry_files.read(room) if geometry is None else geometry
+        top = _ABOVE * float(modes.frequencies[-1])
+        room_modes = modes_of(geometry, top, (room.air or Air()).speed_of_sound)
+    if not room_modes.wanted:
+        raise DataError(_NONE.format(len(modes.frequencies)))
+    smooth = room.replace(band_correlation=correlation)
+    model = _Model(smooth, room_modes, correlation, _phases(room, phases))
+    every = model.poles(room.alpha)
+    patterns = _patterns(room, room_modes, every, modes)
+    found = match(modes, every.frequencies, every.decays, patterns)
+    if not len(found.measured):
+        raise DataError(_NONE.format(len(modes.frequencies)))
+    times = no_times(room) if measured is None else times_in_room(room, measured)
+    low = _below_schroeder(room, times)
+    data = _Data(
+        model=replace(model, chosen=tuple(found.calculated.tolist()), known={}),
+        decays=modes.decays[found.measured],
+        uncertainty=modes.decay_uncertainty[found.measured],
+        model_error=model_error,
+        times=times,
+        low=low,
+        t_error=t_error,
+        equation=Eyring() if equation is None else equation,
+    )
+    problem = _problem(smooth, data)
+
+    def linearised(at: Array) -> _Linearised:
+        return _Linearised.of(data, problem, at)
+
+    def settled(step: Taken[_Linearised]) -> bool:
+        return step.model.error(step.model.towards(step.share)) < _SETTLED
+
+    path = gauss_newton(room.alpha, linearised, most=_STEPS, halvings=_HALVINGS, settled=settled)
+    return _result(room, modes, found, room_modes, model, every, data, path)
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """The room's poles as functions of alpha in its bands."""
+
+    room: Room
+    modes: RoomModes
+    correlation: float
+    phases: Array
+    chosen: tuple[int, ...] | None = None
+    known: dict[bytes, tuple[Array, Array, Array]] = field(default_factory=dict)
+
+    @cached_property
+    def at(self) -> AtFrequencies:
+        """The coefficients at the modes' frequencies, those that complete the shapes as well."""
+        return AtFrequencies.of(self.room, self.modes.frequencies, self.correlation)
+
+    @cached_property
+    def rows(self) -> list[int]:
+        """The material of each wall."""
+        return [self.room.material_index(m) for m in self.modes.materials]
+
+    def poles(self, alpha: Array) -> Poles:
+        """Return the poles; the admittance between the modes' frequencies is interpolated."""
+        f = self.modes.frequencies
+        beta = self.beta(self.at.alpha(alpha))
+
+        def admittances(frequency: float) -> NDArray[np.complex128]:
+            return np.array([np.interp(frequency, f, row) for row in beta])[self.rows]
+
+        return self.modes.poles(admittances, self.chosen)
+
+    def beta(self, alpha: Array) -> NDArray[np.complex128]:
+        """Return the admittance of each material, of alpha (n_materials, n_frequencies)."""
+        return np.stack([admittance(a, p) for a, p in zip(alpha, self.phases, strict=True)])
+
+    def linear(self, alpha: Array) -> tuple[Array, Array, Array]:
+        """Return the chosen modes' decays, their slopes by alpha in the bands, and the remainder.
+
+        (n_modes,), (n_modes, n_materials * n_bands) and (n_modes, n_modes), in 1/s.
+        """
+        key = alpha.tobytes()
+        if key not in self.known:
+            self.known[key] = self._linear(alpha)
+        return self.known[key]
+
+    def _linear(self, alpha: Array) -> tuple[Array, Array, Array]:
+        poles, columns = self.poles(alpha), list(self.chosen or ())
+        at = self.at.alpha(alpha)[:, columns]
+        beta_slope = np.stack(
+            [admittance_slope(a, p) for a, p in zip(at, self.phases, strict=True)]
+        )
+        by_material = np.zeros((len(columns), self.room.n_materials), dtype=complex)
+        for wall, row in enumerate(self.rows):
+            by_material[:, row] += poles.slopes[:, wall]
+        # Of delta by alpha at the mode's own frequency.
+        slope = -(by_material * beta_slope.T).real
+        matrix = slope[:, :, np.newaxis] * self.at.slope()[:, columns].transpose(1, 0, 2)
+        in_sigmas = slope * self.at.sigma[:, columns].T
+        remainder = (in_sigmas @ in_sigmas.T) * self.at.remainder[np.ix_(columns, columns)]
+        air = self.room.air_attenuation * self.modes.speed_of_sound / 2
+        decays = poles.decays + np.interp(poles.frequencies, self.room.centre_frequencies, air)
+        return decays, matrix.reshape(len(columns), -1), remainder
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """The measured decays and T, and the errors of what is compared."""
+
+    model: _Model
+    decays: Array
+    uncertainty: Array
+    model_error: float
+    times: MeasuredTimes
+    low: NDArray[np.bool_]
+    t_error: float
+    equation: LinearEquation
+
+    @cached_property
+    def covariance_of_decays(self) -> Array:
+        """Of the measured decays less those of the model at the prior's slopes, in 1/s²."""
+        decays, _, remainder = self.model.linear(self.model.room.alpha)
+        own = self.uncertainty**2 + (self.model_error * decays) ** 2
+        return np.asarray(remainder + np.diag(own))
+
+    @cached_property
+    def of_times(self) -> tuple[Array, Array, Array]:
+        """S, b and u_b of T below the Schroeder frequency, as rows over alpha."""
+        room, t = self.model.room, self.times.reverberation_time
+        bands = np.flatnonzero(self.low & np.isfinite(t))
+        matrix = np.zeros((len(bands), room.n_materials, room.n_bands))
+        matrix[np.arange(len(bands)), :, bands] = room.areas
+        relative = np.nan_to_num(self.times.uncertainty[bands]) / t[bands]
+        spread = np.hypot(relative, self.t_error) * t[bands]
+        slope = np.abs(self.equation.target_sensitivity(room, t)[bands])
+        b = self.equation.target(room, t)[bands]
+        if not np.isfinite(b).all():
+            raise DataError("T below the Schroeder frequency is beyond what the equation can have")
+        return matrix.reshape(len(bands), room.alpha.size), b, slope * spread
+
+    @property
+    def above(self) -> Array:
+        """T in s above the Schroeder frequency, (n_bands,); NaN below it."""
+        return np.where(self.low, np.nan, self.times.reverberation_time)
+
+    def observed(self, alpha: Array) -> tuple[Observed, Array]:
+        """Return all rows, linearised at alpha, and the decays there."""
+        decays, matrix, _ = self.model.linear(alpha)
+        values = self.decays - decays + matrix @ alpha.ravel()
+        of_t, b, u_b = self.of_times
+        n, k = len(values), len(b)
+        covariance = np.zeros((n + k, n + k))
+        covariance[:n, :n] = self.covariance_of_decays
+        covariance[n:, n:] = np.diag(u_b**2)
+        numbers = Observed(
+            matrix=np.vstack([matrix, of_t]),
+            values=np.concatenate([values, b]),
+            covariance=covariance,
+        )
+        return numbers, decays
+
+    def misfit(self, decays: Array, alpha: Array) -> float:
+        """Return half the squared misfit of decays and T in their uncertainty."""
+        off = self.decays - decays
+        matrix, b, u_b = self.of_times
+        of_t = (b - matrix @ alpha.ravel()) / u_b
+        return float(off @ np.linalg.solve(self.covariance_of_decays, off) + of_t @ of_t) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """The decays, linearised at ``alpha``, and the answer of the QP."""
+
+    data: _Data
+    alpha: Array
+    observed: Observed
+    decays: Array
+    answer: CalibrationResult
+
+    @classmethod
+    def of(cls, data: _Data, problem: Any, alpha: Array) -> _Linearised:
+        observed, decays = data.observed(alpha)
+        t = data.above if np.isfinite(data.above).any() else None
+        answer = problem.solve(t, observed={MODES: observed}, method="modes")
+        return cls(data, alpha, observed, decays, answer)
+
+    def towards(self, share: Array) -> Array:
+        """Return alpha at this share of the way to the answer."""
+        return np.asarray(self.alpha + float(share[0]) * (self.answer.alpha - self.alpha))
+
+    def worse(self, end: Array) -> NDArray[np.bool_]:
+        """Return whether the decays themselves are farther from those measured than at the start.
+
+        The prior pulls too: the misfit may rise to the linear answer's own.
+        """
+        n = len(self.decays)
+        linear = self.observed.matrix[:n] @ (end - self.alpha).ravel() + self.decays
+        now, expected = (
+            self.data.misfit(d, a) for d, a in ((self.decays, self.alpha), (linear, end))
+        )
+        decays = self.data.model.linear(end)[0]
+        return np.array([self.data.misfit(decays, end) > max(now, expected) + 0.5])
+
+    def error(self, end: Array) -> float:
+        """Return the largest error of the linearised decays at ``end``, in their uncertainty."""
+        n = len(self.decays)
+        linear = self.decays + self.observed.matrix[:n] @ (end - self.alpha).ravel()
+        off = np.abs(self.data.model.linear(end)[0] - linear)
+        return float((off / np.sqrt(np.diag(self.data.covariance_of_decays))).max())
+
+
+def _problem(room: Room, data: _Data) -> Any:
+    """Return the compiled QP: the room's prior, the modes, and T where it is exact."""
+    plain = preset("mle", room)
+    above = np.isfinite(data.above).any()
+    objective = as_objective(plain.objective) + MODES
+    constraints = plain.constraints if above else ()
+    return Calibration(objective, constraints).build(room, data.equation)
+
+
+def _result(
+    room: Room,
+    modes: MeasuredModes,
+    found: Matches,
+    room_modes: RoomModes,
+    model: _Model,
+    every: Poles,
+    data: _Data,
+    path: Any,
+) -> ModesResult:
+    last = path.steps[-1].model
+    after = model.poles(path.end)
+    n = len(data.decays)
+    notes = list(modes.notes)
+    if len(found.ambiguous):
+        where = ", ".join(f"{f:.1f}" for f in modes.frequencies[found.ambiguous])
+        notes.append(f"Not used, since not surely one calculated mode: {where} Hz.")
+    if not path.settled:
+        notes.append(
+            "Not settled: the last step still moved decays by a tenth of their uncertainty."
+        )
+    return ModesResult(
+        prior=room,
+        alpha=np.clip(path.end, 0.0, 1.0),
+        answer=last.answer,
+        modes=modes,
+        used=found.measured,
+        matched=found.calculated,
+        probability=found.probability,
+        scale=found.scale,
+        frequencies=every.frequencies,
+        decays_before=every.decays,
+        decays_after=after.decays,
+        matrix=last.observed.matrix[:n],
+        covariance=last.observed.covariance[:n, :n],
+        below=data.low,
+        data=data.times,
+        steps=len(path.steps),
+        settled=path.settled,
+        notes=tuple(notes),
+    )
+
+
+def _below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
+    """Return which bands lie below the Schroeder frequency; all where no T was measured."""
+    t = times.reverberation_time
+    if not np.isfinite(t).any():
+        return np.ones(room.n_bands, dtype=bool)
+    middle = mid_frequency_time(t, room.centre_frequencies)
+    limit = float(schroeder_frequency(np.array(middle), room.volume))
+    return np.asarray(room.centre_frequencies < limit)
+
+
+def _patterns(
+    room: Room, modes: RoomModes, poles: Poles, measured: MeasuredModes
+) -> NDArray[np.complex128] | None:
+    """Return the poles' patterns over the measured pairs, (n_poles, n_pairs), where both are known."""
+    if measured.amplitudes is None or not measured.pairs:
+        return None
+    scene = room.scene
+    for source, receiver in measured.pairs:
+        if source not in scene.sources or receiver not in scene.receivers:
+            raise DataError(
+                f"pairs: {source} to {receiver} has no place; the room's scene has sources "
+                f"{', '.join(scene.sources) or 'none'} and receivers "
+                f"{', '.join(scene.receivers) or 'none'}"
+            )
+    at = [
+        modes.shapes(np.array([of[name] for name in names], dtype=float)) @ poles.mixtures
+        for of, names in (
+            (scene.sources, [s for s, _ in measured.pairs]),
+            (scene.receivers, [r for _, r in measured.pairs]),
+        )
+    ]
+    return np.asarray((at[0] * at[1]).T)
+
+
+def _phases(room: Room, phases: Mapping[str, float] | None) -> Array:
+    stated = checks.mapped("phases", phases or {})
+    out = np.zeros(room.n_materials)
+    for name, value in stated.items():
+        out[room.material_index(name)] = checks.number(f'phases["{name}"]', value)
+    return out
+
+
+def _correlation(room: Room, stated: float | None) -> float:
+    if stated is None:
+        return room.band_correlation or CORRELATION
+    value = checks.number("frequency_correlation", stated)
+    if not 0 <= value < 1:
+        raise DataError(f"frequency_correlation = {value:g} is not from 0 to below 1")
+    return value
+
+
+def _check(room: Room, model_error: float, t_error: float) -> None:
+    if not isinstance(room, Room):
+        raise DataError(f"room = {checks.shown(room)} is not a rtcal.Room")
+    for name, value in (("model_error", model_error), ("t_error", t_error)):
+        if not 0 <= checks.number(name, value) < 1:
+            raise DataError(f"{name} = {value:g} is not from 0 to below 1")
+    if not t_error:
+        raise DataError("t_error = 0: below the Schroeder frequency no equation is exact")

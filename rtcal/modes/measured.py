@@ -1,0 +1,233 @@
+"""Modes as they were measured: frequency, decay, their uncertainty and pattern over positions."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.errors import DataError
+from rtcal.modes.room_modes import DECAY
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.files import read_text
+from rtcal.support.types import Array, read_only
+
+__all__ = ["MeasuredModes", "read"]
+__dir__ = __all__.copy
+
+MAX_BYTES = 2**20
+_LARGEST_FREQUENCY = 1000.0
+_COLUMNS = {
+    "frequency": ("frequency", "f", "f / hz", "f/hz", "frequency / hz", "frequency (hz)"),
+    "decay": ("decay", "delta", "decay / 1/s", "decay (1/s)"),
+    "t": ("t", "t60", "rt", "mt60", "t / s", "t60 / s", "t (s)", "t60 (s)"),
+    "u_decay": ("u_decay", "decay uncertainty", "u_delta"),
+    "u_t": ("u_t", "t uncertainty", "u_t60"),
+    "u_frequency": ("u_frequency", "frequency uncertainty", "u_f"),
+}
+
+
+@checked
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredModes:
+    """Modes of a measurement.
+
+    Parameters
+    ----------
+    frequencies : array (n_modes,)
+        Hz, above 0, rising.
+    decays : array (n_modes,)
+        Delta in 1/s, above 0: the pressure falls as exp(-delta t). It is 6.91 / T.
+    decay_uncertainty : array (n_modes,)
+        Standard uncertainty of delta in 1/s, above 0.
+    frequency_uncertainty : array (n_modes,), optional
+        Hz; a hundredth of a hertz where it is not stated.
+    pairs : sequence of (source, receiver)
+        Names of the positions of the pattern.
+    amplitudes : complex array (n_modes, n_pairs), optional
+        Complex amplitude of each mode at each pair, all in one unit: its pattern over the positions.
+    notes : sequence of str
+        How they were found, and what was left out.
+
+    Raises
+    ------
+    DataError
+        For shapes that do not fit, or a value that breaks its rule.
+
+    Examples
+    --------
+    >>> modes = MeasuredModes(frequencies=[34.1, 42.7], decays=[5.2, 6.0], decay_uncertainty=[0.3, 0.4])
+    >>> print(modes.decay_times.round(2))
+    [1.33 1.15]
+    """
+
+    frequencies: Array
+    decays: Array
+    decay_uncertainty: Array
+    frequency_uncertainty: Array | None = None
+    pairs: Sequence[tuple[str, str]] = ()
+    amplitudes: NDArray[np.complex128] | None = None
+    notes: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        put("frequencies", read_only(checks.array("frequencies", self.frequencies).copy()))
+        n = self.frequencies.size
+        if n == 0:
+            raise DataError("frequencies is empty; at least one mode is needed")
+        if self.frequency_uncertainty is None:
+            put("frequency_uncertainty", np.full(n, 0.01))
+        for name in ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty"):
+            values = read_only(checks.array(name, getattr(self, name)).copy())
+            if values.shape != (n,):
+                raise DataError(f"{name} has shape {values.shape}; with {n} modes it is ({n},)")
+            if not (np.isfinite(values) & (values > 0)).all():
+                bad = int(np.argmin(np.isfinite(values) & (values > 0)))
+                raise DataError(f"{name}[{bad}] = {values[bad]:g} is not finite and above 0")
+            put(name, values)
+        if (np.diff(self.frequencies) <= 0).any():
+            bad = int(np.argmax(np.diff(self.frequencies) <= 0)) + 1
+            raise DataError(
+                f"frequencies[{bad}] = {self.frequencies[bad]:g} Hz is not above the one before it; "
+                "each mode is given once, in rising order"
+            )
+        if self.frequencies[-1] > _LARGEST_FREQUENCY:
+            raise DataError(
+                f"frequencies[{n - 1}] = {self.frequencies[-1]:g} Hz is above {_LARGEST_FREQUENCY:g} "
+                "Hz, where no room has single modes"
+            )
+        put("pairs", checks.pairs("pairs", self.pairs))
+        put("notes", tuple(checks.listed("notes", self.notes)))
+        if self.amplitudes is not None:
+            amplitudes = np.array(self.amplitudes, dtype=complex)
+            if amplitudes.shape != (n, len(self.pairs)):
+                raise DataError(
+                    f"amplitudes has shape {amplitudes.shape}; with {n} modes and {len(self.pairs)} "
+                    f"pairs it is ({n}, {len(self.pairs)})"
+                )
+            if not np.isfinite(amplitudes).all():
+                raise DataError("amplitudes has a value that is not finite")
+            put("amplitudes", amplitudes)
+
+    def __repr__(self) -> str:
+        f = self.frequencies
+        return (
+            f"<MeasuredModes: {f.size} from {f[0]:.1f} to {f[-1]:.1f} Hz, {len(self.pairs)} pairs>"
+        )
+
+    @property
+    def decay_times(self) -> Array:
+        """T of each mode in s, (n_modes,)."""
+        return np.asarray(DECAY / self.decays)
+
+    def only(self, chosen: Sequence[int] | NDArray[np.intp]) -> MeasuredModes:
+        """Return some of the modes, in their order."""
+        rows = np.sort(np.asarray(chosen, dtype=int))
+        inside = rows.size and rows[0] >= 0 and rows[-1] < self.frequencies.size
+        if not inside:
+            raise DataError(
+                f"chosen = {checks.shown(chosen)}: modes are 0 to {self.decays.size - 1}"
+            )
+        return MeasuredModes(
+            frequencies=self.frequencies[rows],
+            decays=self.decays[rows],
+            decay_uncertainty=self.decay_uncertainty[rows],
+            frequency_uncertainty=np.asarray(self.frequency_uncertainty)[rows],
+            pairs=self.pairs,
+            amplitudes=None if self.amplitudes is None else self.amplitudes[rows],
+            notes=self.notes,
+        )
+
+
+@checked
+def read(path: str | os.PathLike[str]) -> MeasuredModes:
+    r"""Read a table (CSV) of modes.
+
+    Columns: ``frequency`` in Hz; ``decay`` in 1/s or ``T`` in s; ``u_decay`` or ``u_T``, their standard
+    uncertainty; and ``u_frequency`` in Hz, which may be left out.
+
+    Raises
+    ------
+    DataError
+        For a file that cannot be read, a column that is missing, or a value that breaks its rule.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = folder + "/modes.csv"
+    ...     with open(path, "w") as file:
+    ...         _ = file.write("frequency,T,u_T\n34.1,1.33,0.05\n42.7,1.15,0.04\n")
+    ...     print(read(path))
+    <MeasuredModes: 2 from 34.1 to 42.7 Hz, 0 pairs>
+    """
+    place = os.fspath(checks.path("path", path))
+    text = read_text(path, MAX_BYTES)
+    separator = ";" if text.partition("\n")[0].count(";") else ","
+    rows = [r for r in csv.reader(io.StringIO(text), delimiter=separator) if any(map(str.strip, r))]
+    if len(rows) < 2:
+        raise DataError(f"{place}: a table of modes has a header and a row for each mode")
+    columns = _columns(rows[0], place)
+    values = {name: _column(rows, k, name, place) for name, k in columns.items()}
+    frequencies = values["frequency"]
+    if "decay" in values:
+        decays, uncertainty = values["decay"], values["u_decay"]
+    else:
+        _above_zero(values["t"], "T", place)
+        decays = DECAY / values["t"]
+        uncertainty = decays * values["u_t"] / values["t"]
+    order = np.argsort(frequencies, kind="stable")
+    stated = values.get("u_frequency")
+    try:
+        return MeasuredModes(
+            frequencies=frequencies[order],
+            decays=decays[order],
+            decay_uncertainty=uncertainty[order],
+            frequency_uncertainty=None if stated is None else stated[order],
+        )
+    except DataError as error:
+        raise DataError(f"{place}: {error}") from error
+
+
+def _columns(header: Sequence[str], place: str) -> Mapping[str, int]:
+    """Return the place of each column that is there; DataError unless the table is whole."""
+    columns: dict[str, int] = {}
+    for k, cell in enumerate(header):
+        for name, spellings in _COLUMNS.items():
+            if cell.strip().lower() in spellings:
+                if name in columns:
+                    raise DataError(f'{place}: the column "{cell.strip()}" stands there twice')
+                columns[name] = k
+    if "frequency" not in columns or ("decay" in columns) == ("t" in columns):
+        raise DataError(
+            f"{place}: the header is {', '.join(c.strip() for c in header)}; a table of modes has "
+            "frequency, and either decay (1/s) or T (s)"
+        )
+    needed = "u_decay" if "decay" in columns else "u_t"
+    if needed not in columns:
+        raise DataError(f'{place}: the column "{needed}" is missing: the standard uncertainty')
+    return columns
+
+
+def _column(rows: Sequence[Sequence[str]], k: int, name: str, place: str) -> Array:
+    values = []
+    for i, row in enumerate(rows[1:], 2):
+        cell = row[k].strip() if k < len(row) else ""
+        try:
+            values.append(float(cell))
+        except ValueError as error:
+            raise DataError(f'{place}, row {i}: {name} = "{cell}" is not a number') from error
+    return np.array(values)
+
+
+def _above_zero(values: Array, name: str, place: str) -> None:
+    if not (values > 0).all():
+        raise DataError(f"{place}: {name} = {values[~(values > 0)][0]:g} s is not above 0")

@@ -1,0 +1,120 @@
+"""Specific admittance of a locally reacting wall, and its random-incidence absorption coefficient.
+
+At the angle of incidence t a wall of specific admittance beta = 1 / z absorbs
+
+    alpha(t) = 4 Re(beta) cos t / |cos t + beta|²,
+
+and Paris' integral of alpha(t) sin 2t over t from 0 to 90° is the random-incidence coefficient. A real
+beta reaches at most 0.951, at beta = 0.638. Along a phase of beta alpha rises up to a largest value;
+`admittance` returns the smaller of the two admittances that have an alpha.
+
+References
+----------
+Paris 1928, Phil. Mag. 5; Kuttruff 2009, Room Acoustics, Eq. 2.41 and 2.42.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.errors import DataError
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.types import Array
+
+LARGEST = 0.9
+"""alpha above which beta follows its tangent: near the largest alpha, beta says nothing of alpha."""
+LARGEST_PHASE = 75.0
+"""Largest phase of beta in degrees: beyond it no alpha above 0.44 has an admittance."""
+
+_TABLE = np.geomspace(1e-5, 4.0, 1200)
+"""|beta| at which alpha is tabulated."""
+
+
+@checked
+def absorption(beta: NDArray[np.complex128] | Array) -> Array:
+    """Return the random-incidence absorption coefficient of specific admittances, same shape.
+
+    Raises DataError for an admittance that is not finite or whose real part is below 0.
+
+    Examples
+    --------
+    >>> print(absorption([0.01, 0.638, 0.02 + 0.05j]).round(3))
+    [0.073 0.951 0.133]
+    """
+    value = np.asarray(beta, dtype=complex)
+    if not np.isfinite(value).all() or (value.real < 0).any():
+        raise DataError(f"beta = {checks.shown(beta)} is not finite with a real part of 0 or more")
+    g, b = value.real, value.imag
+    size = g**2 + b**2
+    near = np.maximum(size, 1e-300)
+    # With cos t = x the integral is 8 g times that of x² / ((x + g)² + b²) over x from 0 to 1.
+    log = np.log(((1 + g) ** 2 + b**2) / near)
+    # The two branches of the arc meet where b is 0.
+    real = np.abs(b) < 1e-9
+    safe = np.where(real, 1.0, b)
+    arc = np.arctan2(safe, g * (1 + g) + b**2) / safe
+    arc = np.where(real, 1 / np.maximum(g * (1 + g), 1e-300), arc)
+    out = 8 * g * (1 - g * log + (g**2 - b**2) * arc)
+    return np.asarray(np.where(size > 0, out, 0.0))
+
+
+@checked
+def admittance(alpha: Array, phase: float = 0.0) -> NDArray[np.complex128]:
+    """Return the specific admittance of this random-incidence absorption coefficient, same shape.
+
+    Parameters
+    ----------
+    alpha : array
+        0 to 1. Above `LARGEST`, or nine tenths of the largest alpha of this phase, beta follows its
+        tangent.
+    phase : float
+        Of beta in degrees: 0 is a real admittance.
+
+    Raises
+    ------
+    DataError
+        For an alpha outside 0 to 1, or a phase beyond `LARGEST_PHASE`.
+
+    Examples
+    --------
+    >>> print(admittance(0.1).round(4), absorption(admittance(0.5)).round(6))
+    (0.014+0j) 0.5
+    """
+    value = checks.array("alpha", alpha)
+    if not ((value >= 0) & (value <= 1)).all():
+        raise DataError(f"alpha = {checks.shown(alpha)} is not within 0 and 1")
+    size, slope = _along(value, phase)
+    del slope
+    return np.asarray(size * np.exp(1j * np.radians(phase)))
+
+
+def admittance_slope(alpha: Array, phase: float = 0.0) -> NDArray[np.complex128]:
+    """Return d beta / d alpha, same shape; errors as `admittance`."""
+    return np.asarray(_along(alpha, phase)[1] * np.exp(1j * np.radians(phase)))
+
+
+def _along(alpha: Array, phase: float) -> tuple[Array, Array]:
+    """Return |beta| and its slope over alpha along a phase."""
+    if abs(checks.number("phase", phase)) > LARGEST_PHASE:
+        raise DataError(f"phase = {phase:g}° is beyond {LARGEST_PHASE:g}°")
+    turn = np.exp(1j * np.radians(phase))
+    table = absorption(_TABLE * turn)
+    top = min(LARGEST, 0.9 * float(table.max()))
+    rising = int(np.argmax(table > top)) + 1
+    alpha = np.asarray(alpha, dtype=float)
+    inside = np.minimum(alpha, top)
+    size = np.exp(np.interp(inside, table[:rising], np.log(_TABLE[:rising])))
+    size = np.where(inside < table[0], inside * _TABLE[0] / table[0], size)
+    for _ in range(4):  # Newton; the table is within 1 %
+        size = size - (absorption(size * turn) - inside) / _rise(size, turn)
+    slope = 1 / _rise(size, turn)
+    return np.asarray(size + (alpha - inside) * slope), slope
+
+
+def _rise(size: Array, turn: complex) -> Array:
+    """Return d alpha / d |beta| along a phase."""
+    step = 1e-4 * np.maximum(size, 1e-6)
+    ends = [absorption(np.maximum(size + sign * step, 0) * turn) for sign in (1, -1)]
+    return np.asarray((ends[0] - ends[1]) / (2 * step)) + np.where(size <= 0, 4.0, 0.0)

@@ -1,0 +1,296 @@
+"""The result of a calibration to modes: coefficients, decays, and which mode tells what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.materials import CalibrationRecord
+from rtcal.acoustics.quality import TrustMark
+from rtcal.acoustics.room import Room
+from rtcal.calibration.certificate import Certificate
+from rtcal.calibration.measured import MeasuredTimes, data_history
+from rtcal.calibration.result import CalibrationResult
+from rtcal.modes.measured import MeasuredModes
+from rtcal.modes.room_modes import DECAY
+from rtcal.support import html, text
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
+from rtcal.support.types import Array
+from rtcal.support.version import __version__
+
+KIND = "modes 1"
+CARRIED = 3
+"""Modes in or below a band from which its mark of the Schroeder frequency falls away."""
+_REACH = 2.0
+"""Ratio of frequencies within which a mode below the lowest band carries it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ModesResult(Result):
+    """A room calibrated to the decays of its modes.
+
+    Attributes
+    ----------
+    prior : Room
+        The room as it was given.
+    alpha : array (n_materials, n_bands)
+        The calibrated coefficients.
+    answer : CalibrationResult
+        Of the last step's QP.
+    modes : MeasuredModes
+    used, matched : int arrays (n_used,)
+        Measured modes that were used, and the calculated modes that they are.
+    probability : array (n_used,)
+        Of each match.
+    scale : float
+        Measured over calculated frequencies, all modes together.
+    frequencies, decays_before, decays_after : array (n_calculated,)
+        Of all calculated modes: frequencies in Hz and decays with the prior, and decays with the
+        calibrated coefficients, in 1/s.
+    matrix, covariance : array (n_used, n_materials * n_bands), (n_used, n_used)
+        Derivative of the decays by alpha in 1/s at the last step; covariance of their errors.
+    below : bool array (n_bands,)
+        Bands below the Schroeder frequency, in which T is one observation among the modes.
+    data : MeasuredTimes
+        The measured T.
+    steps : int
+    settled : bool
+    notes : tuple of str
+    """
+
+    record_kind: ClassVar[str] = KIND
+
+    prior: Room
+    alpha: Array
+    answer: CalibrationResult
+    modes: MeasuredModes
+    used: NDArray[np.intp]
+    matched: NDArray[np.intp]
+    probability: Array
+    scale: float
+    frequencies: Array
+    decays_before: Array
+    decays_after: Array
+    matrix: Array
+    covariance: Array
+    below: NDArray[np.bool_]
+    data: MeasuredTimes
+    steps: int
+    settled: bool
+    notes: tuple[str, ...]
+
+    @property
+    def measured(self) -> Array:
+        """Measured decays of the modes used in 1/s, (n_used,)."""
+        return self.modes.decays[self.used]
+
+    @property
+    def before(self) -> Array:
+        """Their decays with the prior in 1/s, (n_used,)."""
+        return self.decays_before[self.matched]
+
+    @property
+    def after(self) -> Array:
+        """Their decays with the calibrated coefficients in 1/s, (n_used,)."""
+        return self.decays_after[self.matched]
+
+    @property
+    def sigma(self) -> Array:
+        """Posterior standard deviation of alpha, (n_materials, n_bands), before the bounds."""
+        return self.answer.posterior_sigma
+
+    @property
+    def interval(self) -> tuple[Array, Array]:
+        """Ends of the 90 % interval of alpha within its bounds, each (n_materials, n_bands)."""
+        low, high = self.answer.joint.gaussian_interval
+        return np.minimum(low, self.alpha), np.maximum(high, self.alpha)
+
+    @property
+    def certificate(self) -> Certificate:
+        """Error bounds of the last step's QP."""
+        return self.answer.certificate
+
+    @cached_property
+    def room(self) -> Room:
+        """The room with calibrated coefficients, their posterior sigma, and a record."""
+        record = CalibrationRecord(
+            method="modes",
+            equation=self.answer.equation.name,
+            measured=data_history(self.prior, self.data),
+            solver=self.answer.solver,
+            version=__version__,
+        )
+        return self.prior.replace(
+            alpha=self.alpha, sigma=np.minimum(self.sigma, 1.0), calibration=record
+        )
+
+    @cached_property
+    def pulls(self) -> Array:
+        """Change of each coefficient by each mode, in prior sigmas, (n_used, n_materials, n_bands).
+
+        Of the linear estimate from the prior and the modes alone, without bounds and T.
+        """
+        covariance = self._prior_covariance
+        across = covariance @ self.matrix.T
+        gain = np.linalg.solve(self.matrix @ across + self.covariance, across.T).T
+        off = self.measured - self.before
+        sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf).ravel()
+        each = gain * off / sigma[:, np.newaxis]
+        return np.asarray(each.T.reshape(len(off), *self.prior.alpha.shape))
+
+    @property
+    def _prior_covariance(self) -> Array:
+        room = self.answer.prior
+        of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
+        sigma = room.sigma.ravel()
+        return np.asarray(
+            sigma[:, np.newaxis] * np.kron(np.eye(room.n_materials), of_bands) * sigma
+        )
+
+    @cached_property
+    def learned(self) -> tuple[tuple[str, float, float], ...]:
+        """Materials with prior and posterior sigma (rms over the low bands), most learned first."""
+        low = self.below if self.below.any() else np.ones(self.prior.n_bands, dtype=bool)
+        before, after = (
+            np.sqrt((s[:, low] ** 2).mean(axis=1)) for s in (self.prior.sigma, self.sigma)
+        )
+        share = np.divide(after, before, out=np.ones_like(after), where=before > 0)
+        return tuple(
+            (self.prior.materials[i], float(before[i]), float(after[i]))
+            for i in np.argsort(share, kind="stable")
+        )
+
+    @cached_property
+    def carried(self) -> NDArray[np.bool_]:
+        """Bands below the Schroeder frequency that at least three used modes carry, (n_bands,)."""
+        f, centres = self.modes.frequencies[self.used], self.prior.centre_frequencies
+        between = np.sqrt(centres[1:] * centres[:-1])
+        low = np.concatenate([[centres[0] / _REACH], between])
+        high = np.concatenate([between, [centres[-1] * np.sqrt(2)]])
+        count = ((f >= low[:, np.newaxis]) & (f < high[:, np.newaxis])).sum(axis=1)
+        return np.asarray(self.below & (count >= CARRIED))
+
+    @property
+    def trust_marks(self) -> tuple[TrustMark, ...]:
+        """Reasons to doubt bands: below the Schroeder frequency only where no modes carry them."""
+        carried = set(self.prior.centre_frequencies[self.carried].tolist())
+        lost = ("below_schroeder", "missing")
+        return tuple(
+            m for m in self.answer.trust_marks if not (m.kind in lost and m.frequency in carried)
+        )
+
+    def __repr__(self) -> str:
+        return f"<{self._description}>"
+
+    @property
+    def _description(self) -> str:
+        return (
+            f'ModesResult of "{text.shortened(self.prior.name)}": {len(self.used)} of '
+            f"{len(self.modes.frequencies)} measured modes used, {self.steps} steps"
+        )
+
+    def _mode_rows(self) -> list[tuple[str, list[str]]]:
+        strongest = np.abs(self.pulls).mean(axis=2).argmax(axis=1)
+        rows = []
+        for k, i in enumerate(self.used):
+            t, u = self.modes.decay_times[i], self.modes.decay_uncertainty[i]
+            rows.append(
+                (
+                    f"{self.modes.frequencies[i]:.1f}",
+                    [
+                        f"{t:.2f} ± {t * u / self.measured[k]:.2f}",
+                        f"{DECAY / self.before[k]:.2f}",
+                        f"{DECAY / self.after[k]:.2f}",
+                        self.prior.materials[int(strongest[k])],
+                    ],
+                )
+            )
+        return rows
+
+    def _material_rows(self) -> list[tuple[str, list[str]]]:
+        low, ends = np.flatnonzero(self.below), self.interval
+        rows = []
+        for name, _, _ in self.learned:
+            i = self.prior.material_index(name)
+            cells = [
+                f"{self.prior.alpha[i, k]:.2f} > {self.alpha[i, k]:.2f} "
+                f"({ends[0][i, k]:.2f}-{ends[1][i, k]:.2f})"
+                for k in low
+            ]
+            rows.append((name, cells))
+        return rows
+
+    def __str__(self) -> str:
+        low = self.prior.centre_frequencies[self.below]
+        lines = text.table(
+            self._mode_rows(),
+            header=("mode / Hz", ["T / s", "before", "after", "tells most of"]),
+        )
+        table = self._material_rows(), ("alpha (90 %)", [bands.label(f) for f in low])
+        lines += ["", *text.table(table[0], header=table[1])]
+        lines.append("")
+        for note in self.every_note:
+            lines += text.wrapped(note, hanging="    ")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Return the table of the modes."""
+        header = ["mode / Hz", "T / s", "before", "after", "tells most of"]
+        cells: list[list[str | html.Cell]] = [[name, *row] for name, row in self._mode_rows()]
+        return html.table(self._description, header, cells, self.every_note)
+
+    @property
+    def every_note(self) -> list[str]:
+        """The ``notes``, and what the result says against itself."""
+        notes = [
+            f"Measured frequencies are {self.scale:.3f} times those calculated.",
+            *self.notes,
+        ]
+        notes += [f"{m.title}: {m.text}; {m.advice}." for m in self.trust_marks]
+        return notes
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain numbers, lists and text; None where a value is missing."""
+        low, high = self.interval
+        return {
+            "rtcal": KIND,
+            "room": self.prior.name,
+            "centre_frequencies": json_numbers(self.prior.centre_frequencies),
+            "modes": [
+                {
+                    "frequency": float(self.modes.frequencies[i]),
+                    "calculated_frequency": float(self.frequencies[n]),
+                    "probability": float(self.probability[k]),
+                    "decay": float(self.measured[k]),
+                    "decay_uncertainty": float(self.modes.decay_uncertainty[i]),
+                    "decay_before": float(self.before[k]),
+                    "decay_after": float(self.after[k]),
+                    "pulls": json_numbers(self.pulls[k]),
+                }
+                for k, (i, n) in enumerate(zip(self.used, self.matched, strict=True))
+            ],
+            "frequency_scale": self.scale,
+            "materials": [
+                {
+                    "name": name,
+                    "alpha_before": json_numbers(self.prior.alpha[i]),
+                    "sigma_before": json_numbers(self.prior.sigma[i]),
+                    "alpha_after": json_numbers(self.alpha[i]),
+                    "sigma_after": json_numbers(self.sigma[i]),
+                    "interval_after": [json_numbers(end[i]) for end in (low, high)],
+                }
+                for i, name in enumerate(self.prior.materials)
+            ],
+            "below_schroeder": self.below.tolist(),
+            "carried": self.carried.tolist(),
+            "steps": self.steps,
+            "settled": self.settled,
+            "worst_certificate": self.certificate.worst,
+            "notes": self.every_note,
+        }

@@ -1,0 +1,293 @@
+"""Modes below the Schroeder frequency: closed forms, poles, tables, and the calibration to them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.integrate import quad
+from scipy.optimize import fsolve
+
+import rtcal as rt
+from rtcal.command.main import cli
+from rtcal.errors import DataError
+from rtcal.modes import MeasuredModes, absorption, admittance, box_modes
+from rtcal.modes.frequency import AtFrequencies
+from rtcal.modes.matching import match
+from rtcal.modes.paris import admittance_slope
+from rtcal.simulators.geometry import SHOEBOX_WALLS
+from tests.test_saved_results import back
+
+SIDES = (5.2, 4.1, 2.6)
+BANDS = (63, 125, 250)
+BOX = rt.simulators.Polyhedron.shoebox(SIDES, dict(zip(SHOEBOX_WALLS, SHOEBOX_WALLS, strict=True)))
+ROOM = rt.Room.from_geometry(
+    BOX,
+    name="box",
+    dimensions=SIDES,
+    centre_frequencies=BANDS,
+    materials=[rt.Material(w, [0.12] * 3, [0.08] * 3) for w in SHOEBOX_WALLS],
+    air=rt.Air(20, 50),
+)
+TRUTH = np.array([0.25, 0.25, 0.08, 0.08, 0.15, 0.15])[:, np.newaxis] * np.ones(3)
+C = ROOM.air.speed_of_sound
+
+
+def heard(alpha, error=0.04, seed=0, top=110.0):
+    """Return the box's modes with these coefficients, and errors of their decays."""
+    poles = box_modes(SIDES, SHOEBOX_WALLS, top, C).poles(lambda f: admittance(alpha[:, 0]))
+    order = np.argsort(poles.frequencies)
+    noise = 1 + error * np.random.default_rng(seed).standard_normal(len(order))
+    return MeasuredModes(
+        frequencies=poles.frequencies[order],
+        decays=poles.decays[order] * noise,
+        decay_uncertainty=error * poles.decays[order],
+    )
+
+
+def times(alpha):
+    return rt.Eyring().time(ROOM, ROOM.areas @ alpha)
+
+
+@pytest.mark.parametrize("beta", [0.01, 0.638, 0.02 + 0.05j, 0.3 - 0.5j, 1.5 + 1j])
+def test_paris_integral(beta):
+    def absorbed(angle):
+        cosine = np.cos(angle)
+        return 4 * np.real(beta) * cosine / abs(cosine + beta) ** 2 * np.sin(2 * angle)
+
+    assert absorption(beta) == pytest.approx(quad(absorbed, 0, np.pi / 2)[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("phase", [0.0, 45.0, -60.0])
+def test_admittance_is_the_inverse_with_its_slope(phase):
+    alpha = np.array([1e-4, 0.01, 0.1, 0.4])
+    beta = admittance(alpha, phase)
+    np.testing.assert_allclose(absorption(beta), alpha, rtol=1e-9)
+    np.testing.assert_allclose(np.degrees(np.angle(beta)), phase, atol=1e-9)
+    rise = (admittance(alpha * 1.0001, phase) - beta) / (alpha * 1e-4)
+    np.testing.assert_allclose(admittance_slope(alpha, phase), rise, rtol=1e-3)
+
+
+def test_what_has_no_admittance():
+    for wrong, words in ((1.2, "alpha"), (-0.1, "alpha"), (float("nan"), "alpha")):
+        with pytest.raises(DataError, match=words):
+            admittance(wrong)
+    with pytest.raises(DataError, match="phase = 80° is beyond"):
+        admittance(0.1, 80.0)
+    with pytest.raises(DataError, match="real part"):
+        absorption(-0.1)
+
+
+def test_poles_are_those_of_the_separated_equation():
+    """With one absorbing pair of walls k tan(k L / 2 ...) separates: cos, sin waves along x alone."""
+    beta_west, beta_east = 0.05 + 0.02j, 0.15 - 0.05j
+    walls = np.array([beta_west, beta_east, 0, 0, 0, 0])
+    poles = box_modes(SIDES, SHOEBOX_WALLS, 80, C).poles(lambda f: walls)
+    length = SIDES[0]
+
+    def exact(parts):
+        # p = cosh(k x + a), k = s / c: tanh a = beta_west, tanh(k L + a) = -beta_east.
+        k = parts[0] + 1j * parts[1]
+        off = np.tanh(k * length + np.arctanh(beta_west)) + beta_east
+        return [off.real, off.imag]
+
+    k = fsolve(exact, [-0.2 / length, np.pi / length])
+    s = C * (k[0] + 1j * k[1])
+    along_x = int(np.argmin(np.abs(poles.values - s)))
+    assert poles.values[along_x].real == pytest.approx(s.real, rel=0.02)
+    assert poles.values[along_x].imag == pytest.approx(s.imag, rel=0.005)
+    rigid = box_modes(SIDES, SHOEBOX_WALLS, 80, C)
+    first = rigid.first_order(np.repeat(walls[:, np.newaxis], rigid.wanted, axis=1))
+    assert first[along_x] == pytest.approx(-s.real, rel=0.05)
+
+
+def test_slopes_of_poles_are_their_derivatives():
+    modes = box_modes(SIDES, SHOEBOX_WALLS, 90, C)
+    beta = np.array([0.02, 0.05, 0.01, 0.08, 0.2, 0.1]) + 0.03j
+    at = modes.poles(lambda f: beta)
+    for wall in range(6):
+        more = beta + 1e-5 * (np.arange(6) == wall)
+        change = (modes.poles(lambda f, more=more: more).values - at.values) / 1e-5
+        np.testing.assert_allclose(at.slopes[:, wall], change, rtol=2e-3, atol=0.05)
+
+
+def test_integrals_of_a_box():
+    """∫ p² dS over a wall across x is (2 or 1) / L_x: 2 where the mode varies along x."""
+    modes = box_modes(SIDES, SHOEBOX_WALLS, 60, C)
+    np.testing.assert_allclose(modes.frequencies[:2], [C / 2 / 5.2, C / 2 / 4.1])
+    diagonal = np.einsum("imm->im", modes.coupling)
+    np.testing.assert_allclose(diagonal[:, 0], np.array([2, 2, 1, 1, 1, 1]) / np.repeat(SIDES, 2))
+    corner = modes.shapes(np.array([[0, 0, 0], SIDES]))
+    np.testing.assert_allclose(corner[0, 0] ** 2, 2 / np.prod(SIDES))
+    np.testing.assert_allclose(corner[1, 0], -corner[0, 0])
+
+
+def test_modes_tell_the_pairs_of_walls_apart():
+    modes, t = heard(TRUTH), times(TRUTH)
+    result = rt.calibrate_modes(ROOM, modes, t)
+    by_t = rt.calibrate(ROOM, t)
+    error = [np.abs(a[:, 0] - TRUTH[:, 0]).mean() for a in (result.alpha, by_t.alpha)]
+    assert error[0] < 0.4 * error[1]
+    assert result.certificate.worst < 1e-9
+    assert np.abs(result.after / result.measured - 1).mean() < 0.05
+    assert np.abs(result.before / result.measured - 1).mean() > 0.1
+    low, high = result.interval
+    assert ((low <= result.alpha) & (result.alpha <= high)).all()
+    assert (result.sigma[:, 0] < 0.08).all()
+    pulled = np.abs(result.pulls[0, :, 0])
+    assert pulled[:2].min() > pulled[2:].max()  # the first mode stands between west and east
+    assert result.carried[0]
+    assert not result.carried[2]
+    kinds = {(m.kind, m.frequency) for m in result.trust_marks}
+    assert ("below_schroeder", 63.0) not in kinds
+    assert ("below_schroeder", 63.0) in {(m.kind, m.frequency) for m in by_t.trust_marks}
+
+
+def test_without_t_and_without_a_change():
+    at_prior = heard(ROOM.alpha, error=0.001)
+    result = rt.calibrate_modes(ROOM, at_prior)
+    np.testing.assert_allclose(result.alpha, ROOM.alpha, atol=0.004)
+    assert result.scale == pytest.approx(1.0)
+
+
+def test_order_of_walls_does_not_matter():
+    modes = heard(TRUTH)
+    turned = ROOM.materials[::-1]
+    room = rt.Room.from_geometry(
+        BOX,
+        name="box",
+        dimensions=SIDES,
+        centre_frequencies=BANDS,
+        materials=[rt.Material(w, [0.12] * 3, [0.08] * 3) for w in turned],
+        air=rt.Air(20, 50),
+    )
+    one, other = (rt.calibrate_modes(r, modes, times(TRUTH)) for r in (ROOM, room))
+    order = [room.material_index(m) for m in ROOM.materials]
+    np.testing.assert_allclose(other.alpha[order], one.alpha, atol=1e-9)
+
+
+def test_strange_and_double_modes_are_left_out():
+    modes = heard(TRUTH)
+    f = np.append(modes.frequencies, [26.0, 37.0])
+    order = np.argsort(f)
+    with_strangers = MeasuredModes(
+        frequencies=f[order],
+        decays=np.append(modes.decays, [3.0, 3.0])[order],
+        decay_uncertainty=np.append(modes.decay_uncertainty, [0.1, 0.1])[order],
+    )
+    result = rt.calibrate_modes(ROOM, with_strangers, times(TRUTH))
+    used = with_strangers.frequencies[result.used]
+    assert not np.isin([26.0, 37.0], used).any()
+    assert len(result.used) >= 6
+    assert "Not used" in str(result)
+    assert "26.0" in str(result)
+
+
+def test_matching_weighs_the_pattern():
+    modes = MeasuredModes(
+        frequencies=[50.0],
+        decays=[5.0],
+        decay_uncertainty=[0.2],
+        pairs=[("S", f"R{i}") for i in range(4)],
+        amplitudes=[[1, -1, 1, -1]],
+    )
+    close, decays = np.array([49.9, 50.1]), np.array([5.0, 5.0])
+    patterns = np.array([[1, 1, 1, 1], [1.1, -0.9, 1, -1]], dtype=complex)
+    assert match(modes, close, decays).measured.size == 0  # either of the two
+    assert match(modes, close, decays, patterns).calculated.tolist() == [1]
+
+
+def test_coefficients_between_bands():
+    at = AtFrequencies.of(ROOM, np.array([63.0, 125.0, 30.0]), 0.8)
+    np.testing.assert_allclose(at.weights[:2], np.eye(3)[:2], atol=1e-9)
+    np.testing.assert_allclose(np.diag(at.remainder)[:2], 0, atol=1e-9)
+    assert 0.2 < at.remainder[2, 2] < 0.5
+    np.testing.assert_allclose(at.alpha(TRUTH)[:, 0], TRUTH[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"frequencies": []}, "at least one mode"),
+        ({"frequencies": [40.0, 30.0]}, "rising"),
+        ({"decays": [5.0, -1.0]}, r"decays\[1\] = -1"),
+        ({"decay_uncertainty": [0.1]}, r"shape \(1,\)"),
+        ({"decay_uncertainty": [0.1, float("nan")]}, r"decay_uncertainty\[1\]"),
+        ({"frequencies": [30.0, 4000.0]}, "single modes"),
+        ({"amplitudes": [[1.0]], "pairs": [("S", "R")]}, "amplitudes has shape"),
+    ],
+)
+def test_wrong_modes(change, words):
+    good = {"frequencies": [30.0, 40.0], "decays": [5.0, 5.0], "decay_uncertainty": [0.1, 0.1]}
+    with pytest.raises(DataError, match=words):
+        MeasuredModes(**{**good, **change})
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("", "header"),
+        ("frequency,decay\n30,5\n", "u_decay"),
+        ("frequency,decay,T,u_T\n30,5,1,1\n", "either decay"),
+        ("f,T,u_T\n30,0,0.1\n", "not above 0"),
+        ("f,T,u_T\n30,x,0.1\n", "row 2"),
+        ("f,T,u_T\n30,1,0.1\n30,1,0.1\n", "rising order"),
+    ],
+)
+def test_wrong_tables(tmp_path, table, words):
+    path = tmp_path / "modes.csv"
+    path.write_text(table)
+    with pytest.raises(DataError, match=words):
+        rt.modes.read(path)
+
+
+def test_wrong_arguments():
+    modes = heard(TRUTH)
+    with pytest.raises(DataError, match="MeasuredModes"):
+        rt.calibrate_modes(ROOM, [40.0])
+    with pytest.raises(DataError, match="model_error = 2"):
+        rt.calibrate_modes(ROOM, modes, model_error=2.0)
+    with pytest.raises(DataError, match="no equation is exact"):
+        rt.calibrate_modes(ROOM, modes, t_error=0.0)
+    with pytest.raises(DataError, match="frequency_correlation = 1"):
+        rt.calibrate_modes(ROOM, modes, frequency_correlation=1.0)
+    with pytest.raises(DataError, match="neither a mesh nor dimensions"):
+        rt.calibrate_modes(ROOM.replace(dimensions=None), modes)
+    far = MeasuredModes(frequencies=[20.0], decays=[5.0], decay_uncertainty=[0.1])
+    with pytest.raises(DataError, match="none of the 1 measured modes"):
+        rt.calibrate_modes(ROOM, far)
+    placed = MeasuredModes(
+        frequencies=[33.0], decays=[5.0], decay_uncertainty=[0.1], pairs=[("S", "R")],
+        amplitudes=[[1.0]],
+    )  # fmt: skip
+    with pytest.raises(DataError, match="S to R has no place"):
+        rt.calibrate_modes(ROOM, placed)
+
+
+def test_result_is_saved_whole(tmp_path):
+    result = rt.calibrate_modes(ROOM, heard(TRUTH), times(TRUTH))
+    back(result, tmp_path)
+    assert "modes" in result._repr_html_()
+    assert result.room.calibration.method == "modes"
+
+
+def test_command(tmp_path):
+    ROOM.save(tmp_path / "room.toml")
+    modes = heard(TRUTH)
+    rows = zip(modes.frequencies, modes.decays, modes.decay_uncertainty, strict=True)
+    lines = ["frequency,decay,u_decay", *(f"{f},{d},{u}" for f, d, u in rows)]
+    (tmp_path / "modes.csv").write_text("\n".join(lines))
+    measured = rt.Measurement.from_values(BANDS, t20=times(TRUTH))
+    measured.save(tmp_path / "t.csv")
+    files = [str(tmp_path / name) for name in ("room.toml", "t.csv")]
+    of_modes = ["--modes", str(tmp_path / "modes.csv")]
+    told = CliRunner().invoke(
+        cli, ["calibrate", *files, *of_modes, "--json", "--out", str(tmp_path / "out")]
+    )
+    assert told.exception is None
+    assert json.loads(told.stdout)["modes"][0]["decay_after"] > 6
+    assert rt.load(tmp_path / "out").steps >= 1
+    refused = CliRunner().invoke(cli, ["calibrate", *files, *of_modes, "--method", "soft"])
+    assert "method of its own" in str(refused.exception)
