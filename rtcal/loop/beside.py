@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import OBSERVABLES
+from rtcal.acoustics.observables import LEVEL, OBSERVABLES
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.simulators.observations import Observations
@@ -19,6 +19,8 @@ SHOWN = tuple(key for key, kind in OBSERVABLES.items() if kind.shown)
 """Parameters that are shown before and after, fitted or not."""
 _LEFT = 1.0
 """JND by which a gap grows in some band where a parameter left what was measured."""
+
+Pair = tuple[str, str]
 
 Gaps = Mapping[str, tuple[Array, Array]]
 """Gaps before and after in JND by parameter, each (n_bands,)."""
@@ -32,7 +34,7 @@ def means(measurement: Measurement) -> dict[str, Array]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Beside:
-    """The parameters at each position that are not matched: measured, before and after.
+    """Parameters at positions that are not matched: measured, before and after.
 
     Attributes
     ----------
@@ -55,6 +57,26 @@ class Beside:
         """Return what is in ``before`` and not in ``matched``, at the pairs that are matched."""
         names = [p for p in before.parameters if p not in matched.parameters]
         wanted = Observations.of_measurement(measured, names, matched.pairs)
+        return cls(measured=wanted, before=before.at(wanted), after=after.at(wanted))
+
+    @classmethod
+    def at_pairs(
+        cls,
+        measured: Measurement,
+        matched: Observations,
+        pairs: Sequence[Pair],
+        before: Observations,
+        after: Observations,
+    ) -> Beside | None:
+        """Return the parameters of ``matched`` at pairs that were left out; None without any.
+
+        A relative level is none of them: what is left out has no reference.
+        """
+        names = [p for p in matched.parameters if p != LEVEL.key]
+        kept = [p for p in pairs if p in before.pairs]
+        if not names or not kept:
+            return None
+        wanted = Observations.of_measurement(measured, names, kept)
         return cls(measured=wanted, before=before.at(wanted), after=after.at(wanted))
 
     @property

@@ -225,6 +225,7 @@ def calibrate_positions(
         simulations=listener.calls,
         measured=data,
         beside=Beside.of(in_room, data.observations, first, listener.heard),
+        held_out=Beside.at_pairs(in_room, data.observations, exclude, first, listener.heard),
         before=_with(data.observations, before),
         after=_with(data.observations, listener.values()),
         predicted=predicted,

@@ -80,6 +80,8 @@ class PositionsResult(Result):
         What was matched; its ``observations`` name parameters and pairs.
     beside : Beside
         What was measured and not matched, before and after.
+    held_out : Beside or None
+        What was measured at the pairs that were excluded, before and after; without the level.
     before, after : Observations
         What the simulator given hears with the prior; what is expected of ``tracer`` with the
         coefficients returned. It was not run with the last change of the scattering, which is taken
@@ -128,6 +130,7 @@ class PositionsResult(Result):
     settled: bool
     notes: tuple[str, ...]
     is_traced: bool = False
+    held_out: Beside | None = None
 
     def traced(self) -> PositionsResult:
         """Return the result with ``after`` as ``tracer`` hears it: one more trace.
@@ -140,7 +143,11 @@ class PositionsResult(Result):
         every = (*self.parameters, *self.beside.parameters)
         heard = observe(self.weighed, self.alpha, every, seed=self.seed)
         beside = replace(self.beside, after=heard.at(self.beside.measured))
-        return replace(self, after=heard.at(self.after), beside=beside, is_traced=True)
+        held_out = self.held_out
+        if held_out is not None:
+            held_out = replace(held_out, after=heard.at(held_out.measured))
+        after = heard.at(self.after)
+        return replace(self, after=after, beside=beside, held_out=held_out, is_traced=True)
 
     @property
     def alpha(self) -> Array:
@@ -400,6 +407,13 @@ class PositionsResult(Result):
                 "parameters": list(self.beside.parameters),
                 "gap_before_jnd": json_numbers(self.beside.gap_before),
                 "gap_after_jnd": json_numbers(self.beside.gap_after),
+            },
+            "held_out": self.held_out
+            and {
+                "parameters": list(self.held_out.parameters),
+                "pairs": [list(pair) for pair in self.held_out.measured.pairs],
+                "gap_before_jnd": json_numbers(self.held_out.gap_before),
+                "gap_after_jnd": json_numbers(self.held_out.gap_after),
             },
             "materials": [
                 {

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.materials import LONGEST_NAME, short_name
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.report import figures
+from rtcal.report.evidence_words import in_odds, odds
 from rtcal.support.arguments import checked
 from rtcal.support.files import write_text
 from rtcal.support.text import shortened
@@ -123,6 +124,9 @@ def _environment() -> Any:
     environment.filters["fixed"] = _fixed
     environment.filters["signed"] = _signed
     environment.filters["in_style"] = lambda text: Markup(_in_style(text))
+    environment.filters["odds"] = odds
+    environment.filters["in_odds"] = in_odds
+    environment.filters["as_it_is"] = Markup  # rtcal's own script, and JSON without markup
     return environment
 
 

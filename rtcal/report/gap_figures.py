@@ -12,6 +12,7 @@ from rtcal.finder.case import NORMAL_90
 from rtcal.finder.means.finding import FEATURE_NAMES, Finding
 from rtcal.finder.means.states import state
 from rtcal.finder.means.verification import Verification, residual_map, reverberation_times
+from rtcal.report.evidence_words import odds
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.support.arguments import checked
 from rtcal.support.text import number
@@ -135,7 +136,7 @@ def evidence(finding: Finding) -> Any:
     behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}  # the threshold's line is cut
     for y, value, end in zip(at, values, drawn, strict=True):
         axes.annotate(
-            f"{value:+.1f}",
+            odds(float(value)),
             (max(end, 0.0), y),
             xytext=(4, 0),
             textcoords="offset points",
@@ -155,12 +156,18 @@ def evidence(finding: Finding) -> Any:
             label="cut: the number is beyond the axis",
         )
     axes.axvline(
-        finding.threshold, color=ORANGE, linestyle="--", label=f"threshold {finding.threshold:.1f}"
+        finding.threshold,
+        color=ORANGE,
+        linestyle="--",
+        label=f"threshold {odds(finding.threshold)}",
     )
     axes.axvline(0, color=BLACK, linewidth=0.8)
     axes.set_xlim(low, 1.15 * top)
     axes.set_yticks(at, [shown(n) for n in names])
-    axes.set_xlabel("Evidence over “nothing is missing” / nats; hatched: candidates")
+    powers = np.arange(0, max(1, int(1.15 * top / np.log(10))) + 1)
+    powers = powers[:: 1 + len(powers) // 8]
+    axes.set_xticks(np.log(10) * powers, [f"$10^{{{k}}}$" if k > 1 else str(10**k) for k in powers])
+    axes.set_xlabel("Odds to one against “nothing is missing”; hatched: candidates")
     axes.legend(loc="lower right")
     return figure
 

@@ -9,6 +9,7 @@ from rtcal.finder.means.bootstrap import QUANTILE
 from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.verification import Verification
 from rtcal.finder.wording import as_sentence, listed
+from rtcal.report.evidence_words import odds
 
 _FAMILIES = {
     "added absorption": "something that absorbs sound",
@@ -106,8 +107,9 @@ def evidence(finding: Finding) -> str:
     """Return the evidence and its threshold in words."""
     often = f"{100 * (1 - QUANTILE):.0f} %"
     return (
-        f"The evidence that something is missing is {finding.score:.1f} nats. The threshold is "
-        f"{finding.threshold:.1f} nats: at most {often} of simulated rooms that lack nothing exceed it."
+        f"The odds that something is missing are {odds(finding.score)} from the measurement alone. The "
+        f"threshold is {odds(finding.threshold)}: at most {often} of simulated rooms that lack nothing "
+        "exceed it."
     )
 
 

@@ -15,7 +15,6 @@ from rtcal.acoustics.quality import letters
 from rtcal.calibration import record
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
-from rtcal.finder.wording import NATS
 from rtcal.loop import beside
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
@@ -30,6 +29,7 @@ from rtcal.report import (
     material_figures,
     positions_page,
     prediction_page,
+    room_section,
     words,
 )
 from rtcal.report.document import Heading, blocks, material_rows, render, source
@@ -116,7 +116,6 @@ def finding_page(
     values = {
         **_calibration(result, lambda: None),
         "finding": {**finding, "figures": dict.fromkeys(FINDING_FIGURES) | drawn},
-        "nats": NATS,
     }
     return render("finding.html", values, _heading(heading, result))
 
@@ -166,6 +165,7 @@ def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> di
             if calibration.prior.sources.get(m)
         ],
         "certificate": certificate,
+        **room_section.of_calibration(calibration),
         "inputs": _inputs(calibration),
         "command": words.command(calibration),
         "composed": words.composed(calibration),

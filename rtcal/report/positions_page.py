@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.report import positions_figures
+from rtcal.report import positions_figures, room_section
 from rtcal.report.document import Heading, blocks, material_rows, render, source
-from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.observations import Observations
+from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
 
 MOST_MATERIALS = 100
@@ -30,7 +33,6 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
         {
             "result": result,
             "summary": _summary(result, order),
-            "plan": _plan(result, step),
             "shifts": {
                 "source": source(
                     positions_figures.draw_shifts(
@@ -46,6 +48,9 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
             },
             "learned": [_learned(result, i) for i in order],
             "gaps": _gaps(result),
+            "times": _times(result.before, result.after, result.measured.observations),
+            "held_out": _held_out(result),
+            "command": _command(result),
             "parameters": [
                 *(parameter_label(p) for p in result.parameters),
                 *(f"{parameter_label(p)}, not matched" for p in result.beside.parameters),
@@ -61,6 +66,7 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
                 _interval(result, order),
                 np.isin(result.alpha[order], (0.0, 1.0)),
             ),
+            **room_section.of_positions(result),
             "left_out": len(result.prior.materials) - len(order),
         },
         heading.completed(result.prior.name, result.prior.author),
@@ -105,18 +111,68 @@ def _summary(result: PositionsResult, order: list[int]) -> list[str]:
     ]
 
 
-def _plan(result: PositionsResult, step: Callable[[], None]) -> dict[str, str] | None:
-    geometry = getattr(result.tracer, "geometry", None)
-    if not isinstance(geometry, Polyhedron):
+def _times(before: Observations, after: Observations, measured: Observations) -> list[Any]:
+    """Return each decay time by band in s, the means over the pairs: measured, before, after.
+
+    The pairs are those that have a measured value in the band.
+    """
+    rows = []
+    for key in (k for k in of_kind(DecaySlope) if k in measured.parameters):
+        heard = measured.natural(key)
+        for name, model in (("measured", measured), ("before", before), ("after", after)):
+            values = np.where(np.isfinite(heard), model.natural(key), np.nan)
+            rows.append((f"{parameter_label(key)} {name} / s", _mean(values), 2, False))
+    return rows
+
+
+def _mean(values: Array) -> Array:
+    """Return the mean over pairs of (n_pairs, n_bands), NaN without a value."""
+    known = np.isfinite(values)
+    number = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.asarray(np.where(known, values, 0.0).sum(axis=0) / number)
+
+
+def _held_out(result: PositionsResult) -> dict[str, Any] | None:
+    """Return the pairs that were left out: gaps of each, and the reverberation times."""
+    left = result.held_out
+    if left is None:
         return None
-    tracer: Any = result.tracer
-    figure = positions_figures.plan(result, geometry, tracer.sources, tracer.receivers)
     return {
-        "source": source(figure, step),
-        "alt": f"{result.prior.name}: plan with the gap at each receiver, before and after",
-        "caption": "Seen from above: sources (triangles), and receivers coloured by their gap in JND, "
-        "the root mean square over parameters, bands and sources.",
+        "parameters": [parameter_label(p) for p in left.parameters],
+        "rows": [
+            {
+                "name": " to ".join(pair),
+                "cells": [
+                    (float(_rms(b[i])), float(_rms(a[i])))
+                    for b, a in zip(left.gap_before, left.gap_after, strict=True)
+                ],
+            }
+            for i, pair in enumerate(left.measured.pairs)
+        ],
+        "before": float(_rms(left.gap_before)),
+        "after": float(_rms(left.gap_after)),
+        "times": _times(left.before, left.after, left.measured),
     }
+
+
+def _command(result: PositionsResult) -> str | None:
+    """Return the shell command that gives the same result; None for another simulator or terms."""
+    tracer: Any = result.tracer
+    if not isinstance(tracer, PathTracing):
+        return None
+    chosen = [text for p in result.parameters for text in ("--match", p)]
+    chosen += ["--paths", str(tracer.n_paths), "--seed", str(result.seed)]
+    if result.held_out is not None:
+        for source_name, receiver in result.held_out.measured.pairs:
+            chosen += ["--exclude", f"{source_name}:{receiver}"]
+    if result.scattering is None:
+        chosen.append("--keep-scattering")
+    if result.prior.scattering is None:  # it was stated to the simulator
+        kept = result.scattering is None and np.ptp(tracer.scattering) == 0
+        chosen += ["--scattering", f"{tracer.scattering.flat[0]:g}" if kept else "S"]
+    if tracer.scattering_model != result.prior.scattering_model:
+        chosen += ["--scattering-model", str(tracer.scattering_model)]
+    return shlex.join(["rtcal", "fit", "room.toml", "measured.csv", *chosen, "--out", "fitted"])
 
 
 def _learned(result: PositionsResult, i: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from rtcal.finder.claim import SAID
 from rtcal.finder.positions.advice import Place
 from rtcal.finder.positions.finding import Finding, strongest
 from rtcal.finder.positions.verification import MODELS, TITLES, Verification
-from rtcal.report import document, where_figures
+from rtcal.report import document, room_section, where_figures
 from rtcal.report.document import Heading
 from rtcal.report.figures import rendered
 from rtcal.support.arguments import checked
@@ -117,12 +117,12 @@ def page(
         "pairs": [" to ".join(pair) for pair in finding.pairs],
         "candidates": said if finding.verdict != "none" else [],
         "bars": pictures.get(GAP),
-        "room": pictures[ROOM],
         "plan": pictures[PLAN],
         "map": pictures[MAP],
         "place": place,
         "notes": [*finding.reasons, *finding.notes],
         "command": command,
+        **room_section.of_finding(finding, verification, place),
     }
     return document.render(
         "where.html", values, heading.completed(finding.case.room.name, finding.case.room.author)

@@ -27,7 +27,7 @@ def test_a_findings_page_opens_with_the_finding(result) -> None:
         "Size of opening",
         "The odds are high.",
         "Measure once without it.",
-        "opening</td><td>93</td><td>+12.3",
+        "opening</td><td>93</td><td>220,000 to 1",
         "From here on, text, tables and pictures are of the plain calibration: not to be used",
         met,
     ]

@@ -1,0 +1,357 @@
+"""The room of a page in three dimensions: its parts coloured by numbers, its sources and receivers.
+
+The page holds it three times: as data that its script draws with WebGL and turns, as still pictures for
+print and for browsers without WebGL (`rtcal.report.room_still`), and as tables. Nothing is fetched.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.report import room_still
+from rtcal.report.room_still import GREY, Look
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.types import Array
+
+MOST_FACES = 5000
+"""Largest number of faces that are drawn: the page stays below 2 MB."""
+MOST_TRIANGLES = 20_000
+
+ABSORBS = ("#ffffd9", "#c7e9b4", "#41b6c4", "#225ea8", "#081d58")
+MOVES = ("#2166ac", "#92c5de", "#f7f7f7", "#f4a582", "#b2182b")
+LIKELY = ("#f7f7f7", "#e8a268", "#d55e00")
+GAPS = ("#fee838", "#bcae6c", "#7c7b78", "#434e6c", "#00224e")
+"""Colours from the lowest value to the highest; each scale can be read in grey, or has a middle."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Quantity:
+    """Numbers that colour the parts.
+
+    Attributes
+    ----------
+    name : str
+    head : str
+        The same in a table's head.
+    columns : sequence of str (n_columns,)
+        What each column is: the mean over the bands, or a band.
+    values : array (n_parts, n_columns)
+        NaN where nothing is known.
+    low, high : float
+        Ends of the colours.
+    colours : sequence of str
+        From ``low`` to ``high``, as #rrggbb.
+    digits : int
+        Decimals of a value in text.
+    factor, unit : float, str
+        A value in text is multiplied by ``factor`` and followed by ``unit``.
+    still : bool
+        Whether it has a still picture.
+    """
+
+    name: str
+    head: str
+    columns: Sequence[str]
+    values: Array
+    low: float
+    high: float
+    colours: Sequence[str]
+    digits: int = 2
+    factor: float = 1.0
+    unit: str = ""
+    still: bool = True
+
+    def text(self, value: float) -> str:
+        """Return a value as the page prints it."""
+        if not np.isfinite(value):
+            return "–"
+        return f"{self.factor * value:.{self.digits}f}{self.unit}".replace("-", "−")
+
+    def colour(self, value: float) -> str:
+        """Return the colour of a value, grey for NaN."""
+        return between(self.colours, (value - self.low) / (self.high - self.low))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stand:
+    """A source or receiver: where it stands in m, and its gaps in JND, NaN where there are none."""
+
+    kind: str
+    name: str
+    place: tuple[float, float, float]
+    gaps: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoomView:
+    """A room to be turned.
+
+    Attributes
+    ----------
+    geometry : Polyhedron
+    parts : mapping of str to int array
+        Faces of each part by its name: of a material, or of a surface.
+    part : str
+        What a part is called in a table's head.
+    areas : array (n_parts,)
+        m².
+    quantities : sequence of Quantity
+        The first is shown at first.
+    stands : sequence of Stand
+    whens : sequence of str
+        What each gap of a stand is: as stated, calibrated.
+    """
+
+    geometry: Polyhedron
+    parts: Mapping[str, NDArray[np.int64]]
+    part: str
+    areas: Array
+    quantities: Sequence[Quantity]
+    stands: Sequence[Stand] = ()
+    whens: Sequence[str] = ()
+    gap: Quantity = field(init=False)
+
+    def __post_init__(self) -> None:
+        gaps = np.array([s.gaps for s in self.stands], dtype=float)
+        gaps = gaps.reshape(len(self.stands), len(self.whens))
+        most = float(np.ceil(np.nanmax(gaps, initial=2.0)))
+        scale = Quantity(
+            name="Gap / JND",
+            head="Gap / JND",
+            columns=tuple(self.whens),
+            values=gaps,
+            low=0.0,
+            high=most,
+            colours=GAPS,
+            digits=1,
+        )
+        object.__setattr__(self, "gap", scale)
+
+
+def between(colours: Sequence[str], share: float) -> str:
+    """Return the colour at a share from 0 to 1 of a scale; beyond its ends the end; grey for NaN.
+
+    >>> between(("#000000", "#ff0000"), 0.5), between(("#000000", "#ff0000"), float("nan"))
+    ('#800000', '#c8c8c8')
+    """
+    if not np.isfinite(share):
+        return GREY
+    stops = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in colours], dtype=float)
+    at = np.clip(share, 0, 1) * (len(stops) - 1)
+    mixed = [np.interp(at, np.arange(len(stops)), channel) for channel in stops.T]
+    return "#" + "".join(f"{int(np.floor(c + 0.5)):02x}" for c in mixed)
+
+
+def of_materials(geometry: Polyhedron, materials: Sequence[str]) -> dict[str, NDArray[np.int64]]:
+    """Return the faces of each of a room's materials, none for one that the geometry lacks."""
+    of_face = np.array(geometry.materials, dtype=object)
+    return {m: np.flatnonzero(of_face == m) for m in materials}
+
+
+def absorption(
+    frequencies: Array, stated: Array, calibrated: Array, shift: Array
+) -> list[Quantity]:
+    """Return alpha as calibrated, its shift in standard deviations, and alpha as stated.
+
+    All are (n_materials, n_bands).
+    """
+    columns = bands_and_mean(frequencies)
+    highest = float(np.ceil(10 * max(stated.max(), calibrated.max(), 0.1))) / 10
+    reach = float(np.ceil(max(2.0, np.abs(shift).max())))
+
+    def alpha(when: str, values: Array, still: bool) -> Quantity:
+        return Quantity(
+            name=f"Absorption coefficient, {when}",
+            head=f"α {when}",
+            columns=columns,
+            values=_with_mean(values),
+            low=0.0,
+            high=highest,
+            colours=ABSORBS,
+            still=still,
+        )
+
+    return [
+        alpha("calibrated", calibrated, True),
+        Quantity(
+            name="Shift of the coefficient in standard deviations of what was stated",
+            head="shift / σ",
+            columns=columns,
+            values=_with_mean(shift),
+            low=-reach,
+            high=reach,
+            colours=MOVES,
+            digits=1,
+        ),
+        alpha("stated", stated, False),
+    ]
+
+
+def bands_and_mean(frequencies: Array) -> tuple[str, ...]:
+    """Return the names of the columns: the mean over the bands, then each band."""
+    return ("mean over the bands", *(f"{f:g} Hz" for f in frequencies))
+
+
+def _with_mean(values: Array) -> Array:
+    return np.column_stack([values.mean(axis=1), values])
+
+
+def stands(
+    sources: Mapping[str, Any],
+    receivers: Mapping[str, Any],
+    pairs: Sequence[tuple[str, str]],
+    gaps: Sequence[Array],
+) -> list[Stand]:
+    """Return sources and receivers with the root mean square gap of their pairs in JND.
+
+    ``gaps`` are before, after: each (n_parameters, n_pairs, n_bands), NaN where nothing is known.
+    """
+    made = []
+    for kind, points, end in (("source", sources, 0), ("receiver", receivers, 1)):
+        for name, place in points.items():
+            own = [i for i, pair in enumerate(pairs) if pair[end] == name]
+            x, y, z = (float(c) for c in place)
+            values = tuple(_rms(gap[:, own]) for gap in gaps)
+            made.append(Stand(kind=kind, name=name, place=(x, y, z), gaps=values))
+    return made
+
+
+def _rms(gap: Array) -> float:
+    known = gap[np.isfinite(gap)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+
+
+def section(view: RoomView) -> dict[str, Any] | None:
+    """Return the values of the template ``room.html``; None for too many faces."""
+    geometry = view.geometry
+    if len(geometry.faces) > MOST_FACES or len(geometry.triangles) > MOST_TRIANGLES:
+        return None
+    above, below = (
+        room_still.look(geometry, _owners(view), _weights(view), tilt)
+        for tilt in (room_still.ABOVE, room_still.BELOW)
+    )
+    chosen = [q for q in view.quantities if q.still]
+    return {
+        "view": view,
+        "looks": [_look(view, above, "above"), _look(view, below, "below")],
+        "stills": [_still(quantity) for quantity in chosen],
+        "rows": [
+            {
+                "name": name,
+                "area": float(view.areas[i]),
+                "cells": [q.text(q.values[i, 0]) for q in view.quantities],
+                "colour": view.quantities[0].colour(view.quantities[0].values[i, 0]),
+            }
+            for i, name in enumerate(view.parts)
+        ],
+        "stands": [
+            {"kind": s.kind, "name": s.name, "cells": [view.gap.text(g) for g in s.gaps]}
+            for s in view.stands
+        ],
+        "data": _data(view, above),
+        "script": script(),
+        "fingerprint": fingerprint(),
+    }
+
+
+@cache
+def script() -> str:
+    """Return the page's script, ``room.js``."""
+    return resources.files("rtcal.report").joinpath("templates/room.js").read_text("utf-8")
+
+
+def fingerprint() -> str:
+    """Return what the page's policy allows to run: this script, and nothing else."""
+    digest = hashlib.sha256(script().encode()).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
+
+
+def _owners(view: RoomView) -> NDArray[np.int64]:
+    """Return the number of each face's part, -1 without one."""
+    owners = np.full(len(view.geometry.faces), -1)
+    for i, faces in enumerate(view.parts.values()):
+        owners[faces] = i
+    return owners
+
+
+def _weights(view: RoomView) -> Array:
+    """Return how much each face is to be seen from inside: by area and the first quantity's value."""
+    first = view.quantities[0]
+    values = np.nan_to_num(first.values[:, 0] - first.low) / (first.high - first.low)
+    return np.asarray(view.geometry.face_areas * (0.05 + np.append(values, 0.0)[_owners(view)]))
+
+
+def _look(view: RoomView, look: Look, name: str) -> dict[str, Any]:
+    """Return a look's shapes, with sources and receivers in the colour of their last gap."""
+    last = view.gap.values[:, -1] if view.whens else np.full(len(view.stands), np.nan)
+    marks = [
+        (s.kind, s.name, s.place, view.gap.colour(gap))
+        for s, gap in zip(view.stands, last, strict=True)
+    ]
+    return {"name": name, "box": look.box, **look.shapes(), "marks": look.marks(marks)}
+
+
+def _still(quantity: Quantity) -> dict[str, Any]:
+    middle = quantity.columns[0]
+    return {
+        "colours": [quantity.colour(value) for value in quantity.values[:, 0]],
+        "name": f"{quantity.name}, {middle}" if middle else quantity.name,
+        "legend": _legend(quantity),
+    }
+
+
+def _legend(scale: Quantity) -> dict[str, Any]:
+    middle = (scale.low + scale.high) / 2
+    return {
+        "gradient": ", ".join(scale.colours),
+        "ticks": [scale.text(v) for v in (scale.low, middle, scale.high)],
+    }
+
+
+def _data(view: RoomView, look: Look) -> str:
+    """Return the data of the script as JSON that holds no character of markup."""
+    geometry = view.geometry
+    corners = np.round(1000 * geometry.triangles).astype(int).reshape(-1, 3)
+    points, triangles = np.unique(corners, axis=0, return_inverse=True)
+    content = {
+        "points": points.ravel().tolist(),
+        "triangles": triangles.ravel().tolist(),
+        "owners": _owners(view)[geometry.triangle_faces].tolist(),
+        "edges": np.round(1000 * geometry.vertices[look.edges]).astype(int).ravel().tolist(),
+        "parts": list(view.parts),
+        "quantities": [_plain(q) for q in view.quantities],
+        "gap": _plain(view.gap),
+        "stands": [{"kind": s.kind, "name": s.name, "place": s.place} for s in view.stands],
+        "turn": look.turn,
+        "tilt": look.tilt,
+    }
+    text = json.dumps(content, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+def _plain(scale: Quantity) -> dict[str, Any]:
+    return {
+        "name": scale.name,
+        "columns": list(scale.columns),
+        "values": [
+            [round(float(v), 4) if np.isfinite(v) else None for v in row] for row in scale.values
+        ],
+        "low": scale.low,
+        "high": scale.high,
+        "colours": list(scale.colours),
+        "digits": scale.digits,
+        "factor": scale.factor,
+        "unit": scale.unit,
+    }

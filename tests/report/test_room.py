@@ -1,0 +1,182 @@
+"""The room of a page: its data, its still pictures, its table, and what may run."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.loop.beside import Beside
+from rtcal.report import page, room_section, room_still, room_view
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.observations import Observations
+from tests.report.pages import EVIL, no_figures
+from tests.report.rooms import calibrated
+
+pytest.importorskip("jinja2", reason="needs the extra report")
+
+BOX = Polyhedron.shoebox((5, 7, 3), {w: w for w in rt.simulators.geometry.SHOEBOX_WALLS})
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    return calibrated(tmp_path_factory.mktemp("room"))
+
+
+@pytest.fixture(scope="module")
+def html(result) -> str:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "_figures", no_figures)
+        return page.calibration_page(result)
+
+
+def data_of(html: str) -> dict:
+    (text,) = re.findall(r'<script type="application/json" id="room-data">(.*?)</script>', html)
+    return json.loads(text)
+
+
+def test_the_data_are_the_rooms_and_the_calibrations(html, result) -> None:
+    data = data_of(html)
+    assert data["parts"] == list(result.prior.materials)
+    corners = np.array(data["points"]).reshape(-1, 3)[data["triangles"]].reshape(-1, 3, 3) / 1000
+    areas = (
+        np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        )
+        / 2
+    )
+    of_part = np.bincount(data["owners"], areas)
+    np.testing.assert_allclose(of_part, result.prior.areas, rtol=1e-4)  # rounded to millimetres
+    after, shift, before = (np.array(q["values"], dtype=float) for q in data["quantities"])
+    np.testing.assert_allclose(after[:, 1:], result.alpha, atol=5e-5)
+    np.testing.assert_allclose(after[:, 0], result.alpha.mean(axis=1), atol=5e-5)
+    np.testing.assert_allclose(before[:, 1:], result.prior.alpha, atol=5e-5)
+    moved = (result.alpha - result.prior.alpha) / result.prior.sigma
+    np.testing.assert_allclose(shift[:, 1:], moved, atol=5e-5)
+    assert data["quantities"][1]["high"] >= np.abs(moved).max()
+
+
+def test_nothing_but_the_rooms_script_may_run(html, result) -> None:
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]+)"', html)
+    (script,) = re.findall(r"<script>(.*?)</script>", html, re.S)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert policy.endswith(f"script-src 'sha256-{digest}'")
+    assert "default-src 'none'" in policy
+    assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)|\bfetch\b|import\(|eval\(", script)
+    without = page.calibration_page(rt.calibrate(*rt.datasets.bras_cr2()))
+    assert "script" not in without
+
+
+def test_evil_names_are_text(tmp_path, result) -> None:
+    """In the data, in the table and in the pictures."""
+    names = [EVIL, *result.prior.materials[1:]]
+    box = rt.Room(
+        name="box",
+        volume=105,
+        dimensions=(5, 7, 3),
+        materials=[EVIL],
+        areas=[142],
+        alpha=[[0.1]],
+        sigma=[[0.02]],
+        centre_frequencies=[1000],
+        scene=rt.Scene(sources={EVIL: (1, 1, 1)}, receivers={"R": (3, 3, 1)}),
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "_figures", no_figures)
+        text = page.calibration_page(rt.calibrate(box, [1.0]))
+    assert data_of(text)["parts"] == names[:1]
+    assert data_of(text)["stands"][0]["name"] == EVIL
+    assert "<script>alert" not in text
+    assert text.count("</script>") == 2
+    assert text.count("&lt;script&gt;alert(1)") >= 3  # materials' tables and the picture
+
+
+def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path) -> None:
+    gone = calibrated(tmp_path)
+    (tmp_path / "room.obj").unlink()
+    said = room_section.of_calibration(gone)
+    assert said["room"] is None
+    assert "The room is not drawn" in said["no_room"]
+    assert "room.obj" in said["no_room"]
+
+
+def test_a_mesh_of_too_many_faces_is_left_out_and_said(result, monkeypatch) -> None:
+    monkeypatch.setattr(room_view, "MOST_FACES", 3)
+    assert "more than 3 faces" in room_section.of_calibration(result)["no_room"]
+
+
+@pytest.mark.parametrize(
+    ("tilt", "seen"), [(room_still.ABOVE, "floor"), (room_still.BELOW, "ceiling")]
+)
+def test_a_still_shows_three_walls_of_a_box_from_inside(tilt, seen) -> None:
+    """Its area on paper is the projected one: area times the cosine, times the scale squared."""
+    look = room_still.look(BOX, np.arange(6), np.ones(6), tilt)
+    shapes = look.shapes()
+    names = {BOX.names[part] for _, part, _ in shapes["polygons"]}
+    assert seen in names
+    assert len(names) == 3
+    into = room_still.axes(look.turn, tilt)[2]
+    for points, part, _ in shapes["polygons"]:
+        x, y = np.array([p.split(",") for p in points.split()], dtype=float).T
+        area = abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2
+        wanted = BOX.face_areas[part] * (BOX.normals[part] @ into) * look.scale**2
+        assert area == pytest.approx(wanted, rel=0.01)  # a tenth of a unit of the picture
+    lines = sum(edges.count("M") for _, _, edges in shapes["polygons"])
+    assert (lines, shapes["near"].count("M")) == (12, 3)  # 9 edges of three walls, 3 of them twice
+
+
+def test_what_is_nearer_is_drawn_later() -> None:
+    """A box that stands in the far corner is not covered by the floor."""
+    inner = Polyhedron.shoebox((1, 1, 1), "box")
+    walls = [
+        (n, m, BOX.vertices[list(f)])
+        for n, m, f in zip(BOX.names, BOX.materials, BOX.faces, strict=True)
+    ]
+    for place in ([0.5, 0.5, 0], [3.5, 5.5, 0], [0.5, 5.5, 0], [3.5, 0.5, 0]):
+        inside = [
+            (f"box {k}", "box", inner.vertices[list(f)] + place) for k, f in enumerate(inner.faces)
+        ]
+        both = Polyhedron.from_polygons([*walls, *inside])
+        owners = np.array([m == "box" for m in both.materials], dtype=int)
+        look = room_still.look(both, owners, np.ones(len(both.faces)))
+        parts = [part for _, part, _ in look.shapes()["polygons"]]
+        assert parts == [0, 0, 0, 1, 1, 1]
+
+
+def test_the_gap_of_a_stand_is_that_of_its_pairs() -> None:
+    gap = np.array([[[3.0, 4.0], [np.nan, 1.0]]])
+    made = room_view.stands(
+        {"S": (0, 0, 1)},
+        {"A": (1, 0, 1), "B": (2, 0, 1), "C": (3, 0, 1)},
+        [("S", "A"), ("S", "B")],
+        [gap],
+    )
+    assert [s.kind for s in made] == ["source"] + 3 * ["receiver"]
+    np.testing.assert_allclose(
+        [s.gaps[0] for s in made], [np.sqrt(26 / 3), np.sqrt(12.5), 1.0, np.nan]
+    )
+
+
+def test_pairs_that_were_held_out_are_compared_without_the_level() -> None:
+    pairs = (("S", "A"), ("S", "B"))
+    values = np.log([[[1.0], [2.0]], [[1.0], [1.0]]])
+    heard = Observations(
+        parameters=("t20", "level"),
+        pairs=pairs,
+        centre_frequencies=np.array([500.0]),
+        values=values,
+    )
+    measured = rt.Measurement(
+        centre_frequencies=[500], pairs=pairs, values={"t20": [[1.0], [1.9]], "g": [[3.0], [2.0]]}
+    )
+    held = Beside.at_pairs(measured, heard, [("S", "B"), ("S", "far")], heard, heard)
+    assert held is not None
+    assert held.parameters == ("t20",)
+    assert held.measured.pairs == (("S", "B"),)
+    np.testing.assert_allclose(held.gap_after, [[[(2.0 / 1.9 - 1) / 0.05]]], rtol=1e-9)
+    assert Beside.at_pairs(measured, heard, [("S", "far")], heard, heard) is None
