@@ -34,8 +34,9 @@ from benchmarks.judging import one
 from benchmarks.positions import MATCH
 from benchmarks.real_cases import every_case
 from rtcal.acoustics.equations import EQUATIONS
-from rtcal.finder import Case, control_rooms, find, find_several, verify
+from rtcal.finder import Case, control_rooms, find, verify
 from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.set_posterior import MOST
 from tests.geometric_world import load as geometric
 from tests.position_rooms import load as positions
 
@@ -109,7 +110,7 @@ def means(plain_case: Any) -> dict[str, Any]:
 
 def several(plain_case: Any) -> dict[str, Any]:
     """A room of the first world, searched for several effects at once."""
-    found = find_several(Case.from_dict(plain_case))
+    found = find(Case.from_dict(plain_case), most=MOST)
     return {
         "verdict": found.verdict,
         "named": found.named,

@@ -19,13 +19,14 @@ import numpy as np
 from benchmarks.several_effects import LEVEL
 from benchmarks.several_effects_rooms import rooms
 from rtcal.finder import Case, library
+from rtcal.finder.claim import by_family_sets, families_of, numbers_of
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.model_error import estimate_discrepancy
-from rtcal.finder.means.set_posterior import families_of, set_posterior
+from rtcal.finder.means.set_posterior import set_posterior
 from rtcal.finder.means.sets import Comparison, Rows, acting_order, compare, moments, shapes
-from rtcal.finder.means.several import TWO
+from rtcal.finder.means.verdict import TWO
 from rtcal.finder.prior import UNKNOWN, Prior, prior_of
 
 
@@ -64,7 +65,7 @@ def examined(
     """What an observer says of a room that is drawn with so many effects.
 
     The log odds of two or more effects; whether the most probable families of two are right; and
-    whether `find_several` would claim them.
+    whether a search for sets would claim them.
     """
     observed, _ = observe(case)
     predicted, prior = predict_hypotheses(case, library()), prior_of(case.room, library(), {})
@@ -72,9 +73,10 @@ def examined(
     rows = drawn(compared, prior, number, rng)
     posterior = set_posterior(measured(compared, rows, rng), prior, most=2)
     truth = families_of(tuple(predicted.names[i] for i in rows), predicted.effects)
-    sets = posterior.by_families(predicted.effects)
+    sets = by_family_sets(posterior.sets, predicted.effects)
     likeliest = next(s for s in sets if len(s) == 2 and UNKNOWN not in s)
-    less, more = sum(posterior.numbers()[:2]), sum(posterior.numbers()[2:])
+    numbers = numbers_of(posterior.sets)
+    less, more = sum(numbers[:2]), sum(numbers[2:])
     claimed = more >= TWO
     return float(np.log(more / less)), likeliest == truth, claimed
 

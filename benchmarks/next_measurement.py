@@ -24,13 +24,13 @@ from benchmarks.judging import first_of, interval, one
 from benchmarks.second_world import place
 from benchmarks.several_effects import wide
 from benchmarks.several_effects_rooms import Room, judged_alone, rooms
-from rtcal.finder import Case, find_several, library, plan
+from rtcal.finder import Case, find, library, plan
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.measurements import COSTS
 from rtcal.finder.means.model_error import estimate_discrepancy
-from rtcal.finder.means.set_posterior import set_posterior
+from rtcal.finder.means.set_posterior import MOST, set_posterior
 from rtcal.finder.means.sets import compare
 from rtcal.finder.prior import prior_of
 from tests.hidden_world.populations import Hidden, make, measure
@@ -122,7 +122,7 @@ def examined(room: Room) -> dict[str, Any]:
     _, case, truth, made = room
     names = [name_of(e) for e in truth["effects"]]
     base, controls = one(case), first_of(made)
-    found = find_several(base, controls=controls)
+    found = find(base, controls=controls, most=MOST)
     planned = case.configurations[1].measured
     second = replace(
         case.configurations[1],

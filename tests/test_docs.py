@@ -157,7 +157,6 @@ NEEDS_NO_EXAMPLE = {
     "Candidate": "part of a rt.finder.positions.Finding",
     "Place": "part of a rt.finder.positions.Finding",
     "Corrected": "what rt.finder.positions.verify compares",
-    "SeveralFinding": "a Finding of more than one effect",
     "Proposal": "part of a discrepancy.Plan",
     "Rule": "a type: one of three names",
     "Rows": "what a constraint of one's own returns: rows of numbers",

@@ -22,7 +22,6 @@ from rtcal.report import (
     gap_figures,
     loop_figures,
     positions_figures,
-    several_report,
     study_figures,
 )
 
@@ -46,7 +45,7 @@ def drawn() -> dict[str, Any]:
     found["residuals"] = gap_figures.residuals(finding)
     for draw in (gap_figures.reverberation_time, gap_figures.shifts, gap_figures.decay):
         found[f"gap_figures.{draw.__name__}"] = draw(verification)
-    found["probabilities"] = several_report.probabilities(sought(case_with(*BOTH)))
+    found["probabilities"] = gap_figures.probabilities(sought(case_with(*BOTH)))
     pairs, gaps = [("S1", "R1"), ("S1", "R2")], (np.full((2, 2, 3), 3.0), np.full((2, 2, 3), 1.0))
     face = np.array([[0, 0, 0], [5, 0, 0], [5, 4, 0], [0, 4, 0]], dtype=float)
     receivers = {"R1": (1, 1, 1), "R2": (4, 3, 1)}

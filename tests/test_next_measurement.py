@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from rtcal.command.main import cli
 from rtcal.errors import DataError
-from rtcal.finder import Case, find_several, plan
+from rtcal.finder import Case, find, plan
 from rtcal.finder.means import likelihood
 from rtcal.finder.means.information import Information
 from rtcal.finder.means.measurements import COSTS, extended, possible
@@ -110,7 +110,7 @@ def test_a_plan_proposes_what_tells_most_per_hour_and_then_goes_on() -> None:
 
 def test_a_plan_goes_on_from_a_finding() -> None:
     case = case_with(*BOTH).only("t20")
-    found = find_several(case, only=FEW, controls=controls_of(case))
+    found = find(case, only=FEW, controls=controls_of(case), most=3)
     after = plan(case, finding=found)
     assert sum(p for _, p in found.likely) == pytest.approx(1)
     # A noise floor shows in the decay's shape, which T20 alone has not told.
@@ -141,7 +141,7 @@ def test_bad_costs_are_refused(arguments: dict[str, object], words: str) -> None
 
 def test_a_finding_of_another_case_is_refused() -> None:
     case = case_with(*BOTH)
-    found = find_several(case, only=FEW, controls=controls_of(case))
+    found = find(case, only=FEW, controls=controls_of(case), most=3)
     with pytest.raises(DataError, match="finding is of another case"):
         plan(case_with(), finding=found)
 

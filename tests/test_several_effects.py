@@ -23,10 +23,11 @@ from rtcal.finder import (
     Case,
     Configuration,
     Effect,
-    SeveralFinding,
-    find_several,
+    Finding,
+    find,
     library,
 )
+from rtcal.finder.claim import numbers_of
 from rtcal.finder.means import hypotheses, likelihood
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
@@ -46,7 +47,7 @@ from rtcal.finder.means.sets import (
 )
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import UNKNOWN, prior_of
-from rtcal.report import several_report
+from rtcal.report import gap_report
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])
@@ -114,8 +115,9 @@ def compared_case(case: Case, effects: Sequence[Effect]) -> Comparison:
     return compare(case, observed, predict_hypotheses(case, effects), error)
 
 
-def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> SeveralFinding:
-    return find_several(case, only=only, controls=controls_of(case), **more)  # type: ignore[arg-type]
+def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> Finding:
+    more = {"most": 3, **more}
+    return find(case, only=only, controls=controls_of(case), **more)  # type: ignore[arg-type]
 
 
 def row(c: Comparison, name: str, place: int = 3) -> int:
@@ -151,8 +153,8 @@ def test_what_lies_between_the_points_of_a_grid_is_no_second_effect() -> None:
     case = case_with(AppliedEffect("noise floor", {"level": -35.0, "record": 2.0}))
     c = compared_case(case, library())
     prior = prior_of(case.room, library(), {})
-    assert sum(set_posterior(c, prior, most=2).numbers()[2:]) < 0.05
-    assert sum(set_posterior(at_the_points(c), prior, most=2).numbers()[2:]) > 0.1
+    assert sum(numbers_of(set_posterior(c, prior, most=2).sets)[2:]) < 0.05
+    assert sum(numbers_of(set_posterior(at_the_points(c), prior, most=2).sets)[2:]) > 0.1
 
 
 def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,11 +217,11 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert sum(found.sets.values()) == pytest.approx(1)
     assert sum(found.family_sets.values()) == pytest.approx(1)
     assert sum(found.numbers) == pytest.approx(1)
-    volume = found.members["volume"]
-    assert volume.together.size is not None
-    assert volume.together.size.low < 1.3 < volume.together.size.high
-    assert volume.alone.size is not None
-    assert abs(volume.together.size.mean - 1.3) < abs(volume.alone.size.mean - 1.3)
+    together, alone = found.fits["volume"].size, found.alone["volume"].size
+    assert together is not None
+    assert together.low < 1.3 < together.high
+    assert alone is not None
+    assert abs(together.mean - 1.3) < abs(alone.mean - 1.3)
     corrected = found.apply()
     assert [a.name for a in corrected.applied] == list(found.members)
     done = rt.finder.recalibrate(corrected, found.discrepancy)
@@ -228,7 +230,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert found.apply(corrected).applied == corrected.applied
     assert "size" in json.dumps(found.to_dict(), allow_nan=False)
     assert "volume" in str(found)
-    assert repr(found).startswith("<SeveralFinding named: volume")
+    assert repr(found).startswith("<Finding named: volume")
 
 
 @pytest.mark.parametrize("effect", BOTH, ids=lambda e: e.name)
@@ -247,6 +249,7 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
     assert found.verdict == "none"
     assert found.named == found.named_families == ()
     assert found.numbers[0] > 0.5
+    assert found.probabilities["none"] > 0.5
     with pytest.raises(DataError, match='the verdict is "none"'):
         found.apply()
 
@@ -268,11 +271,11 @@ def test_an_unknown_effect_is_said_to_be_unknown() -> None:
     assert found.probabilities[UNKNOWN] > 0.9
     assert found.verdict == "unknown"
     assert not found.can_be_added
-    assert found.sentence.startswith("Something that no effect of the library explains is missing")
+    assert found.sentence == "Something is missing that no effect of the library explains."
     assert "(verdict unknown)" in str(found.reason_for_none)
     assert "most probable" not in str(found)
-    headline = several_report.summary(found)["headline"]
-    assert headline == found.sentence
+    headline = gap_report.summary(found, None)["headline"]
+    assert headline == "The model lacks something, and no known effect explains it."
     with pytest.raises(DataError, match='the verdict is "unknown"'):
         found.apply()
 
@@ -363,33 +366,33 @@ def test_the_command_finds_and_adds_the_set(
 
     only = [x for name in FEW for x in ("--only", name)]
     path, out = str(tmp_path / "case.json"), str(tmp_path / "corrected.json")
-    said = json.loads(run("find", path, *only, "--several", "--json"))
+    said = json.loads(run("find", path, *only, "--most", "3", "--json"))
     assert set(said["members"]) == {"volume", "noise floor"}
-    words = " ".join(run("find", path, *only, "--several").split())
+    words = " ".join(run("find", path, *only, "--most", "3").split())
     assert re.search(r"number of effects: (one with \d+ %, )?two with \d+ %", words), words
     assert "candidates" in json.loads(run("find", path, *only, "--json"))
-    added = run("apply", path, *only, "--several", "--out", out)
+    added = run("apply", path, *only, "--most", "3", "--out", out)
     assert "the most probable set" in added
     assert "; verdict" not in added
     assert "It is claimed." in " ".join(added.split())
     assert {a.name for a in Case.from_file(out).applied} == {"volume", "noise floor"}
     pytest.importorskip("jinja2", reason="needs the extra report")
     pytest.importorskip("matplotlib", reason="needs the extra report")
-    run("find", path, *only, "--several", "--out", str(tmp_path / "page"))
+    run("find", path, *only, "--most", "3", "--out", str(tmp_path / "page"))
     text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
     # The set and its probabilities come first, then what to do, then the calibration with the set.
     order = [
         "The model lacks",
-        "there with",
+        "without the others",
         "Number of effects",
         "plan --next",
-        "in the model: stated",
+        "in the model, calibrated to T20",
         "Sets of effects, the most probable first",
         "noise floor + volume" if "noise floor + volume" in text else "volume + noise floor",
         "From here on, text, tables and pictures are of the plain calibration",
     ]
     assert [text.index(words) for words in order] == sorted(map(text.index, order))
-    assert "--several --expected 0.7" in text
+    assert "--most 3 --out" in text
     assert (tmp_path / "page" / "probabilities.png").is_file()
 
 
@@ -403,8 +406,8 @@ def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:
 def test_sets_of_a_single_effect_are_refused() -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.only("t20", configurations=["A"])
-    with pytest.raises(DataError, match="1 effect is tried, and sets need at least two"):
-        rt.finder.find_several(first, only=("opening",))
+    with pytest.raises(DataError, match="most = 3, and 1 effect is tried"):
+        rt.finder.find(first, only=("opening",), most=3)
 
 
 def test_what_of_the_added_set_is_claimed_is_said() -> None:
@@ -421,15 +424,15 @@ def test_what_of_the_added_set_is_claimed_is_said() -> None:
 def test_prior_odds_of_none_are_refused_for_several_effects() -> None:
     case, _ = rt.datasets.hidden_room()
     with pytest.raises(DataError, match=r'prior has odds of "none".*expected'):
-        rt.finder.find_several(case, prior={"none": 2.0})
+        rt.finder.find(case, prior={"none": 2.0}, most=3)
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--expected", "1"), "--expected is of a search for several effects: add --several"),
+        (("--expected", "1"), "expected = 1.0 is of more than one effect: state most"),
         (("--prior", "air=1", "--prior", "air=2"), '--prior: "air" is given twice'),
-        (("--several", "--prior", "none=2"), 'prior has odds of "none"'),
+        (("--most", "3", "--prior", "none=2"), 'prior has odds of "none"'),
     ],
 )
 def test_options_of_several_effects_that_would_do_nothing_are_refused(

@@ -28,9 +28,9 @@ from rtcal.command.finder_options import (
     Inputs,
     Search,
     input_options,
+    number_options,
     search_options,
     seed_option,
-    several_options,
 )
 from rtcal.errors import DataError
 from rtcal.support import text
@@ -53,7 +53,7 @@ PROPOSED = 3
 
 @click.command(short_help="Find what a model misses.")
 @search_options
-@several_options
+@number_options
 @click.option(
     "--out",
     type=click.Path(file_okay=False),
@@ -64,7 +64,7 @@ PROPOSED = 3
 def find(
     inputs: Inputs,
     search: Search,
-    expected: float | None,
+    number: Mapping[str, Any],
     heading: Heading,
     as_json: bool,
     quiet: bool,
@@ -79,23 +79,28 @@ def find(
     The first search simulates control rooms, which takes a minute or more. They are kept beside ROOM or
     CASE, in .rtcal_cache.
 
-    With --several, sets of up to three effects are compared, and each effect has the probability that
-    it is there at all. With --out the finding is verified, and its page leads with what is missing,
+    With --most 3, sets of up to three effects are compared, and each effect has the probability that it
+    is there at all. With --out the finding is verified, and its page leads with what is missing,
     what that rests on and what to do.
 
     Example: rtcal find room.toml measured.csv
     """
     folder = output_folder("--out", out)
     if folder is None:
-        finding = _find(inputs, search, quiet, expected=expected)
+        finding = _find(inputs, search, quiet, number=number)
         tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
         return
     from rtcal.report import gap_report, where_folder
 
     targets = [folder / name for name in {*gap_report.WRITTEN, *where_folder.FILES}]
-    finding = _find(inputs, search, quiet, targets, expected)
-    several = [] if expected is None else ["--several", "--expected", f"{expected:g}"]
-    words = [*inputs.arguments(), *search.arguments(), *several, "--out", str(out)]
+    finding = _find(inputs, search, quiet, targets, number)
+    numbers_stated = [
+        word
+        for name, value in number.items()
+        if value not in (None, 1)
+        for word in (f"--{name}", f"{value:g}")
+    ]
+    words = [*inputs.arguments(), *search.arguments(), *numbers_stated, "--out", str(out)]
     command, first = shlex.join(["rtcal", "find", *words]), []
     if inputs.at_positions:
         verification = None
@@ -153,11 +158,11 @@ def verify(inputs: Inputs, search: Search, as_json: bool, quiet: bool) -> None:
 @click.option(
     "--at", metavar="X,Y,Z", help="With a geometry: middle of the patch in m, on its surface."
 )
-@several_options
+@number_options
 def apply(
     inputs: Inputs,
     search: Search,
-    expected: float | None,
+    number: Mapping[str, Any],
     as_json: bool,
     quiet: bool,
     out: str,
@@ -168,7 +173,7 @@ def apply(
     """Add the named effect to the model, and print the calibration with it.
 
     If the finding is ambiguous, the best candidate is added, and the others are printed. If there is
-    nothing to add, nothing is written and the exit code is 6. With --several, the most probable set is
+    nothing to add, nothing is written and the exit code is 6. With --most 3, the most probable set is
     added.
 
     The written case can be used like any other. Neither it nor the room is calibrated.
@@ -188,7 +193,7 @@ def apply(
         case = _case(inputs, [out] if room is None else [out, room])
         of_patch = {k: stated[k] for k in ("--form", "--at")}
         _refuse(of_patch, ": a case without a geometry has no surface")
-        correction = correct(_find(inputs, search, quiet, (), expected, case), out, room)
+        correction = correct(_find(inputs, search, quiet, (), number, case), out, room)
         write_all(correction.files)
         tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
         added = bool(correction.files)
@@ -278,7 +283,7 @@ def plan(
         _tell_places(_find(inputs, search, quiet), quiet, as_json)
         return
     from rtcal.finder import plan as planned_with
-    from rtcal.finder.prior import EXPECTED
+    from rtcal.finder.means.set_posterior import MOST
 
     read = _case(inputs)
     planned = [c for c in read.configurations if c.planned]
@@ -290,7 +295,7 @@ def plan(
     result = planned_with(
         read,
         change=CHANGE if change is None else change,
-        finding=_find(inputs, search, quiet, expected=EXPECTED, case=read) if after else None,
+        finding=_find(inputs, search, quiet, number={"most": MOST}, case=read) if after else None,
         costs=numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
         planned=planned,
     )
@@ -405,31 +410,28 @@ def _find(
     search: Search,
     quiet: bool,
     targets: Sequence[str | Path] = (),
-    expected: float | None = None,
+    number: Mapping[str, Any] | None = None,
     case: Any = None,
 ) -> Any:
-    """Find what a room's model misses; simulations are kept beside its file.
-
-    With ``expected`` that number of effects is sought at once.
-    """
+    """Find what a room's model misses; simulations are kept beside its file."""
     from rtcal import finder
 
     case = _case(inputs, targets) if case is None else case
     options: dict[str, Any] = {"seed": search.seed, "without": search.without, "only": search.only}
-    of_means = {"prior": search.prior, "engines": search.engines}
+    number = {} if number is None else number
+    of_means = {"prior": search.prior, "engines": search.engines, **number}
     if inputs.at_positions:
         stated = {
             "--engine": search.engines if search.engines_stated else None,
             "--prior": search.prior or None,
-            "--several": expected,
+            "--most": None if number.get("most") == 1 else number.get("most"),
+            "--expected": number.get("expected"),
         }
         _refuse(stated, ": with a geometry there is no such option")
     else:
         options |= of_means
     with _progress("control room", quiet) as progress:
         options |= {"cache": inputs.kept, "progress": progress}
-        if expected is not None:
-            return finder.find_several(case, expected=expected, **options)
         return finder.find(case, **options)
 
 

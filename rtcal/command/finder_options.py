@@ -12,7 +12,6 @@ import click
 
 from rtcal.command.assignments import numbers
 from rtcal.command.console import json_option, quiet_option
-from rtcal.errors import DataError
 
 ENGINES = ("path tracing", "network")
 seed_option = click.option(
@@ -174,25 +173,22 @@ def search_options(command: Any) -> Any:
     return input_options(with_search)
 
 
-def several_options(command: Any) -> Any:
-    """Add the options of a search for several effects; the command takes their expected number."""
+def number_options(command: Any) -> Any:
+    """Add how many effects may be missing at once; the command takes them as ``number``, for `find`."""
 
     @wraps(command)
-    def with_number(several: bool, expected: float | None, **others: Any) -> Any:
-        if expected is not None and not several:
-            raise DataError("--expected is of a search for several effects: add --several")
-        from rtcal.finder.prior import EXPECTED
-
-        number = EXPECTED if expected is None else expected
-        return command(expected=number if several else None, **others)
+    def with_numbers(most: int, expected: float | None, **others: Any) -> Any:
+        return command(number={"most": most, "expected": expected}, **others)
 
     for option in (
+        click.option("--expected", type=float, help="Expected number of effects, with --most."),
         click.option(
-            "--expected",
-            type=float,
-            help="Expected number of missing effects, with --several.",
+            "--most",
+            type=int,
+            default=1,
+            show_default=True,
+            help="Largest number of effects that may be missing at once, up to 3.",
         ),
-        click.option("--several", is_flag=True, help="Several effects may be missing at once."),
     ):
-        with_number = option(with_number)
-    return with_number
+        with_numbers = option(with_numbers)
+    return with_numbers

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from rtcal.finder.means.planning import plan as plan
     from rtcal.finder.means.recalibrated import Recalibrated as Recalibrated
     from rtcal.finder.means.recalibration import recalibrate as recalibrate
-    from rtcal.finder.means.several import find_several as find_several
-    from rtcal.finder.means.several_finding import SeveralFinding as SeveralFinding
     from rtcal.finder.means.verification import Verification as Verification
     from rtcal.finder.search import find as find
     from rtcal.finder.search import verify as verify

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import logsumexp
@@ -10,6 +11,7 @@ from scipy.special import logsumexp
 from rtcal.finder.effects import Effect
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
 
+Key = TypeVar("Key")
 CLAIMED = 0.9
 """Probability from which an effect, a family or a surface is claimed."""
 SAID = 0.03
@@ -53,7 +55,7 @@ def with_added(families: Mapping[str, float]) -> dict[str, float]:
     return most_probable_first(out)
 
 
-def most_probable_first(values: Mapping[str, float]) -> dict[str, float]:
+def most_probable_first(values: Mapping[Key, float]) -> dict[Key, float]:
     """Return probabilities in their order."""
     return dict(sorted(values.items(), key=lambda kv: -kv[1]))
 
@@ -61,6 +63,34 @@ def most_probable_first(values: Mapping[str, float]) -> dict[str, float]:
 def family_of(name: str, effects: Mapping[str, Effect]) -> str:
     """Return the family of an effect, or of "none", "coefficients" or "unknown"."""
     return name if name in (NONE, COEFFICIENTS, UNKNOWN) else effects[name].family
+
+
+Names = tuple[str, ...]
+"""A set of effects or of families."""
+
+
+def families_of(names: Names, effects: Mapping[str, Effect]) -> Names:
+    """Return the families of a set, sorted; all of "added absorption" as one."""
+    return tuple(sorted(family_of(name, effects).split(",")[0] for name in names))
+
+
+def by_family_sets(
+    sets: Mapping[Names, float], effects: Mapping[str, Effect]
+) -> dict[Names, float]:
+    """Return the probability of each set of families (`families_of`), the most probable first."""
+    out: dict[Names, float] = {}
+    for names, p in sets.items():
+        families = families_of(names, effects)
+        out[families] = out.get(families, 0.0) + p
+    return most_probable_first(out)
+
+
+def numbers_of(sets: Mapping[Names, float]) -> tuple[float, ...]:
+    """Return the probabilities of 0, 1, 2, ... effects."""
+    out = [0.0] * (1 + max(map(len, sets)))
+    for names, p in sets.items():
+        out[len(names)] += p
+    return tuple(out)
 
 
 def narrowest_family(families: Mapping[str, float], least: float) -> str | None:

@@ -98,7 +98,8 @@ def find(
     progress : callable, optional
         Called with what is computed, the number of finished steps and their total.
     **of_means
-        ``prior``, ``engines`` and ``threshold``, as `rtcal.finder.means.search.find` takes them.
+        ``prior``, ``engines``, ``threshold``, ``most`` and ``expected``, as
+        `rtcal.finder.means.search.find` takes them.
 
     Returns
     -------

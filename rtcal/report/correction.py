@@ -11,7 +11,6 @@ from rtcal.finder.means.corrected import corrected_room, not_in_room
 from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.recalibrated import table
 from rtcal.finder.means.recalibration import recalibrate
-from rtcal.finder.means.several_finding import SeveralFinding
 
 _KEPT = ("verdict", "effect", "named", "family", "candidates", "sets", "probabilities", "evidence")
 """Entries of a finding that are stored with the correction."""
@@ -33,14 +32,12 @@ class Correction:
         return dict(self.record)
 
 
-def correct(
-    finding: Finding | SeveralFinding, case_path: str, room_path: str | None = None
-) -> Correction:
+def correct(finding: Finding, case_path: str, room_path: str | None = None) -> Correction:
     """Add the named effects, or the most probable ones, to a finding's case, and calibrate it.
 
     Parameters
     ----------
-    finding : Finding or SeveralFinding
+    finding : Finding
     case_path : str
         Path of the case with the effect (JSON).
     room_path : str, optional

@@ -9,16 +9,26 @@ import numpy as np
 
 from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.finder.case import NORMAL_90
+from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.finding import FEATURE_NAMES, Finding
 from rtcal.finder.means.states import state
 from rtcal.finder.means.verification import Verification, residual_map, reverberation_times
 from rtcal.report.evidence_words import odds
+from rtcal.finder.prior import NONE
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.support.arguments import checked
 from rtcal.support.text import number
 from rtcal.support.types import Array
 
-__all__ = ["bends", "decay", "evidence", "residuals", "reverberation_time", "shifts"]
+__all__ = [
+    "bends",
+    "decay",
+    "evidence",
+    "probabilities",
+    "residuals",
+    "reverberation_time",
+    "shifts",
+]
 __dir__ = __all__.copy
 
 MOST_PANELS = 12
@@ -177,6 +187,31 @@ def bends(verification: Verification) -> bool:
     """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change visibly."""
     shapes = [model.features[:, 1:3] for model in (verification.plain, verification.corrected)]
     return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
+
+
+@checked
+def probabilities(finding: Finding) -> Any:
+    """Return the figure of the probability of each effect that it is there at all."""
+    names = [n for n, p in finding.probabilities.items() if p >= SAID and n != NONE]
+    figure, axes = new_figure(6.0, 1.2 + 0.32 * max(len(names), 1))
+    at = np.arange(len(names))[::-1]
+    member = [n in finding.members for n in names]
+    values = np.array([finding.probabilities[n] for n in names])
+    axes.barh(
+        at,
+        100 * values,
+        color=["#9DC6E0" if m else "0.85" for m in member],
+        edgecolor=BLACK,
+        hatch=["//" if m else "" for m in member],
+    )
+    for y, name, value in zip(at, names, values, strict=True):
+        axes.text(100 * value, y, f" {finding.percent(name)}", va="center", fontsize=9)
+    axes.axvline(100 * CLAIMED, color=ORANGE, linestyle="--", label="claimed from here on")
+    axes.set_xlim(0, 115)
+    axes.set_yticks(at, [shown(n) for n in names])
+    axes.set_xlabel("Probability that it is there / %; hatched: the most probable set")
+    axes.legend(loc="lower right")
+    return figure
 
 
 @checked

@@ -11,11 +11,13 @@ from typing import Any
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.errors import MissingAirWarning
+from rtcal.finder.claim import SAID
 from rtcal.finder.means.finding import Finding
-from rtcal.finder.means.several_finding import SeveralFinding
+from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verification import Verification, verify
+from rtcal.finder.prior import NONE
 from rtcal.finder.wording import listed
-from rtcal.report import gap_figures, gap_words, several_report
+from rtcal.report import gap_figures, gap_words
 from rtcal.report.document import Heading, material_rows
 from rtcal.report.figures import rendered
 from rtcal.report.page import FINDING_FIGURES, finding_page
@@ -49,6 +51,12 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
             "An arrow marks a bar that is cut: its number is printed.",
         )
     }
+    if finding.more_than_one:
+        drawn["probabilities"] = (
+            gap_figures.probabilities(finding),
+            "Probability of each effect that it is there at all, alone or with others. "
+            "They do not sum to 100 %.",
+        )
     if verification is None:
         drawn["residuals"] = (
             gap_figures.residuals(finding),
@@ -80,7 +88,7 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
 
 @checked
 def write(
-    finding: Finding | SeveralFinding,
+    finding: Finding,
     folder: Path,
     reproduction: Reproduction | None = None,
     heading: Heading | None = None,
@@ -92,14 +100,9 @@ def write(
 
     Raises DataError if the folder cannot be made, MissingDependencyError without matplotlib or jinja2.
     """
-    saved: Result = finding
-    if isinstance(finding, SeveralFinding):
-        drawn, entries = several_report.figures(finding), several_report.summary(finding)
-    else:
-        verified = verify(finding) if finding.can_be_added else None
-        drawn, entries = figures(finding, verified), summary(finding, verified)
-        if verified is not None:
-            saved = verified
+    verified = verify(finding) if finding.can_be_verified else None
+    saved: Result = finding if verified is None else verified
+    drawn, entries = figures(finding, verified), summary(finding, verified)
     entries["reproduce"] = _reproduce(finding, reproduction)
     first = finding.case.configurations[0]
     with warnings.catch_warnings():
@@ -126,9 +129,10 @@ def summary(finding: Finding, verification: Verification | None) -> dict[str, An
     """Return the finding as plain values for the page.
 
     ``headline`` and ``level``, ``sizes``, ``rests_on``, ``to_do`` and ``notes`` (sentences),
-    ``effects`` (name, probability in %, evidence), ``sets`` (of several effects: names, probability in
-    %; none here), ``plain_heading`` and ``plain`` (title of the calibration without the effect),
-    ``corrected`` (title, use, effects, materials with their cells), ``unknowable`` (a sentence).
+    ``effects`` (name, probability in %, evidence), ``sets`` (names, probability in %, where sets of two
+    and more were compared), ``plain_heading`` and ``plain`` (title of the calibration without the
+    effect), ``corrected`` (title, use, effects, materials with their cells), ``unknowable`` (a
+    sentence).
     """
     first = finding.case.configurations[0].name
     supported = verification is not None and verification.verdict == "supported"
@@ -148,41 +152,49 @@ def summary(finding: Finding, verification: Verification | None) -> dict[str, An
             (name, 100 * probability, finding.evidence.get(name, 0.0))
             for name, probability in finding.probabilities.items()
         ],
-        "sets": [],
+        "sets": _sets(finding),
         "plain_heading": gap_words.plain_heading(finding),
         "plain": plain,
-        "corrected": None if verification is None else _corrected(verification),
-        "unknowable": "" if verification is None else _unknowable(finding, supported),
+        "corrected": _corrected(finding, verification) if finding.can_be_added else None,
+        "unknowable": _unknowable(finding, supported) if finding.can_be_added else "",
     }
 
 
-def _reproduce(
-    finding: Finding | SeveralFinding, reproduction: Reproduction | None
-) -> dict[str, Any] | None:
+def _sets(finding: Finding) -> list[tuple[str, float]]:
+    """Return the probable sets with their probabilities in %; none where sets have one effect each."""
+    if not finding.more_than_one:
+        return []
+    return [(" + ".join(s) or NONE, 100 * p) for s, p in finding.sets.items() if p >= SAID]
+
+
+def _reproduce(finding: Finding, reproduction: Reproduction | None) -> dict[str, Any] | None:
     """Return command, files, seed and engines; None if they are not known."""
     if reproduction is None:
         return None
-    single = finding.single if isinstance(finding, SeveralFinding) else finding
     return {
         "command": reproduction.command,
         "files": list(reproduction.files),
         "seed": reproduction.seed,
-        "engines": list(single.engines),
+        "engines": list(finding.engines),
     }
 
 
-def _corrected(verification: Verification) -> dict[str, Any]:
-    """The coefficients with the effect in the model, and the effect's size."""
-    room, corrected = verification.finding.case.room, verification.corrected
-    names = [f'"{c.name}"' for c in verification.finding.case.configurations]
-    use = {
-        "supported": "To be quoted once the effect is confirmed.",
-        "unproven": "Nothing but the evidence supports them.",
-        "withdrawn": "Not to be used: the finding is withdrawn.",
-    }[verification.verdict]
+def _corrected(finding: Finding, verification: Verification | None) -> dict[str, Any]:
+    """The coefficients with the effect or the set in the model, and the sizes."""
+    room = finding.case.room
+    names = [f'"{c.name}"' for c in finding.case.configurations]
+    if verification is None:
+        corrected = recalibrate(finding.apply(), finding.discrepancy)
+        use = "They are right if these are the right names."
+    else:
+        corrected = verification.corrected
+        use = {
+            "supported": "To be quoted once the effect is confirmed.",
+            "unproven": "Nothing but the evidence supports them.",
+            "withdrawn": "Not to be used: the finding is withdrawn.",
+        }[verification.verdict]
     return {
-        "title": f"with {verification.finding.title} in the model, calibrated to T20 of "
-        + listed(names),
+        "title": f"with {finding.title} in the model, calibrated to T20 of {listed(names)}",
         "use": use,
         "effects": corrected.effects_in_words,
         "materials": material_rows(
@@ -204,5 +216,10 @@ def _unknowable(finding: Finding, supported: bool) -> str:
         if supported
         else ""
     )
+    if len(finding.members) > 1:
+        return (
+            "What cannot be known: whether these are the right names. Other effects of the same family "
+            "explain the measurement about as well."
+        )
     name = f"whether it is {finding.title}. The name may be wrong; {next_to}"
     return f"What cannot be known: {name}.{shrinks}"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal.finder.claim import SAID
+from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.bootstrap import QUANTILE
 from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.verdict import TWO
 from rtcal.finder.means.verification import Verification
 from rtcal.finder.wording import as_sentence, listed
 from rtcal.report.evidence_words import odds
@@ -26,6 +27,8 @@ _FAMILIES = {
 
 def headline(finding: Finding) -> str:
     """Return the verdict as one sentence for a reader who is no acoustician."""
+    if len(finding.members) > 1 and finding.detected:
+        return _headline_of_set(finding)
     several = f"The measurements do not tell which of these it is: {_candidates(finding)}."
     which = (
         several if len(finding.candidates) > 1 else f"Most probably it is {_candidates(finding)}."
@@ -39,6 +42,21 @@ def headline(finding: Finding) -> str:
         "ambiguous": f"The model lacks something. {several}",
         "unknown": "The model lacks something, and no known effect explains it.",
     }[finding.verdict]
+
+
+def _headline_of_set(finding: Finding) -> str:
+    """Return what is claimed, or likely, of two or more effects."""
+    if finding.verdict == "ambiguous":
+        return (
+            "The model lacks something, and the measurements do not tell what: "
+            f"{finding.likely_in_words}."
+        )
+    claimed = [f"{n} ({finding.percent(n)})" for n in finding.named]
+    claimed += [
+        f"{family(f)} ({100 * finding.families[f]:.0f} %)" for f in finding.families_claimed_alone
+    ]
+    sentences = [f"The model lacks {listed(claimed)}."] if claimed else []
+    return " ".join([*sentences, finding.set_in_words]).strip()
 
 
 def family(name: str) -> str:
@@ -77,7 +95,14 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
     sentences += [as_sentence(reason) for reason in finding.reasons]
     if verification is not None:
         sentences.append(_proof(verification))
-    return [*sentences, f"Probabilities: {', '.join(said)}.", finding.track_record]
+    sentences += map(as_sentence, finding.sets_in_words)
+    if finding.more_than_one:
+        sentences.append(
+            "An effect or a family is claimed if the probability that it is there is at least "
+            f"{100 * CLAIMED:.0f} %, and if it passes the checks. More than one is claimed from "
+            f"{100 * TWO:.0f} % for more than one effect."
+        )
+    return [*sentences, f"Probabilities: {', '.join(said)}.", *filter(None, [finding.track_record])]
 
 
 def to_do(finding: Finding, verification: Verification | None) -> list[str]:
@@ -94,6 +119,11 @@ def to_do(finding: Finding, verification: Verification | None) -> list[str]:
                 "fit worse.",
             }[verification.verdict]
         )
+    elif finding.can_be_added:
+        steps += [
+            "Ask what to measure next with rtcal plan --next: it goes on from these sets.",
+            "Do this before the corrected calibration is used. Nothing has verified the set.",
+        ]
     else:
         steps.append(
             "Do not use the calibration below: its coefficients make up for what is missing."

@@ -23,6 +23,12 @@ NUMBERS = "result.json"
 MAX_BYTES = 2**28
 """Largest size of a file in bytes: control runs of a large room have some 10 MB."""
 _OBJECT = "object"
+_GONE = {
+    "finding 1": "rtcal.find",
+    "several effects 1": "rtcal.find with most = 3",
+    "verification 1": "rtcal.find and rtcal.finder.verify",
+}
+"""Kinds of result that are no longer read, and what makes a new one of the same data."""
 
 
 class Result(ABC):
@@ -132,6 +138,11 @@ def loaded(record: Mapping[str, Any]) -> Any:
         )
     if "not_saved" in Entries("", record, (), record).entries(_OBJECT, (), record[_OBJECT]):
         raise DataError(f"the result itself is not in it: {record[_OBJECT]['not_saved']}")
+    if (again := _GONE.get(record["rtcal"])) is not None:
+        raise DataError(
+            f'a "{record["rtcal"]}" of an earlier version, which this one does not read: search again '
+            f"with {again}"
+        )
     inside = Entries(
         f"{_OBJECT}.",
         record[_OBJECT],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -11,13 +11,13 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
-from rtcal.finder.claim import SAID
+from rtcal.finder.claim import SAID, Names, by_family_sets, family_of, numbers_of
 from rtcal.finder.coefficients import OffTogether
 from rtcal.finder.effects import Effect
 from rtcal.finder.means import track_record
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
-from rtcal.finder.prior import COEFFICIENTS, Prior
+from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
 from rtcal.finder.size import Size
 from rtcal.finder.wording import NATS, as_sentence, engine_title, listed
 from rtcal.support import html, text
@@ -26,12 +26,16 @@ from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 
+_NUMBERS = ("none", "one", "two", "three")
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Finding(Result):
     """What the data of a case say about its model.
+
+    Sets of effects are compared, of one effect each unless `rtcal.finder.find` was told of more
+    (``most``).
 
     Attributes
     ----------
@@ -43,39 +47,52 @@ class Finding(Result):
         (``candidates``). ``unknown``: the model lacks something that no effect of the library explains.
         ``hint``: the score does not exceed the threshold but is above 0, or a check has failed
         (``reasons``).
-    effect : str or None
-        The most probable effect; None where the verdict is "none" or "family". "coefficients" where
-        the coefficients are off together.
     family : str or None
         The family whose probability is at least 0.9.
+    named, named_families : tuple of str
+        The effects and the families that are claimed.
+    named_set : tuple of str
+        The families of two or three effects that are claimed together: the most probable ones, where
+        two or more effects are probable enough (`rtcal.finder.means.verdict.TWO`); else ().
+    members : tuple of str
+        The effects of the most probable set, in the order in which they act: what `apply` adds.
     candidates : tuple of str
-        The most probable effects that hold 0.9 of what is not "none", the best first; one where
-        the verdict is "named".
+        The members, then what explains the data in place of one. Of single effects, these are the most
+        probable ones that hold 0.9 of what is not "none"; one where the verdict is "named".
     evidence : mapping of str to float
-        Log evidence over "none" in nats, by effect, of "coefficients" and of "unknown".
+        Log evidence over "none" in nats, by effect alone, of "coefficients" and of "unknown".
     probabilities : mapping of str to float
-        Of "none", "coefficients", "unknown" and each effect, the most probable first; they sum to 1.
+        Of "none", "coefficients", "unknown" and each effect that it is there at all, the most probable
+        first. They sum to 1 where each set has one effect.
     families : mapping of str to float
-        The same of each family. "added absorption" is the sum of the families whose names begin so.
+        The same of each family. "added absorption" has the families whose names begin with it.
+    sets : mapping of tuple of str to float
+        Probabilities of the sets of effects, the most probable first; () is no effect.
+    likely : sequence of (tuple of AppliedEffect, float)
+        The most probable sets with their parameters, and their probabilities, which sum to 1: what
+        `rtcal.finder.plan` goes on from.
+    alpha : array (n_materials, n_bands)
+        Posterior mean of the coefficients, averaged over all sets: what `apply` cannot give, since it
+        adds one set.
     prior : Prior
         What was believed before.
     score, threshold : float
         Evidence that something is missing, whatever it is, and the threshold that it must exceed, in
         nats.
-    engines : tuple of str
-        The simulators of the control rooms, from which threshold and discrepancy were estimated.
     fits : mapping of str to Fit
-        Parameters, size and gap of each candidate.
-    runner_up : str
-        The second best.
+        Parameters, size and gap of each candidate; of a member with the other members in the model.
+    alone : mapping of str to Fit
+        The same of two or more members without the others.
+    stand_ins : mapping of str to tuple of str
+        Of each of two or more members, the effects that explain the data as well in its place.
     advice : str
         The next measurement that would decide.
     residuals : array (n_configurations, n_features, n_bands)
         Modelled less measured, as every gap, over its standard deviation: amount (ln T20), shape
         (EDT/T20, T30/T20), level (C80, G). NaN where nothing was measured.
     reasons : tuple of str
-        Doubts about what is most probable. One about the size or the fit leaves its family claimed; any
-        other makes the claim a hint.
+        Doubts about what is most probable. One about the size or the fit leaves its family claimed.
+        Any other makes the claim of one effect a hint, and of a set takes it back.
     notes : tuple of str
         Data that were dropped, where the uncertainties come from, and reasons to doubt the result.
     discrepancy : ModelDiscrepancy
@@ -84,22 +101,28 @@ class Finding(Result):
         The effects that were tried, by name.
     """
 
-    record_kind: ClassVar[str] = "finding 1"
+    record_kind: ClassVar[str] = "finding 2"
 
     case: Case
     verdict: str
-    effect: str | None
     family: str | None
-    candidates: tuple[str, ...]
+    named: Names
+    named_families: Names
+    named_set: Names
+    members: Names
+    candidates: Names
     evidence: Mapping[str, float]
     probabilities: Mapping[str, float]
     families: Mapping[str, float]
+    sets: Mapping[Names, float]
+    likely: Sequence[tuple[tuple[AppliedEffect, ...], float]]
+    alpha: Array
     prior: Prior
     score: float
     threshold: float
-    engines: tuple[str, ...]
     fits: Mapping[str, Fit]
-    runner_up: str
+    alone: Mapping[str, Fit]
+    stand_ins: Mapping[str, Names]
     advice: str
     residuals: Array
     reasons: tuple[str, ...]
@@ -108,9 +131,42 @@ class Finding(Result):
     effects: Mapping[str, Effect]
 
     @property
+    def engines(self) -> tuple[str, ...]:
+        """The simulators of the control rooms, from which threshold and discrepancy were estimated."""
+        return self.discrepancy.engines
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Probabilities of 0, 1, 2, ... effects."""
+        return numbers_of(self.sets)
+
+    @property
+    def more_than_one(self) -> bool:
+        """Whether sets of two and more effects were compared."""
+        return len(self.numbers) > 2
+
+    @property
+    def family_sets(self) -> dict[Names, float]:
+        """Probabilities of sets of families; all of "added absorption" as one."""
+        return by_family_sets(self.sets, self.effects)
+
+    @property
     def best(self) -> str | None:
         """The most probable effect, "coefficients" or "unknown"; None where the verdict is "none"."""
         return self.candidates[0] if self.candidates else None
+
+    @property
+    def effect(self) -> str | None:
+        """The effect that is named, else the best; None where the verdict is "none" or "family"."""
+        if self.verdict in ("none", "family"):
+            return None
+        return self.named[0] if self.named else self.best
+
+    @property
+    def runner_up(self) -> str:
+        """The second best."""
+        others = [k for k in self.probabilities if k not in (NONE, self.best)]
+        return others[0] if others else NONE
 
     @property
     def parameters(self) -> Mapping[str, float]:
@@ -126,22 +182,31 @@ class Finding(Result):
 
     @property
     def coefficients(self) -> OffTogether | None:
-        """How the coefficients are off together, if that is likely beside the best effect."""
-        fit = self.fits.get(str(self.best))
-        return None if fit is None else fit.coefficients
+        """How the coefficients are off together, if that is likely beside the most probable set."""
+        return self.fits[self.members[-1]].coefficients if self.members else None
+
+    @property
+    def detected(self) -> bool:
+        """Whether something is missing, whatever it is."""
+        return self.verdict not in ("none", "hint")
 
     @property
     def can_be_added(self) -> bool:
         """Whether `apply` has something to add."""
-        return self.verdict in ("named", "family", "ambiguous") and self.best in self.fits
+        return self.verdict in ("named", "family", "ambiguous") and bool(self.members)
+
+    @property
+    def can_be_verified(self) -> bool:
+        """Whether `rtcal.finder.verify` can compare the gap with and without it: one effect."""
+        return self.can_be_added and len(self.members) == 1
 
     @checked
     def apply(self, case: Case | None = None) -> Case:
-        """Return the case with the named effect in its model.
+        """Return the case with the most probable set of effects in its model.
 
-        An ambiguous finding, and a family, add their best candidate. Where the coefficients are off
-        together, the room's alpha is moved and its sigma widened. A case that has the effect already is
-        returned as it is.
+        An ambiguous finding, and a family, add their best candidate. Each effect has its size with the
+        others in the model. Where the coefficients are off together, the room's alpha is moved and its
+        sigma widened. An effect that the case has already is left as it is.
 
         Raises
         ------
@@ -150,17 +215,15 @@ class Finding(Result):
         """
         case = self.case if case is None else case
         if not self.can_be_added:
-            raise DataError(f'the verdict is "{self.verdict}"; there is no named effect to add')
-        name, fit = str(self.best), self.fits[str(self.best)]
-        if any(a.name == name for a in case.applied):
+            raise DataError(f'the verdict is "{self.verdict}"; there is no effect to add')
+        present = {a.name for a in case.applied}
+        if present.issuperset(self.members):
             return case
-        if fit.coefficients is not None:
-            case = fit.coefficients.apply(case)
-        if name == COEFFICIENTS:
-            return case
-        ends = None if fit.size is None else (fit.size.low, fit.size.high)
-        added = AppliedEffect.of(self.effects[name], fit.parameters, ends)
-        return replace(case, applied=(*case.applied, added))
+        if self.coefficients is not None:
+            case = self.coefficients.apply(case)
+        missing = [n for n in self.members if n in self.effects and n not in present]
+        added = [self.fits[name].applied(self.effects[name]) for name in missing]
+        return replace(case, applied=(*case.applied, *added)) if added else case
 
     @checked
     def title_of(self, name: str) -> str:
@@ -173,13 +236,13 @@ class Finding(Result):
 
     @property
     def title(self) -> str:
-        """The best effect as a sentence names it."""
-        return self.title_of(str(self.best))
+        """The best effect, or the most probable set, as a sentence names it."""
+        return listed([self.title_of(n) for n in self.members or (str(self.best),)])
 
     @property
     def rivals(self) -> list[str]:
-        """The candidates other than the best."""
-        return list(self.candidates[1:])
+        """The candidates beside the most probable set."""
+        return list(self.candidates[max(1, len(self.members)) :])
 
     @checked
     def percent(self, name: str) -> str:
@@ -216,12 +279,34 @@ class Finding(Result):
     @property
     def added(self) -> str:
         """What `apply` adds, and what explains the data nearly as well, in words."""
+        if len(self.members) > 1:
+            titles = [f"{self.title_of(n)} ({self.percent(n)})" for n in self.members]
+            share = 100 * self.sets[self.members]
+            return (
+                f"Added {listed(titles)}, the most probable set ({share:.0f} %). "
+                f"{self._claimed_of_it}"
+            )
         title = self.title if self.best != COEFFICIENTS else "coefficients that are off together"
         if not self.rivals:
             return f"Added {title} ({self.support})."
         behind = listed([f"{self.title_of(r)} has {self.percent(r)}" for r in self.rivals])
         best = self.percent(str(self.best))
         return f"Added {title}. Ambiguous: it is the best with {best}, but {behind}."
+
+    @property
+    def _claimed_of_it(self) -> str:
+        """What of the set that `apply` adds is claimed, in words."""
+        if set(self.members) <= set(self.named):
+            return "It is claimed."
+        families = dict.fromkeys((*self.families_claimed_alone, *self.named_set))
+        claimed = [*self.named, *(f"the family {f}" for f in families)]
+        return f"Of it, {listed(claimed)} is claimed." if claimed else "Nothing of it is claimed."
+
+    @property
+    def families_claimed_alone(self) -> list[str]:
+        """The claimed families of which no effect is claimed."""
+        of_named = {family_of(n, self.effects) for n in self.named}
+        return [f for f in self.named_families if f not in of_named]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -230,13 +315,22 @@ class Finding(Result):
             "verdict": self.verdict,
             "effect": self.effect,
             "family": self.family,
+            "named": list(self.named),
+            "named_families": list(self.named_families),
+            "named_set": list(self.named_set),
+            "members": list(self.members),
             "amount": self.amount or None,
             "reasons": list(self.reasons),
             "candidates": list(self.candidates),
             "probabilities": dict(self.probabilities),
             "families": dict(self.families),
+            "numbers": list(self.numbers),
+            "sets": [{"effects": list(s), "probability": p} for s, p in self.sets.items()],
             "evidence": {k: json_numbers(v) for k, v in self.evidence.items()},
             "sizes": {name: f.size and f.size.to_dict() for name, f in self.fits.items()},
+            "sizes_alone": {n: f.size and f.size.to_dict() for n, f in self.alone.items()},
+            "stand_ins": {name: list(others) for name, others in self.stand_ins.items()},
+            "alpha": self.alpha.tolist(),
             "coefficients": None
             if self.coefficients is None
             else {
@@ -266,7 +360,8 @@ class Finding(Result):
 
     def __repr__(self) -> str:
         """Return one line: verdict, candidates with their probabilities, score and threshold."""
-        names = text.shortened(", ".join(f"{c} {self.percent(c)}" for c in self.candidates))
+        some = self.members if len(self.members) > 1 else self.candidates
+        names = text.shortened(", ".join(f"{c} {self.percent(c)}" for c in some))
         return (
             f"<Finding {self.verdict}: {names or 'no effect'}; {self.score:+.1f} nats, threshold "
             f"{self.threshold:.1f}>"
@@ -287,13 +382,20 @@ class Finding(Result):
             f"{self.headline}; threshold {self.threshold:.1f} nats",
             ["effect", "probability", "evidence / nats", ""],
             rows,
-            [*self.in_words, self.track_record, f"Next: {self.advice}", *self.notes],
+            [
+                *self.in_words,
+                *self.sets_in_words,
+                self.track_record,
+                f"Next: {self.advice}",
+                *self.notes,
+            ],
         )
 
     def __str__(self) -> str:
         """Return verdict, sizes, probabilities, residuals, advice and notes."""
         lines = text.wrapped(self.headline)
-        for sentence in [*self.in_words, self.evidence_in_words, self.track_record]:
+        said = [*self.in_words, *self.sets_in_words, self.evidence_in_words, self.track_record]
+        for sentence in filter(None, said):
             lines += text.wrapped(sentence, indent="  ")
         header = ("", [bands.label(f) for f in self.case.room.centre_frequencies])
         for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
@@ -318,6 +420,8 @@ class Finding(Result):
         others = [k for k, p in self.probabilities.items() if p >= SAID and k not in said]
         listing = ", ".join(f"{k} {self.percent(k)}" for k in others)
         title = "other probabilities" if said else "probabilities"
+        if self.more_than_one:
+            title += " of being there at all"
         return (
             f"{f'{title}: {listing}. ' if others else ''}"
             "Evidence that something is missing, whatever it is: "
@@ -327,8 +431,30 @@ class Finding(Result):
         )
 
     @property
+    def sets_in_words(self) -> list[str]:
+        """The probabilities of numbers of effects and of sets, where more than one was sought."""
+        if not self.more_than_one:
+            return []
+        numbers = ", ".join(
+            f"{word} with {100 * p:.0f} %"
+            for word, p in zip(_NUMBERS, self.numbers, strict=False)
+            if p >= 0.005
+        )
+        sets = ", ".join(
+            f"{' + '.join(s) or NONE} {100 * p:.0f} %" for s, p in self.sets.items() if p >= SAID
+        )
+        stand_ins = [
+            f"{name} may stand for {listed(others)}"
+            for name, others in self.stand_ins.items()
+            if others and len(self.members) > 1
+        ]
+        return [*stand_ins, f"number of effects: {numbers}", f"sets: {sets}"]
+
+    @property
     def track_record(self) -> str:
         """How often such a verdict was right in rooms that were not used to make the finder."""
+        if self.more_than_one and self.verdict not in ("none", "hint"):
+            return " ".join(track_record.of_sets(bool(self.named_families), bool(self.named_set)))
         return track_record.sentence(self.verdict, track_record.data_of(self.case))
 
     @property
@@ -339,6 +465,10 @@ class Finding(Result):
     @property
     def sentence(self) -> str:
         """What the verdict says of the model; of a hint, the reason first."""
+        if len(self.members) > 1 or (self.named and self.named != self.members):
+            if self.verdict == "ambiguous":
+                return f"Something is missing; {self.likely_in_words}."
+            return self._claims
         others = ", ".join(f"{self.title_of(c)} ({self.percent(c)})" for c in self.candidates)
         hint = f"A hint of {self.title}, under the threshold."
         if self.reasons:
@@ -358,10 +488,45 @@ class Finding(Result):
         }[self.verdict]
 
     @property
+    def _claims(self) -> str:
+        """What is claimed of two or more effects."""
+        claimed = [f"{n} ({self.percent(n)})" for n in self.named]
+        claimed += [f"{f} ({100 * self.families[f]:.0f} %)" for f in self.families_claimed_alone]
+        sentences = []
+        if claimed:
+            sentences.append(f"Missing from the model, or not as stated: {listed(claimed)}.")
+        return " ".join([*sentences, self.set_in_words]).strip()
+
+    @property
+    def likely_in_words(self) -> str:
+        """The most probable set, and the probability of an unknown effect where that is larger."""
+        likely = listed([f"{n} ({self.percent(n)})" for n in self.members])
+        known = max(self.probabilities[n] for n in self.members)
+        if self.probabilities.get(UNKNOWN, 0.0) <= known:
+            return f"most probable is {likely}"
+        return (
+            f"most probable of the library is {likely}, and something that no effect of the library "
+            f"explains is missing ({self.percent(UNKNOWN)})"
+        )
+
+    @property
+    def set_in_words(self) -> str:
+        """What is claimed of several families together; "" where nothing is."""
+        if not self.named_set:
+            return ""
+        several, share = sum(self.numbers[2:]), self.family_sets[self.named_set]
+        return (
+            f"More than one thing is missing ({100 * several:.0f} %); most probable together: "
+            f"{listed(self.named_set)} ({100 * share:.0f} %)."
+        )
+
+    @property
     def amount(self) -> str:
         """How much more or less absorption the room has; "" where that is not claimed."""
         fit = self.fits.get(str(self.best))
         if self.verdict not in ("named", "family") or fit is None or fit.absorption is None:
+            return ""
+        if len(self.members) > 1:
             return ""
         return f"The room has {fit.absorption.words}."
 
@@ -381,10 +546,10 @@ class Finding(Result):
 
     @property
     def in_words(self) -> list[str]:
-        """The candidates' sizes, the coefficients, and the further reasons of a hint."""
+        """The candidates' sizes, the coefficients, and the reasons that the sentence leaves out."""
         sizes = [words for c in self.candidates if (words := self.size_of(c))]
         off = [] if self.coefficients is None else [self.coefficients_in_words]
-        return [*sizes, *off, *self.reasons[1:]]
+        return [*sizes, *off, *self.reasons[self.verdict == "hint" :]]
 
     @property
     def coefficients_in_words(self) -> str:
@@ -399,11 +564,6 @@ class Finding(Result):
             "look for another source"
         )
 
-    @property
-    def size_in_words(self) -> str:
-        """The best effect's size with its interval, and its other parameters; "" without any."""
-        return self.size_of(str(self.best))
-
     @checked
     def size_of(self, name: str) -> str:
         """A candidate's size with its interval, and its other parameters; "" without any."""
@@ -414,4 +574,7 @@ class Finding(Result):
         if s is None:
             return f"{self.title_of(name)}: {effect.describe(fit.parameters)}"
         others = effect.describe(fit.parameters, without=effect.size)
-        return f"size of {self.title_of(name)}: {s.words}" + (f"; {others}" if others else "")
+        alone = None if name not in self.alone else self.alone[name].size
+        words = f"size of {self.title_of(name)}: {s.words}"
+        words += "" if alone is None else f", without the others {alone.words}"
+        return words + (f"; {others}" if others else "")

@@ -16,12 +16,12 @@ from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.advice import DISTINCT_NATS, covariance_with, separation, variances_of
 from rtcal.finder.means.features import Observed, observe
+from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.information import Information, Mask
 from rtcal.finder.means.measurements import Extended, Further, checked_costs, extended, possible
 from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.finder.means.sets import compare, moments
-from rtcal.finder.means.several_finding import SeveralFinding
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NONE, prior_of
 from rtcal.finder.wording import listed
@@ -237,7 +237,7 @@ def plan(
     change: float = 0.2,
     discrepancy: ModelDiscrepancy | None = None,
     *,
-    finding: SeveralFinding | None = None,
+    finding: Finding | None = None,
     costs: Mapping[str, float] | None = None,
     planned: Sequence[Configuration] = (),
 ) -> Plan:
@@ -257,8 +257,8 @@ def plan(
         effect has the size that comes nearest to it.
     discrepancy : ModelDiscrepancy, optional
         From the case's control rooms; by default the finding's, or `GENERIC_UNCERTAINTY`.
-    finding : SeveralFinding, optional
-        Of this case, as `find_several` returns it.
+    finding : Finding, optional
+        Of this case, as `find` returns it.
     costs : mapping of str to float, optional
         Hours that a measurement takes, in place of `rtcal.finder.means.measurements.COSTS`:
         ``{"G": 0.5, "another climate": 40}``.

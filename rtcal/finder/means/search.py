@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
-from rtcal.finder.case import Case
-from rtcal.finder.claim import by_family, claim, credible_set, posterior
+from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.claim import by_family, credible_set, posterior
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.advice import next_measurement
@@ -22,7 +23,7 @@ from rtcal.finder.means.bootstrap import (
 )
 from rtcal.finder.means.bootstrap import score as evidence_of_something
 from rtcal.finder.means.cache import cached_control_rooms
-from rtcal.finder.means.doubts import Doubt, schroeder_limit
+from rtcal.finder.means.doubts import schroeder_limit
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate_beyond
 from rtcal.finder.means.features import Observed, observe
@@ -30,9 +31,12 @@ from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.verdict import Fit, doubted, doubts, fit
+from rtcal.finder.means.set_alpha import averaged_alpha
+from rtcal.finder.means.set_posterior import MOST, set_posterior, single_posterior
+from rtcal.finder.means.sets import Rows, compare
+from rtcal.finder.means.verdict import Searched, of_sets, of_single
 from rtcal.finder.prior import (
-    COEFFICIENTS,
+    EXPECTED,
     NONE,
     Prior,
     checked_odds,
@@ -53,6 +57,8 @@ def find(
     threshold: Threshold | float | None = None,
     seed: int = 0,
     *,
+    most: int = 1,
+    expected: float | None = None,
     without: Sequence[str] = (),
     only: Sequence[str] = (),
     prior: Mapping[str, float] | None = None,
@@ -73,12 +79,18 @@ def find(
         estimated from ``controls``. Bootstrapped if not given.
     seed : int
         Of the control rooms and of the bootstrap.
+    most : int
+        Largest number of effects that may be missing at once, from 1 to 3.
+    expected : float, optional
+        Expected number of effects where ``most`` is above 1: the mean of a Poisson distribution, 0.7
+        unless given.
     without, only : sequence of str
         Names of effects that are not tried, or of the ones that are. ``without`` may have
         "coefficients" and "unknown".
     prior : mapping of str to float, optional
         Prior odds of effects against the others, in place of their own: ``{"opening": 2.0}``. Those
         of "none" are against anything missing, those of "coefficients" against coefficients as stated.
+        Where ``most`` is above 1, ``expected`` takes the place of those of "none".
     engines : sequence of str
         At least two simulators that the control rooms go through.
     controls : sequence of ControlRooms, optional
@@ -97,11 +109,18 @@ def find(
     DataError
         If fewer than two engines are given, or control rooms of another case; if the room was
         calibrated on one of the case's T already; for an effect that breaks a rule, which the message
-        names.
+        names; if ``most`` or ``expected`` is out of its range.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> case, truth = rt.datasets.hidden_room()
+    >>> print(rt.find(case, most=3))  # doctest: +SKIP
     """
     checks.instance("case", case, Case).require_fresh()
     checks.whole("seed", seed, 0)
     effects, left_out = effects_to_try(effects, without, only)
+    number = _checked_numbers(most, expected, effects, prior)
     observed, notes = observe(case)
     if len(without) or len(only) or prior:
         notes = [*notes, CHOSEN]
@@ -123,7 +142,48 @@ def find(
             notes.append("the threshold was given, not bootstrapped")
     else:
         bootstrapped, limit = threshold, threshold.value
-    return _conclude(case, observed, predicted, bootstrapped.discrepancy, limit, before, notes)
+    return _conclude(
+        case, observed, predicted, bootstrapped.discrepancy, limit, before, notes, number
+    )
+
+
+LEAST_EXPECTED, MOST_EXPECTED = 0.01, 10.0
+"""Numbers of effects that may be expected: beyond, nothing measured would change the answer."""
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """How many effects may be missing at most, and how many are expected."""
+
+    most: int
+    expected: float
+
+
+def _checked_numbers(
+    most: int,
+    expected: float | None,
+    effects: Sequence[Effect],
+    prior: Mapping[str, float] | None,
+) -> _Numbers:
+    """Return the numbers of effects; DataError where they do not go together."""
+    if checks.whole("most", most, 1) > MOST:
+        raise DataError(f"most = {most} is not from 1 to {MOST}")
+    if most == 1:
+        if expected is not None:
+            raise DataError(f"expected = {expected} is of more than one effect: state most, 2 or 3")
+        return _Numbers(most, EXPECTED)
+    number = EXPECTED if expected is None else checks.positive("expected", expected)
+    if not LEAST_EXPECTED <= number <= MOST_EXPECTED:
+        raise DataError(
+            f"expected = {number:g} effects is not from {LEAST_EXPECTED:g} to {MOST_EXPECTED:g}"
+        )
+    if prior is not None and NONE in prior:
+        raise DataError(
+            'prior has odds of "none": of more than one effect, expected says how many there are'
+        )
+    if len(effects) < 2:
+        raise DataError(f"most = {most}, and {len(effects)} effect is tried: most is 1 then")
+    return _Numbers(most, number)
 
 
 def effects_to_try(
@@ -147,60 +207,54 @@ def _conclude(
     discrepancy: ModelDiscrepancy,
     limit: float,
     prior: Prior,
-    notes: Sequence[str] = (),
+    notes: Sequence[str],
+    number: _Numbers,
 ) -> Finding:
     """Compare the hypotheses' evidence and return the finding."""
     predicted, evidence = evaluate_beyond(case, observed, predicted, discrepancy, prior.off)
+    searched = Searched(case, observed, predicted, discrepancy, evidence)
+    compared = compare(case, observed, predicted, discrepancy)
     table = {k: float(v) for k, v in evidence.by_effect().items()}
     over = {k: v - table[NONE] for k, v in table.items() if k != NONE}
-    probabilities = posterior(table, prior)
-    families = by_family(probabilities, predicted.effects)
-    order = [k for k in probabilities if k != NONE]
-    best, score = order[0], float(evidence_of_something(evidence, prior))
+    score = float(evidence_of_something(evidence, prior))
     detected = None if score > limit else "hint" if score > 0 else "none"
-    rough = [name for name, effect in predicted.effects.items() if not effect.alone]
-    verdict, family = claim(detected, probabilities, families, rough)
-    fits, found = dict[str, Fit](), tuple[Doubt, ...]()
-
-    def fitted(name: str) -> None:
-        if name in predicted.effects or name == COEFFICIENTS:
-            fits[name] = fit(
-                case, observed, predicted, discrepancy, evidence, name, precise=name == best
-            )
-
-    if verdict != "none":
-        fitted(best)
-        if best in fits:
-            found = doubts(case, observed, predicted, discrepancy, evidence, fits[best], over[best])
-            verdict = doubted(verdict, family, found)
-    candidates: tuple[str, ...] = ()
-    if verdict != "none":
-        candidates = (best,) if verdict == "named" else credible_set(probabilities)
-    for name in candidates:
-        if name != best:
-            fitted(name)
+    probabilities = of_one = posterior(table, prior)
+    families = of_one_family = by_family(of_one, predicted.effects)
+    if number.most == 1:
+        sets = single_posterior(evidence, predicted, of_one)
+    else:
+        sets = set_posterior(compared, prior, expected=number.expected, most=number.most)
+        probabilities, families = sets.effects(), sets.families(predicted.effects)
+    if number.most == 1 or detected is not None:
+        verdict = of_single(searched, of_one, of_one_family, detected)
+        told_apart = verdict.candidates
+    else:
+        verdict = of_sets(searched, sets, probabilities, families)
+        told_apart = credible_set(of_one)
     return Finding(
         case=case,
-        verdict=verdict,
-        effect=None if verdict in ("none", "family") else best,
-        family=family,
-        candidates=candidates,
+        **vars(verdict),
         evidence={k: over[k] for k in sorted(over, key=lambda k: -over[k])},
         probabilities=probabilities,
         families=families,
+        sets=sets.sets,
+        likely=[(_applied(predicted, rows), p) for rows, p in sets.likely],
+        alpha=averaged_alpha(compared, sets.likely),
         prior=prior,
         score=score,
         threshold=limit,
-        engines=discrepancy.engines,
-        fits=fits,
-        runner_up=order[1] if len(order) > 1 else NONE,
-        advice=next_measurement(case, observed, predicted, discrepancy, evidence, candidates),
+        advice=next_measurement(case, observed, predicted, discrepancy, evidence, told_apart),
         residuals=standardized_residuals(observed, predicted, discrepancy),
-        reasons=tuple(doubt.words for doubt in found),
         notes=(*notes, observed.origin, *_notes(case)),
         discrepancy=discrepancy,
         effects=predicted.effects,
     )
+
+
+def _applied(predicted: Hypotheses, rows: Rows) -> tuple[AppliedEffect, ...]:
+    """Return the effects of a set with their parameters."""
+    names, parameters = predicted.names, predicted.parameters
+    return tuple(AppliedEffect.of(predicted.effects[names[i]], parameters[i]) for i in rows)
 
 
 def _notes(case: Case) -> list[str]:

@@ -15,9 +15,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from rtcal.finder.case import AppliedEffect
-from rtcal.finder.claim import family_of
+from rtcal.finder.claim import Names, families_of, family_of, most_probable_first
 from rtcal.finder.effects import Effect
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.evidence import Evidence
+from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import goodness_of_fit
 from rtcal.finder.means.sets import (
     Comparison,
@@ -29,7 +30,7 @@ from rtcal.finder.means.sets import (
     shapes,
     unknown_beside,
 )
-from rtcal.finder.prior import COEFFICIENTS, EXPECTED, UNKNOWN, Prior
+from rtcal.finder.prior import COEFFICIENTS, EXPECTED, NONE, UNKNOWN, Prior
 from rtcal.support.types import Array
 
 MOST = 3
@@ -65,7 +66,6 @@ _LIKELY = 100  # hypotheses with their parameters that a plan goes on from
 _KEPT_THIRD = 8  # parameters of the third effect that are evaluated
 DISTINCT = 0.1
 """Odds against the best set from which two effects no longer stand for one another."""
-Names = tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,29 +92,18 @@ class SetPosterior:
             if s and UNKNOWN not in s and (not families or families_of(s, effects) == families)
         )
 
-    def numbers(self) -> tuple[float, ...]:
-        """Return the probabilities of 0, 1, 2, ... effects."""
-        out = [0.0] * (1 + max(map(len, self.sets)))
-        for names, p in self.sets.items():
-            out[len(names)] += p
-        return tuple(out)
-
     def effects(self) -> dict[str, float]:
-        """Return the probability of each effect that it is there at all, the most probable first."""
+        """Return the probability of each effect that it is there at all, the most probable first.
+
+        "none" is that of no effect, and coefficients as stated.
+        """
         out: dict[str, float] = {}
         for names, p in self.sets.items():
             for name in names:
                 out[name] = out.get(name, 0.0) + p
         out[COEFFICIENTS] = sum(p * self.off[names] for names, p in self.sets.items())
-        return dict(sorted(out.items(), key=lambda kv: -kv[1]))
-
-    def by_families(self, effects: Mapping[str, Effect]) -> dict[Names, float]:
-        """Return the probability of each set of families (`families_of`), the most probable first."""
-        out: dict[Names, float] = {}
-        for names, p in self.sets.items():
-            families = families_of(names, effects)
-            out[families] = out.get(families, 0.0) + p
-        return dict(sorted(out.items(), key=lambda kv: -kv[1]))
+        out[NONE] = self.sets[()] * (1 - self.off[()])
+        return most_probable_first(out)
 
     def families(self, effects: Mapping[str, Effect]) -> dict[str, float]:
         """Return the probability of each family that one of it is there, the most probable first."""
@@ -124,8 +113,9 @@ class SetPosterior:
             of |= {f.split(",")[0] for f in of}
             for family in of:
                 out[family] = out.get(family, 0.0) + p
-        out[COEFFICIENTS] = self.effects()[COEFFICIENTS]
-        return dict(sorted(out.items(), key=lambda kv: -kv[1]))
+        every = self.effects()
+        out |= {name: every[name] for name in (COEFFICIENTS, NONE)}
+        return most_probable_first(out)
 
     def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
         """Return, for each effect of a set, the effects that explain the data as well.
@@ -144,9 +134,38 @@ class SetPosterior:
         return out
 
 
-def families_of(names: Names, effects: Mapping[str, Effect]) -> Names:
-    """Return the families of a set, sorted; all of "added absorption" as one."""
-    return tuple(sorted(family_of(name, effects).split(",")[0] for name in names))
+def single_posterior(
+    evidence: Evidence, predicted: Hypotheses, probabilities: Mapping[str, float]
+) -> SetPosterior:
+    """Return what the data say of sets of one, from the ``probabilities`` of a single effect.
+
+    "coefficients" among these is the empty set with coefficients that are off together.
+    """
+    nothing = probabilities[NONE] + probabilities[COEFFICIENTS]
+    sets: dict[Names, float] = {(): nothing}
+    off = {(): probabilities[COEFFICIENTS] / nothing if nothing else 0.0, (UNKNOWN,): 0.0}
+    rows: dict[Names, Rows] = {(): (), (UNKNOWN,): ()}
+    likely: list[tuple[Rows, float]] = [((), nothing)]
+    log, names = evidence.by_hypothesis(), np.array(predicted.names)
+    for name, p in probabilities.items():
+        if name in (NONE, COEFFICIENTS):
+            continue
+        sets[name,] = p
+        if name == UNKNOWN:
+            continue
+        places = np.flatnonzero(names == name)
+        with np.errstate(divide="ignore"):
+            weighted = log[places] + np.log(predicted.weights[places])
+        share = p * np.exp(weighted - logsumexp(weighted))
+        off[name,] = float(evidence.off_given(name))
+        rows[name,] = (int(places[np.argmax(log[places])]),)
+        likely += [((int(i),), float(w)) for i, w in zip(places, share, strict=True)]
+    likely = sorted(likely, key=lambda one: -one[1])[:_LIKELY]
+    total = sum(p for _, p in likely)
+    order = tuple(predicted.effects)
+    return SetPosterior(
+        most_probable_first(sets), off, rows, order, [(r, p / total) for r, p in likely]
+    )
 
 
 def set_posterior(
@@ -169,9 +188,10 @@ def set_posterior(
     total = {s: v + weight(s) for s, v in tables.log.items()}
     norm = float(logsumexp(list(total.values())))
     probability = {s: float(np.exp(v - norm)) for s, v in total.items()}
-    probability = dict(sorted(probability.items(), key=lambda kv: -kv[1]))
     likely = tables.likely(weight)
-    return SetPosterior(probability, tables.off, tables.best, tuple(tables.order), likely)
+    return SetPosterior(
+        most_probable_first(probability), tables.off, tables.best, tuple(tables.order), likely
+    )
 
 
 class _Tables:

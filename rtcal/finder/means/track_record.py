@@ -66,7 +66,7 @@ configuration, 57 of 57 such names were right. In 46 measured cases none was wro
 
 
 def of_sets(families: bool, together: bool) -> list[str]:
-    """Return how often claims of `rtcal.finder.find_several` were right: families, and sets."""
+    """Return how often claims of sets were right: families, and sets."""
     out = []
     if families:
         right, of = SET_FAMILIES

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.observables import observable
+from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.finding import FEATURE_NAMES, Finding
@@ -70,7 +71,7 @@ class Verification(Result):
     plain, corrected : Recalibrated
     """
 
-    record_kind: ClassVar[str] = "verification 1"
+    record_kind: ClassVar[str] = "verification 2"
 
     finding: Finding
     gaps: tuple[Gap, ...]
@@ -214,8 +215,14 @@ class Verification(Result):
 def verify(finding: Finding, case: Case | None = None) -> Verification:
     """Compare the plainly calibrated model with the one that has the named effect.
 
-    Raises DataError where there is no named effect (see `Finding.apply`), or ``case`` differs in shape.
+    Raises DataError where there is no named effect (see `Finding.apply`), where there are two or more,
+    or ``case`` differs in shape.
     """
+    if len(finding.members) > 1:
+        raise DataError(
+            f"{len(finding.members)} effects were found together; the gap is compared for one: search "
+            "with most = 1"
+        )
     case = finding.case if case is None else case
     before, after = plain(case), recalibrate(finding.apply(case), finding.discrepancy)
     observed, _ = observe(case)
