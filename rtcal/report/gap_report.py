@@ -11,11 +11,9 @@ from typing import Any
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.errors import MissingAirWarning
-from rtcal.finder.claim import SAID
 from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verification import Verification, verify
-from rtcal.finder.prior import NONE
 from rtcal.finder.wording import listed
 from rtcal.report import gap_figures, gap_words
 from rtcal.report.document import Heading, material_rows
@@ -152,19 +150,12 @@ def summary(finding: Finding, verification: Verification | None) -> dict[str, An
             (name, 100 * probability, finding.evidence.get(name, 0.0))
             for name, probability in finding.probabilities.items()
         ],
-        "sets": _sets(finding),
+        "sets": [(names, 100 * p) for names, p in finding.likely_sets.items()],
         "plain_heading": gap_words.plain_heading(finding),
         "plain": plain,
         "corrected": _corrected(finding, verification) if finding.can_be_added else None,
         "unknowable": _unknowable(finding, supported) if finding.can_be_added else "",
     }
-
-
-def _sets(finding: Finding) -> list[tuple[str, float]]:
-    """Return the probable sets with their probabilities in %; none where sets have one effect each."""
-    if not finding.more_than_one:
-        return []
-    return [(" + ".join(s) or NONE, 100 * p) for s, p in finding.sets.items() if p >= SAID]
 
 
 def _reproduce(finding: Finding, reproduction: Reproduction | None) -> dict[str, Any] | None:

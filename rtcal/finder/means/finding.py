@@ -394,7 +394,9 @@ class Finding(Result):
     def __str__(self) -> str:
         """Return verdict, sizes, probabilities, residuals, advice and notes."""
         lines = text.wrapped(self.headline)
-        said = [*self.in_words, *self.sets_in_words, self.evidence_in_words, self.track_record]
+        sets = ", ".join(f"{names} {100 * p:.0f} %" for names, p in self.likely_sets.items())
+        said = [*self.in_words, *self.sets_in_words, f"sets: {sets}" if sets else ""]
+        said += [self.evidence_in_words, self.track_record]
         for sentence in filter(None, said):
             lines += text.wrapped(sentence, indent="  ")
         header = ("", [bands.label(f) for f in self.case.room.centre_frequencies])
@@ -432,7 +434,7 @@ class Finding(Result):
 
     @property
     def sets_in_words(self) -> list[str]:
-        """The probabilities of numbers of effects and of sets, where more than one was sought."""
+        """What else explains each of two or more effects, and the probabilities of their number."""
         if not self.more_than_one:
             return []
         numbers = ", ".join(
@@ -440,15 +442,19 @@ class Finding(Result):
             for word, p in zip(_NUMBERS, self.numbers, strict=False)
             if p >= 0.005
         )
-        sets = ", ".join(
-            f"{' + '.join(s) or NONE} {100 * p:.0f} %" for s, p in self.sets.items() if p >= SAID
-        )
         stand_ins = [
             f"{name} may stand for {listed(others)}"
             for name, others in self.stand_ins.items()
             if others and len(self.members) > 1
         ]
-        return [*stand_ins, f"number of effects: {numbers}", f"sets: {sets}"]
+        return [*stand_ins, f"number of effects: {numbers}"]
+
+    @property
+    def likely_sets(self) -> dict[str, float]:
+        """The sets that are probable enough to be printed; {} where each has one effect."""
+        if not self.more_than_one:
+            return {}
+        return {" + ".join(s) or NONE: p for s, p in self.sets.items() if p >= SAID}
 
     @property
     def track_record(self) -> str:
