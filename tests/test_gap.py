@@ -164,13 +164,13 @@ def unsure(finding: Finding) -> Finding:
     return replace(
         finding,
         verdict="ambiguous",
-        effect="area",
         family=None,
+        named=(),
+        members=("area",),
         candidates=("area", "opening"),
         score=6.5,
         evidence={"area": 6.5, "opening": 5.7},
         probabilities={"area": 0.6, "opening": 0.3, "none": 0.1},
-        runner_up="opening",
         fits={**finding.fits, "area": area},
     )
 

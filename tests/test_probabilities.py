@@ -88,7 +88,8 @@ def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_f
     assert off is not None
     assert (off.ratio > 1.3).all()
     assert "of what is stated" in off.words(np.array(F))
-    sure = replace(finding, verdict="named", effect="coefficients", candidates=("coefficients",))
+    name = ("coefficients",)
+    sure = replace(finding, verdict="named", named=name, members=name, candidates=name)
     assert sure.sentence == "The coefficients are off together."
     assert "look for another source" in str(sure)
     moved = sure.apply()
@@ -228,7 +229,7 @@ def test_one_size_everywhere() -> None:
     result = rt.finder.verify(finding)
     assert result.corrected.sizes["opening"] == finding.size.mean
     words = f"{finding.size.mean:.3g} m² (90 %: {finding.size.low:.3g} to {finding.size.high:.3g})"
-    for text in (finding.size_in_words, result.corrected.effects_in_words[0]):
+    for text in (finding.size_of(str(finding.best)), result.corrected.effects_in_words[0]):
         assert words in text
     assert (
         f"{finding.size.mean:.3g} m²"
