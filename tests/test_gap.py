@@ -288,7 +288,8 @@ def test_parameters_have_names_and_units(finding: Finding) -> None:
     assert record["material"] == room.materials[1]
     climate = {"temperature": 5.0, "humidity": 10.3}
     fit = replace(next(iter(finding.fits.values())), name="air", size=None, parameters=climate)
-    air = replace(finding, effect="air", candidates=("air",), fits={"air": fit})
+    only = ("air",)
+    air = replace(finding, named=only, members=only, candidates=only, fits={"air": fit})
     assert "temperature 5 °C, humidity 10.3 % (found together" in " ".join(str(air).split())
     assert air.to_dict()["material"] is None
 
