@@ -13,8 +13,8 @@ from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.finding import FEATURE_NAMES, Finding
 from rtcal.finder.means.states import state
 from rtcal.finder.means.verification import Verification, residual_map, reverberation_times
-from rtcal.report.evidence_words import odds
 from rtcal.finder.prior import NONE
+from rtcal.report.evidence_words import odds
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.support.arguments import checked
 from rtcal.support.text import number
