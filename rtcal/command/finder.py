@@ -32,6 +32,7 @@ from rtcal.command.finder_options import (
     search_options,
     seed_option,
 )
+from rtcal.command.two_states import find_change
 from rtcal.errors import DataError
 from rtcal.support import text
 from rtcal.support.files import spare
@@ -60,11 +61,17 @@ PROPOSED = 3
     help="Verify it, too, and write page (report.html), figures (PNG) and numbers (result.json) "
     "into this folder.",
 )
+@click.option(
+    "--before",
+    type=click.Path(dir_okay=False),
+    help="What was measured at the same positions before something was changed (CSV): find what.",
+)
 @heading_options
 def find(
     inputs: Inputs,
     search: Search,
     number: Mapping[str, Any],
+    before: str | None,
     heading: Heading,
     as_json: bool,
     quiet: bool,
@@ -83,9 +90,18 @@ def find(
     is there at all. With --out the finding is verified, and its page leads with what is missing,
     what that rests on and what to do.
 
+    With --before, MEASURED is what was measured after a change of the room. What changed is found, with
+    its amount, and the room's coefficients do not count (docs/two_states.md).
+
     Example: rtcal find room.toml measured.csv
     """
     folder = output_folder("--out", out)
+    if before is not None:
+        more = number["most"] if number["most"] > 1 else None
+        stated = {"--most": more, "--expected": number["expected"]}
+        _refuse(stated, " is not of a search for what changed between two states")
+        find_change(inputs, search, before, folder, heading, as_json, quiet)
+        return
     if folder is None:
         finding = _find(inputs, search, quiet, number=number)
         tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)

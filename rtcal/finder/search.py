@@ -9,15 +9,16 @@ from typing import Any, overload
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.finder import positions
+from rtcal.finder import positions, states
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
-from rtcal.finder.effects import Effect
+from rtcal.finder.effects import Effect, library
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import Finding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.means.verification import Verification
 from rtcal.finder.means.verification import verify as verify_by_means
+from rtcal.finder.prior import chosen_effects
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
@@ -52,15 +53,22 @@ def find(room: Case, **options: Any) -> Finding: ...
 @overload
 def find(room: positions.Case, **options: Any) -> positions.Finding: ...
 @overload
+def find(room: states.Case, **options: Any) -> states.Finding: ...
+@overload
+def find(
+    room: Room, measured: Measurement, *, before: Measurement, **options: Any
+) -> states.Finding: ...
+@overload
 def find(
     room: Room, measured: Measurement, simulator: PathTracing | None = None, **options: Any
 ) -> Finding | positions.Finding: ...
 @checked
 def find(
-    room: Room | Case | positions.Case,
+    room: Room | Case | positions.Case | states.Case,
     measured: Measurement | None = None,
     simulator: PathTracing | None = None,
     *,
+    before: Measurement | None = None,
     effects: Sequence[Effect] | None = None,
     seed: int = 0,
     only: Sequence[str] = (),
@@ -69,7 +77,7 @@ def find(
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
     **of_means: Any,
-) -> Finding | positions.Finding:
+) -> Finding | positions.Finding | states.Finding:
     """Find what the model of a room lacks, and where the positions tell on which surface.
 
     Two models of what is observed, one library of effects. With a simulator, or a room that states its
@@ -85,6 +93,9 @@ def find(
         In a `Room`.
     simulator : PathTracing, optional
         Of the room; by default the one that the room's scene states, if it states one.
+    before : Measurement, optional
+        Of the same positions, before something was changed: then what changed is found, instead of what
+        the model lacks (`rtcal.finder.states`). The room's coefficients do not count.
     effects : sequence of Effect, optional
         The effects to try; the whole library if not given.
     seed : int
@@ -103,7 +114,7 @@ def find(
 
     Returns
     -------
-    Finding or positions.Finding
+    Finding, positions.Finding or states.Finding
 
     Raises
     ------
@@ -119,6 +130,14 @@ def find(
     >>> print(finding.verdict)  # doctest: +SKIP
     none
     """
+    if isinstance(room, states.Case) or before is not None:
+        refused = {"simulator": simulator, "controls": controls, **of_means}
+        for name, value in refused.items():
+            if value is not None:
+                raise DataError(f"{name} is not of a search for what changed between two states")
+        two = _two_states(room, measured, before)
+        tried = chosen_effects(library() if effects is None else effects, without, only)[0]
+        return states.find(two, effects=tried, seed=seed)
     case: Case | positions.Case
     if isinstance(room, Room):
         if measured is None:
@@ -142,6 +161,20 @@ def find(
     for name in of_means:
         raise DataError(f"{name} is of a search by means over positions")
     return positions.find(case, **common)
+
+
+def _two_states(
+    room: Room | Case | positions.Case | states.Case,
+    measured: Measurement | None,
+    before: Measurement | None,
+) -> states.Case:
+    if isinstance(room, states.Case):
+        if measured is not None or before is not None:
+            raise DataError("measured and before belong to a room; a case holds its own")
+        return room
+    if measured is None or before is None:
+        raise DataError("measured is missing: what was measured after the change")
+    return states.Case(room=checks.instance("room", room, Room), before=before, after=measured)
 
 
 @overload

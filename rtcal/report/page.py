@@ -15,6 +15,7 @@ from rtcal.acoustics.quality import letters
 from rtcal.calibration import record
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
+from rtcal.finder import states
 from rtcal.loop import beside
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
@@ -30,6 +31,7 @@ from rtcal.report import (
     positions_page,
     prediction_page,
     room_section,
+    states_page,
     words,
 )
 from rtcal.report.document import Heading, blocks, material_rows, render, source
@@ -244,12 +246,14 @@ def page_of(
         return positions_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, Prediction | Predictions | Design):
         return prediction_page.page(result, heading or Heading(), progress or (lambda: None))
+    if isinstance(result, states.Finding):
+        return states_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, CalibrationResult):
         return calibration_page(result, heading=heading, progress=progress)
     raise DataError(
         f'{place}: a result of the kind "{result.record_kind.rstrip(" 0123456789")}" has no page. '
-        "Pages show a calibration, a loop, positions, predictions and designs; `rtcal find --out` "
-        "writes that of a finding, and `rtcal learn` prints an archive"
+        "Pages show a calibration, a loop, positions, predictions, designs and what changed; `rtcal "
+        "find --out` writes that of a finding, and `rtcal learn` prints an archive"
     )
 
 

@@ -1,0 +1,14 @@
+"""Two states of one room: what changed between two measurements at the same positions."""
+
+from typing import TYPE_CHECKING
+
+from rtcal.support import lazy
+
+if TYPE_CHECKING:
+    from rtcal.finder.states.case import Case as Case
+    from rtcal.finder.states.differences import Differences as Differences
+    from rtcal.finder.states.finding import Finding as Finding
+    from rtcal.finder.states.finding import Kind as Kind
+    from rtcal.finder.states.search import find as find
+else:
+    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

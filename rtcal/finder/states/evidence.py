@@ -1,0 +1,197 @@
+"""How well each kind of change explains the differences of two states.
+
+ln T of a pair shifts by m + e. m is the shift of all pairs: the predicted one, with the errors of the
+spectrum and of the equation, and what a remeasurement adds by itself. e is what the pair has alone:
+noise of both states, and a share of the shift. The noise of each pair has a scale of its own, so that e
+follows a multivariate t distribution over the pair's bands; all pairs together have a further one. The
+integral over m is Laplace's at the mode that Gauss-Newton steps find.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln, logsumexp
+
+from rtcal.finder.states.baseline import Baseline
+from rtcal.finder.states.kinds import Grid
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What is assumed of the errors; chosen on the development part, `docs/two_states_study.md`.
+
+    Attributes
+    ----------
+    pair, common : float
+        Error of a pair's shift, and of all pairs' in a band, over the predicted shift.
+    remeasured : float
+        Standard deviation of ln T by which a band differs if nothing changed: climate, equipment.
+    degrees : float
+        Degrees of freedom of a pair's noise.
+    scales, weights : tuple of float
+        Scales of all pairs' noise and their prior probabilities.
+    """
+
+    pair: float = 0.15
+    common: float = 0.1
+    remeasured: float = 0.01
+    degrees: float = 5.0
+    scales: tuple[float, ...] = (0.7, 1.0, 1.4, 2.0)
+    weights: tuple[float, ...] = (0.2, 0.5, 0.2, 0.1)
+
+
+_STEPS = 12
+"""Most Gauss-Newton steps."""
+_SETTLED = 1e-3
+"""Largest last step of ln size."""
+_WEIGHINGS = 5
+"""Steps of the pairs' weights at each of them."""
+_FIRST = 3
+"""Gauss-Newton steps before the hypotheses that explain the data badly are dropped."""
+_NEGLIGIBLE = 25.0
+"""Evidence in nats below the best hypothesis', from which one is dropped."""
+_MOST_AT_ONCE = 20_000
+"""Pairs times hypotheses that are computed at once."""
+Rows = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Each hypothesis with each scale: its evidence, and what it makes of the sizes.
+
+    Attributes
+    ----------
+    log_evidence : array (n, n_scales)
+        Log probability density of the data, with the scale's prior probability.
+    mean : array (n, n_scales, n_bands)
+        Of ln |size| less that of the grid.
+    covariance : array (n, n_scales, n_bands, n_bands)
+    """
+
+    log_evidence: Array
+    mean: Array
+    covariance: Array
+
+
+def none(change: Array, variance: Array, errors: Errors) -> float:
+    """Return the log evidence that nothing changed.
+
+    ``change`` and ``variance`` are (n_pairs, n_bands), NaN where nothing was measured.
+    """
+    n = change.shape[1]
+    zero, noise = np.zeros((1, n)), np.zeros((1, n, n)) + errors.remeasured**2 * np.eye(n)
+    by_scale = [
+        _settled(change, scale**2 * variance[np.newaxis], zero, noise, errors)
+        for scale in errors.scales
+    ]
+    return float(logsumexp(np.array(by_scale) + np.log(errors.weights)))
+
+
+def fits(change: Array, variance: Array, baseline: Baseline, grid: Grid, errors: Errors) -> Fits:
+    """Return the evidence of each hypothesis of the grid, and the sizes that each would have."""
+    n, k = grid.size.shape
+    evidence = np.full((n, len(errors.scales)), -np.inf)
+    mean, covariance = np.zeros((*evidence.shape, k)), np.zeros((*evidence.shape, k, k))
+
+    def evaluate(rows: Rows, j: int, steps: int) -> None:
+        for some in np.array_split(rows, -(-len(rows) * len(change) // _MOST_AT_ONCE)):
+            found = _fitted(change, variance, baseline, grid, some, errors, errors.scales[j], steps)
+            evidence[some, j] = found[0] + np.log(errors.weights[j])
+            mean[some, j], covariance[some, j] = found[1], found[2]
+
+    usual = int(np.argmax(errors.weights))
+    evaluate(np.arange(n), usual, _FIRST)
+    likely = np.flatnonzero(evidence[:, usual] > evidence[:, usual].max() - _NEGLIGIBLE)
+    evidence[:, usual] = np.where(np.isin(np.arange(n), likely), evidence[:, usual], -np.inf)
+    for j in range(len(errors.scales)):
+        evaluate(likely, j, _STEPS)
+    return Fits(evidence, mean, covariance)
+
+
+def _fitted(
+    change: Array,
+    variance: Array,
+    baseline: Baseline,
+    grid: Grid,
+    rows: Rows,
+    errors: Errors,
+    scale: float,
+    steps: int,
+) -> tuple[Array, Array, Array]:
+    """Return log evidence, and mean and covariance of the error of ln size, of some hypotheses."""
+    size, prior, of_air = grid.size[rows], grid.covariance[rows], grid.of_air[rows, np.newaxis]
+    stated, _ = baseline.shift(size, of_air)
+    spread = scale**2 * variance + ((errors.pair * stated) ** 2)[:, np.newaxis]
+    other = errors.remeasured**2 + (errors.common * stated) ** 2
+    z, weight = np.zeros_like(size), np.ones((len(size), len(change)))
+    for _ in range(steps):
+        shift, slope = baseline.shift(size * np.exp(z), of_air)
+        centre = shift - slope * z
+        of_shift = slope[:, :, None] * prior * slope[:, None, :]
+        whole = of_shift + other[:, :, None] * np.eye(size.shape[1])
+        log_evidence, mode, precision, weight = _integrated(
+            change, spread, centre, whole, errors, weight
+        )
+        gain = np.linalg.solve(whole, slope[:, :, None] * prior).swapaxes(1, 2)
+        after = np.einsum("nkl,nl->nk", gain, mode - centre)
+        step = np.clip(after - z, -1.0, 1.0)
+        z = z + step
+        if np.abs(step).max() < _SETTLED:
+            break
+    # Var z = prior - gain (whole - var m) gain', with var m of the posterior.
+    of_mode = np.linalg.inv(precision)
+    covariance = prior - gain @ (whole - of_mode) @ gain.swapaxes(1, 2)
+    return log_evidence, z, covariance
+
+
+def _integrated(
+    change: Array, spread: Array, centre: Array, prior: Array, errors: Errors, weight: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return log evidence, mode and precision of the shift of all pairs, and the pairs' weights.
+
+    Parameters
+    ----------
+    change : array (n_pairs, n_bands)
+    spread : array (n or 1, n_pairs, n_bands)
+        Variance of each pair alone.
+    centre : array (n, n_bands)
+        Mean of the shift before the measurement.
+    prior : array (n, n_bands, n_bands)
+        Its covariance.
+    weight : array (n, n_pairs)
+        Of the pairs' precision, from which to begin.
+    """
+    known = np.isfinite(change)
+    count = known.sum(axis=1)
+    inverse = np.where(known, 1 / spread, 0.0)
+    d = np.where(known, change, 0.0)
+    nu = errors.degrees
+    of_prior = np.linalg.inv(prior)
+    at_prior = np.einsum("nkl,nl->nk", of_prior, centre)
+    for _ in range(_WEIGHINGS):
+        weighted = weight[:, :, None] * inverse
+        precision = of_prior + weighted.sum(axis=1)[:, :, None] * np.eye(change.shape[1])
+        pull = at_prior + (weighted * d).sum(axis=1)
+        mode = np.linalg.solve(precision, pull[:, :, None])[:, :, 0]
+        squares = (inverse * (d - mode[:, None]) ** 2).sum(axis=2)
+        weight = (nu + count) / (nu + squares)
+    log_det = np.where(known, np.log(np.where(known, spread, 1.0)), 0.0).sum(axis=(1, 2))
+    constant = gammaln((nu + count) / 2) - gammaln(nu / 2) - count / 2 * np.log(nu * np.pi)
+    likelihood = (constant - (nu + count) / 2 * np.log1p(squares / nu)).sum(axis=1) - log_det / 2
+    off = mode - centre
+    of_mode = np.einsum("nk,nkl,nl->n", off, of_prior, off)
+    determinants = np.linalg.slogdet(prior)[1] + np.linalg.slogdet(precision)[1]
+    return likelihood - (of_mode + determinants) / 2, mode, precision, weight
+
+
+def _settled(change: Array, spread: Array, centre: Array, prior: Array, errors: Errors) -> float:
+    """Return the log evidence of one shift whose error is normal."""
+    weight = np.ones((1, len(change)))
+    for _ in range(_STEPS):
+        found = _integrated(change, spread, centre, prior, errors, weight)
+        weight = found[3]
+    return float(found[0][0])

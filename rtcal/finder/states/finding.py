@@ -1,0 +1,229 @@
+"""What changed between two measurements of one room."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.finder.prior import NONE
+from rtcal.finder.size import Size
+from rtcal.finder.states.case import Case
+from rtcal.finder.states.kinds import ADDED
+from rtcal.finder.wording import NATS, amount, as_sentence, listed
+from rtcal.support import html, text
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
+from rtcal.support.types import Array
+
+_RANGE = 1.25
+"""Ratio of the change in the upper and in the lower bands, below which these are alike."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of change: what was added or removed.
+
+    Attributes
+    ----------
+    name, family : str
+        "added porous", "added absorption, rising".
+    probability : float
+    size : Size
+        Change of the absorption area in m², mean over the bands of `Finding.middle`.
+    """
+
+    name: str
+    family: str
+    probability: float
+    size: Size
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Finding(Result):
+    """What changed between two states of a room.
+
+    Attributes
+    ----------
+    case : Case
+    verdict : {"none", "hint", "named", "family", "ambiguous"}
+        ``family``: something changed, and the probability of what, such as "added absorption, rising",
+        is at least 0.9. ``named``: that is the climate. ``ambiguous``: something changed that is not
+        told. ``hint``: the score is above 0, but not above the threshold.
+    family : str or None
+        What is claimed.
+    probabilities, families : mapping of str to float
+        Of "none" and each kind of change, and of each family; the most probable first. "added
+        absorption" and "removed absorption" are the sums of the families whose names begin so.
+    score, threshold : float
+        Log evidence in nats that something changed over that nothing did. Where nothing changed, and
+        the noise is as assumed, it exceeds ln 20 in at most one of twenty cases, whatever was measured:
+        the mean of a likelihood ratio is then 1.
+    kinds : tuple of Kind
+        The kinds whose probability is at least 0.03, the most probable first.
+    area : array (n_bands,)
+        The surfaces' absorption area before in m², by the equation; NaN where T is missing.
+    change : array (3, n_bands)
+        Its change in m², if something changed: mean and both ends of the 90 % interval.
+    size : Size
+        The change as mean over the bands of ``middle``, in m².
+    middle : tuple of float
+        Bands in Hz: those of 500 Hz to 2 kHz, or all where none of them was measured.
+    surface : str or None
+        The surface that is claimed; None of means.
+    reasons, notes : tuple of str
+    """
+
+    record_kind: ClassVar[str] = "two states 1"
+
+    case: Case
+    verdict: str
+    family: str | None
+    probabilities: Mapping[str, float]
+    families: Mapping[str, float]
+    score: float
+    threshold: float
+    kinds: tuple[Kind, ...]
+    area: Array
+    change: Array
+    size: Size
+    middle: tuple[float, ...]
+    surface: str | None
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def detected(self) -> bool:
+        """Whether something changed."""
+        return self.verdict not in (NONE, "hint")
+
+    @property
+    def best(self) -> str | None:
+        """The most probable kind of change; None where the verdict is "none"."""
+        return None if self.verdict == NONE else self.kinds[0].name
+
+    def __repr__(self) -> str:
+        return f"<Finding {self.verdict}: {self.what}; score {self.score:+.1f}>"
+
+    @property
+    def what(self) -> str:
+        """What changed, in words: more or less absorption, its spectrum and its amount."""
+        if self.verdict == NONE:
+            return "nothing"
+        if self.family == "climate":
+            return "another climate of the air, and nothing else"
+        low, high = sorted((abs(self.size.low), abs(self.size.high)))
+        size = amount(abs(self.size.mean), "m²", (low, high))
+        at = bands.label(self.middle[0])
+        if len(self.middle) > 1:
+            at = f"{self.middle[0]:g} to {self.middle[-1]:g} Hz"
+        return f"{self._direction}; {size} at {at}"
+
+    @property
+    def _direction(self) -> str:
+        added = self.families.get(f"{ADDED} absorption", 0.0)
+        direction = f"{'more' if added > (1 - self.probabilities[NONE]) / 2 else 'less'} absorption"
+        return f"{direction}, {self.spectrum}" if self.spectrum else direction
+
+    @property
+    def spectrum(self) -> str:
+        """How the change goes with frequency: rising, falling or alike; "" of a single band."""
+        change = np.abs(self.change[0][np.isfinite(self.change[0])])
+        half = len(change) // 2
+        if half == 0:
+            return ""
+        low, high = change[:half].mean(), change[-half:].mean()
+        if max(low, high) < _RANGE * min(low, high):
+            return "alike at all frequencies"
+        return f"{'rising' if high > low else 'falling'} with frequency"
+
+    @property
+    def headline(self) -> str:
+        """The verdict in a sentence, and how probable it is that nothing changed."""
+        said = {
+            NONE: "Nothing changed beyond the noise of both measurements.",
+            "hint": f"A hint, not claimed: {self.what}.",
+        }.get(self.verdict, f"Changed: {self.what}.")
+        nothing = 100 * self.probabilities[NONE]
+        return f"{said} The probability that nothing changed is {nothing:.0f} %."
+
+    @property
+    def not_told_apart(self) -> str:
+        """The kinds of change that explain the data about as well, in a sentence; "" without two."""
+        some = [f"{k.name} ({100 * k.probability:.0f} %)" for k in self.kinds]
+        if self.verdict == NONE or len(some) < 2:
+            return ""
+        return f"Not told apart by T: {listed(some)}."
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What cannot be told apart, what the score says, reasons and notes."""
+        score = (
+            f"Evidence that something changed: {self.score:+.1f} nats; it must exceed "
+            f"{self.threshold:.1f}. {as_sentence(NATS)}"
+        )
+        said = (self.not_told_apart, score, *self.reasons, *self.notes)
+        return tuple(filter(None, said))
+
+    def _rows(self) -> list[tuple[str, list[str]]]:
+        found = self.case.differences
+        rows = []
+        for k in np.flatnonzero(found.measured).tolist():
+            mean, low, high = self.change[:, k]
+            rows.append(
+                (
+                    bands.label(found.centre_frequencies[k]),
+                    [
+                        f"{found.before[k]:.2f}",
+                        f"{found.after[k]:.2f}",
+                        f"{self.area[k]:.1f}",
+                        f"{mean:+.1f} ({low:+.1f} to {high:+.1f})",
+                    ],
+                )
+            )
+        return rows
+
+    _header: ClassVar[tuple[str, list[str]]] = (
+        "",
+        ["T / s", "after / s", "area / m²", "change / m² (90 %)"],
+    )
+
+    def __str__(self) -> str:
+        lines = text.wrapped(self.headline)
+        lines += ["", *text.table(self._rows(), header=self._header), ""]
+        for sentence in self.sentences:
+            lines += text.wrapped(sentence)
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        rows: list[list[str | html.Cell]] = [[band, *cells] for band, cells in self._rows()]
+        header = [self._header[0], *self._header[1]]
+        return html.table(self.headline, header, rows, list(self.sentences))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        found = self.case.differences
+        return {
+            "rtcal": self.record_kind,
+            "verdict": self.verdict,
+            "family": self.family,
+            "surface": self.surface,
+            "probabilities": dict(self.probabilities),
+            "families": dict(self.families),
+            "score": self.score,
+            "threshold": self.threshold,
+            "size": self.size.to_dict(),
+            "bands_of_size": list(self.middle),
+            "kinds": [{**vars(k), "size": k.size.to_dict()} for k in self.kinds],
+            "centre_frequencies": json_numbers(found.centre_frequencies),
+            "before": json_numbers(found.before),
+            "after": json_numbers(found.after),
+            "absorption_area_before": json_numbers(self.area),
+            "change": json_numbers(self.change),
+            "pairs": [list(pair) for pair in found.pairs],
+            "reasons": list(self.reasons),
+            "notes": list(self.notes),
+        }

@@ -1,0 +1,168 @@
+"""The search for what changed between two states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from rtcal.finder.claim import SAID, claim, most_probable_first
+from rtcal.finder.effects import Effect
+from rtcal.finder.prior import NO_EFFECT, NONE
+from rtcal.finder.size import Size
+from rtcal.finder.states import evidence
+from rtcal.finder.states.baseline import Baseline
+from rtcal.finder.states.case import Case
+from rtcal.finder.states.evidence import Errors, Fits
+from rtcal.finder.states.finding import Finding, Kind
+from rtcal.finder.states.kinds import ADDED, AIR, REMOVED, Grid, grid
+from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.types import Array
+
+THRESHOLD = float(np.log(20))
+"""Score from which a change is claimed: it exceeds ln 20 in at most one of twenty cases in which
+nothing changed, since the likelihood ratio then has the mean 1 (Markov's inequality)."""
+_SAMPLES = 4000
+_INTERVAL = (0.05, 0.95)
+
+
+@checked
+def find(
+    case: Case,
+    *,
+    effects: Sequence[Effect] | None = None,
+    errors: Errors | None = None,
+    seed: int = 0,
+) -> Finding:
+    """Find what changed between two states of a room, from T20 (or T30) alone.
+
+    Parameters
+    ----------
+    case : Case
+    effects : sequence of Effect, optional
+        Those that add absorption give the spectra that are tried, added and removed; the whole library
+        if not given. A spectrum that none of them has is tried as well.
+    errors : Errors, optional
+        What is assumed of noise and prediction.
+    seed : int
+        Of the samples from which the intervals come.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room = rt.Room(name="box", volume=200, materials=["all"], areas=[220], alpha=[[0.1] * 2],
+    ...                sigma=[[0.05] * 2], centre_frequencies=[500, 1000])
+    >>> pairs = [("S1", "R1"), ("S1", "R2"), ("S2", "R1"), ("S2", "R2")]
+    >>> before, after = (
+    ...     rt.Measurement(centre_frequencies=[500, 1000], values={"t20": t}, pairs=pairs)
+    ...     for t in ([[1.5, 1.4], [1.4, 1.4], [1.5, 1.3], [1.6, 1.5]],
+    ...               [[1.1, 0.9], [1.2, 1.0], [1.1, 1.0], [1.0, 0.9]])
+    ... )
+    >>> finding = rt.find(room, after, before=before)
+    >>> print(finding.verdict, finding.family)
+    family added absorption
+    """
+    checks.instance("case", case, Case)
+    assumed = Errors() if errors is None else checks.instance("errors", errors, Errors)
+    found, room = case.differences, case.room
+    measured = found.measured
+    change, variance = found.change[:, measured], found.variance[:, measured]
+    baseline = Baseline.of(room, case.equation, found.before, measured)
+    area = np.full(room.n_bands, np.nan)
+    area[measured] = baseline.area
+    tried = grid(room, area, measured, effects)
+    nothing = evidence.none(change, variance, assumed)
+    fits = evidence.fits(change, variance, baseline, tried, assumed)
+    by_hypothesis = logsumexp(fits.log_evidence, axis=1) + tried.log_weight
+    score = float(logsumexp(by_hypothesis)) - nothing
+    # log(1 + odds) without overflow, of odds that may be e^700.
+    odds = score + float(np.log1p(-NO_EFFECT) - np.log(NO_EFFECT))
+    none = float(np.exp(-np.logaddexp(0.0, odds)))
+    given = np.exp(by_hypothesis - logsumexp(by_hypothesis))
+    probabilities = _summed(tried.names, given, none)
+    families = _with_sums(_summed(tried.families, given, none))
+    if score <= THRESHOLD:
+        verdict, family = ("hint" if score > 0 else NONE), None
+    else:
+        by_family_alone = [name for name in probabilities if name != AIR]
+        verdict, family = claim(None, probabilities, families, by_family_alone)
+    samples, drawn = _samples(fits, tried, baseline, given, seed)
+    changes = np.full((3, room.n_bands), np.nan)
+    changes[0, measured] = samples.mean(axis=0)
+    changes[1:, measured] = np.quantile(samples, _INTERVAL, axis=0)
+    frequencies = room.centre_frequencies[measured]
+    inside = (frequencies > 440) & (frequencies < 2300)
+    inside = inside if inside.any() else np.ones_like(inside)
+    middle = samples[:, inside].mean(axis=1)
+    names = np.array(tried.names)[drawn]
+    kinds = [
+        Kind(name, tried.families[tried.names.index(name)], p, _size(middle[names == name]))
+        for name, p in probabilities.items()
+        if name != NONE and p >= SAID and (names == name).any()
+    ]
+    if not kinds:  # nothing changed
+        best = max((n for n in probabilities if n != NONE), key=lambda n: probabilities[n])
+        family_of_best = tried.families[tried.names.index(best)]
+        kinds = [Kind(best, family_of_best, probabilities[best], _size(middle))]
+    return Finding(
+        case=case,
+        verdict=verdict,
+        family=family,
+        probabilities=probabilities,
+        families=families,
+        score=score,
+        threshold=THRESHOLD,
+        kinds=tuple(kinds),
+        area=area,
+        change=changes,
+        size=_size(middle),
+        middle=tuple(frequencies[inside].tolist()),
+        surface=None,
+        reasons=(),
+        notes=(*found.notes, _OF_MEANS),
+    )
+
+
+_OF_MEANS = "T alone does not tell on which surface something changed."
+
+
+def _summed(names: Sequence[str], given: Array, none: float) -> dict[str, float]:
+    """Return the probability of "none" and of each name, the most probable first."""
+    out = {NONE: none}
+    for name, p in zip(names, (given * (1 - none)).tolist(), strict=True):
+        out[name] = out.get(name, 0.0) + p
+    return most_probable_first(out)
+
+
+def _with_sums(families: dict[str, float]) -> dict[str, float]:
+    """Return the families with the sums of all added and of all removed absorption."""
+    out = dict(families)
+    for side in (ADDED, REMOVED):
+        whole = f"{side} absorption"
+        out[whole] = sum(p for family, p in families.items() if family.startswith(whole))
+    return most_probable_first(out)
+
+
+def _samples(
+    fits: Fits, tried: Grid, baseline: Baseline, given: Array, seed: int
+) -> tuple[Array, NDArray[np.intp]]:
+    """Return samples of the change of the absorption area in m², (n, n_bands), and their hypotheses."""
+    rng = np.random.default_rng(seed)
+    rows = rng.choice(len(given), _SAMPLES, p=given / given.sum())
+    of_rows = fits.log_evidence[rows]
+    by_scale = np.exp(of_rows - logsumexp(of_rows, axis=1, keepdims=True))
+    beyond = rng.random(_SAMPLES)[:, np.newaxis] > np.cumsum(by_scale, axis=1)
+    scale = np.minimum(beyond.sum(axis=1), by_scale.shape[1] - 1)
+    value, vector = np.linalg.eigh(fits.covariance[rows, scale])
+    normal = rng.standard_normal(value.shape) * np.sqrt(np.maximum(value, 0.0))
+    z = fits.mean[rows, scale] + np.einsum("nkl,nl->nk", vector, normal)
+    size = np.where(tried.of_air[rows, np.newaxis], 0.0, tried.size[rows] * np.exp(z))
+    return baseline.after(size) - baseline.area, rows
+
+
+def _size(samples: Array) -> Size:
+    low, high = np.quantile(samples, _INTERVAL)
+    return Size(float(samples.mean()), float(low), float(high), "m²")
