@@ -10,14 +10,10 @@ from numpy.typing import NDArray
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.parameters import SUMMARY, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support.types import Array
-
-UNSTATED = 0.05
-"""Relative standard uncertainty of a mean T that states none, and no pairs: one just noticeable
-difference, as `rtcal.prediction.Assumptions` has it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +89,7 @@ class Differences:
             for m, v, mean in zip(chosen, values, means, strict=True):
                 if m.is_summary:
                     u = m.mean_uncertainty(o.key)[np.newaxis] / v
-                    unstated |= bool(np.isnan(u[both]).any())
-                    u = np.where(np.isnan(u), UNSTATED, u)
+                    unstated |= o.key not in m.uncertainty and m.n_sources is None
                 else:
                     theory = o.scatter(room.centre_frequencies, np.where(some, mean, np.nan))
                     stated = m.uncertainty.get(o.key, np.zeros(shape)) / v
@@ -112,8 +107,8 @@ class Differences:
             )
         if unstated:
             notes.append(
-                f"A mean T states neither its uncertainty nor its pairs: {100 * UNSTATED:.0f} % is "
-                "assumed. State it, or give the pairs."
+                "A mean T states neither its uncertainty nor of how many positions it is: it is taken "
+                "as that of one position (ISO 3382-2). State either, or give the pairs."
             )
         return cls(
             room.centre_frequencies,
@@ -125,6 +120,11 @@ class Differences:
             variance,
             tuple(notes),
         )
+
+    @property
+    def of_means(self) -> bool:
+        """Whether they are of means over positions."""
+        return self.pairs == ((SUMMARY, SUMMARY),)
 
     @property
     def measured(self) -> NDArray[np.bool_]:

@@ -30,8 +30,8 @@ class Errors:
         Error of a pair's shift, and of all pairs' in a band, over the predicted shift.
     remeasured : float
         Standard deviation of ln T by which a band differs if nothing changed: climate, equipment.
-    degrees : float
-        Degrees of freedom of a pair's noise.
+    degrees, of_means : float
+        Degrees of freedom of a pair's noise, and of that of means over positions.
     scales, weights : tuple of float
         Scales of all pairs' noise and their prior probabilities.
     """
@@ -40,6 +40,7 @@ class Errors:
     common: float = 0.1
     remeasured: float = 0.01
     degrees: float = 5.0
+    of_means: float = 15.0
     scales: tuple[float, ...] = (0.7, 1.0, 1.4, 2.0)
     weights: tuple[float, ...] = (0.2, 0.5, 0.2, 0.1)
 

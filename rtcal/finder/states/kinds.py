@@ -20,7 +20,7 @@ ADDED, REMOVED, AIR = "added", "removed", "air"
 _FAMILY = "added absorption"
 WALK = 0.5
 """Standard deviation per octave of ln absorption, of a spectrum that no effect of the library has."""
-LEAST, MOST = 0.02, 1.5
+LEAST, MOST = 0.02, 6.0
 """Sizes that are tried, over the absorption area before at 500 to 2000 Hz."""
 SIZES = 25
 _HUMIDITIES = (20.0, 30.0, 40.0, 50.0, 60.0, 70.0)

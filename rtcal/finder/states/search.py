@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,8 @@ def find(
     checks.instance("case", case, Case)
     assumed = Errors() if errors is None else checks.instance("errors", errors, Errors)
     found, room = case.differences, case.room
+    if found.of_means:
+        assumed = replace(assumed, degrees=assumed.of_means)
     measured = found.measured
     change, variance = found.change[:, measured], found.variance[:, measured]
     baseline = Baseline.of(room, case.equation, found.before, measured)

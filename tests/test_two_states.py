@@ -1,0 +1,170 @@
+"""What changed between two measurements of one room, from T alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.command.main import main
+from rtcal.finder.states import Case, Differences, Finding
+from tests.two_states import BANDS, measured, room, times
+
+
+@pytest.fixture(scope="module")
+def panels() -> Finding:
+    """Return what is found of 12 m² of panels, from six sources."""
+    return rt.find(room(), measured(times(12), 2, uneven=0.03), before=measured(times(), 1))
+
+
+def test_panels_are_found_with_their_amount_and_spectrum(panels: Finding) -> None:
+    assert panels.verdict == "family"
+    assert panels.family is not None
+    assert panels.family.startswith("added absorption")
+    assert panels.probabilities["none"] < 1e-6
+    assert panels.spectrum == "rising with frequency"
+    eyring = rt.Eyring()
+    truth = np.diff([eyring.absorption_area(room(), times(n)) for n in (0, 12)], axis=0)[0]
+    low, high = panels.change[1:]
+    assert np.mean((low <= truth) & (truth <= high)) >= 5 / 6
+    np.testing.assert_allclose(panels.size.mean, truth[2:5].mean(), rtol=0.15)
+    assert panels.size.low < truth[2:5].mean() < panels.size.high
+    assert panels.surface is None
+    assert "on which surface" in str(panels)
+
+
+def test_what_was_added_is_removed_in_the_other_order(panels: Finding) -> None:
+    case = panels.case
+    back = rt.find(Case(room=case.room, before=case.after, after=case.before))
+    assert back.family is not None
+    assert back.family.startswith("removed absorption")
+    assert "less absorption" in back.headline
+    assert "-" not in back.what
+    np.testing.assert_allclose(back.size.mean, -panels.size.mean, rtol=0.05)
+    np.testing.assert_allclose(back.score, panels.score, rtol=0.05)
+
+
+@pytest.mark.parametrize("noisy", [0, 1])
+def test_noise_is_no_change(noisy: int) -> None:
+    """Also where one source is three times as noisy as theory says."""
+    scores = [
+        rt.find(
+            room(), measured(times(), 2 * s + 1, noisy=noisy), before=measured(times(), 2 * s)
+        ).score
+        for s in range(10, 16)
+    ]
+    assert sum(score > np.log(20) for score in scores) <= 1
+    assert np.median(scores) < 0
+
+
+def test_the_stated_coefficients_do_not_count(panels: Finding) -> None:
+    other = replace(panels.case.room, alpha=np.full((3, 6), 0.3))
+    again = rt.find(other, panels.case.after, before=panels.case.before)
+    # People and furniture are effects of the room, whose grid depends on alpha; their spectra do not.
+    np.testing.assert_allclose(again.change, panels.change, rtol=1e-6)
+
+
+def test_a_drier_room_is_told_from_absorption_or_not_told_apart() -> None:
+    dry = times(air=rt.Air(20, 20))
+    finding = rt.find(room(), measured(dry, 4, pairs=30), before=measured(times(), 3, pairs=30))
+    assert "air" in {k.name for k in finding.kinds}
+    assert finding.change[0, :3].max() < 1.5
+
+
+def test_means_alone_with_their_uncertainty() -> None:
+    before, after = (
+        rt.Measurement(
+            centre_frequencies=BANDS,
+            values={"t20": t[np.newaxis]},
+            uncertainty={"t20": 0.03 * t[np.newaxis]},
+        )
+        for t in (times(), times(12))
+    )
+    finding = rt.find(room(), after, before=before)
+    assert finding.detected
+    assert finding.case.differences.pairs == (("*", "*"),)
+    vague = replace(before, uncertainty={}), replace(after, uncertainty={})
+    assumed = rt.find(room(), vague[1], before=vague[0])
+    assert any("one position" in note for note in assumed.notes)
+    assert assumed.detected
+
+
+def test_a_smaller_change_has_less_evidence() -> None:
+    scores = [
+        rt.find(room(), measured(times(n), 6), before=measured(times(), 5)).score
+        for n in (0.5, 2, 6, 15)
+    ]
+    assert scores == sorted(scores)
+
+
+def test_it_is_saved_loaded_and_printed(panels: Finding, tmp_path: Path) -> None:
+    again = rt.load(panels.save(tmp_path))
+    assert str(again) == str(panels)
+    assert again.score == panels.score
+    np.testing.assert_array_equal(again.case.differences.change, panels.case.differences.change)
+    assert "Changed: more absorption" in str(panels)
+    assert "Not told apart" in panels._repr_html_()
+
+
+def test_pairs_that_one_state_lacks_are_left_out_and_said() -> None:
+    before, after = measured(times(), 1), measured(times(12), 2)
+    some = after.select(after.pairs[:4])
+    found = Differences.of(room(), before, some)
+    assert found.change.shape == (4, 6)
+    assert any("Only before has S4 to R1 and 1 more" in note for note in found.notes)
+
+
+def test_states_without_a_common_pair_are_refused() -> None:
+    before = measured(times(), 1)
+    other = replace(before, pairs=[(f"T{i}", "R1") for i in range(6)])
+    with pytest.raises(rt.errors.DataError, match="no source and receiver in common"):
+        Case(room=room(), before=before, after=other)
+    edt = rt.Measurement.from_values(BANDS, edt=times())
+    with pytest.raises(rt.errors.DataError, match="T20 or T30"):
+        Case(room=room(), before=edt, after=edt)
+
+
+def test_options_of_one_state_are_refused(panels: Finding) -> None:
+    case = panels.case
+    with pytest.raises(rt.errors.DataError, match="controls is not of"):
+        rt.find(case.room, case.after, before=case.before, controls=())
+    with pytest.raises(rt.errors.DataError, match="a case holds its own"):
+        rt.find(case, case.after)
+    with pytest.raises(rt.errors.DataError, match="measured after"):
+        rt.find(case.room, before=case.before)
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main(list(arguments))
+    return int(stop.value.code or 0)
+
+
+def test_the_command_writes_numbers_and_page(
+    panels: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("jinja2")
+    pytest.importorskip("matplotlib")
+    case = panels.case
+    names = {k: str(tmp_path / k) for k in ("room.toml", "after.csv", "before.csv", "out")}
+    case.room.save(names["room.toml"])
+    case.after.save(names["after.csv"])
+    case.before.save(names["before.csv"])
+    command = ["find", names["room.toml"], names["after.csv"], "--before", names["before.csv"]]
+    assert run(*command, "--out", names["out"], "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["verdict"] == "family"
+    assert len(record["written"]) == 2
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "What changed between two measurements" in page
+    assert "more absorption" in page
+    loaded = rt.load(names["out"])
+    np.testing.assert_allclose(loaded.change, record["change"], rtol=1e-12)
+    assert run("report", names["out"], "--out", str(tmp_path / "p.html")) == 0
+    assert (tmp_path / "p.html").read_text(encoding="utf-8") == page
+    assert run(*command, "--several") != 0
+    assert "--several" in capsys.readouterr().err
