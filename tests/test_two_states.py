@@ -166,5 +166,5 @@ def test_the_command_writes_numbers_and_page(
     np.testing.assert_allclose(loaded.change, record["change"], rtol=1e-12)
     assert run("report", names["out"], "--out", str(tmp_path / "p.html")) == 0
     assert (tmp_path / "p.html").read_text(encoding="utf-8") == page
-    assert run(*command, "--several") != 0
-    assert "--several" in capsys.readouterr().err
+    assert run(*command, "--most", "2") != 0
+    assert "--most" in capsys.readouterr().err
