@@ -99,7 +99,14 @@ COUNTS = {
     1: {k: {"nothing": 120, "coefficients": 40}.get(k, 20) for k in KINDS},
     # Fresh rooms that judge sizes beyond the grid.
     2: {k: {"nothing": 24}.get(k, 3) for k in KINDS},
+    # Sizes beyond those of the others (`BEYOND`): drawn on 2026-11-23, before any finder read them.
+    3: {k: 0 for k in KINDS}
+    | {"nothing": 24, "opening": 8, "porous": 8, "curtain": 8}
+    | {"non-diffuse field": 16, "noise floor": 12},
 }
+BEYOND = {3}
+"""Populations in which an absorber adds 1 to 4 times the room's absorption, a field scatters 0.003 to
+0.02, and a noise floor stands at -40 to -22 dB."""
 STATEMENTS = ("stated", "pairs", "means")
 
 
@@ -418,12 +425,12 @@ def behind(
     made.aperture = wall
 
 
-def hide(kind: str, rng: np.random.Generator) -> Room:
-    """Draw a room and hide one thing of this kind in it."""
+def hide(kind: str, rng: np.random.Generator, large: bool = False) -> Room:
+    """Draw a room and hide one thing of this kind in it; ``large``: see `BEYOND`."""
     made = draw(rng, wrong=kind == "coefficients")
     sides = list(range(2, len(made.polygons)))
     rough = smooth(rng, 0.12)  # members of a family differ from the catalogue's curve
-    share = log_uniform(rng, 0.12, 1.0)
+    share = log_uniform(rng, *((1.0, 4.0) if large else (0.12, 1.0)))
     wanted = share * made.absorption
     truth = made.truth
     truth["kind"] = kind
@@ -491,12 +498,12 @@ def hide(kind: str, rng: np.random.Generator) -> Room:
         behind(made, rng, wall, volume, low)
         truth |= {"size": size, "volume": volume, "alpha": float(low.mean())}
     elif kind == "non-diffuse field":
-        low = log_uniform(rng, 0.01, 0.12)
+        low = log_uniform(rng, *((0.003, 0.02) if large else (0.01, 0.12)))
         made.walls = replace(made.walls, scattering=np.full(len(made.polygons), low))
         made.vectors = False
         truth["scattering"] = low
     elif kind == "noise floor":
-        made.noise_floor_db = float(rng.uniform(-58, -32))
+        made.noise_floor_db = float(rng.uniform(*((-40, -22) if large else (-58, -32))))
         truth["level"] = made.noise_floor_db
     elif kind == "unknown":  # a system that adds energy around one band
         gain = peak(log_uniform(rng, 400, 2500), 0.7, 0.35 * share)
@@ -643,7 +650,7 @@ def plain(value: Any) -> Any:
 def build(population: int, kind: int, index: int) -> dict[str, Any]:
     """Return {"case": what a user knows and measured, "truth": what the finder never sees}."""
     rng = np.random.default_rng([2026, population, kind, index])
-    made = hide(KINDS[kind], rng)
+    made = hide(KINDS[kind], rng, population in BEYOND)
     statement = STATEMENTS[index % 3]
     normals = made.walls.normals**2
     facing = np.zeros((len(made.materials), 3))
