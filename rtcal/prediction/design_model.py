@@ -25,14 +25,18 @@ from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.envelope import Ranges
 from rtcal.prediction.estimate import Rooms, State, estimated_change, near_bounds, samples
 from rtcal.prediction.predicted import SAMPLES
-from rtcal.prediction.program import ProgramNumbers, program
+from rtcal.prediction.program import TANGENTS, ProgramNumbers, program
 from rtcal.support.types import Array
 
-_ROUNDS = 6
-_SETTLED = 1e-3
+_ROUNDS = 12
+_SETTLED = 1e-4
 """Largest change of an area in the last round, in shares of the room's surface."""
-_SLACK = 0.002
-"""What the exact probability may lack of the promised one: the hull stands above g by so much."""
+_SLACK = 5e-4
+"""What the exact probability may lack of the promised one: a tangent stands above g by so much."""
+_LAST = 4
+"""Tangents at the answers of the last rounds. The others are spread over the whole range of means."""
+_INSIDE = 1e-4
+"""Share of the range of means by which a tangent keeps off its ends, where it would be vertical."""
 _MOST_NODES = 400
 _WHOLE = 1e-6
 """Distance of a number of panels from a whole one that counts as rounding."""
@@ -166,31 +170,59 @@ class DesignModel:
         mean, _ = self.ranges(x, target).best()
         bounded = np.asarray((target or self.target).bounded)
         mean = np.where(bounded, mean, self.area(x)[0])
+        means: tuple[Array, ...] = ()
         for _ in range(_ROUNDS):
-            numbers = self.numbers(probability, x, mean, target)
+            numbers = self.numbers(probability, x, mean, target, means)
             after = None if numbers is None else self._solve(numbers)
             if after is None:
                 return None
             moved = float(np.max(np.abs(after - x))) / self.before.total_area
             x, mean = after, self.area(after)[0]
-            if moved < _SETTLED:
+            if moved < _SETTLED and self._lacks(probability, x, target) <= _SLACK:
                 break
+            means = (*means[1 - _LAST :], mean)
         if numbers is not None and any(t.unit is not None for t in self.treatments):
             return self._whole_panels(probability, x, target)
         return x
 
+    def _lacks(self, probability: float, x: Array, target: Target | None) -> float:
+        """Return what the worst band's probability lacks of the promised one; below 0 nothing."""
+        ranges = self.ranges(x, target)
+        found = ranges.probability(*self.area(x))[np.asarray(ranges.target.bounded)]
+        return probability - float(found.min())
+
     def numbers(
-        self, probability: float, x: Array, at: Array, target: Target | None = None
+        self,
+        probability: float,
+        x: Array,
+        at: Array,
+        target: Target | None = None,
+        means: Sequence[Array] = (),
     ) -> ProgramNumbers | None:
-        """Return the program's numbers; None if the equation's error alone forbids the probability."""
+        """Return the program's numbers; None if the equation's error alone forbids the probability.
+
+        ``x`` and ``at`` are the areas and the means at which the model is linear, ``means`` those of
+        further tangents, at most 4.
+        """
         ranges = self.ranges(x, target)
         whole = ranges.room.total_area
         key = (probability, whole, ranges.target.low.tobytes(), ranges.target.high.tobytes())
-        if key not in self._chords:
-            self._chords[key] = ranges.chords(probability)
-        chords = self._chords[key]
-        if chords is None:
+        if key not in self._spans:
+            span = ranges.span(probability)
+            n = TANGENTS - _LAST
+            # Closer towards both ends, where g rises most steeply.
+            places = (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n))[:, np.newaxis] / 2
+            self._spans[key] = span and (
+                *span, *ranges.tangents(probability, span[0] + (span[1] - span[0]) * places)
+            )
+        kept = self._spans[key]
+        if kept is None:
             return None
+        first, last, intercept, slope = kept
+        # Where there is no answer yet, the first tangent stands again.
+        further = np.array([*means, *[first] * (_LAST - len(means))])
+        off = _INSIDE * (last - first)
+        cuts = ranges.tangents(probability, np.clip(further, first + off, last - off))
         mean, root, beta, _, _ = self._known
         q = self._slope(at, x)[:, np.newaxis]
         limits, largest = self.covering
@@ -204,14 +236,14 @@ class DesignModel:
             steps=root @ self.steps,
             mean=mean @ self.areas,
             gains=mean @ self.steps,
-            intercept=chords[0],
-            slope=chords[1],
+            intercept=np.vstack([intercept, cuts[0]]).T,
+            slope=np.vstack([slope, cuts[1]]).T,
             scale=whole,
         )
 
     @cached_property
-    def _chords(self) -> dict[Any, tuple[Array, Array] | None]:
-        """Chords by probability, surface and target."""
+    def _spans(self) -> dict[Any, tuple[Array, ...] | None]:
+        """Range of means, and tangents over it, by probability, surface and target."""
         return {}
 
     @property
@@ -231,7 +263,8 @@ class DesignModel:
         """Return the cheapest areas with whole panels, by branch and bound; None if there are none."""
         units = np.array([np.nan if t.unit is None else t.unit for t in self.treatments])
         cost = np.array([t.cost for t in self.treatments])
-        first = self.numbers(probability, x, self.area(x)[0], target)
+        means: tuple[Array, ...] = (self.area(x)[0],)
+        first = self.numbers(probability, x, means[0], target, means)
         best: Array | None = None
         waiting: list[tuple[Array, Array]] = []
         if first is not None:
@@ -247,7 +280,15 @@ class DesignModel:
             off = np.abs(panels - np.round(panels))
             off = np.where(np.isnan(off), 0.0, off)
             if off.max() < _WHOLE:
-                best = np.where(np.isnan(units), found, np.round(panels) * units)
+                whole = np.where(np.isnan(units), found, np.round(panels) * units)
+                if self._lacks(probability, whole, target) <= _SLACK:
+                    best = whole
+                    continue
+                # A tangent at this answer cuts it off, unless all panels are fixed.
+                means = (*means[1 - _LAST :], self.area(whole)[0])
+                first = self.numbers(probability, x, means[0], target, means)
+                if not np.allclose(lower, upper):
+                    waiting.append((lower, upper))
                 continue
             j = int(np.argmax(off))
             down, up = upper.copy(), lower.copy()

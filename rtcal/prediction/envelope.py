@@ -5,8 +5,8 @@ The absorption area A of the surfaces is normal with mean m and standard deviati
     ln T = f(A) + offset + r,  r normal with standard deviation tau,
 
 f the equation's ln T. P(m, s) is the probability that T is in its range. g(m), the largest s at which
-P(m, s) is at least p, is concave for p from 0.8 on, but for rounding. Its chords are linear
-constraints on s: below them, the probability is kept.
+P(m, s) is at least p, is concave for p from 0.8 on, but for rounding. Its tangents are linear
+constraints on s that cut off no design; where a tangent touches, the probability is kept.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target
 from rtcal.support.types import Array
 
-CHORDS = 16
-_POINTS = 49
-_HALVINGS = 20
+_HALVINGS = 26
 # A trapezium rule: for a smooth function times the normal density it converges exponentially, also
 # where r is a few times narrower than A's spread. Gauss-Hermite nodes are too far apart there.
 _NODES = np.linspace(-4.2, 4.2, 43)
 _WEIGHTS = np.exp(-(_NODES**2) / 2) / np.exp(-(_NODES**2) / 2).sum()
 _EDGE = 1e-9
 """Share of the whole surface by which A keeps off 0 and the equation's largest absorption."""
+_STEP = 1e-6
+"""Step of the derivatives of P, in shares of the surface."""
 _NARROWEST = 1e-6
 """Least width of the means that are allowed, in shares of the surface: below, there is no design."""
 _LOOSE = 10.0
@@ -78,8 +78,8 @@ class Ranges:
         bands = np.arange(len(self.tau))
         return means[at, bands], found[at, bands]
 
-    def chords(self, probability: float) -> tuple[Array, Array] | None:
-        """Return intercepts in m² and slopes of the chords of g, each (n_bands, CHORDS).
+    def span(self, probability: float) -> tuple[Array, Array] | None:
+        """Return the least and the largest mean in m² at which a known A would do, (n_bands,) each.
 
         None if a band cannot be in range with this probability, whatever A is.
         """
@@ -92,12 +92,25 @@ class Ranges:
         last = self._edge(probability, peak, np.full(n_bands, (1 - _EDGE) * whole))
         if ((last - first)[bounded] < _NARROWEST * whole).any():
             return None
-        means = first + (last - first) * _denser_at_the_ends(_POINTS)[:, np.newaxis]
+        return first, last
+
+    def tangents(self, probability: float, means: Array) -> tuple[Array, Array]:
+        """Return intercepts in m² and slopes of the tangents at means in m², (..., n_bands) each.
+
+        A band without a range, or a mean at which the probability is not to be had, has none: a
+        limit that never binds stands there.
+        """
+        whole = self.room.total_area
         sigmas = self._largest(probability, means)
-        intercept, slope = np.full((n_bands, CHORDS), _LOOSE * whole), np.zeros((n_bands, CHORDS))
-        for k in np.flatnonzero(bounded):
-            intercept[k], slope[k] = _chords(means[:, k], sigmas[:, k])
-        return intercept, slope
+        step = _STEP * whole
+        by_mean, by_sigma = (
+            self.probability(means + dm, sigmas + ds) - self.probability(means - dm, sigmas - ds)
+            for dm, ds in ((step, 0.0), (0.0, np.minimum(step, sigmas / 2)))
+        )
+        by_sigma = by_sigma / np.minimum(step, sigmas / 2)
+        touches = np.asarray(self.target.bounded) & (sigmas > 4 * step) & (by_sigma < 0)
+        slope = np.where(touches, -(by_mean / step) / np.where(touches, by_sigma, -1.0), 0.0)
+        return np.where(touches, sigmas - slope * means, _LOOSE * whole), slope
 
     def _edge(self, probability: float, inside: Array, outside: Array) -> Array:
         """Return the mean nearest ``outside`` at which a known A is in range with the probability."""
@@ -115,25 +128,3 @@ class Ranges:
             good = self.probability(means, middle) >= probability
             low, high = np.where(good, middle, low), np.where(good, high, middle)
         return low
-
-
-def _chords(means: Array, sigmas: Array) -> tuple[Array, Array]:
-    """Return the chords of the concave hull of points, (CHORDS,) each."""
-    hull: list[int] = []
-    for i in range(len(means)):
-        while len(hull) > 1 and _turns_up(means, sigmas, hull[-2], hull[-1], i):
-            hull.pop()
-        hull.append(i)
-    knots = np.linspace(means[0], means[-1], CHORDS + 1)
-    heights = np.interp(knots, means[hull], sigmas[hull])
-    slope = np.diff(heights) / np.diff(knots)
-    return heights[:-1] - slope * knots[:-1], slope
-
-
-def _denser_at_the_ends(number: int) -> Array:
-    """Return places from 0 to 1, closer towards both ends, where g rises most steeply."""
-    return np.asarray((1 - np.cos(np.pi * np.linspace(0, 1, number))) / 2)
-
-
-def _turns_up(x: Array, y: Array, a: int, b: int, c: int) -> bool:
-    return bool((y[b] - y[a]) * (x[c] - x[b]) <= (y[c] - y[b]) * (x[b] - x[a]))

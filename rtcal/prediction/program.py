@@ -1,7 +1,7 @@
 """The cheapest areas as a second-order cone program, compiled once for its shape.
 
     minimise c'x  subject to  lower <= x <= upper,  G x <= h,  and in every band
-    |root (w0 + W x)| <= s,  s <= i_j + k_j m  for every chord j,  m = m0 + mx'x.
+    |root (w0 + W x)| <= s,  s <= i_j + k_j m  for every tangent j,  m = m0 + mx'x.
 
 Everything but x is a parameter, and the problem is DPP: cvxpy compiles it once, and later solves
 fill in numbers.
@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from rtcal.errors import ModelError, SolverError
-from rtcal.prediction.envelope import CHORDS
 from rtcal.support.types import Array
 
+TANGENTS = 16
+"""Tangents to the largest allowed sd, per band."""
 _LOOSER = {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7}
 """Settings for numbers with which Clarabel makes no progress to its usual 1e-8."""
 _MISSED = 1e-6
@@ -47,7 +48,7 @@ class ProgramNumbers:
         m0.
     gains : array (n_bands, n_treatments)
         mx.
-    intercept, slope : array (n_bands, CHORDS)
+    intercept, slope : array (n_bands, TANGENTS)
     scale : float
         The room's surface in m².
     """
@@ -85,9 +86,9 @@ class Program:
             "steps": [cp.Parameter((n_rows, n_treatments)) for _ in range(n_bands)],
             "mean": cp.Parameter(n_bands),
             "gains": cp.Parameter((n_bands, n_treatments)),
-            "intercept": cp.Parameter((n_bands, CHORDS)),
-            "slope": cp.Parameter((n_bands, CHORDS)),
-            "unit": cp.Parameter((n_bands, CHORDS), nonneg=True),
+            "intercept": cp.Parameter((n_bands, TANGENTS)),
+            "slope": cp.Parameter((n_bands, TANGENTS)),
+            "unit": cp.Parameter((n_bands, TANGENTS), nonneg=True),
         }
         g, x = self._given, self._x
         constraints = [
@@ -96,7 +97,7 @@ class Program:
             g["limits"] @ x <= g["largest"],
             mean == g["mean"] + g["gains"] @ x,
         ]
-        for j in range(CHORDS):
+        for j in range(TANGENTS):
             allowed = g["intercept"][:, j] + cp.multiply(g["slope"][:, j], mean)
             constraints.append(cp.multiply(g["unit"][:, j], sigma) <= allowed)
         for k in range(n_bands):
@@ -115,7 +116,7 @@ class Program:
         import cvxpy as cp
 
         scale = numbers.scale
-        # Each chord's row has unit length: the steep ones at the ends of a range are as well scaled.
+        # Each tangent's row has unit length: the steep ones at the ends of a range are as well scaled.
         unit = 1 / np.hypot(1, numbers.slope)
         rows = {"unit": unit, "slope": unit * numbers.slope, "intercept": unit * numbers.intercept}
         with self.lock:
