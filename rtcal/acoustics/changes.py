@@ -173,8 +173,12 @@ class Open(Change):
 
     def apply(self, room: Room) -> Room:
         """Return the room with the opening."""
+        return self.cover(room).apply(room)
+
+    def cover(self, room: Room) -> Cover:
+        """Return the opening as what covers the surface, in the room's bands."""
         opening = Material(OPENING, [1.0] * room.n_bands, [0.0] * room.n_bands)
-        return Cover(self.surface, opening, self.area).apply(room)
+        return Cover(self.surface, opening, self.area)
 
     def __str__(self) -> str:
         return f'open {_amount(self.area)} of "{self.surface}"'

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -45,6 +45,9 @@ _BETWEEN_MATERIALS = 0.12
 _PATHS = 6000
 """Most paths of a control run, per source: T20 of a pair then has a noise of some 2 %."""
 
+Heard = Callable[[Simulator, Array, int], Array]
+"""What a simulator hears in another state of the room: for alpha (n_materials, n_bands) before the change
+and a seed, (n_parameters, n_pairs, n_bands)."""
 AHEAD = 3.0
 """How many times Eyring's T of the prior the paths of a simulator are followed. In ten development
 rooms T20 of the control runs' draws needed up to 2.2 times as much, in 40 rooms of other seeds at most
@@ -223,6 +226,7 @@ def simulated_controls(
     position_uncertainty: float = POSITION,
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
+    after: Sequence[tuple[Sequence[str], Heard]] = (),
 ) -> ControlRuns | None:
     """Return the errors of a simulator in `RUNS` control runs; None if it has no geometry to trace.
 
@@ -241,13 +245,16 @@ def simulated_controls(
         Folder in which the errors are kept, by a hash of everything they depend on.
     progress : callable, optional
         Called with the number of finished runs and their total.
+    after : sequence of (names, callable)
+        Further states of the room, heard in the same runs: what a simulator hears there stands behind
+        ``match``, by these names. Nothing is kept in the ``cache`` then.
     """
     uncertainty = checked_uncertainty(position_uncertainty)
     base = _tracing(simulator)
     if base is None:
         return None
     path = None
-    if cache is not None:
+    if cache is not None and not after:
         path = (
             checks.path("cache", cache)
             / f"{_key(base, simulator, room, match, seed, uncertainty)}.array"
@@ -255,12 +262,13 @@ def simulated_controls(
     rng = np.random.default_rng([seed, 20])
     drawn = [(_varied(base, rng, run, uncertainty), _draw(room, rng)) for run in range(RUNS)]
 
-    shape = (len(match), len(base.pairs), base.room.n_bands)
+    names = (*match, *(name for named, _ in after for name in named))
+    shape = (len(names), len(base.pairs), base.room.n_bands)
 
     def runs(errors: Array) -> ControlRuns:
         kept = [i for i, of_run in enumerate(errors) if not np.isnan(of_run).all()]
         return ControlRuns(
-            parameters=tuple(match),
+            parameters=names,
             pairs=base.pairs,
             errors=errors[kept],
             levels=np.array([level(drawn[i][0].scattering, room.areas) for i in kept]),
@@ -286,7 +294,11 @@ def simulated_controls(
                 values = simulator.observe(alpha, match, seed=seed, again=again).values
             else:
                 values = observe(simulator, alpha, match, seed=seed).values
-            return heard, heard.values - values
+            more = [
+                hear(control, alpha, seed + 1 + run) - hear(simulator, alpha, seed)
+                for _, hear in after
+            ]
+            return heard, np.concatenate([heard.values - values, *more])
 
         try:
             try:
@@ -295,7 +307,10 @@ def simulated_controls(
                 alpha = room.alpha
                 heard, difference = error(alpha)
             factors.append(ahead_factor(heard, control, alpha))
-        except TooShortError:
+        except (TooShortError, DataError) as failure:
+            # The paths of a run may be too few for a state that absorbs more.
+            if again or not (after or isinstance(failure, TooShortError)):
+                raise
             difference, left_out = np.full(shape, np.nan), left_out + 1
         errors.append(difference)
         if progress is not None:

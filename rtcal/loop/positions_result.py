@@ -10,16 +10,21 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.stats import chi2
 
+from rtcal.acoustics.change_files import Variant
+from rtcal.acoustics.changes import Change
 from rtcal.acoustics.observables import LEVEL, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import POSITION
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.beside import Beside, left, sentences
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, with_reference
+from rtcal.loop.predicted_positions import WANTED, PositionsPrediction, predict_positions
 from rtcal.loop.scattering import Scattering
+from rtcal.prediction.assumptions import Assumptions
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, observe
 from rtcal.support import html, text
@@ -148,6 +153,30 @@ class PositionsResult(Result):
             held_out = replace(held_out, after=heard.at(held_out.measured))
         after = heard.at(self.after)
         return replace(self, after=after, beside=beside, held_out=held_out, is_traced=True)
+
+    def predict(
+        self,
+        changes: Change | Sequence[Change],
+        *,
+        wanted: Sequence[str] = WANTED,
+        name: str = "",
+        assumptions: Assumptions | None = None,
+        position_uncertainty: float = POSITION,
+    ) -> PositionsPrediction:
+        """Predict what every position hears after a change of this room.
+
+        The arguments and errors are those of `rtcal.loop.predicted_positions.predict_positions`, which
+        takes several variants at once.
+        """
+        made = (changes,) if isinstance(changes, Change) else tuple(changes)
+        variant = Variant(name or "; ".join(map(str, made)) or "no change", made)
+        return predict_positions(
+            self,
+            [variant],
+            wanted=wanted,
+            assumptions=assumptions,
+            position_uncertainty=position_uncertainty,
+        ).predictions[0]
 
     @property
     def alpha(self) -> Array:

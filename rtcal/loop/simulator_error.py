@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from rtcal.loop.scattering import (
     material_scattering,
     scattered,
 )
+from rtcal.simulators.base import Simulator
 from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
@@ -88,10 +90,20 @@ def _materials(listener: Listener, tracer: PathTracing, traced: Array) -> Materi
 
 
 def _noise(listener: Listener) -> Array:
-    """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands)."""
-    tracer, parameters = listener.simulator, listener.data.observations.parameters
-    if not isinstance(tracer, PathTracing):
-        return np.zeros((len(parameters), listener.heard.values.shape[-1]))
-    groups = tracer.observe_in_groups(listener.alpha, GROUPS, parameters, seed=listener.seed)
+    parameters = listener.data.observations.parameters
+    shape = (len(parameters), listener.heard.values.shape[-1])
+    return noise_of_a_run(listener.simulator, listener.alpha, parameters, listener.seed, shape)
+
+
+def noise_of_a_run(
+    simulator: Simulator, alpha: Array, parameters: Sequence[str], seed: int, shape: tuple[int, int]
+) -> Array:
+    """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands).
+
+    It is 0 but for a `PathTracing`; ``shape`` is that of the array.
+    """
+    if not isinstance(simulator, PathTracing):
+        return np.zeros(shape)
+    groups = simulator.observe_in_groups(alpha, GROUPS, parameters, seed=seed)
     of_group = groups.var(axis=0, ddof=1).mean(axis=1)
-    return np.asarray(of_group * tracer.n_paths / GROUPS / paths_of_a_run(tracer))
+    return np.asarray(of_group * simulator.n_paths / GROUPS / paths_of_a_run(simulator))

@@ -64,9 +64,7 @@ def compare(
     >>> compare([state], [Variant("window open", (Open("windows", 2.0),))])
     <Predictions: window open>
     """
-    names = [variant.name for variant in variants]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise DataError(f'variants has "{twice}" twice; each has a name of its own')
+    refuse_repeated_names(variants)
     return Predictions(
         predictions=tuple(
             predict(
@@ -80,3 +78,10 @@ def compare(
             for variant in variants
         )
     )
+
+
+def refuse_repeated_names(variants: Sequence[Variant]) -> None:
+    """Raise DataError if two variants have one name."""
+    names = [variant.name for variant in variants]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise DataError(f'variants has "{twice}" twice; each has a name of its own')
