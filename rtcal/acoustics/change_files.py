@@ -11,8 +11,13 @@
     name = "carpet"
     catalogue = "carpet_cotton"         # or by its name in the catalogue
 
+    [target]                            # optional, as in a file of treatments: the probability of it
+    low = 0.4
+    high = 0.7
+
     [[variant]]
     name = "panels on the ceiling"
+    cost = 1800                         # optional
     [[variant.change]]
     cover = "ceiling"                   # a material of the room
     by = "panel"                        # a new material, or one of the room
@@ -33,11 +38,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from rtcal.acoustics import room_files
 from rtcal.acoustics.changes import OPENING, Add, Change, Climate, Cover, NewVolume, Open, Remove
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.targets import Target, target_of
 from rtcal.errors import DataError
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, toml_table
 
@@ -49,7 +58,7 @@ _MATERIAL = ("alpha", "sigma", "catalogue", "source")
 
 @dataclass(frozen=True)
 class Variant:
-    """A named list of changes.
+    """A named list of changes, and what it costs, in any currency.
 
     Examples
     --------
@@ -60,6 +69,11 @@ class Variant:
 
     name: str
     changes: tuple[Change, ...]
+    cost: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.cost is not None and not 0 <= checks.number("cost", self.cost) < np.inf:
+            raise DataError(f"cost = {self.cost:g} is not finite and 0 or more")
 
 
 @checked
@@ -96,21 +110,39 @@ def read_variants(
     >>> print(variants[0].changes[0])
     open 2 m² of "windows"
     """
-    file = Entries("", toml_table(content), ("variant",), ("material",))
+    file = Entries("", toml_table(content), ("variant",), ("material", "target"))
     new = new_materials(file, room, catalogue)
     variants: list[Variant] = []
     for place, table in tables(file, "variant"):
-        entry = Entries(f"{place}: ", table, ("change",), ("name",))
+        entry = Entries(f"{place}: ", table, ("change",), ("name", "cost"))
         made = tuple(
             _change(f"{place}, {where}", each, room, new) for where, each in tables(entry, "change")
         )
         name = entry.text("name", "; ".join(map(str, made)))
         if name in [variant.name for variant in variants]:
             raise DataError(f'variant "{name}" is given twice')
-        variants.append(Variant(name, made))
+        cost = entry.number("cost") if "cost" in entry else None
+        variants.append(Variant(name, made, cost))
     if not variants:
         raise DataError("no [[variant]]; the file has at least one")
     return tuple(variants)
+
+
+def read_target(content: str, room: Room) -> Target | None:
+    """Return the target of a TOML text of variants; None if it states none. Raises as `target_of`."""
+    file = Entries("", toml_table(content), (), ("variant", "material", "target"))
+    if "target" not in file:
+        return None
+    return stated_target(file, room)
+
+
+def stated_target(file: Entries, room: Room) -> Target:
+    """Return the target that a file states in its table."""
+    return target_of(
+        file.entries("target", (), ("standard", "group", "low", "high")),
+        room.volume,
+        room.centre_frequencies,
+    )
 
 
 def tables(file: Entries, key: str) -> list[tuple[str, Mapping[str, Any]]]:

@@ -1,10 +1,10 @@
 """Ranges of T that a room is to meet: stated, or of a standard.
 
-The standards were not at hand: their numbers are as secondary sources give them. Those of DIN 18041 were
-compared with two public ones: T of A1 to A3 with a manufacturer's page (setaplast.de, of the edition of
-2004), all volumes and the range by band with a program for its limits (Raumakustik-CAD by redbluee, of
-2016). That program's constants of A2 to A5 have the other sign, with which T would be longer than for
-music. ISO and ISO/TR have no numbers here: no public source states them.
+The standards were not at hand: their numbers are as secondary sources give them. Those of DIN 18041
+were compared with two public ones. T of A1 to A3 stands on a manufacturer's page (setaplast.de, of the
+edition of 2004), all volumes and the range by band in a program for its limits (Raumakustik-CAD by
+redbluee). That program's constants of A2 to A5 have the other sign, with which T of speech would be
+longer than on that page. ISO and ISO/TR have no numbers here: no public source was found.
 """
 
 from __future__ import annotations
@@ -49,8 +49,7 @@ DIN_18041_TOLERANCE = {
     2000.0: (0.8, 1.2),
     4000.0: (0.65, 1.2),
 }
-"""Range of T over the value at middle frequencies, as Raumakustik-CAD has it; A5 states only 250 to 2000
-Hz."""
+"""Range of T over the value at middle frequencies; A5 states only 250 to 2000 Hz."""
 _DIN_SOURCE = (
     "DIN 18041:2016-03, group {}, {}: T = {:.2f} s at middle frequencies (after secondary sources)"
 )

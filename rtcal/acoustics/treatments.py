@@ -29,11 +29,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics.change_files import Catalogue, material_name, new_materials, tables
+from rtcal.acoustics.change_files import (
+    Catalogue,
+    material_name,
+    new_materials,
+    stated_target,
+    tables,
+)
 from rtcal.acoustics.changes import Add, Change, Cover
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.targets import Target, target_of
+from rtcal.acoustics.targets import Target
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -129,11 +135,7 @@ def read_treatments(
     ('plaster', np.float64(0.6), 0.8)
     """
     file = Entries("", toml_table(content), ("treatment", "target"), ("material", "probability"))
-    target = target_of(
-        file.entries("target", (), ("standard", "group", "low", "high")),
-        room.volume,
-        room.centre_frequencies,
-    )
+    target = stated_target(file, room)
     new = new_materials(file, room, catalogue)
     treatments = []
     for place, table in tables(file, "treatment"):

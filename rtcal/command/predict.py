@@ -2,37 +2,77 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.command.console import (
+    bar_wanted,
     equation_option,
     json_option,
     output_folder,
     quiet_option,
+    said,
     tell,
+    without_air_warning,
     written,
 )
 from rtcal.errors import DataError
+from rtcal.support.files import read_text
 
 if TYPE_CHECKING:
     from rtcal.acoustics.room import Room
+    from rtcal.loop.positions_result import PositionsResult
     from rtcal.prediction.estimate import State
+    from rtcal.support.results import Result
 
 MAX_BYTES = 2**18
 """Largest size of a file of variants or treatments in bytes."""
 
-also_option = click.option(
-    "--also",
-    nargs=2,
-    type=click.Path(),
-    multiple=True,
-    metavar="ROOM MEASURED",
-    help="A further measured state: the same room with other areas. It narrows the interval most.",
-)
+
+def what_is_known(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options of measured states, the equation and what is done with the result."""
+    for option in (
+        quiet_option,
+        json_option,
+        click.option(
+            "--out",
+            type=click.Path(file_okay=False),
+            help="Folder for all numbers (result.json), of which `rtcal report` makes a page.",
+        ),
+        equation_option,
+        click.option(
+            "--also",
+            nargs=2,
+            type=click.Path(),
+            multiple=True,
+            metavar="ROOM MEASURED",
+            help="A further measured state: the same room with other areas. It narrows the interval "
+            "most.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def told(found: Result, out: str | None, *, quiet: bool, as_json: bool) -> None:
+    """Write a result's file where asked for, and print the result."""
+    text, folder = str(found), output_folder("--out", out)
+    if folder is not None:
+        text += "\n" + written([found.save(folder)])
+    tell(text, found.to_dict(), quiet=quiet, as_json=as_json)
+
+
+def read_changes(path: str, read: Callable[[str], Any]) -> Any:
+    """Return what ``read`` makes of the text of a file; its DataError names the file."""
+    content = read_text(path, MAX_BYTES)
+    try:
+        return read(content)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
 
 
 @click.command(short_help="Predict T after changes of a room, and how sure that is.")
@@ -44,19 +84,25 @@ also_option = click.option(
     required=True,
     help="File of variants (TOML); see docs/files.md.",
 )
-@also_option
-@equation_option
 @click.option(
-    "--out",
-    type=click.Path(file_okay=False),
-    help="Folder for all numbers (result.json), of which `rtcal report` makes a page.",
+    "--means",
+    is_flag=True,
+    help="Predict T by an equation, although ROOM states a mesh and positions.",
 )
-@json_option
-@quiet_option
+@click.option(
+    "--paths",
+    type=click.IntRange(100),
+    default=8000,
+    show_default=True,
+    help="Paths of a calibration to every position; four times as many are weighed.",
+)
+@what_is_known
 def predict(
     room: str,
     measured: str | None,
     change: str,
+    means: bool,
+    paths: int,
     also: tuple[tuple[str, str], ...],
     equation: LinearEquation,
     out: str | None,
@@ -67,24 +113,88 @@ def predict(
 
     Without MEASURED the stated coefficients alone predict. JND here is ln(T ratio) / ln 1.05.
 
+    Where ROOM states its mesh, sources and receivers, and MEASURED has their pairs, ROOM is calibrated
+    to every position as by `rtcal fit`, and every position is predicted: T20, EDT, C80, Ts, level, D50,
+    STI. ROOM may be the folder of an `rtcal fit`, too, without MEASURED.
+
     Example: rtcal predict room.toml t20.csv --change variants.toml
     """
-    from rtcal.acoustics.change_files import read_variants
+    from rtcal.acoustics.change_files import read_target, read_variants
     from rtcal.datasets import catalogue
+    from rtcal.loop.control_runs import RUNS
+    from rtcal.loop.predicted_positions import predict_positions
     from rtcal.prediction.compared import compare
-    from rtcal.support.files import read_text
+    from rtcal.support.progress import bar
 
-    folder = output_folder("--out", out)
+    output_folder("--out", out)
+    result = None if means else calibrated_to_positions(room, measured, paths, quiet=quiet)
+    if result is not None:
+        if also:
+            raise DataError("--also takes T by an equation; add --means")
+        changes = read_changes(
+            change, lambda text: read_variants(text, result.prior, catalogue.material)
+        )
+        with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
+            at_positions = predict_positions(
+                result,
+                changes,
+                position_uncertainty=result.prior.scene.position_uncertainty,
+                progress=lambda done, total: shown.update(1),
+            )
+        told(at_positions, out, quiet=quiet, as_json=as_json)
+        return
     before, states = measured_states(room, measured, also)
-    try:
-        variants = read_variants(read_text(change, MAX_BYTES), before, catalogue.material)
-    except DataError as error:
-        raise DataError(f"{change}: {error}") from error
-    found = compare(states, variants, before=before, equation=equation)
-    text = str(found)
-    if folder is not None:
-        text += "\n" + written([found.save(folder)])
-    tell(text, found.to_dict(), quiet=quiet, as_json=as_json)
+    variants = read_changes(change, lambda text: read_variants(text, before, catalogue.material))
+    told(
+        compare(
+            states,
+            variants,
+            before=before,
+            equation=equation,
+            target=read_changes(change, lambda text: read_target(text, before)),
+        ),
+        out,
+        quiet=quiet,
+        as_json=as_json,
+    )
+
+
+def calibrated_to_positions(
+    room: str, measured: str | None, paths: int, *, quiet: bool
+) -> PositionsResult | None:
+    """Return the calibration to every position; None where room or measurement have no positions."""
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Room
+    from rtcal.finder.means.cache import FOLDER
+    from rtcal.io import geometry_files
+    from rtcal.loop.control_runs import RUNS
+    from rtcal.loop.positions import calibrate_positions
+    from rtcal.loop.positions_result import PositionsResult
+    from rtcal.support.progress import bar
+    from rtcal.support.results import load
+
+    if Path(room).is_dir() and measured is None:
+        result = load(room)
+        if not isinstance(result, PositionsResult):
+            raise DataError(f"{room} is no folder of `rtcal fit`; give the room (TOML) and its T")
+        return result
+    if measured is None or Path(room).is_dir():
+        return None
+    stated, heard = Room.from_file(room), Measurement.from_file(measured)
+    scene = stated.scene
+    if not (scene.mesh or stated.dimensions is not None) or heard.is_summary:
+        return None
+    if not any(s in scene.sources and r in scene.receivers for s, r in heard.pairs):
+        return None
+    with without_air_warning(), bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
+        return calibrate_positions(
+            geometry_files.path_tracing(stated, n_paths=paths),
+            stated,
+            heard,
+            cache=Path(room).parent / FOLDER,
+            position_uncertainty=scene.position_uncertainty,
+            progress=lambda done, total: shown.update(1),
+        )
 
 
 def measured_states(

@@ -1,8 +1,8 @@
 """A simulator in a changed room: what was covered is another mixture of materials on the same walls.
 
-Where the new material lies on a surface is not known to the room. It is spread evenly over all walls of
-the material that it covers, so every wall's coefficient is a mean by area, and a tracer weighs the paths
-that it has. How the walls scatter stays.
+Where the new material lies on a surface is not known to the room. It is spread evenly over all walls
+of the material that it covers, so every wall's coefficient is a mean by area, and a tracer weighs the
+paths that it has. How the walls scatter stays.
 """
 
 from __future__ import annotations
@@ -97,7 +97,9 @@ class ChangedRoom:
 
         ``alpha`` is that of all materials.
         """
-        rows = [moved[:, np.newaxis] * (alpha[new] - alpha[old]) for old, new, moved in self._mixed[1]]
+        rows = [
+            moved[:, np.newaxis] * (alpha[new] - alpha[old]) for old, new, moved in self._mixed[1]
+        ]
         return np.array(rows).reshape(-1, self.before.n_materials, self.before.n_bands)
 
     @property
@@ -109,6 +111,8 @@ class ChangedRoom:
         """Return the simulator with the air after the change."""
         if self.after.air == self.before.air or not isinstance(simulator, PathTracing):
             if self.after.air != self.before.air:
-                raise DataError("another climate takes a path tracing: the simulator keeps its own air")
+                raise DataError(
+                    "another climate takes a path tracing: the simulator keeps its own air"
+                )
             return simulator
         return replace(simulator, room=simulator.room.with_air(self.after.air))

@@ -46,8 +46,8 @@ _PATHS = 6000
 """Most paths of a control run, per source: T20 of a pair then has a noise of some 2 %."""
 
 Heard = Callable[[Simulator, Array, int], Array]
-"""What a simulator hears in another state of the room: for alpha (n_materials, n_bands) before the change
-and a seed, (n_parameters, n_pairs, n_bands)."""
+"""What a simulator hears in another state of the room, (n_parameters, n_pairs, n_bands): for alpha
+(n_materials, n_bands) before the change, and a seed."""
 AHEAD = 3.0
 """How many times Eyring's T of the prior the paths of a simulator are followed. In ten development
 rooms T20 of the control runs' draws needed up to 2.2 times as much, in 40 rooms of other seeds at most

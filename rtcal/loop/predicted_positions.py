@@ -5,10 +5,10 @@ errors in the two states, r those of the measurement,
 
     measured = f(alpha) + e + r,    predicted = h(alpha) + e'.
 
-Control runs are heard in both states, so they tell the covariance of e and e' together: what is common
-to both states was measured, and what is each state's own was not. Given what was measured, alpha, e and
-e' are jointly normal. h is linear around the calibrated coefficients, but along the change of alpha that
-T20 depends on most: there it is a parabola through three weighings of the same paths.
+Control runs are heard in both states, so they tell the covariance of e and e' together: what is
+common to both states was measured, and what is each state's own was not. Given what was measured,
+alpha, e and e' are jointly normal. h is linear around the calibrated coefficients, but along the change
+of alpha that T20 depends on most: there it is a parabola through three weighings of the same paths.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rtcal.acoustics.scene import POSITION
 from rtcal.errors import DataError
 from rtcal.loop.changed_room import ChangedRoom
 from rtcal.loop.control_runs import ControlRuns, Heard, level, simulated_controls
-from rtcal.loop.scattering import errors_by_scattering, material_scattering
+from rtcal.loop.scattering import MaterialScattering, errors_by_scattering, material_scattering
 from rtcal.loop.simulator_error import noise_of_a_run
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.compared import refuse_repeated_names
@@ -59,10 +59,11 @@ COMMON, OWN, AREAS = (
     "the covered areas",
 )
 _Z = float(ndtri((1 + LEVEL) / 2))
+_BEFORE = "before the change"
 _SAMPLES = 2000
 _BENT = 0.1
-"""Departure from a straight line at the interval's ends, in standard deviations, from which the interval
-is that of samples."""
+"""Departure from a straight line at the interval's ends, in standard deviations, from which the
+interval is that of samples."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -82,7 +83,7 @@ class PositionsPrediction(Result):
         Keys of `rtcal.acoustics.observables`.
     pairs : tuple of (source, receiver) (n_pairs,)
     heard_before : array (n_parameters, n_pairs + 1, n_bands)
-        Before the change as the calibrated simulator hears it, as observed: times are logarithms.
+        Before the change, predicted in the same way; as observed: times are logarithms.
     middle, sigma : array (n_parameters, n_pairs + 1, n_bands)
         Mean and standard deviation after the change, as observed.
     low, high : array (n_parameters, n_pairs + 1, n_bands)
@@ -106,12 +107,12 @@ class PositionsPrediction(Result):
     sigma: Array
     low: Array
     high: Array
-    sampled: Array
+    sampled: NDArray[np.bool_]
     shares: dict[str, Array]
 
     def mean(self, parameter: str) -> Array:
         """Return the mean over the pairs in its unit, (n_bands,); of times the geometric one."""
-        return self.at_pairs(parameter)[-1]
+        return np.asarray(self.at_pairs(parameter)[-1])
 
     def interval(self, parameter: str) -> tuple[Array, Array]:
         """Return the ends of the 90 % interval of the mean over the pairs, each (n_bands,)."""
@@ -120,7 +121,7 @@ class PositionsPrediction(Result):
 
     def at_pairs(self, parameter: str) -> Array:
         """Return each pair's value in its unit and then the mean, (n_pairs + 1, n_bands)."""
-        return observable(parameter).natural(self.middle[self._row(parameter)])
+        return np.asarray(observable(parameter).natural(self.middle[self._row(parameter)]))
 
     def interval_at_pairs(self, parameter: str) -> tuple[Array, Array]:
         """Return the ends of the 90 % intervals, each (n_pairs + 1, n_bands)."""
@@ -128,7 +129,7 @@ class PositionsPrediction(Result):
         return of.natural(self.low[row]), of.natural(self.high[row])
 
     def change(self, parameter: str) -> Array:
-        """Return the effect of the change on each pair and on the mean in JND, (n_pairs + 1, n_bands)."""
+        """Return the effect on each pair and on the mean in JND, (n_pairs + 1, n_bands)."""
         return self._in_jnd(parameter, self.middle - self.heard_before)
 
     def half_width(self, parameter: str) -> Array:
@@ -136,9 +137,13 @@ class PositionsPrediction(Result):
         return self._in_jnd(parameter, (self.high - self.low) / 2)
 
     def _in_jnd(self, parameter: str, observed: Array) -> Array:
-        of, row = observable(parameter), observed[self._row(parameter)]
-        one = np.log1p(of.jnd) if of.logarithmic else of.jnd_of(self.at_pairs(parameter))
-        return np.asarray(row / one)
+        of, row, values = (
+            observable(parameter),
+            observed[self._row(parameter)],
+            self.at_pairs(parameter),
+        )
+        one = np.asarray(of.jnd_of(values))
+        return np.asarray(row / (np.log1p(one / values) if of.logarithmic else one))
 
     def _row(self, parameter: str) -> int:
         if parameter not in self.parameters:
@@ -190,12 +195,22 @@ class PositionsPrediction(Result):
             of, (low, high) = observable(p), self.interval(p)
             unit = f" / {of.unit}" if of.unit else ""
             before = of.natural(self.heard_before[i, -1])
-            for name, values in (("before", before), ("after", self.mean(p)), ("90 %: from", low), ("to", high)):
+            for name, values in (
+                ("before", before),
+                ("after", self.mean(p)),
+                ("90 %: from", low),
+                ("to", high),
+            ):
                 rows.append(
-                    (f"{of.label} {name}{unit}", [text.number(v, f".{of.decimals}f") for v in values])
+                    (
+                        f"{of.label} {name}{unit}",
+                        [text.number(v, f".{of.decimals}f") for v in values],
+                    )
                 )
         shares = self.parts(self.parameters[0])
-        made_of = [(n, [text.number(100 * v, ".0f") for v in of_part]) for n, of_part in shares.items()]
+        made_of = [
+            (n, [text.number(100 * v, ".0f") for v in of_part]) for n, of_part in shares.items()
+        ]
         return "\n".join(
             [
                 *text.wrapped(f"{self.before.name}: {self.name}"),
@@ -269,24 +284,33 @@ def predict_positions(
     """
     refuse_repeated_names(variants)
     assumed = Assumptions.of(result.prior) if assumptions is None else assumptions
-    rooms = [ChangedRoom(result.prior, tuple(v.changes), assumed) for v in variants]
+    every = (Variant(_BEFORE, ()), *variants)
+    rooms = [ChangedRoom(result.prior, tuple(v.changes), assumed) for v in every]
     simulator, seed = result.weighed, result.seed
     match = tuple(dict.fromkeys([TARGET.key, *wanted]))
     if isinstance(simulator, PathTracing):
         match = simulator.trusted(match)
 
     def after(room: ChangedRoom) -> Heard:
+        at_alpha: dict[bytes, Array] = {}
+
         def hear(of: Simulator, alpha: Array, seed: int) -> Array:
             walls = room.mixture @ room.all_alpha(alpha)
-            return observe(room.simulator(of), walls, match, seed=seed).values
+            if of is not simulator:
+                return observe(room.simulator(of), walls, match, seed=seed).values
+            if walls.tobytes() not in at_alpha:
+                heard = observe(room.simulator(of), walls, match, seed=seed).values
+                at_alpha[walls.tobytes()] = heard
+            return at_alpha[walls.tobytes()]
 
         return hear
 
     controls = None
     if result.controls is not None:
+        # The runs stand at the calibrated coefficients: those are known far better than the prior.
         controls = simulated_controls(
             simulator,
-            result.prior,
+            result.room.replace(sigma=np.zeros_like(result.alpha), calibration=None),
             result.parameters,
             seed=seed,
             position_uncertainty=position_uncertainty,
@@ -295,15 +319,16 @@ def predict_positions(
         )
     if controls is None:
         raise DataError(
-            f"no control run tells the error of {result.simulator}: predict with a simulator that has a "
-            "geometry, or T by an equation"
+            f"no control run tells the error of {result.simulator}: predict with a simulator that "
+            "has a geometry, or T by an equation"
         )
-    heard_before = observe(simulator, result.alpha, match, seed=seed).values
+    known = _Known(result, simulator, controls.pairs)
+    before, *after_each = (
+        _Changed(known, room, match, controls, i).predicted(variant)
+        for i, (room, variant) in enumerate(zip(rooms, every, strict=True))
+    )
     return PositionsPredictions(
-        predictions=tuple(
-            _Changed(result, simulator, room, match, controls, i).predicted(variant, heard_before)
-            for i, (room, variant) in enumerate(zip(rooms, variants, strict=True))
-        )
+        predictions=tuple(replace(each, heard_before=before.middle) for each in after_each)
     )
 
 
@@ -312,15 +337,74 @@ def _names(match: Sequence[str], variant: int) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Changed:
-    """One change: what is heard after it, and the covariances of errors before and after."""
+class _Known:
+    """What was measured before the change, against the calibrated simulator."""
 
     result: PositionsResult
     simulator: Simulator
+    pairs: tuple[tuple[str, str], ...]
+
+    @cached_property
+    def used(self) -> NDArray[np.int64]:
+        """Numbers of the values that were measured, over the matched parameters at all pairs."""
+        result = self.result
+        flags = np.zeros(
+            (len(result.parameters), len(self.pairs), result.prior.n_bands), dtype=bool
+        )
+        flags[:, [self.pairs.index(pair) for pair in result.pairs]] = result.measured.used
+        return np.flatnonzero(flags)
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Derivatives of the values used, (n_used, n_materials * n_bands)."""
+        result = self.result
+        slopes = jacobian(self.simulator, result.alpha, result.parameters, seed=result.seed)
+        return _by_band(slopes)[self.used]
+
+    @cached_property
+    def innovation(self) -> Array:
+        """What was measured less what the simulator hears with the prior, linearly, (n_used,)."""
+        result = self.result
+        heard = observe(self.simulator, result.alpha, result.parameters, seed=result.seed).values
+        measured = result.measured.observations.values
+        left = measured[result.measured.used] - heard.ravel()[self.used]
+        return np.asarray(left + self.matrix @ (result.alpha - result.prior.alpha).ravel())
+
+    def error(
+        self, of: Simulator, alpha: Array, match: Sequence[str]
+    ) -> tuple[Array, Array | None]:
+        """Return a control run's noise, and the derivatives by the scattering of each material.
+
+        (n_parameters, n_bands), and (n, n_materials), None where the scattering stated was kept.
+        """
+        result = self.result
+        shape = (len(match), result.prior.n_bands)
+        noise = noise_of_a_run(of, alpha, match, result.seed, shape)
+        if result.scattering is None or not isinstance(of, PathTracing):
+            return noise, None
+        random = replace(of, scattering_model="random")
+        stated = np.zeros(result.prior.n_materials)
+        return noise, material_scattering(random, alpha, match, stated, result.seed).slope
+
+    @cached_property
+    def own_error(self) -> tuple[Array, Array | None]:
+        """The same of what was measured."""
+        return self.error(self.simulator, self.result.alpha, self.result.parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class _Changed:
+    """One change: what is heard after it, and the covariances of errors before and after."""
+
+    known: _Known
     room: ChangedRoom
     match: tuple[str, ...]
     controls: ControlRuns
     number: int
+
+    @property
+    def result(self) -> PositionsResult:
+        return self.known.result
 
     @cached_property
     def alpha(self) -> Array:
@@ -334,20 +418,19 @@ class _Changed:
 
     @cached_property
     def after(self) -> Simulator:
-        return self.room.simulator(self.simulator)
+        return self.room.simulator(self.known.simulator)
 
     @cached_property
     def slopes(self) -> tuple[Array, Array]:
-        """Derivatives of all rows by alpha of all materials, (rows, n_materials * n_bands), and by
-        the logarithm of each partial cover's area, (rows, n_covers)."""
+        """Derivatives of all rows by alpha of all materials, and by ln of each partial cover's area.
+
+        (rows, n_materials * n_bands) and (rows, n_covers).
+        """
         walls = self.room.mixture @ self.alpha
         by_wall = jacobian(self.after, walls, self.match, seed=self.result.seed)
-        n_bands = by_wall.shape[2]
-        by_alpha = np.einsum("pikm,me->pike", by_wall, self.room.mixture)
-        full = np.einsum("pike,kl->pikel", by_alpha, np.eye(n_bands))
         by_areas = np.einsum("pikm,cmk->pikc", by_wall, self.room.by_areas(self.alpha))
-        rows = by_wall[..., 0].size
-        return full.reshape(rows, -1), by_areas.reshape(rows, -1)
+        by_alpha = np.einsum("pikm,me->pike", by_wall, self.room.mixture)
+        return _by_band(by_alpha), by_areas.reshape(by_wall[..., 0].size, -1)
 
     @cached_property
     def prior(self) -> Array:
@@ -361,71 +444,46 @@ class _Changed:
         return out
 
     @cached_property
-    def errors(self) -> tuple[Array, Array]:
-        """Covariance of the simulator's errors before and after, of all values, (n, n): without that
-        by the scattering of the materials, which the calibration fitted, and with it."""
-        result = self.result
-        controls = self.controls.at(
-            (*result.parameters, *_names(self.match, self.number)), self.controls.pairs
-        )
-        shape = (len(result.parameters), result.prior.n_bands)
+    def errors(self) -> Array:
+        """Covariance of the simulator's errors before and after, of all values, (n, n)."""
+        result, tracer = self.result, self.known.simulator
+        names = (*result.parameters, *_names(self.match, self.number))
+        controls = self.controls.at(names, self.controls.pairs)
         walls = self.room.mixture @ self.alpha
-        states = (
-            (self.simulator, result.alpha, result.parameters, shape),
-            (self.after, walls, self.match, (len(self.match), shape[1])),
+        states = (self.known.own_error, self.known.error(self.after, walls, self.match))
+        noise = np.vstack([of_run for of_run, _ in states])
+        slopes = [slope for _, slope in states if slope is not None]
+        told = errors_by_scattering(controls, noise) if slopes else None
+        if told is None or not isinstance(tracer, PathTracing):
+            return controls.without_noise(noise).covariance()
+        of_materials = MaterialScattering(
+            slope=np.vstack(slopes), traced=np.zeros(slopes[0].shape[1])
         )
-        noise = np.vstack(
-            [noise_of_a_run(of, a, match, result.seed, size) for of, a, match, size in states]
-        )
-        tracer = self.simulator
-        if result.scattering is not None and isinstance(tracer, PathTracing):
-            told = errors_by_scattering(controls, noise)
-            if told is not None:
-                at = level(tracer.scattering, tracer.room.areas)
-                plain = told.covariance(at, tracer.scattering_model)
-                of_materials = [
-                    material_scattering(
-                        replace(of, scattering_model="random"),
-                        a,
-                        match,
-                        np.zeros(tracer.room.n_materials),
-                        result.seed,
-                    )
-                    for of, a, match, _ in states
-                    if isinstance(of, PathTracing)
-                ]
-                slope = np.vstack([of.slope for of in of_materials])
-                return plain, plain + slope @ of_materials[0].prior @ slope.T
-        plain = controls.without_noise(noise).covariance()
-        return plain, plain
+        at = level(tracer.scattering, tracer.room.areas)
+        return told.covariance(at, tracer.scattering_model) + of_materials.covariance
 
-    @cached_property
-    def used(self) -> Array:
-        """Numbers of the values that were measured, over the matched parameters at all pairs."""
-        result, pairs = self.result, self.controls.pairs
-        flags = np.zeros((len(result.parameters), len(pairs), result.prior.n_bands), dtype=bool)
-        flags[:, [pairs.index(pair) for pair in result.pairs]] = result.measured.used
-        return np.flatnonzero(flags)
-
-    def predicted(self, variant: Variant, heard_before: Array) -> PositionsPrediction:
-        """Return the prediction."""
-        result, used = self.result, self.used
-        matrix, measured = result.steps[-1].matrix, result.measured.covariance
-        plain, whole = (result.error_scale * each for each in self.errors)
+    def predicted(self, variant: Variant) -> PositionsPrediction:
+        """Return the prediction, whose ``heard_before`` is its own middle."""
+        result, used = self.result, self.known.used
+        matrix, measured = self.known.matrix, result.measured.covariance
+        whole = result.error_scale * self.errors
+        rows = _Rows((len(self.match), len(self.controls.pairs), result.prior.n_bands))
         first = len(result.parameters) * len(self.controls.pairs) * result.prior.n_bands
-        before, across, own = whole[np.ix_(used, used)], whole[first:][:, used], whole[first:, first:]
+        before, across, own = (
+            whole[np.ix_(used, used)],
+            whole[first:][:, used],
+            whole[first:, first:],
+        )
         n_old = matrix.shape[1]
         prior, (by_alpha, by_areas) = self.prior, self.slopes
         of_alpha = prior[:, :n_old] @ matrix.T
         unknown = matrix @ prior[:n_old, :n_old] @ matrix.T + before + measured
         gain = np.linalg.solve(unknown, (by_alpha @ of_alpha + across).T).T
 
-        # What the calibrated coefficients leave unexplained is the simulator's error or the
-        # measurement's. Scattering is no part of it: the simulator has the fitted one.
-        left = result.innovation - matrix @ (result.alpha - result.prior.alpha).ravel()
-        shift = plain[first:][:, used] @ np.linalg.solve(before + measured, left)
         heard = self.hear(self.alpha)
-        middle = heard + shift.reshape(heard.shape)
+        at_prior = by_alpha[:, :n_old] @ (result.prior.alpha - result.alpha).ravel()
+        shift = at_prior + gain @ self.known.innovation
+        middle = rows.values(heard + shift.reshape(heard.shape))
 
         by_alpha_left = by_alpha.copy()
         by_alpha_left[:, :n_old] -= gain @ matrix
@@ -443,11 +501,10 @@ class _Changed:
         }
         posterior = prior - of_alpha @ np.linalg.solve(unknown, of_alpha.T)
         bend, ends = self._bend(heard, posterior, by_alpha)
-        rows = _Rows(heard.shape)
         variance = {name: rows.variances(each) for name, each in parts.items()}
         total = sum(variance.values(), np.zeros(rows.with_mean))
         sigma, slope = np.sqrt(np.maximum(total, 0.0)), rows.values(ends)
-        low, high, sampled = _quantiles(rows.values(middle), sigma, slope, rows.values(bend))
+        low, high, sampled = _quantiles(middle, sigma, slope, rows.values(bend))
         means = np.where(total[:, -1] > 0, total[:, -1], 1.0)
         return PositionsPrediction(
             name=variant.name,
@@ -456,8 +513,8 @@ class _Changed:
             simulator=result.simulator,
             parameters=self.match,
             pairs=self.controls.pairs,
-            heard_before=rows.values(heard_before),
-            middle=np.where(sampled, rows.values(middle + bend), rows.values(middle)),
+            heard_before=middle,
+            middle=np.where(sampled, middle + rows.values(bend), middle),
             sigma=sigma,
             low=low,
             high=high,
@@ -493,11 +550,17 @@ class _Changed:
         return (above + below - 2 * heard) / (2 * _Z**2), (above - below) / (2 * _Z)
 
 
+def _by_band(slopes: Array) -> Array:
+    """Return derivatives (p, i, k, m) by alpha of the same band as (p * i * k, m * k)."""
+    full = np.einsum("pikm,kl->pikml", slopes, np.eye(slopes.shape[2]))
+    return np.asarray(full.reshape(slopes[..., 0].size, -1))
+
+
 @dataclass(frozen=True)
 class _Rows:
     """Values (n_parameters, n_pairs, n_bands), and the mean over the pairs behind them."""
 
-    shape: tuple[int, ...]
+    shape: tuple[int, int, int]
 
     @property
     def with_mean(self) -> tuple[int, int, int]:

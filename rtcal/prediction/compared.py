@@ -6,14 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
+from rtcal.acoustics import bands
 from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.targets import Target
 from rtcal.errors import DataError
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.estimate import State
 from rtcal.prediction.predicted import Prediction, predict
+from rtcal.support import text
 from rtcal.support.arguments import checked
+from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 
 
@@ -25,18 +31,63 @@ class Predictions(Result):
     ----------
     predictions : tuple of Prediction
         One per variant.
+    costs : tuple of float or None
+        Of each variant.
+    target : Target or None
+        The range of T that they are compared with.
     """
 
     record_kind: ClassVar[str] = "predictions 1"
 
     predictions: tuple[Prediction, ...]
+    costs: tuple[float | None, ...]
+    target: Target | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return each variant's `Prediction.to_dict`."""
-        return {"variants": [prediction.to_dict() for prediction in self.predictions]}
+        """Return each variant's `Prediction.to_dict`, its cost, and the probability of the target."""
+        record: dict[str, Any] = {
+            "variants": [prediction.to_dict() for prediction in self.predictions],
+            "costs": list(self.costs),
+        }
+        if self.target is not None:
+            ends = self.target.low, self.target.high
+            record["target"] = {
+                "low": json_numbers(ends[0]),
+                "high": json_numbers(ends[1]),
+                "source": self.target.source,
+                "probability": [json_numbers(p.probability(*ends)) for p in self.predictions],
+                "probability_together": [p.probability_together(*ends) for p in self.predictions],
+            }
+        return record
 
     def __str__(self) -> str:
-        return "\n\n\n".join(map(str, self.predictions))
+        return "\n\n\n".join([*map(str, self.predictions), *self._side_by_side()])
+
+    def _side_by_side(self) -> list[str]:
+        """Return a table of the variants' T, and of cost and probability where they are known."""
+        if len(self.predictions) == 1 and self.target is None:
+            return []
+        record = self.to_dict()
+        target = record.get("target")
+        labels = [bands.label(f) for f in self.predictions[0].after.centre_frequencies]
+        rows = [(p.name, [f"{t:.2f}" for t in p.mean]) for p in self.predictions]
+        lines = ["side by side: T / s", *text.table(rows, header=("", labels))]
+        if target is None and all(cost is None for cost in self.costs):
+            return ["\n".join(lines)]
+        header, columns = ["cost"], [["-" if c is None else f"{c:.0f}" for c in self.costs]]
+        if target is not None:
+            header += ["least probability", "all bands"]
+            bounded = np.asarray(self.target.bounded) if self.target is not None else []
+            columns += [
+                [f"{np.array(p)[bounded].min():.2f}" for p in target["probability"]],
+                [f"{p:.2f}" for p in target["probability_together"]],
+            ]
+            lines += ["", *text.wrapped(f"Target: {target['source']}")]
+        each = [
+            (p.name, list(row))
+            for p, row in zip(self.predictions, zip(*columns, strict=True), strict=True)
+        ]
+        return ["\n".join([*lines, *text.table(each, header=("", header))])]
 
     def __repr__(self) -> str:
         return f"<Predictions: {', '.join(p.name for p in self.predictions)}>"
@@ -50,10 +101,12 @@ def compare(
     before: Room | None = None,
     equation: LinearEquation | None = None,
     assumptions: Assumptions | None = None,
+    target: Target | None = None,
 ) -> Predictions:
     """Predict T of several variants; the arguments and errors are those of `predict`.
 
-    Raises DataError also where two variants have one name.
+    A ``target`` is a range of T that they are compared with. Raises DataError also where two variants
+    have one name, and for a target of other bands.
 
     Examples
     --------
@@ -65,7 +118,7 @@ def compare(
     <Predictions: window open>
     """
     refuse_repeated_names(variants)
-    return Predictions(
+    found = Predictions(
         predictions=tuple(
             predict(
                 states,
@@ -76,8 +129,14 @@ def compare(
                 name=variant.name,
             )
             for variant in variants
-        )
+        ),
+        costs=tuple(variant.cost for variant in variants),
+        target=target,
     )
+    n_bands = found.predictions[0].after.n_bands if variants else 0
+    if target is not None and target.low.shape != (n_bands,):
+        raise DataError(f"target has {len(target.low)} bands; the room has {n_bands}")
+    return found
 
 
 def refuse_repeated_names(variants: Sequence[Variant]) -> None:

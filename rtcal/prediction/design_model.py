@@ -213,7 +213,8 @@ class DesignModel:
             # Closer towards both ends, where g rises most steeply.
             places = (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n))[:, np.newaxis] / 2
             self._spans[key] = span and (
-                *span, *ranges.tangents(probability, span[0] + (span[1] - span[0]) * places)
+                *span,
+                *ranges.tangents_above(probability, span[0] + (span[1] - span[0]) * places),
             )
         kept = self._spans[key]
         if kept is None:

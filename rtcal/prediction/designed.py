@@ -122,14 +122,18 @@ class Design(Result):
         return self.prediction.probability_together(self.model.target.low, self.model.target.high)
 
     @cached_property
+    def alternatives(self) -> dict[float, Design | None]:
+        """The design at several probabilities, this one among them; None where none is enough."""
+        found = {}
+        for p in sorted({*FRONTIER, self.promised}):
+            x = self.areas if p == self.promised else self.model.cheapest(p)
+            found[p] = None if x is None else replace(self, promised=p, areas=x)
+        return found
+
+    @property
     def frontier(self) -> dict[float, float]:
         """The cost at several probabilities; infinite where none is enough."""
-        found = {}
-        for p in FRONTIER:
-            x = self.areas if p == self.promised else self.model.cheapest(p)
-            cost = np.array([t.cost for t in self.model.treatments])
-            found[p] = float("inf") if x is None else float(cost @ x)
-        return found
+        return {p: float("inf") if d is None else d.cost for p, d in self.alternatives.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text."""

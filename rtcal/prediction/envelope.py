@@ -112,6 +112,17 @@ class Ranges:
         slope = np.where(touches, -(by_mean / step) / np.where(touches, by_sigma, -1.0), 0.0)
         return np.where(touches, sigmas - slope * means, _LOOSE * whole), slope
 
+    def tangents_above(self, probability: float, means: Array) -> tuple[Array, Array]:
+        """Return the tangents at means (n, n_bands), each moved up until it is above g at all of them.
+
+        Only where the spread is larger than the mean itself is g not concave, and a tangent moved.
+        """
+        intercept, slope = self.tangents(probability, means)
+        has_one = intercept < _LOOSE * self.room.total_area
+        g = np.where(has_one, intercept + slope * means, 0.0)
+        above = np.max(g - slope[:, np.newaxis] * means, axis=1)
+        return np.where(has_one, above, intercept), slope
+
     def _edge(self, probability: float, inside: Array, outside: Array) -> Array:
         """Return the mean nearest ``outside`` at which a known A is in range with the probability."""
         kept = self.probability(outside, np.zeros_like(outside)) >= probability

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import threading
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,7 +120,9 @@ class Program:
         # Each tangent's row has unit length: the steep ones at the ends of a range are as well scaled.
         unit = 1 / np.hypot(1, numbers.slope)
         rows = {"unit": unit, "slope": unit * numbers.slope, "intercept": unit * numbers.intercept}
-        with self.lock:
+        with self.lock, warnings.catch_warnings():
+            # cvxpy warns of an inaccurate answer; each one is judged by its own constraints below.
+            warnings.filterwarnings("ignore", "Solution may be inaccurate")
             for name, parameter in self._given.items():
                 value = rows[name] if name in rows else getattr(numbers, name)
                 if name in ("limits", "gains", "slope", "steps", "unit"):

@@ -18,6 +18,7 @@ from rtcal.errors import DataError
 from rtcal.finder import states
 from rtcal.loop import beside
 from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.predicted_positions import PositionsPrediction, PositionsPredictions
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
 from rtcal.prediction.compared import Predictions
@@ -248,6 +249,10 @@ def page_of(
         return prediction_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, states.Finding):
         return states_page.page(result, heading or Heading(), progress or (lambda: None))
+    if isinstance(result, PositionsPrediction | PositionsPredictions):
+        return prediction_page.page_at_positions(
+            result, heading or Heading(), progress or (lambda: None)
+        )
     if isinstance(result, CalibrationResult):
         return calibration_page(result, heading=heading, progress=progress)
     raise DataError(

@@ -57,6 +57,39 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(result, tmp_path:
     assert html == page.page_of(tmp_path)
 
 
+def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) -> None:
+    variants = [
+        Variant("two", (Open("windows", 2.0),), 100),
+        Variant("four", (Open("windows", 4.0),)),
+    ]
+    target = Target([0.5] * 6, [1.1] * 6)
+    found = compare(result.states, variants, target=target)
+    found.save(tmp_path)
+    html = page.page_of(tmp_path)
+    for prediction in found.predictions:
+        each = prediction.probability(target.low, target.high)
+        together = prediction.probability_together(target.low, target.high)
+        assert f"<td>{each.min():.2f}</td><td>{together:.2f}</td>" in html
+        assert f"{each.min():.2f}" in str(found)
+    assert "<td>two</td><td>100</td>" in html
+    assert "grey: the target." in html
+    assert html.count('<th scope="row">probability</th>') == 2
+
+
+def test_a_designs_page_compares_designs_of_other_probabilities(result, tmp_path: Path) -> None:
+    panel = rt.Material("panel", [0.5, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
+    treatment = Treatment("panels", panel, 45, cost=90, covers="ceiling")
+    found = rt.design(result, [treatment], Target([np.nan] * 6, [1.0] * 6), 0.85)
+    found.save(tmp_path)
+    html = page.page_of(tmp_path)
+    costs = list(found.frontier.values())
+    assert costs == sorted(costs)
+    assert "0.85 (this design)" in html
+    for design in found.alternatives.values():
+        if design is not None:
+            assert f"<td>{design.areas[0]:.1f}</td><td>{design.cost:.0f}</td>" in html
+
+
 def test_the_interval_is_drawn_where_it_is(result) -> None:
     variant = result.predict(Open("windows", 2.0), name="open")
     low, high = variant.interval

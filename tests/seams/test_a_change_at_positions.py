@@ -1,0 +1,183 @@
+"""Law: in a diffuse box the simulator at positions and the equation predict one T of a change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import rtcal as rt
+from rtcal.acoustics.change_files import Variant
+from rtcal.command.main import cli
+from rtcal.errors import DataError
+from rtcal.loop.predicted_positions import (
+    COMMON,
+    OWN,
+    PositionsPredictions,
+    predict_positions,
+)
+from rtcal.prediction import Add, Climate, Cover, Open
+from rtcal.report import page
+from rtcal.simulators import PathTracing, Polyhedron
+
+pytest.importorskip("matplotlib", reason="needs the extra report")
+pytest.importorskip("numba", reason="the control runs are compiled (extra fast)")
+
+SIZE = (7.0, 5.5, 4.0)
+BANDS = [500.0, 1000.0]
+SOURCES = {"S1": (1.5, 1.4, 1.5), "S2": (5.0, 1.2, 1.7)}
+RECEIVERS = {"R1": (5.4, 4.2, 1.3), "R2": (1.6, 3.9, 1.2)}
+PANEL = rt.Material("panel", [0.6, 0.7], [0.08, 0.08])
+WALLS = dict.fromkeys(("west", "east", "south", "north", "floor"), "plaster") | {"ceiling": "tiles"}
+
+
+def a_room(**more) -> rt.Room:
+    geometry = Polyhedron.shoebox(SIZE, WALLS)
+    alpha = np.array([[0.12, 0.14], [0.25, 0.3]])
+    return rt.Room(
+        name="diffuse box",
+        volume=geometry.volume,
+        dimensions=SIZE,
+        materials=["plaster", "tiles"],
+        surfaces=geometry.surfaces,
+        areas=[geometry.areas[m] for m in ("plaster", "tiles")],
+        alpha=alpha,
+        sigma=0.25 * alpha,
+        centre_frequencies=BANDS,
+        scattering=np.full((2, 2), 0.6),
+        scene=rt.Scene(sources=SOURCES, receivers=RECEIVERS),
+        **more,
+    )
+
+
+def tracing(room: rt.Room, **options) -> PathTracing:
+    return PathTracing(
+        geometry=Polyhedron.shoebox(SIZE, WALLS),
+        room=room,
+        sources=SOURCES,
+        receivers=RECEIVERS,
+        **({"n_paths": 800} | options),
+    )
+
+
+TRUTH = np.array([[0.15, 0.12], [0.2, 0.33]])
+
+
+@pytest.fixture(scope="module")
+def measured() -> rt.Measurement:
+    other = tracing(a_room(), n_paths=16000, scattering=0.7)
+    return other.simulate(TRUTH, seed=9)
+
+
+@pytest.fixture(scope="module")
+def result(measured):
+    match = ("t20", "edt", "c80", "ts")
+    return rt.calibrate_positions(tracing(a_room()), a_room(), measured, match)
+
+
+HALF = Variant("half the tiles", (Cover("tiles", PANEL, SIZE[0] * SIZE[1] / 2),))
+
+
+@pytest.fixture(scope="module")
+def predicted(result) -> PositionsPredictions:
+    variants = [HALF, Variant("window", (Open("plaster", 3.0),)), Variant("nothing", ())]
+    return predict_positions(result, variants)
+
+
+@pytest.mark.long
+def test_both_predict_one_t_within_their_intervals(measured, result, predicted) -> None:
+    by_equation = rt.calibrate(a_room(), measured).predict(HALF.changes)
+    at_positions = predicted.predictions[0]
+    sigma = np.hypot(by_equation.linear_sigma, at_positions.sigma[0, -1])
+    off = np.log(at_positions.mean("t20") / by_equation.mean)
+    assert (np.abs(off) < 1.645 * sigma).all()
+    assert (np.abs(off) < np.log(1.05) * 2.5).all()
+    assert (at_positions.sigma[0, -1] < 0.12).all()  # the law is no empty one
+
+
+@pytest.mark.long
+def test_the_truth_of_the_change_is_within(predicted) -> None:
+    """The change as another tracing hears it, whose new material is as stated."""
+    other = tracing(a_room(), n_paths=16000, scattering=0.7)
+    alpha = TRUTH.copy()
+    alpha[1] = (TRUTH[1] + np.array(PANEL.alpha)) / 2
+    found = predicted.predictions[0]
+    heard = other.observe(alpha, found.parameters, seed=10).values
+    off = (heard.mean(axis=1) - found.middle[:, -1]) / found.sigma[:, -1]
+    assert np.sqrt(np.mean(off**2)) < 1.6
+    assert np.max(np.abs(off)) < 3.5
+
+
+@pytest.mark.long
+def test_no_change_is_what_was_measured(measured, predicted) -> None:
+    found = predicted.predictions[2]
+    assert found.middle == pytest.approx(found.heard_before)
+    assert np.abs(np.log(found.mean("t20") / measured.mean("t20"))).max() < 0.05
+    assert (found.half_width("t20")[-1] < predicted.predictions[0].half_width("t20")[-1]).all()
+
+
+@pytest.mark.long
+def test_parts_add_up_and_the_new_material_is_named(predicted) -> None:
+    for found in predicted.predictions:
+        for parameter in found.parameters:
+            parts = found.parts(parameter)
+            assert sum(parts.values()) == pytest.approx(1.0)
+            assert min(float(part.min()) for part in parts.values()) > -1e-6
+            assert {COMMON, OWN} <= set(parts)
+    shares = predicted.predictions[0].parts("t20")
+    assert next(iter(shares)) == 'alpha of "panel"'
+    assert 'alpha of "opening"' not in predicted.predictions[1].parts("t20")
+
+
+@pytest.mark.long
+def test_every_observable_has_pairs_mean_and_interval(predicted, tmp_path: Path) -> None:
+    found = predicted.predictions[0]
+    assert found.parameters == ("t20", "edt", "c80", "ts", "level", "d50", "sti")
+    for parameter in found.parameters:
+        low, high = found.interval_at_pairs(parameter)
+        value = found.at_pairs(parameter)
+        assert value.shape == (5, 2)
+        assert ((low < value) & (value < high)).all()
+    assert (found.change("c80")[-1] > 0).all()
+    assert (found.change("t20")[-1] < 0).all()
+    assert (found.change("level")[-1] < 0).all()
+    predicted.save(tmp_path)
+    html = page.page_of(tmp_path)
+    assert html.count("C80 after / dB") == 3
+    assert "heard before and after the change" in html
+    again = rt.load(tmp_path)
+    assert str(again) == str(predicted)
+    assert again.to_dict() == predicted.to_dict()
+
+
+def test_a_change_without_a_place_is_refused(result) -> None:
+    with pytest.raises(DataError, match='add 3 m² of "panel": a simulator does not know where'):
+        result.predict(Add(PANEL, 3))
+
+
+@pytest.mark.long
+def test_another_climate_is_the_room_in_other_air(result) -> None:
+    dry = result.predict(Climate(rt.Air(20, 20)), wanted=("t20",))
+    assert (dry.change("t20")[-1] < 0).all()  # the room states no air: it takes nothing
+
+
+@pytest.mark.long
+def test_the_command_takes_a_room_with_positions(measured, tmp_path: Path) -> None:
+    room, pairs, change = (tmp_path / name for name in ("room.toml", "pairs.csv", "change.toml"))
+    a_room(air=rt.Air(20, 50)).save(str(room))
+    measured.save(str(pairs))
+    change.write_text(
+        '[[variant]]\nname = "tiles off"\n[[variant.change]]\nopen = "tiles"\narea = 3\n'
+    )
+    arguments = ["predict", str(room), str(pairs), "--change", str(change), "--quiet"]
+    out = tmp_path / "after"
+    told = CliRunner().invoke(cli, [*arguments, "--paths", "800", "--out", str(out), "--json"])
+    assert told.exit_code == 0, told.output
+    found = rt.load(out)
+    assert isinstance(found, PositionsPredictions)
+    assert found.predictions[0].pairs == tuple(measured.pairs)
+    means = CliRunner().invoke(cli, [*arguments[:-1], "--means"])
+    assert means.exit_code == 0
+    assert "T after / s" in means.output
